@@ -135,7 +135,7 @@ def floor_table(study: Study) -> ResultTable:
 def observability_table(study: Study) -> ResultTable:
     """Indices of every choice of poses."""
     values = [
-        study.selections[name].on_grid if name in study.selections else study.selections["O1"].before
+        study.selections[name].after if name in study.selections else study.selections["O1"].before
         for name in study.names
     ]
     efficiency = [study.selections[name].efficiency if name in study.selections else None for name in study.names]
@@ -209,7 +209,7 @@ def _against_the_paper(ours: Ranking, study: Study) -> tuple[str, ...]:
         f" among these; its largest, {paper[-1]}, is {'also' if shared[-1] == paper[-1] else 'not'} ours. Kendall's tau"
         f" of the two orders: {agreement(printed, means):.2f} (1: the same order, 0: none).",
         f"Mean error of uniform over that of O1: {here:.2f} here, {there:.1f} in the paper. Among our candidates the"
-        f" uniform choice has {100 * o1.before['O1'] / o1.on_grid['O1']:.0f} % of the O1 of the best.",
+        f" uniform choice has {100 * o1.before['O1'] / o1.after['O1']:.0f} % of the O1 of the best.",
     )
 
 

@@ -195,15 +195,12 @@ class Commands:
         robot, (stated, _), bare = self.robot, self.few_free, self.arm(FEW_FREE)
         nine, sixty = as_poses(stated, joints(9, 1)), as_poses(stated, joints(60, 2))
         still = as_poses(stated, joints(20, 3) * [1, 0, 0] + [0, 0.3, 0.2])
-        edges = as_poses(stated, np.stack(np.meshgrid([-2, 0, 2], [0.1, 0.9], [-1.5, 0, 1.5]), axis=-1).reshape(-1, 3))
         done = np.vstack([nine.joints[:2], joints(5, 5)])
         return {
             "nine": (nine, calib.select(stated, nine, 5)),
             "no bound": (nine, calib.select(stated, nine, 5, "O2")),
             "all": (nine, calib.select(stated, nine, 9, "O2")),
             "starts": (nine, calib.select(stated, nine, 5, "O2", starts=5)),
-            "off grid": (sixty, calib.select(stated, sixty, 5, off_grid=True)),
-            "edges": (edges, calib.select(stated, edges, 5, off_grid=True)),
             "apart": (sixty, calib.select(stated, sixty, 8, "task", minimum_distance=0.3)),
             "still": (still, calib.select(stated, still, 8)),
             "priors": (nine, calib.select(robot, nine, 5)),

@@ -154,8 +154,6 @@ def test_a_touch_is_chosen_only_where_the_candidates_say_what_is_touched(tmp_pat
         select(robot, candidates, {"probe": 11, "tracker": 3})
     with pytest.raises(calib.InputError, match="nothing says which poses touch what; add a column 'probe'"):
         select(robot, q, 8, instruments="each")
-    with pytest.raises(calib.InputError, match="says what 'probe' reads only at the poses in the file"):
-        select(robot, candidates, 8, off_grid=True)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +168,6 @@ def test_a_touch_is_chosen_only_where_the_candidates_say_what_is_touched(tmp_pat
         ({"count": {"tracker": 0, "bar": 0}}, "count 0: choose at least one pose"),
         ({"count": {"wire": 8}}, "no instrument 'wire'"),
         ({"count": {"bar": 5}}, "5 coordinates cannot determine 6 parameters; choose at least 6 poses"),
-        ({"instruments": "each", "off_grid": True}, "choose among instruments on the grid"),
     ],
 )
 def test_bad_choices_are_one_clear_line(tmp_path, arguments, words):

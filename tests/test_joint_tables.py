@@ -1,9 +1,6 @@
 """Joint correction tables: the Python and the C that are written with them agree with the engine."""
 
 import csv
-import importlib.util
-import shutil
-import subprocess
 
 import numpy as np
 import pytest
@@ -54,57 +51,31 @@ def commands():
     return np.vstack([inside, [[-3, 0, -2 * np.pi], [3, 1, 2 * np.pi]]])
 
 
-def python_of(folder):
-    spec = importlib.util.spec_from_file_location("written", folder / "joint_tables.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def rows_of(folder):
+    text = (folder / "joint_tables.csv").read_text()
+    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
 
 
-def test_the_python_agrees_with_the_engine_both_ways(robot, folder, commands):
-    written = python_of(folder)
+def test_the_tables_agree_with_the_engine_both_ways(robot, folder, commands):
     actual, told = actual_joints(robot, commands, term_columns(robot, commands)), commands_for(robot, commands)
     assert np.abs(actual - commands).max() > 1e-4  # there is something to correct
     for j, joint in enumerate(robot.joint_names):
-        results = [written.actual(joint, q) for q in commands[:, j]]
-        assert np.abs(results - actual[:, j]).max() < 1e-6
-        results = [written.command(joint, q) for q in commands[:, j]]
-        assert np.abs(results - told[:, j]).max() < 1e-6
-        outside = {"turn": 3.5, "slide": 1.2, "wrist": 7.0}[joint]
-        assert np.isnan(written.actual(joint, outside))
-        assert np.isnan(written.command(joint, -outside))
-
-
-def test_the_c_agrees_with_the_engine_both_ways(robot, folder, commands, tmp_path):
-    compiler = shutil.which("cc")
-    if compiler is None:
-        pytest.skip("no C compiler")
-    (tmp_path / "main.c").write_text(
-        '#include <stdio.h>\n#include "joint_tables.h"\n'
-        'int main(void) { int j; double q; while (scanf("%d %lf", &j, &q) == 2)\n'
-        ' printf("%.17g %.17g\\n", joint_actual(j, q), joint_command(j, q));\nreturn 0; }\n'
-    )
-    flags = ["-std=c99", "-Wall", "-Werror", "-O1", f"-I{folder}"]
-    subprocess.run([compiler, *flags, "main.c", "-o", "main", "-lm"], cwd=tmp_path, check=True)
-    given = "".join(f"{j} {q!r}\n" for j in range(3) for q in map(float, commands[:, j])) + "0 3.5\n"
-    out = subprocess.run([tmp_path / "main"], input=given, capture_output=True, text=True, check=True).stdout
-    result = np.array([[float(cell) for cell in line.split()] for line in out.splitlines()])
-    assert np.all(np.isnan(result[-1]))
-    result = result[:-1].reshape(3, -1, 2)
-    assert np.abs(result[:, :, 0].T - actual_joints(robot, commands, term_columns(robot, commands))).max() < 1e-6
-    assert np.abs(result[:, :, 1].T - commands_for(robot, commands)).max() < 1e-6
+        own = [row for row in rows_of(folder) if row["joint"] == joint]
+        table = [np.array([float(row[key]) for row in own]) for key in ("commanded", "actual")]
+        assert np.abs(np.interp(commands[:, j], *table) - actual[:, j]).max() < 1e-6
+        assert np.abs(np.interp(commands[:, j], *table[::-1]) - told[:, j]).max() < 1e-6
+        assert table[1][0] <= commands[:, j].min()
+        assert table[1][-1] >= commands[:, j].max()
 
 
 def test_the_csv_holds_the_same_numbers(robot, folder):
-    text = (folder / "joint_tables.csv").read_text()
-    rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    rows = rows_of(folder)
     assert beside_tables(robot) == []
     for table in joint_tables(robot):
         own = [row for row in rows if row["joint"] == table.joint]
         assert [float(row["commanded"]) for row in own] == table.commands.tolist()
         assert [float(row["actual"]) for row in own] == table.actual.tolist()
         assert {row["unit"] for row in own} == {"m" if table.joint == "slide" else "rad"}
-        assert table.actual.tolist() == python_of(folder).TABLES[table.joint][2]
 
 
 def test_a_bound_of_the_curvature_holds_and_is_no_guess(robot):
@@ -146,9 +117,10 @@ def test_what_depends_on_more_is_left_out_and_said_with_its_size(tmp_path, run_c
     run = run_calib("export", "arm.yaml", *arguments, "--force", cwd=tmp_path)
     assert run.code == 0, run.err
     assert "note: slide: backlash is not in the table" in run.err
-    for name in ("csv", "py", "h"):
-        assert "slide: backlash is not in the table" in (tmp_path / "tables" / f"joint_tables.{name}").read_text()
-    assert python_of(tmp_path / "tables").actual("turn", 2.0) == pytest.approx(2.002, abs=1e-12)
+    assert "slide: backlash is not in the table" in (tmp_path / "tables" / "joint_tables.csv").read_text()
+    own = [row for row in rows_of(tmp_path / "tables") if row["joint"] == "turn"]
+    table = [[float(row[key]) for row in own] for key in ("commanded", "actual")]
+    assert np.interp(2.0, *table) == pytest.approx(2.002, abs=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,7 @@ import json
 import os
 import signal
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import fields, replace
-from functools import reduce
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from calib.core.base.workers import Workers, in_order
 from calib.core.fitting.settings import Settings
 from calib.studies.many_calibrations import Repeated
 from calib.studies.study_data import Drawn, Resampled
-from calib.studies.study_result import Draws, DrawSums
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 2e-5
@@ -307,34 +305,6 @@ def test_sums_over_draws_are_those_of_the_arrays(arm):
     content = json.loads(json.dumps(studied.to_dict(), allow_nan=False))
     assert content["parameters"][3]["spread"] == pytest.approx(parameter.spread)
     assert content["draws"] == content["answered"] == len(studied) == 40
-
-
-def test_a_study_that_keeps_no_draws_has_the_same_figures(arm):
-    options = {"draws": 12, "truth": bent(arm), "sigma": SIGMA, "elsewhere": joints(4, 5), "seed": 3}
-    kept, summed = (calib.study(arm, joints(30), keep_draws=keep, **options) for keep in (True, False))
-    assert summed.draws is None
-    assert {**summed.to_dict(), "seconds": 0} == {**kept.to_dict(), "seconds": 0}
-    assert summed.report() == kept.report()
-
-
-def test_sums_of_parts_are_those_of_all_draws_also_where_parts_gave_no_answer(five_bar):
-    draws = calib.study(*five_bar, draws=60, elsewhere=five_bar[1].joints[:2]).draws
-    lost = np.isin(np.arange(60), [3, 17, *range(40, 50)])
-
-    def of(which):
-        values = {field.name: np.array(getattr(draws, field.name)) for field in fields(Draws)}
-        for value in values.values():
-            value[lost] = np.nan
-        return Draws(**{name: value[which] for name, value in values.items()})
-
-    parts = [DrawSums.of(of(np.arange(start, start + 10))) for start in (40, 0, 10, 20, 30, 50)]
-    together = reduce(DrawSums.with_more, parts)
-    error = (draws.values - draws.truth)[~lost]
-    assert (together.n, together.answered) == (60, 48)
-    assert together.bias == pytest.approx(np.mean(error, axis=0))
-    assert together.scatter / 47 == pytest.approx(np.var(error, axis=0, ddof=1))
-    assert together.squares / 48 == pytest.approx(np.mean(np.sum(draws.errors[~lost] ** 2, axis=-1), axis=0))
-    assert together.positions_held.shape == (2, len(five_bar[0].target_names), 3)
 
 
 def test_the_report_of_many_parameters_fits_on_a_screen(arm):

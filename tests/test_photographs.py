@@ -367,9 +367,11 @@ def test_ten_minutes_to_hand_eye(tmp_path):
     printed = ["board", "--board", board, "--out", str(tmp_path / "b.pdf"), "--photographs", str(tmp_path / "shots")]
     assert runner.invoke(group, printed).exit_code == 0
     found = ["detect", str(tmp_path / "shots"), "--board", board, "--out", str(tmp_path / "p.csv"), "--json", "-"]
+    found += ["--page", str(tmp_path / "found.html")]
     _, poses = read_tool_poses(tmp_path / "shots" / "poses.csv")
     turned = json.loads(runner.invoke(group, found).stdout)["turned_rad"]
     assert np.allclose(turned, turning(poses), atol=0.02)  # the lens is not known there: a degree
+    assert (tmp_path / "found.html").read_text().count("<svg") == len(poses)
     told = ["hand-eye", str(tmp_path / "shots"), "--board", board, "--poses", str(tmp_path / "shots" / "poses.csv")]
     done = runner.invoke(group, [*told, "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output

@@ -50,7 +50,7 @@ OPTIONS = [
     "--format toolbox", "--format xacro", "--format joint-offsets", "--format ur-kinematics", "--format joint-tables",
     "--keep axis", "--grid 2,2,2", "--grid 0,0,0", "--grid 9,,", "--same-setup", "--plan", "--change turn.x=1mm",
     "--change turn.x=nan", "--change x", "--provenance", "--free-slide", "--meshes ''", "--target tool", "--target x",
-    "--instruments all", "--instruments each", "--off-grid", "--out", "--out data.csv/x", "extra", "-", "''",
+    "--instruments all", "--instruments each", "--out", "--out data.csv/x", "extra", "-", "''",
 ]  # fmt: skip
 ROBOTS = {
     "urdf": ["predict arm.urdf joints.csv --out o.csv", "init arm.urdf --out o.yaml", "check arm.urdf --poses 8"],

@@ -47,10 +47,6 @@ def comparison():
     )
 
 
-def text(html):
-    return " ".join(re.sub(r"<[^>]+>", " ", re.sub(r"<(svg|style).*?</\1>", " ", html, flags=re.S)).split())
-
-
 def test_real_differences_are_marked_and_others_are_not(comparison):
     html = comparison_page(comparison, created=NOON).html
     rows = dict(re.findall(r'<tr[^>]*><th scope="row">([\w.]+)</th>(.*?)</tr>', html))

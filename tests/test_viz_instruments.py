@@ -8,7 +8,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, joints, write_six_axis
-from viz_examples import undrawn
+from viz_examples import undrawn, words_of
 
 import calib
 from calib.core.data.in_memory import as_poses, measurements
@@ -42,10 +42,6 @@ def bent(robot, seed=1):
     """The robot as it really is: a tenth of what the description expects off."""
     sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
     return robot.with_parameters(robot.values + 0.1 * sigma * np.random.default_rng(seed).standard_normal(len(sigma)))
-
-
-def words(html):
-    return " ".join(re.sub(r"<[^>]+>", " ", re.sub(r"<(svg|style).*?</\1>", " ", html, flags=re.S)).split())
 
 
 def test_a_target_that_was_not_seen_has_no_row(tmp_path):
@@ -114,7 +110,7 @@ def test_poses_are_shown_by_their_positions(pose_fit, tmp_path):
 
 def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
     html = undrawn(pose_fit)
-    shown = words(html)
+    shown = words_of(html)
     assert "Position error [mm]; for each axis" in shown
     assert "Orientation error [mrad]; for each axis" in shown
     assert all(f">{axis} mean</th>" in html for axis in ("x", "y", "z", "rx", "ry", "rz"))
@@ -159,7 +155,7 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     assert (part["name"], part["unit"], part["position"]) == ("distance", "mm", False)
     assert part["range"]["after"][1] == pytest.approx(1e3 * np.abs(fit.identification.after["ball"]).max())
     html = undrawn(fit)
-    shown = words(html)
+    shown = words_of(html)
     assert "Distance error (RMS) before and after calibration, 120 poses (identification)" in shown
     assert "Where it was measured" not in shown
     assert [chart.name for chart in error_charts(fit, scene)] == [
@@ -234,7 +230,7 @@ def test_a_tracker_can_validate_what_distances_identified(tmp_path):
     assert rows["validation"]["rms"] == pytest.approx(
         1e3 * np.sqrt(np.mean(np.sum(fit.validation.after["ball"] ** 2, axis=1))), rel=1e-9
     )
-    shown = words(undrawn(fit))
+    shown = words_of(undrawn(fit))
     assert "Position error (RMS) before and after calibration, 20 poses (validation)" in shown
     assert "Distance error [mm] poses" in shown
     assert "noise of one reading 0.0" in shown

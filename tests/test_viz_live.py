@@ -1,6 +1,5 @@
 """The live viewer from Python: messages in the right form, input checked, notebooks, no leftovers."""
 
-import base64
 import dataclasses
 import json
 import queue
@@ -8,7 +7,6 @@ import time
 
 import numpy as np
 import pytest
-import umsgpack
 from viz_examples import measurements, medrue_fit, medrue_robot
 
 import calib
@@ -16,7 +14,6 @@ import viz
 from calib.core.base.errors import DataError, UnreachablePoseError
 from calib.core.rows.prediction import RootMeanSquare
 from calib.planning.next_pose import NextPose
-from viz.drawing import load_meshcat
 
 
 @pytest.fixture(scope="module")
@@ -88,19 +85,6 @@ def test_joint_values_are_shown_with_their_loops_closed(viewer, messages, fit):
         viewer.display([q, q])
     with pytest.raises(UnreachablePoseError):
         viewer.display([0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-
-
-def test_meshcat_draws_into_the_page_and_later_browsers_get_the_last_state(viewer, messages):
-    meshcat = load_meshcat()
-    viewer.meshcat["box"].set_object(meshcat.geometry.Box([0.1, 0.2, 0.3]))
-    event, data = messages()
-    command = umsgpack.unpackb(base64.b64decode(data))
-    assert (event, command["type"], command["path"]) == ("command", "set_object", "/meshcat/box")
-    viewer.meshcat["box"].set_transform(np.eye(4))
-    viewer.meshcat["box"].set_transform(2 * np.eye(4))
-    assert len(viewer._server._state) == 2
-    viewer.meshcat["box"].delete()
-    assert viewer._server._state == {}
 
 
 def test_showing_works_without_any_browser_and_at_once(viewer):

@@ -5,6 +5,7 @@ import dataclasses
 import hashlib
 import json
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from calib.core.base.errors import InputError
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from viz import poses
-from viz.drawing import draw, load_meshcat
+from viz.drawing import draw
 from viz.poses import PoseTable
 from viz.scene import build_scene
 from viz.scene_data import certainty, point_pixels, ranges, scene_data, summary
@@ -197,7 +198,9 @@ def test_the_commands_are_meshcat_s_own(scene):
     scene = dataclasses.replace(scene, shapes=shapes)
     assert {shape.kind for shape in (*shapes, *scene.decorations)} == {"box", "cylinder", "sphere", "mesh"}
     drawn = [command["object"] for command in map(umsgpack.unpackb, draw(scene)) if command["type"] == "set_object"]
-    geometry = load_meshcat().geometry
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of modules that it imports
+        from meshcat import geometry
     for shape, ours in zip((*shapes, *scene.decorations), drawn, strict=True):
         if shape.kind == "box":
             made = geometry.Box(list(shape.size))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from markupsafe import escape
 from six_axis_arm import FREE, YAML, joints, write_six_axis
-from viz_examples import NOON, measurements, medrue_fit, medrue_robot, spoiled, undrawn
+from viz_examples import NOON, measurements, medrue_fit, medrue_robot, spoiled, undrawn, words_of
 
 import calib
 import viz
@@ -34,12 +34,8 @@ def html(fit):
     return report_page(fit, command=COMMAND, created=NOON).html
 
 
-def text(html):
-    return " ".join(re.sub(r"<[^>]+>", " ", re.sub(r"<(svg|style|script).*?</\1>", " ", html, flags=re.S)).split())
-
-
 def test_the_verdict_comes_first_and_with_the_accuracy(html, fit):
-    first = text(html)[:700]
+    first = words_of(html)[:700]
     after = fit.validation.table()["after"]
     assert f"Verdict: {fit.verdict.grade}" in first
     assert millimetres(after["rms"]) in first
@@ -100,22 +96,22 @@ def test_outliers_are_listed_and_the_verdict_says_why():
     assert re.search(r'<th scope="row">50</th><td class="left">identification</td>', section)
     assert "None was left out" in section
     assert fit.verdict.grade == "CHECK"
-    assert "Verdict: CHECK" in text(html)[:300]
+    assert "Verdict: CHECK" in words_of(html)[:300]
     assert all(str(escape(reason.text)) in html for reason in fit.verdict.reasons)
-    assert "Next: fit again without the outliers: calib fit ROBOT DATA --exclude-outliers" in text(html)
+    assert "Next: fit again without the outliers: calib fit ROBOT DATA --exclude-outliers" in words_of(html)
 
 
 def test_outliers_that_were_left_out_are_listed_and_both_results_shown():
     fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))), exclude_outliers=True)
     html = undrawn(fit)
     assert re.search(r'<th scope="row">50</th><td class="left">left out</td>', html)
-    assert "with outliers, after 84" in text(html)
+    assert "with outliers, after 84" in words_of(html)
 
 
 def test_cross_validation_is_shown_and_judged_by():
     html = undrawn(calib.fit(medrue_robot(), measurements(range(0, 420, 5)), folds=3))
-    assert "left out in turn, after 84" in text(html)
-    assert "84 poses (left out in turn)" in text(html)[:700]
+    assert "left out in turn, after 84" in words_of(html)
+    assert "84 poses (left out in turn)" in words_of(html)[:700]
 
 
 def test_provenance_names_versions_files_command_and_seed(html, fit):
@@ -180,7 +176,7 @@ def test_the_report_is_reached_from_the_package(fit, tmp_path):
 
 def test_uncertainty_of_predictions_is_stated(html, fit):
     spread = 1e3 * np.linalg.norm(from_fit(fit).spread[:84], axis=1)
-    assert f"{millimetres(spread.mean())} mm on average" in text(html)
+    assert f"{millimetres(spread.mean())} mm on average" in words_of(html)
 
 
 @pytest.mark.parametrize(
@@ -219,7 +215,7 @@ def test_no_zero_has_a_sign():
 
 
 def test_page_one_says_where_it_is_worst_and_was_measured_and_the_annex_how_sure_that_is(html, fit):
-    first, annex = text(html).split("Annex:")
+    first, annex = words_of(html).split("Annex:")
     validation = fit.validation
     row = int(np.argmax(np.linalg.norm(validation.after["tool"], axis=1)))
     assert f"pose {validation.data.names[row]}, at x" in first
@@ -244,24 +240,24 @@ def test_coordinates_are_said_to_be_in_a_link_only_where_they_are(fit, base, nam
     description = fit.nominal.description
     description = description.model_copy(update={"base": description.base.model_copy(update=base)})
     nominal = dataclasses.replace(fit.nominal, description=description)
-    page = text(undrawn(dataclasses.replace(fit, nominal=nominal)))
+    page = words_of(undrawn(dataclasses.replace(fit, nominal=nominal)))
     assert f"mm in {name} " in page
     assert f"Measured points tool, in {name} " in page
 
 
-def said(fit, *comments):
-    """The fit of a file with these comments."""
-    data = dataclasses.replace(fit.identification.data, comments=comments)
+def with_comments(fit, *comments, **context):
+    """The same fit, of a file that says more about itself."""
+    data = dataclasses.replace(fit.identification.data, comments=comments, context=context)
     return dataclasses.replace(fit, identification=dataclasses.replace(fit.identification, data=data))
 
 
 def test_what_the_file_says_about_itself_stands_above_the_verdict_and_simulation_first(fit):
     lines = ("Taken on a Monday.", "Simulated measurements; <b>no real robot</b> was measured.")
-    html = undrawn(said(fit, *lines))
+    html = undrawn(with_comments(fit, *lines))
     assert 'class="remarks simulated"' in html
     shown = html[html.index('class="remarks') : html.index('class="verdict')]
     assert shown.index("Simulated measurements; &lt;b&gt;no real robot") < shown.index("Taken on a Monday")
-    assert 'class="remarks"' in undrawn(said(fit, "Taken on a Monday."))
+    assert 'class="remarks"' in undrawn(with_comments(fit, "Taken on a Monday."))
 
 
 def test_without_comments_nothing_is_said_about_the_file(html):
@@ -269,16 +265,10 @@ def test_without_comments_nothing_is_said_about_the_file(html):
 
 
 def test_comments_without_end_do_not_bury_the_report(fit):
-    html = undrawn(said(fit, *(f"{k}: " + 1000 * "word " for k in range(200))))
-    shown = text(html)
+    html = undrawn(with_comments(fit, *(f"{k}: " + 1000 * "word " for k in range(200))))
+    shown = words_of(html)
     assert "and 194 more lines" in shown
     assert shown.index("Verdict:") < 2500
-
-
-def with_comments(fit, *comments, **context):
-    """The same fit, of a file that says more about itself."""
-    data = dataclasses.replace(fit.identification.data, comments=comments, context=context)
-    return dataclasses.replace(fit, identification=dataclasses.replace(fit.identification, data=data))
 
 
 def test_the_record_of_the_measurement_stands_in_the_table_and_nowhere_else(fit):
@@ -310,9 +300,9 @@ def test_the_record_of_the_measurement_stands_in_the_table_and_nowhere_else(fit)
     ],
 )
 def test_a_tolerance_that_was_asked_is_answered_on_page_one(fit, html, tolerance, answer):
-    page = text(undrawn(with_comments(fit, f"tolerance: {tolerance}")))
+    page = words_of(undrawn(with_comments(fit, f"tolerance: {tolerance}")))
     assert answer in page.split("What was calibrated")[0]
-    assert "Asked" not in text(html)
+    assert "Asked" not in words_of(html)
 
 
 def charts_of(fit):
@@ -394,14 +384,14 @@ def test_what_files_are_worth_stands_in_the_verdict_where_they_hold_less(tmp_pat
     plain = arm.with_terms(())
     points = plain.positions(1.01 * q) + 2e-5 * np.random.default_rng(1).standard_normal((60, 1, 3))
     fit = calib.fit(arm, calib.as_measurements(arm, q, points))
-    page = text(undrawn(fit))
+    page = words_of(undrawn(fit))
     start, table = page.index("What files are worth"), page.index("Accuracy before and after")
     assert page.index("Annex:") < start < table
     for holds, words in ((calib.Holds.ORIGINS, "joint origins"), (calib.Holds.EVERYTHING, "the whole model")):
         worth = fit.robot.files[holds].accuracy
         assert f"{words} {millimetres(1e3 * worth.rms)} {millimetres(1e3 * worth.limit95)}" in page[start:table]
     assert "60 poses left out one by one" in page[start:table]
-    assert "What files are worth" not in text(html)  # whose files hold all
+    assert "What files are worth" not in words_of(html)  # whose files hold all
 
 
 def test_nothing_is_told_twice(html):
@@ -449,7 +439,7 @@ def test_what_to_type_next_names_the_files_of_the_command_line(fit):
     data = dataclasses.replace(fit.identification.data, path="my data.csv")
     named = dataclasses.replace(fit, identification=dataclasses.replace(fit.identification, data=data))
     command = f"calib fit {fit.nominal.path} 'my data.csv' --out out/mine"
-    page = text(undrawn(named, command=command)).split("Next:")[1].split("Converged")[0]
+    page = words_of(undrawn(named, command=command)).split("Next:")[1].split("Converged")[0]
     assert "out/mine" in page
     assert not re.search(r"\b(ROBOT|DATA|DIR)\b", page)
-    assert re.search(r"\b(ROBOT|DATA|DIR)\b", text(undrawn(named)).split("Next:")[1].split("Converged")[0])
+    assert re.search(r"\b(ROBOT|DATA|DIR)\b", words_of(undrawn(named)).split("Next:")[1].split("Converged")[0])

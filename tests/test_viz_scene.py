@@ -10,7 +10,7 @@ import calib
 import medrue
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
-from viz.decorations import decorations_of, half_cylinder
+from viz.decorations import decorations_of
 from viz.judgement import of_result
 from viz.poses import PoseTable
 from viz.scene import build_scene, nice_factor
@@ -80,15 +80,6 @@ def test_medrues_leg_is_a_half_cylinder_through_its_poses():
     np.testing.assert_allclose(np.linalg.norm(across, axis=1), 0.15, atol=1e-12)
     assert np.all(across @ workspace.middle > -1e-12)
     assert decorations_of("another robot") == ()
-
-
-def test_a_half_cylinder_has_half_the_surface():
-    shape = half_cylinder(
-        "h", np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), 2.0, 3.0, (1, 1, 1, 1), pieces=200
-    )
-    corners = shape.vertices[shape.faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
-    assert area == pytest.approx(np.pi * 2.0 * 3.0, rel=1e-4)  # 200 flat pieces
 
 
 def test_the_first_camera_looks_at_the_points_from_outside_and_above(robots):

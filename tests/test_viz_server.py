@@ -190,9 +190,9 @@ def test_messages_reach_every_browser_and_later_ones_get_the_state(server, liste
 
 
 def test_forgotten_messages_are_not_sent(server, listen):
-    server.send("command", "a", keep="draw:/x/1")
-    server.send("command", "b", keep="draw:/y/1")
-    server.forget("draw:/x/")
+    server.send("pose", "a", keep="pose")
+    server.send("told", "b", keep="told")
+    server.forget("pose")
     connection, received = listen()
     assert b"data: a" not in read_until(connection, received, b"data: b\n\n")
 

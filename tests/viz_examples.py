@@ -51,6 +51,11 @@ def undrawn(fit, **options):
     return re.sub(r"<script.*?</script>", "", report_page(fit, created=NOON, **options).html, flags=re.S)
 
 
+def words_of(html):
+    """What a page says, without what it draws."""
+    return " ".join(re.sub(r"<[^>]+>", " ", re.sub(r"<(svg|style|script).*?</\1>", " ", html, flags=re.S)).split())
+
+
 LONG_NAMES = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint",
               "the_joint_whose_name_nobody_wanted_to_shorten")  # fmt: skip
 

@@ -1,19 +1,19 @@
-"""One answer as a page: a robot judged by new measurements, or a hand-eye calibration with its photographs."""
+"""One answer as a page: a robot judged by new measurements, a hand-eye calibration, or a board found in photographs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 
 import numpy as np
 
 from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
-from calib.core.base.version import PROGRAM
 from calib.core.judging.acceptance import Acceptance
+from calib.photographs.detection import Detection
 from calib.photographs.hand_eye import HandEye
 from viz.charts import COLOURS, Chart, Charts, PageRows, axis, layer, panel
-from viz.page_parts import chart_parts, places
-from viz.report_page import command_line, page_environment
+from viz.page_parts import places
+from viz.report_page import command_line, printed_page
 from viz.result_charts import forest
 from viz.viewer_page import Page
 
@@ -27,40 +27,37 @@ def answer_page(
     """Return the page of an answer.
 
     Args:
-        subject: An `Acceptance` or a `HandEye`.
+        subject: An `Acceptance`, a `HandEye` or a `Detection`.
         title: Heading of the page.
         text: What the terminal says of it.
         figures: HTML of pictures, each with the number of the image that it belongs to (-1: of none).
         created: Time to print; now if not given.
 
     Raises:
-        TypeError: It is neither.
+        TypeError: It is none of these.
     """
     if isinstance(subject, HandEye):
         charts = _of_images(subject)
         grade = next((line.split()[-1] for line in text.splitlines() if line.startswith("Verdict:")), "CHECK")
+    elif isinstance(subject, Detection):
+        charts, grade = Charts({}), ""
     elif isinstance(subject, Acceptance):
         charts, grade = _of_new_readings(subject), _GRADES.get(subject.verdict, "FAIL")
     else:
         raise TypeError(f"no page of {type(subject).__name__}")
     first, *rest = [part for part in text.splitlines() if part.strip()]
     split = next((k for k, line in enumerate(rest) if line.startswith(("Smallest", "Changes", "ISO 9283"))), len(rest))
-    when = created if created is not None else datetime.now(UTC)
-    return Page(
-        page_environment()
-        .get_template("answer.html")
-        .render(
-            title=title,
-            grade=grade,
-            first=first,
-            lines=rest[:split],
-            table="\n".join(rest[split:]),
-            figures=figures,
-            program=PROGRAM,
-            command=command_line(),
-            created=when.strftime("%Y-%m-%d %H:%M UTC"),
-            **chart_parts(charts),
-        )
+    return printed_page(
+        "answer.html",
+        charts,
+        command_line(),
+        created,
+        title=title,
+        grade=grade,
+        first=first,
+        lines=rest[:split],
+        table="\n".join(rest[split:]),
+        figures=figures,
     )
 
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any
 
 import numpy as np
 
-from calib.core.base.version import PROGRAM
 from calib.core.results.comparison_report import Difference, ResultComparison, p_text
 from viz.charts import MANY, Chart, Charts, axis, layer, panel
-from viz.page_parts import chart_parts, places
-from viz.report_page import page_environment
+from viz.page_parts import places
+from viz.report_page import printed_page
 from viz.result_charts import forest
 from viz.viewer_page import Page
 
@@ -43,28 +42,17 @@ def comparison_page(comparison: ResultComparison, *, command: str = "", created:
     rest = [difference for difference in comparison.differences if difference not in ranked]
     same_rows = errors_on_same_rows(comparison) if comparison.sizes else None
     charts = Charts(places(same_rows=same_rows, intervals=intervals(comparison, ranked)))
-    when = created if created is not None else datetime.now(UTC)
-    return Page(
-        page_environment()
-        .get_template("comparison.html")
-        .render(
-            comparison=comparison,
-            conclusion=comparison.conclusion(),
-            notes=comparison.notes,
-            heads=zip(
-                comparison.names,
-                comparison.verdicts,
-                comparison.n_poses,
-                comparison.errors,
-                comparison.errors_on,
-                strict=True,
-            ),
-            lines=[_line(difference) for difference in [*ranked, *rest]],
-            **chart_parts(charts),
-            program=PROGRAM,
-            command=command,
-            created=when.strftime("%Y-%m-%d %H:%M UTC"),
-        )
+    heads = (comparison.names, comparison.verdicts, comparison.n_poses, comparison.errors, comparison.errors_on)
+    return printed_page(
+        "comparison.html",
+        charts,
+        command,
+        created,
+        comparison=comparison,
+        conclusion=comparison.conclusion(),
+        notes=comparison.notes,
+        heads=zip(*heads, strict=True),
+        lines=[_line(difference) for difference in [*ranked, *rest]],
     )
 
 

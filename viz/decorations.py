@@ -10,10 +10,7 @@ import functools
 from collections.abc import Callable
 from importlib.metadata import entry_points
 
-import numpy as np
-
-from calib.core.base.arrays import FloatArray
-from viz.shapes import Colour, Shape, mesh
+from viz.shapes import Shape
 
 ENTRY_POINTS = "viz.decorations"
 
@@ -27,34 +24,3 @@ def decorations_of(robot_name: str) -> tuple[Shape, ...]:
             give: Callable[[], tuple[Shape, ...]] = entry.load()
             shapes.extend(give())
     return tuple(shapes)
-
-
-def half_cylinder(
-    name: str,
-    start: FloatArray,
-    axis: FloatArray,
-    middle: FloatArray,
-    radius: float,
-    length: float,
-    colour: Colour,
-    pieces: int = 48,
-) -> Shape:
-    """Return half a cylinder's surface.
-
-    Args:
-        name: Unique name.
-        start: Start of the axis in the measurement frame, (3,) [m].
-        axis: Unit direction of the axis, (3,).
-        middle: Unit direction from the axis to the middle of the half, (3,), square to `axis`.
-        radius, length: Of the cylinder [m].
-        colour: Red, green, blue, opacity.
-        pieces: Flat pieces around the half.
-    """
-    angles = np.linspace(-np.pi / 2, np.pi / 2, pieces + 1)
-    side = np.cross(axis, middle)
-    arc = radius * (np.cos(angles)[:, None] * middle + np.sin(angles)[:, None] * side)
-    vertices = np.concatenate([start + arc, start + arc + length * np.asarray(axis)])
-    i = np.arange(pieces)
-    quads = np.stack([i, i + 1, i + pieces + 2, i + pieces + 1], axis=1)
-    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    return mesh(name, None, vertices, faces, colour)

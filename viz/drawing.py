@@ -8,7 +8,6 @@ itself is turned upright.
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -28,14 +27,6 @@ def pack(command: Command) -> bytes:
 
     packed: bytes = umsgpack.packb(command)
     return packed
-
-
-def load_meshcat() -> Any:
-    """Import meshcat, silencing what it says about modules that it imports and that are none of our user's business."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        import meshcat
-    return meshcat
 
 
 def body_path(scene: Scene, body: int) -> str:

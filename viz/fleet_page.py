@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
-
 import numpy as np
 
-from calib.core.base.version import PROGRAM
 from calib.fleets.fleet import Fleet
 from viz.charts import MANY, Chart, Charts
-from viz.page_parts import chart_parts, places
-from viz.report_page import page_environment
+from viz.page_parts import places
+from viz.report_page import printed_page
 from viz.result_charts import forest
 from viz.viewer_page import Page
 
@@ -25,23 +22,18 @@ def fleet_page(fleet: Fleet, *, command: str = "") -> Page:
         command: Command line that made it.
     """
     scale = np.array([parameter.per_si for parameter in fleet.parameters])
-    shown = {"values": fleet.values * scale, "stds": fleet.stds * scale}
-    learned = {"offset": (fleet.mean - fleet.nominal) * scale, "mean_std": fleet.mean_std * scale}
-    return Page(
-        page_environment()
-        .get_template("fleet.html")
-        .render(
-            fleet=fleet,
-            conclusion=fleet.conclusion(),
-            notes=fleet.notes,
-            **chart_parts(Charts(places(robots=side_by_side(fleet)))),
-            spread=fleet.spread * scale,
-            program=PROGRAM,
-            command=command,
-            created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-            **shown,
-            **learned,
-        )
+    return printed_page(
+        "fleet.html",
+        Charts(places(robots=side_by_side(fleet))),
+        command,
+        fleet=fleet,
+        conclusion=fleet.conclusion(),
+        notes=fleet.notes,
+        values=fleet.values * scale,
+        stds=fleet.stds * scale,
+        offset=(fleet.mean - fleet.nominal) * scale,
+        mean_std=fleet.mean_std * scale,
+        spread=fleet.spread * scale,
     )
 
 

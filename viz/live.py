@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 import math
 import operator
 import time
 from types import TracebackType
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +17,6 @@ from calib.core.base.errors import DataError
 from calib.core.base.units import millimetres
 from calib.core.robots.configurations import joint_vector
 from viz.bodies import posed_robot
-from viz.drawing import load_meshcat, pack
 from viz.inputs import Shown, gather
 from viz.server import PageServer
 from viz.viewer_page import scene_page
@@ -36,7 +33,6 @@ class LiveViewer:
             print(viewer.url)
             viewer.show_pose(12)
             viewer.display(q)
-            viewer.meshcat["my/box"].set_object(meshcat.geometry.Box([0.1, 0.1, 0.1]))
 
     Args:
         shown: What to show.
@@ -62,11 +58,6 @@ class LiveViewer:
     def notes(self) -> tuple[str, ...]:
         """What the user should know about the picture, such as missing meshes."""
         return self._shown.scene.notes
-
-    @property
-    def meshcat(self) -> Any:
-        """A `meshcat.Visualizer` that draws into the page, in the measurement frame."""
-        return load_meshcat().Visualizer(window=_Window(self._server))
 
     def show_pose(self, index: int) -> None:
         """Go to a row of the page: a measured point, or a reading where no points were measured.
@@ -182,19 +173,3 @@ class LiveViewer:
     def _repr_html_(self) -> str:
         """Show the live page in a notebook cell, if the kernel runs on the browser's computer; see also `viz.page`."""
         return f'<iframe src="{html.escape(self.url)}" style="width: 100%; height: 640px; border: 0"></iframe>'
-
-
-class _Window:
-    """A stand-in for `meshcat.visualizer.ViewerWindow` that sends to our page; later browsers get the last state."""
-
-    def __init__(self, server: PageServer) -> None:
-        self._server = server
-
-    def send(self, command: Any) -> None:
-        lowered = command.lower()
-        path = f"draw:{lowered['path'].rstrip('/')}/"
-        keep: str | None = f"{path}\n{lowered['type']} {lowered.get('property', '')}"
-        if lowered["type"] == "delete":
-            self._server.forget(path)
-            keep = None
-        self._server.send("command", base64.b64encode(pack(command.lower())).decode(), keep=keep)

@@ -31,7 +31,6 @@ from viz.poses import (
     Calibrated,
     PoseTable,
     averaged,
-    concatenate,
 )
 
 Sigmas = Mapping[str, float]
@@ -77,7 +76,7 @@ def from_fit(fit: Fit) -> PoseTable:
             replace(table, series=tuple(f"{path} ({name})" for path in table.series))
             for table, name in zip(sets, names, strict=False)
         ]
-    return averaged(concatenate(sets))
+    return averaged(sets[0].followed_by(sets[1:]))
 
 
 def _left_out(
@@ -245,7 +244,7 @@ def _rows(source: _Set) -> PoseTable:
     if not any(map(len, parts)):
         return _predictions(source)
     order = np.argsort(source.data.pose_numbers[np.concatenate(visits)], kind="stable")
-    return concatenate(parts).subset(order)
+    return parts[0].followed_by(parts[1:]).subset(order)
 
 
 def _rows_of(source: _Set, instrument: Instrument) -> tuple[PoseTable, IntArray]:

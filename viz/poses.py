@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any, Self
 
 import numpy as np
 
 from calib import Robot
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.base.errors import DataError
 from calib.core.rows.prediction import PositionUncertainty
 
 IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED = "identification", "validation", "measured", "left out"
@@ -34,7 +34,42 @@ class Calibrated:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseTable(ReadOnlyArrays):
+class RowTable(ReadOnlyArrays):
+    """A table of which every array and every tuple has an entry for each row; labels among them."""
+
+    def __len__(self) -> int:
+        return len(self._columns()["labels"])
+
+    def _columns(self) -> dict[str, Any]:
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if isinstance(value, (np.ndarray, tuple))}
+
+    def subset(self, rows: IntArray | BoolArray) -> Self:
+        """Return the rows with these numbers (n,), in this order, or those of a mask."""
+        chosen = np.arange(len(self))[rows]
+        return replace(
+            self,
+            **{
+                name: values[chosen] if isinstance(values, np.ndarray) else tuple(values[k] for k in chosen)
+                for name, values in self._columns().items()
+            },
+        )
+
+    def followed_by(self, others: Sequence[Self]) -> Self:
+        """Return this table with the rows of others behind its own."""
+        every = [table._columns() for table in (self, *others)]
+        return replace(
+            self,
+            **{
+                name: np.concatenate(parts) if isinstance(parts[0], np.ndarray) else sum(parts, ())
+                for name in every[0]
+                if (parts := [columns[name] for columns in every])
+            },
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTable(RowTable):
     """One row per pose and measured point. Positions are in the measurement frame; NaN where not known, such as where
     no instrument measured points. Arrays are read-only.
 
@@ -67,40 +102,6 @@ class PoseTable(ReadOnlyArrays):
     readings: IntArray
     series: tuple[str, ...]
     place: IntArray
-
-    def __post_init__(self) -> None:
-        n = len(self.labels)
-        shapes = {
-            "measured": (n, 3),
-            "before": (n, 3),
-            "after": (n, 3),
-            "sigma": (n,),
-            "spread": (n, 3),
-            "outlier": (n,),
-            "readings": (n,),
-            "place": (n,),
-        }
-        for name, shape in shapes.items():
-            if getattr(self, name).shape != shape:
-                raise DataError(f"pose table: '{name}' has shape {getattr(self, name).shape}, expected {shape}")
-        if self.joints.ndim != 2 or {len(self.joints), len(self.group), len(self.targets), len(self.series)} != {n}:
-            raise DataError(f"pose table: joints, groups, targets and series must have {n} rows, one for each label")
-        unknown = sorted(set(self.group) - set(GROUPS))
-        if unknown:
-            raise DataError(f"pose table: unknown group '{unknown[0]}'; valid: {', '.join(GROUPS)}")
-        super().__post_init__()
-
-    def __len__(self) -> int:
-        return len(self.labels)
-
-    def subset(self, rows: IntArray | BoolArray) -> PoseTable:
-        """Return the rows with these numbers (n,), in this order, or those of a mask."""
-        chosen = np.arange(len(self))[rows]
-        parts: dict[str, object] = {}
-        for field in fields(PoseTable):
-            values = getattr(self, field.name)
-            parts[field.name] = values[chosen] if isinstance(values, np.ndarray) else tuple(values[k] for k in chosen)
-        return PoseTable(**parts)  # type: ignore[arg-type]
 
     def error(self, state: str) -> FloatArray:
         """Return predicted minus measured positions `before` or `after` calibration, (n, 3) [m]."""
@@ -197,15 +198,6 @@ def _places(table: PoseTable) -> IntArray:
         rows = series == number
         result[rows] = np.unique(first[pose[rows]], return_inverse=True)[1].reshape(-1)
     return result
-
-
-def concatenate(parts: list[PoseTable]) -> PoseTable:
-    """Return one table of several, in this order."""
-    merged: dict[str, object] = {}
-    for field in fields(PoseTable):
-        values = [getattr(part, field.name) for part in parts]
-        merged[field.name] = np.concatenate(values) if isinstance(values[0], np.ndarray) else sum(values, ())
-    return PoseTable(**merged)  # type: ignore[arg-type]
 
 
 def empty(robot: Robot) -> PoseTable:

@@ -17,7 +17,7 @@ When it fails. Beyond first order: a pixel far off in the image, or a turn of mu
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,11 +31,11 @@ from calib.core.numerics import linalg
 from calib.core.robots import kinematics
 from calib.core.robots.mechanism import RelativeFrame
 from calib.core.rows.observed import seen_by
-from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, spread_rows
+from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, RowTable, spread_rows
 
 
 @dataclass(frozen=True, eq=False)
-class ReadingErrors(ReadOnlyArrays):
+class ReadingErrors(RowTable):
     """Errors of one part of readings, a row for each reading. Points and arrows are in the measurement frame.
 
     Attributes:
@@ -64,9 +64,6 @@ class ReadingErrors(ReadOnlyArrays):
     labels: tuple[str, ...]
     targets: tuple[str, ...]
 
-    def __len__(self) -> int:
-        return len(self.labels)
-
     def arrows(self, state: str) -> FloatArray:
         """Return the arrows `before` or `after`, (n, 3)."""
         return {"before": self.before, "after": self.after}[state]
@@ -84,18 +81,6 @@ class ReadingErrors(ReadOnlyArrays):
     def rows_shown(self) -> IntArray:
         """Return the rows that a page holds, (n_shown,): all, or those that matter and others evenly spread."""
         return spread_rows(self.outlier, [self.sizes(state) for state in STATES])
-
-    def subset(self, rows: IntArray | BoolArray) -> ReadingErrors:
-        """Return the rows with these numbers, (n_chosen,), or those of a mask, (n,)."""
-        chosen = np.arange(len(self))[rows]
-        parts: dict[str, object] = {}
-        for field in fields(ReadingErrors):
-            values = getattr(self, field.name)
-            if isinstance(values, np.ndarray):
-                parts[field.name] = values[chosen]
-            elif isinstance(values, tuple):
-                parts[field.name] = tuple(values[k] for k in chosen)
-        return replace(self, **parts)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,18 +146,10 @@ def _others(robot: Robot, name: str) -> list[Part]:
 
 def _together(tables: list[ReadingErrors]) -> tuple[ReadingErrors, ...]:
     """One table for each part; rows in the order of the sets."""
-    result = []
-    for key in dict.fromkeys((table.part, table.turns) for table in tables):
-        same = [table for table in tables if (table.part, table.turns) == key]
-        parts: dict[str, object] = {}
-        for field in fields(ReadingErrors):
-            values = [getattr(table, field.name) for table in same]
-            if isinstance(values[0], np.ndarray):
-                parts[field.name] = np.concatenate(values)
-            elif isinstance(values[0], tuple):
-                parts[field.name] = sum(values, ())
-        result.append(replace(same[0], **parts))  # type: ignore[arg-type]
-    return tuple(result)
+    by_part: dict[object, list[ReadingErrors]] = {}
+    for table in tables:
+        by_part.setdefault((table.part, table.turns), []).append(table)
+    return tuple(first.followed_by(others) for first, *others in by_part.values())
 
 
 def _of_set(

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 
 _PACKAGES = ("pin", "numpy", "scipy", "trimesh", "meshcat", "bokeh")
 _DECIMALS, _MOST_DECIMALS = 4, 9
+_FIRST = ("errors", "order")  # plots beside the robot in space: of the first part of readings
 
 
 @dataclass(frozen=True)
@@ -79,50 +80,65 @@ def report_page(
         scene: The fit's scene, where it has been made before.
     """
     shown = scene_of_fit(fit) if scene is None and fit.assembles else scene
-    when = created if created is not None else datetime.now(UTC)
     headline, table, budget, claim = Headline.of(fit), from_fit(fit), budget_table(fit), judge(fit).claim
-    return Page(
-        page_environment()
-        .get_template("report.html")
-        .render(
-            fit=fit,
-            robot=fit.nominal,
-            verdict=judge(fit),
-            following=_following(fit, command).partition(": "),
-            headline=headline,
-            space=_space(shown, headline.part.name),
-            accuracy=accuracy_grids(fit),
-            noise=noise_found(fit),
-            worth=files_grid(fit),
-            budget=budget_grid(fit),
-            advice="" if budget is None else budget["advice"],
-            worst=worst(fit),
-            extent=extent(table),
-            measured_in=measured_in(fit.nominal),
-            remarks=fit_remarks(fit, beside_record=True),
-            record=record(fit),
-            signatures=signatures(fit),
-            tolerance=tolerance_of(fit),
-            logo=logo,
-            claim="" if claim is None else claim.words.replace(" %", "\u00a0%"),
-            parameters=parameter_grid(fit),
-            has_space=shown is not None,
-            first_plots=_first(shown),
-            **chart_parts(_charts(fit, shown), "" if shown is None else scene_page(shown, embedded=True).html),
-            notes=details(fit, brief=True),
-            unsure=unsure(fit),
-            outliers=outlier_grid(fit),
-            reach=position_uncertainty_table(fit),
-            reach_of="identification" if fit.validation is None else "validation",
-            counted=f"{fit.uncertainty.counted}{fit.identification_uncertainty.remark()}",
-            sources=sources(fit),
-            versions=versions(),
-            program=PROGRAM,
-            command=command,
-            created=when.strftime("%Y-%m-%d %H:%M UTC"),
-            viewer=viewer,
-        )
+    frame = "" if shown is None else scene_page(shown, embedded=True).html
+    return printed_page(
+        "report.html",
+        _charts(fit, shown),
+        command,
+        created,
+        frame,
+        fit=fit,
+        robot=fit.nominal,
+        verdict=judge(fit),
+        following=_following(fit, command).partition(": "),
+        headline=headline,
+        space=_space(shown, headline.part.name),
+        accuracy=accuracy_grids(fit),
+        noise=noise_found(fit),
+        worth=files_grid(fit),
+        budget=budget_grid(fit),
+        advice="" if budget is None else budget["advice"],
+        worst=worst(fit),
+        extent=extent(table),
+        measured_in=measured_in(fit.nominal),
+        remarks=fit_remarks(fit, beside_record=True),
+        record=record(fit),
+        signatures=signatures(fit),
+        tolerance=tolerance_of(fit),
+        logo=logo,
+        claim="" if claim is None else claim.words.replace(" %", "\u00a0%"),
+        parameters=parameter_grid(fit),
+        has_space=shown is not None,
+        first_plots=() if shown is None else _FIRST,
+        notes=details(fit, brief=True),
+        unsure=unsure(fit),
+        outliers=outlier_grid(fit),
+        reach=position_uncertainty_table(fit),
+        reach_of="identification" if fit.validation is None else "validation",
+        counted=f"{fit.uncertainty.counted}{fit.identification_uncertainty.remark()}",
+        sources=sources(fit),
+        versions=versions(),
+        viewer=viewer,
     )
+
+
+def printed_page(
+    template: str, charts: Charts, command: str, created: datetime | None = None, frame: str = "", **content: object
+) -> Page:
+    """Return a page to look at and to print.
+
+    Args:
+        template: Its template.
+        charts: Its plots.
+        command: Command line that made it.
+        created: Time to print; now if not given.
+        frame: The viewer's page, to stand in a frame of this one; none if empty.
+        content: What else the template needs.
+    """
+    when = created if created is not None else datetime.now(UTC)
+    about = {"program": PROGRAM, "command": command, "created": when.strftime("%Y-%m-%d %H:%M UTC")}
+    return Page(page_environment().get_template(template).render(**about, **chart_parts(charts, frame), **content))
 
 
 def _charts(fit: Fit, scene: Scene | None) -> Charts:
@@ -141,11 +157,6 @@ def _charts(fit: Fit, scene: Scene | None) -> Charts:
         ),
         page_rows(scene),
     )
-
-
-def _first(scene: Scene | None) -> tuple[str, ...]:
-    """The plots beside the robot in space: those of the first part of readings that come first."""
-    return () if scene is None else tuple(chart for chart in ("errors", "order"))
 
 
 def _following(fit: Fit, command: str) -> str:

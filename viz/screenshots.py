@@ -84,13 +84,14 @@ def take(folder: Path, views: tuple[tuple[str, str, dict[str, int], str], ...] =
         browser = playwright.chromium.launch(executable_path=chromium())
         try:
             for name, page, size, action in pictures:
-                taken[f"{name}.png"] = _take_one(browser, (folder / page).resolve(), size, action)
+                taken[f"{name}.png"] = take_one(browser, (folder / page).resolve(), size, action)
         finally:
             browser.close()
     return taken
 
 
-def _take_one(browser: Any, page: Path, size: dict[str, int], action: str) -> bytes:
+def take_one(browser: Any, page: Path, size: dict[str, int], action: str) -> bytes:
+    """Return a PNG file of a page in a browser of playwright; for the others see `PICTURES`."""
     tab = browser.new_page(viewport=size, reduced_motion="reduce")
     if size == PAPER:
         tab.emulate_media(media="print")

@@ -102,11 +102,10 @@ class PageServer:
         self._page = page.encode("utf-8")
         self.send("reload", "now")
 
-    def forget(self, prefix: str) -> None:
-        """Drop kept messages whose key starts with `prefix`."""
+    def forget(self, key: str) -> None:
+        """Drop the message that is kept under this key."""
         with self._lock:
-            for key in [key for key in self._state if key.startswith(prefix)]:
-                del self._state[key]
+            self._state.pop(key, None)
 
     def wait_for_browser(self, timeout: float) -> bool:
         """Wait until a browser has connected, at most `timeout` seconds; say whether one has."""

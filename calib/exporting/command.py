@@ -39,7 +39,7 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it. dh, mdh:"
     " Denavit-Hartenberg table, standard or modified. ur-kinematics: for Universal Robots' ROS description."
     " joint-offsets: sign and zero of each joint. xacro: joint origins as properties. The files from dh to xacro"
-    " state their error. joint-tables: a folder with tables of each joint's error, as CSV, Python, C, and the URDF"
+    " state their error. joint-tables: a folder with tables of each joint's error, as CSV, and the URDF"
     " that goes with it. klipper, marlin, duet: lines to paste into the settings of a delta printer. Each file gets"
     " the best robot that it can hold. numpy, c, jax, torch, casadi: the whole model as functions of the commands, in"
     " one file that needs nothing of this program.",

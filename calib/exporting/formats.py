@@ -57,8 +57,8 @@ def export(
             closed. `drake`: URDF with Drake's ball constraints. `toolbox`: robot.yaml for toolbox-parallel-robots, with
             the URDF beside it under the same name. `dh`, `mdh`: Denavit-Hartenberg tables, standard and modified.
             `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
-            `xacro`: joint origins as properties. `joint-tables`: a folder of tables of each joint's error, with
-            the code that applies them (see `calib.exporting.joint_tables`). `klipper`, `marlin`,
+            `xacro`: joint origins as properties. `joint-tables`: a folder of tables of each joint's error
+            (see `calib.exporting.joint_tables`). `klipper`, `marlin`,
             `duet`: lines to paste into the settings of a delta printer. `numpy`, `c`,
             `jax`, `torch`, `casadi`: the whole model as functions in that language (see `calib.exporting.functions`).
         path: File to write, or folder of `joint-tables`.

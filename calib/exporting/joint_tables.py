@@ -3,8 +3,8 @@
 A table has equal steps, with linear interpolation between them. That is off by at most h^2 / 8 times the largest second
 derivative of the joint's error, of which every term knows a bound; the step h is chosen so that this stays below
 `TOLERANCE`. A table reaches over the joint's limits in the URDF (two turns about zero where there are none), and a
-little further, so that the way back (which command gives a wanted value) holds at the limits too. Outside, the answer
-is NaN.
+little further, so that the way back (which command gives a wanted value) holds at the limits too. Outside, nothing
+is known.
 
 Only errors that depend on the joint's own command fit into a table. What else the model has (backlash, compliance,
 bending, drift) is left out, and said with its size. The tables, and the joint origins that go with them, are then those
@@ -14,7 +14,6 @@ Tables and the origins of another file do not go together.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -37,61 +36,6 @@ TOLERANCE = 4e-7
 _TURNS = 2.0 * np.pi  # range to either side of a joint that turns without limits [rad]
 _MOST_STEPS = 200_000
 _SI: dict[Dimension, str] = {"length": "m", "angle": "rad"}
-
-_PYTHON = '''\
-import math
-
-# joint: (first command, step, where the joint then is) [rad or m]
-TABLES = {
-%s}
-
-
-def actual(joint, command):
-    """Where a joint is at `command`; NaN outside its table."""
-    start, step, values = TABLES[joint]
-    x = (command - start) / step
-    if not -1e-9 <= x <= len(values) - 1 + 1e-9:
-        return math.nan
-    k = min(max(int(x), 0), len(values) - 2)
-    return values[k] + (x - k) * (values[k + 1] - values[k])
-
-
-def command(joint, goal):
-    """The command that brings a joint to `goal`; NaN outside its table."""
-    value = goal
-    for _ in range(20):
-        value -= actual(joint, value) - goal
-    return value
-'''
-_C = """\
-#include <math.h>
-
-/* Joints by number: %s. Values in rad or m. */
-%s
-static const double *const joint_values[] = {%s};
-static const double joint_start[] = {%s};
-static const double joint_step[] = {%s};
-static const int joint_count[] = {%s};
-
-/* Where a joint is at `command`; NaN outside its table. */
-static double joint_actual(int joint, double command) {
-    const double *values = joint_values[joint];
-    int n = joint_count[joint], k;
-    double x = (command - joint_start[joint]) / joint_step[joint];
-    if (!(x >= -1e-9 && x <= n - 1 + 1e-9)) return NAN;
-    k = x < 0 ? 0 : (int)x;
-    if (k > n - 2) k = n - 2;
-    return values[k] + (x - k) * (values[k + 1] - values[k]);
-}
-
-/* The command that brings a joint to `goal`; NaN outside its table. */
-static double joint_command(int joint, double goal) {
-    double value = goal;
-    int round;
-    for (round = 0; round < 20; round++) value -= joint_actual(joint, value) - goal;
-    return value;
-}
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +124,7 @@ def _left_out(robot: Robot, indices: slice, term: JointTerm) -> str:
 
 
 def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, bytes]:
-    """Return `joint_tables.csv`, the same as Python and C with the code that applies it, and the URDF to use with it.
+    """Return `joint_tables.csv`, and the URDF to use with it.
 
     Args:
         robot: The robot.
@@ -190,8 +134,7 @@ def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, byte
         InputError: See `joint_tables`.
     """
     tables = joint_tables(robot)
-    said = [f"joint correction tables of {robot.name} ({robot.path})", *lines]
-    said = [" ".join(line.replace("*/", "* /").split()) for line in said]
+    said = [f"joint correction tables of {robot.name} ({robot.path}); linear between the rows", *lines]
     columns: list[tuple[str, Sequence[object]]] = [
         ("joint", [table.joint for table in tables for _ in table.commands]),
         ("unit", [_SI[table.dimension] for table in tables for _ in table.commands]),
@@ -200,46 +143,5 @@ def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, byte
     ]
     return {
         "joint_tables.csv": format_table(columns, said).encode(),
-        "joint_tables.py": ("".join(f"# {line}\n" for line in said) + _python(tables)).encode(),
-        "joint_tables.h": ("".join(f"/* {line} */\n" for line in said) + _c(tables)).encode(),
         "joint_tables.urdf": urdf_bytes(robot, ["joint origins that go with joint_tables.csv", *lines]),
     }
-
-
-def _python(tables: Sequence[JointTable]) -> str:
-    """The tables as a Python module."""
-    entries = []
-    for table in tables:
-        start, step = float(table.commands[0]), _step(table)
-        entries.append(
-            f"    {json.dumps(table.joint)}: ({start!r}, {step!r}, [\n{_numbers(table.actual, 8)}\n    ]),\n"
-        )
-    return _PYTHON % "".join(entries)
-
-
-def _c(tables: Sequence[JointTable]) -> str:
-    """The tables as a C header."""
-    names = ", ".join(f"{k} {table.joint}" for k, table in enumerate(tables)).replace("*/", "* /")
-    arrays = [
-        f"static const double joint_values_{k}[] = {{\n{_numbers(table.actual, 4)}\n}};"
-        for k, table in enumerate(tables)
-    ]
-    return _C % (
-        " ".join(names.split()),
-        "\n".join(arrays),
-        ", ".join(f"joint_values_{k}" for k in range(len(tables))),
-        ", ".join(repr(float(table.commands[0])) for table in tables),
-        ", ".join(repr(_step(table)) for table in tables),
-        ", ".join(str(len(table.actual)) for table in tables),
-    )
-
-
-def _step(table: JointTable) -> float:
-    return float((table.commands[-1] - table.commands[0]) / (len(table.commands) - 1))
-
-
-def _numbers(values: FloatArray, indent: int) -> str:
-    """Numbers in lines, so that they read back exactly."""
-    text = [repr(float(value)) for value in values]
-    lines = [", ".join(text[k : k + 5]) for k in range(0, len(text), 5)]
-    return ",\n".join(" " * indent + line for line in lines)

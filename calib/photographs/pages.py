@@ -6,7 +6,6 @@ A page holds small copies of the images, so that it can be sent as one file; wha
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 
@@ -17,16 +16,6 @@ from calib.photographs.detection import DetectedImage
 from calib.photographs.opencv import GreyImage, encoded, opencv
 
 _WIDTH = 480  # px of the small copies
-_STYLE = """
-body { font: 14px/1.4 system-ui, sans-serif; margin: 1.5em; color: #1b1b1b; background: #fff; max-width: 110em; }
-.set { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr)); gap: 1em; }
-figure { margin: 0; } svg { width: 100%; height: auto; background: #ddd; display: block; }
-figcaption { overflow-wrap: anywhere; } .off { color: #a40000; font-weight: 600; }
-:root { color-scheme: light dark; }
-@media screen and (prefers-color-scheme: dark) {
-  body { color: #e6e6e6; background: #16181b; } svg { background: #333; } .off { color: #ff8a80; }
-}
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,25 +47,6 @@ def small_copy(image: GreyImage | str) -> bytes:
         size = _WIDTH, max(round(image.shape[0] * factor), 1)
         return encoded(cv2.resize(image, size, interpolation=cv2.INTER_AREA), ".jpg")
     return encoded(image, ".jpg")
-
-
-def page(title: str, lines: Sequence[str], pictures: Sequence[Picture]) -> str:
-    """Return a page.
-
-    Args:
-        title: Its heading.
-        lines: Paragraphs below it.
-        pictures: Images in their order.
-    """
-    shown = "".join(f"<p>{escape(line)}</p>\n" for line in lines)
-    figures = "\n".join(figure(picture) for picture in pictures)
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
-        f"<style>{_STYLE}</style></head>\n"
-        f"<body><h1>{escape(title)}</h1>\n{shown}\n"
-        f'<div class="set">\n{figures}\n</div></body></html>\n'
-    )
 
 
 def figure(picture: Picture) -> str:

@@ -80,7 +80,7 @@ def next_pose(
         DataError: A candidate is given twice.
         NotIdentifiableError: The candidates do not determine the positions at them.
     """
-    request = Request(TASK, 1, 0.0, False, groups_of(robot, ALL, 1))
+    request = Request(TASK, 1, 0.0, groups_of(robot, ALL, 1))
     setting = prepare(robot, candidates, request, measured, None, (), True, sigma)
     problem, usable = setting.problem, setting.space.usable
     if not np.any(usable):

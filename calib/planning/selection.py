@@ -2,9 +2,8 @@
 
 Order of work. Candidates are assembled and linearised at the robot's present values. The paper's exchange runs from
 each start, then single swaps until none helps. For O1 and the task index the concave relaxation gives a bound on every
-possible choice, and its weights one more start. Then, if asked for, the poses move off the grid. Last, they are put in
-an order of short travel. Of very many candidates the exchanges look at the promising ones only
-(`calib.planning.screening`).
+possible choice, and its weights one more start. Last, they are put in an order of short travel. Of very many candidates
+the exchanges look at the promising ones only (`calib.planning.screening`).
 
 Priors and poses already measured are information that is there before the first pose is chosen; the measurement noise
 is the weight between priors and poses. Every index, O1 included, is about the directions that all candidates and the
@@ -18,11 +17,9 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, random_numbers
 from calib.core.base.errors import InputError
@@ -37,12 +34,11 @@ from calib.core.rows.candidates import WHITENED
 from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import order_in_blocks, travel
-from calib.planning.refinement import refine, region_of
 from calib.planning.screening import Searched, after_relaxation, before_any_choice
 from calib.planning.selection_bound import CERTIFIED, log_phi, relax
 from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_result import Run, Selection
-from calib.planning.selection_scores import index_of_score, index_values, values_of_rows
+from calib.planning.selection_scores import index_of_score, index_values
 from calib.planning.selection_setting import Request, SelectionSetting, prepare, require_count
 
 __all__ = ["Run", "Selection", "select"]
@@ -63,7 +59,6 @@ def select(
     random_start: bool = False,
     starts: int = 1,
     seed: int = 0,
-    off_grid: bool = False,
     skip_unreachable: bool = False,
     checked: bool = True,
     sigma: float | str | None = None,
@@ -87,14 +82,11 @@ def select(
         random_start: Start from a random choice instead of a uniform one.
         starts: How many starts; all but the first are random.
         seed: Seed of everything random.
-        off_grid: Move the chosen poses continuously afterwards; see `calib.planning.refinement` for where they may
-            go.
         skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
         checked: Whether candidates at which the robot hits something, or a target is hidden, are left out.
         sigma: Noise of one position reading per axis [m], or text such as `0.04 mm`; the description's if not given.
-        executor: What runs the starts, and the moves off the grid; as in `calib.fit`.
-        progress: Called with how many starts are done and of how many; then with how many poses have found their place
-            off the grid.
+        executor: What runs the starts; as in `calib.fit`.
+        progress: Called with how many starts are done and of how many.
 
     Raises:
         InputError: An argument is wrong; count above the candidates, or too small for the parameters.
@@ -107,14 +99,14 @@ def select(
     rng = random_numbers(seed)
     groups = groups_of(robot, instruments, count)
     total = sum(count.values()) if isinstance(count, Mapping) else count
-    request = Request(index, total, minimum_distance, off_grid, groups)
+    request = Request(index, total, minimum_distance, groups)
     candidates = as_poses(robot, candidates)
     check = check_poses(robot, candidates.joints) if checked else PoseCheck(("",) * len(candidates))
     blocked = np.flatnonzero(~check.free).tolist()
     if blocked and len(blocked) == len(candidates):
         raise InputError(f"{candidates.path}: none of the candidates is free: {check.summary()}")
     kinds = _start_kinds(random_start, starts)
-    with Workers(executor, None if off_grid else starts) as workers:
+    with Workers(executor, starts) as workers:
         setting = prepare(robot, candidates, request, measured, task, (*exclude, *blocked), skip_unreachable, sigma)
         require_count(setting)
         prepared = time.perf_counter()
@@ -122,10 +114,6 @@ def select(
         efficiency, bound = None, None
         if request.index in CERTIFIED:
             runs, best, efficiency, bound = _certify(setting, runs, best)
-        on_grid = index_values(setting.problem, best.chosen, setting.sigma)
-        poses = _poses(setting, best, on_grid, rng, workers, progress)
-    if blocked and off_grid and (hit := check_poses(robot, poses.joints)).n_blocked:
-        raise InputError(f"off the grid, {hit.summary()}; choose on the grid")
     everywhere = None
     if blocked:
         everywhere = select(
@@ -143,27 +131,27 @@ def select(
             skip_unreachable=skip_unreachable,
             checked=False,
             sigma=sigma,
-        ).on_grid
-    order = order_in_blocks(poses.joints, robot.home, _blocks(setting, poses.chosen))
+        ).after
+    chosen = np.flatnonzero(best.chosen)
+    pose, joints = setting.pairs.pose[chosen], setting.candidates.joints[setting.pairs.pose[chosen]]
+    order = order_in_blocks(joints, robot.home, _blocks(setting, chosen))
     uniform = np.isin(np.arange(len(setting.problem)), setting.uniform())
     return Selection(
         index=request.index,
-        chosen=setting.pairs.pose[poses.chosen[order]],
-        instruments=tuple(groups.names[g] for g in setting.pairs.group[poses.chosen[order]] if groups.chosen),
+        chosen=pose[order],
+        instruments=tuple(groups.names[g] for g in setting.pairs.group[chosen[order]] if groups.chosen),
         groups=groups.names if groups.chosen else (),
-        joints=poses.joints[order],
-        positions=poses.positions[order],
+        joints=joints[order],
+        positions=setting.candidates.pose_rows.positions[pose[order]],
         before=index_values(setting.problem, uniform, setting.sigma),
-        after=poses.values,
-        on_grid=on_grid,
-        raw=_raw(setting, poses.rows),
+        after=index_values(setting.problem, best.chosen, setting.sigma),
+        raw=_raw(setting, setting.problem.rows[chosen]),
         measured_only=_measured_only(setting),
         efficiency=efficiency,
         bound=bound,
-        off_grid=off_grid,
-        distance=poses.distance,
+        distance=minimum_distance,
         runs=runs,
-        travel=(travel(poses.joints, robot.home, np.arange(total)), travel(poses.joints, robot.home, order)),
+        travel=(travel(joints, robot.home, np.arange(total)), travel(joints, robot.home, order)),
         rank=setting.problem.rank,
         rank_of_poses=setting.problem.known.rank,
         sigma=setting.sigma,
@@ -176,18 +164,6 @@ def select(
         check=check,
         unobstructed=everywhere,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Poses:
-    """Chosen candidates before they are put in order."""
-
-    chosen: IntArray
-    joints: FloatArray
-    positions: FloatArray
-    rows: FloatArray
-    values: dict[str, float]
-    distance: float
 
 
 def _run_all(
@@ -261,44 +237,6 @@ def _certify(
     return runs, best, efficiency, index_values(problem, best.chosen, setting.sigma)[index] / efficiency
 
 
-def _poses(
-    setting: SelectionSetting,
-    best: Exchange,
-    on_grid: dict[str, float],
-    rng: np.random.Generator,
-    workers: Executor | None,
-    progress: Progress | None,
-) -> _Poses:
-    """The chosen candidates, moved off the grid if that is wanted."""
-    chosen, candidates, usable = np.flatnonzero(best.chosen), setting.candidates, setting.space.usable
-    if not setting.request.off_grid:
-        pose, rows = setting.pairs.pose[chosen], setting.problem.rows[chosen]
-        joints, positions = candidates.joints[pose], candidates.pose_rows.positions[pose]
-        return _Poses(chosen, joints, positions, rows, on_grid, setting.request.minimum_distance)
-    distance = setting.request.minimum_distance or _smallest_gap(setting.space.points[usable])
-    region = region_of(
-        setting.robot,
-        candidates.joints[usable],
-        candidates.pose_rows.positions[usable],
-        distance,
-        setting.measured_points,
-    )
-    moved = refine(
-        setting.robot,
-        setting.problem,
-        setting.request.index,
-        candidates.joints[chosen],
-        setting.poses.conditions.at(chosen),
-        region,
-        rng,
-        setting.sigma_given,
-        workers,
-        progress,
-    )
-    values = values_of_rows(setting.problem, moved.rows, setting.sigma)
-    return _Poses(chosen, moved.joints, moved.positions, moved.rows, values, distance)
-
-
 def _blocks(setting: SelectionSetting, chosen: IntArray) -> IntArray:
     """What is measured in one go: candidates of one setup, and in it those of one group of instruments, (n,)."""
     setups = setting.poses.setups
@@ -318,10 +256,6 @@ def _measured_only(setting: SelectionSetting) -> dict[str, float] | None:
     if setting.problem.n_before == 0:
         return None
     return index_values(setting.problem, np.zeros(len(setting.problem), dtype=bool), setting.sigma)
-
-
-def _smallest_gap(points: FloatArray) -> float:
-    return float(np.min(scipy.spatial.cKDTree(points).query(points, k=[2])[0])) if len(points) > 1 else 0.0
 
 
 def _start_kinds(random_start: bool, starts: int) -> list[str]:

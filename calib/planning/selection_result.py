@@ -33,7 +33,7 @@ class Selection(ReadOnlyArrays):
 
     Attributes:
         index: What was optimised: O1 to O5 or `task`.
-        chosen: Indices of the chosen candidates, (count,); of poses that left the grid, where they started.
+        chosen: Indices of the chosen candidates, (count,).
         instruments: What reads at each, several joined by `+`, (count,); empty if all instruments read at all poses.
         groups: Instruments to choose from; empty if all read at all poses. Exchanges number the poses with the first,
             then those with the next.
@@ -41,14 +41,12 @@ class Selection(ReadOnlyArrays):
         positions: Where they put the targets, (count, n_targets, 3) [m].
         before: All indices of the uniform choice; the task index in m.
         after: All indices of these poses.
-        on_grid: All indices of the best choice from the candidates; equal to `after` where poses stay on the grid.
         raw: O1 to O5 of these poses alone, without priors, on raw columns: mm per unit of table, or
             noise of a reading per unit where nothing measures lengths.
         measured_only: All indices of the poses measured already, if there are any; 0 where they determine too little.
-        efficiency: Index of the best choice from the candidates over a proven bound for all such choices; None where
+        efficiency: Index of these poses over a proven bound for all such choices; None where
             none is proven.
         bound: That bound, as a value of the index; None if there is none.
-        off_grid: Whether poses left the grid.
         distance: Distance that the targets of any two poses keep [m]; 0 where none was asked for.
         runs: The runs of the exchange.
         travel: Length of the path in the candidates' order and in this one [joint ranges].
@@ -73,12 +71,10 @@ class Selection(ReadOnlyArrays):
     positions: FloatArray
     before: dict[str, float]
     after: dict[str, float]
-    on_grid: dict[str, float]
     raw: dict[str, float]
     measured_only: dict[str, float] | None
     efficiency: float | None
     bound: float | None
-    off_grid: bool
     distance: float
     runs: tuple[Run, ...]
     travel: tuple[float, float]

@@ -63,20 +63,7 @@ def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: floa
     Raises:
         InputError: Unknown index.
     """
-    return scores_of(problem, index, problem.gathered(chosen.astype(float)) + ridge * np.eye(len(problem.strengths)))
-
-
-def scores_of(problem: SelectionProblem, index: str, gathered: FloatArray) -> Scores:
-    """Return the scores of a choice whose K is known.
-
-    Args:
-        problem: The candidates.
-        index: One of `CHOICES`.
-        gathered: K, (r, r).
-
-    Raises:
-        InputError: Unknown index.
-    """
+    gathered = problem.gathered(chosen.astype(float)) + ridge * np.eye(len(problem.strengths))
     if index == "O1":
         return Determinant.of(problem, gathered)
     if index == TASK:
@@ -94,11 +81,7 @@ def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> d
         chosen: Which candidates are in the choice, (n_candidates,).
         unit: What a row with noise 1 stands for, such as the noise of a position [m].
     """
-    return values_of_rows(problem, problem.rows[chosen], unit)
-
-
-def values_of_rows(problem: SelectionProblem, rows: FloatArray, unit: float) -> dict[str, float]:
-    """Return the indices of whitened rows, (n_poses, n_rows_per_pose, r), with what is known before."""
+    rows = problem.rows[chosen]
     flat = rows.reshape(-1, rows.shape[2])
     gathered = flat.T @ flat + problem.before
     eigenvalues, vectors = linalg.eigh(gathered)

@@ -26,7 +26,6 @@ from calib.core.rows.candidates import (
     require_free,
     rows_of_measured,
 )
-from calib.core.rows.observed import looks_at
 from calib.core.rows.unknowns import Unknowns
 from calib.planning.exchange import Spacing, uniform_start
 from calib.planning.instrument_choice import Groups, Pairs, already_read, pairs_of, require_touches_said
@@ -43,14 +42,12 @@ class Request:
         index: One of `CHOICES`.
         count: Number of poses, with each group of instruments counted by itself.
         minimum_distance: Least distance between the targets of two poses [m].
-        off_grid: Whether poses shall leave the grid.
         groups: Which instruments are chosen among.
     """
 
     index: str
     count: int
     minimum_distance: float
-    off_grid: bool
     groups: Groups
 
 
@@ -66,11 +63,9 @@ class SelectionSetting:
         pairs: The candidates: these poses with groups of instruments.
         problem: The candidates in whitened coordinates.
         space: Which candidates may be chosen.
-        measured_points: Points of the poses already measured, (n, 3 n_targets) [m].
         sigma: Noise of one measured position per axis, which is the unit of indices [m].
         sigma_assumed: Whether some noise is only assumed.
         already_measured: How many candidates are measured already.
-        sigma_given: Noise of positions that replaces what the description states [m], or None.
     """
 
     robot: Robot
@@ -80,11 +75,9 @@ class SelectionSetting:
     pairs: Pairs
     problem: SelectionProblem
     space: Spacing
-    measured_points: FloatArray
     sigma: float
     sigma_assumed: bool
     already_measured: int
-    sigma_given: float | None
 
     def uniform(self) -> IntArray:
         """Return candidates evenly spread over their order, as many of each kind as are wanted, (count,)."""
@@ -148,7 +141,6 @@ def prepare(
     noise, assumed = assumed_sigma(robot, sigma)
     if not (np.isfinite(request.minimum_distance) and request.minimum_distance >= 0):
         raise InputError(f"minimum distance {request.minimum_distance:g} m: must be zero or positive")
-    _require_on_grid(robot, request, poses)
     if request.groups.chosen:
         require_touches_said(robot, request.groups, poses)
     assembled = build_candidates(robot, poses, sigma, skip_unreachable=skip_unreachable)
@@ -160,21 +152,20 @@ def prepare(
             "an index without a bound, or a least distance, looks at all at once; it",
             "choose from each part of the candidates, and then from what was chosen",
         )
-    done_rows, n_before, points, again = None, 0, points_of(candidate_rows.positions[:0]), 0
+    done_rows, n_before, again = None, 0, 0
     usable = pairs.possible & (assembled.usable & ~_excluded(exclude, len(poses)))[pairs.pose]
-    keeps_distance = request.minimum_distance > 0 or request.off_grid  # only these need to know where poses are
-    pose_points = points_of(candidate_rows.positions) if keeps_distance else np.zeros((len(poses), 0))
+    pose_points = points_of(candidate_rows.positions) if request.minimum_distance > 0 else np.zeros((len(poses), 0))
     if measured is not None:
         done = as_poses(robot, measured)
         done_rows, positions, _ = rows_of_measured(robot, done, sigma)
-        n_before, points = done.n_poses, points_of(positions)
+        n_before = done.n_poses
         same = already_read(request.groups, poses, done)
         again = int(np.sum(same & pairs.possible))
         usable &= ~same
         if request.minimum_distance > 0:
             allowed = near_measured(poses.joints, done.joints)
             others = ~allowed & assembled.usable
-            distance, _ = scipy.spatial.cKDTree(points).query(pose_points[others])
+            distance, _ = scipy.spatial.cKDTree(points_of(positions)).query(pose_points[others])
             allowed[others] = distance >= request.minimum_distance
             usable &= allowed[pairs.pose]
     task_rows = candidate_rows.position_rows
@@ -188,26 +179,7 @@ def prepare(
     _require_answer(problem, request)
     kind = None if request.groups.counts is None else pairs.group
     space = Spacing(pose_points[pairs.pose], request.minimum_distance, usable, pairs.pose, kind)
-    return SelectionSetting(
-        robot, request, poses, assembled, pairs, problem, space, points, noise, assumed, again, sigma
-    )
-
-
-def _require_on_grid(robot: Robot, request: Request, poses: Poses) -> None:
-    """Raise `InputError` where poses shall leave the grid, and it matters at which of its points they are."""
-    if not request.off_grid:
-        return
-    if request.groups.chosen:
-        raise InputError("off the grid all instruments read at every pose; choose among instruments on the grid")
-    all_looks = looks_at(robot, Poses(poses.joints, poses.labels, poses.names, poses.path, ()))
-    for name, looks in looks_at(robot, poses).items():
-        if not np.array_equal(looks.visits, all_looks[name].visits) or not np.array_equal(
-            looks.pairs, all_looks[name].pairs
-        ):
-            raise InputError(
-                f"{poses.path}: says what '{name}' reads only at the poses in the file, not at poses off the grid;"
-                " choose on the grid"
-            )
+    return SelectionSetting(robot, request, poses, assembled, pairs, problem, space, noise, assumed, again)
 
 
 def points_of(positions: FloatArray) -> FloatArray:

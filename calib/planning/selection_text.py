@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from rich.table import Table as Printed
 
 from calib.core.base.units import millimetres
 from calib.core.base.words import as_data, counted, plain_text, text_table
 from calib.core.data.instrument_cells import columns_in
-from calib.core.data.measurement_files import format_positions
 from calib.core.data.measurements import Poses
 from calib.core.data.plan_files import INSTRUMENT, TOGETHER
 from calib.core.data.table_writing import format_table
@@ -52,13 +50,11 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
             "instruments": list(s.instruments) or None,
             "before": _values(s.before),
             "after": _values(s.after),
-            "on_grid": _values(s.on_grid),
             "after_raw": _values(s.raw),
             "measured_only": None if s.measured_only is None else _values(s.measured_only),
             "efficiency": s.efficiency,
             "efficiency_percent": 100 * s.efficiency if s.efficiency is not None else None,
             "bound": _shown(s.index, s.bound) if certified else None,
-            "off_grid": _off_grid(s),
             "runs": [_run(run, s, poses) for run in s.runs],
             "travel_joint_ranges": {"candidate_order": s.travel[0], "this_order": s.travel[1]},
             "rank": s.rank.rank,
@@ -81,8 +77,7 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
 def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table) -> str:
     """Return the chosen poses as CSV in the order of measurement.
 
-    Poses from the candidates keep their rows of the file, all columns as they are. Poses that left the grid are new:
-    their joint values, and predicted positions where the file has positions too.
+    They keep their rows of the file, all columns as they are.
 
     Args:
         robot: The robot.
@@ -91,24 +86,18 @@ def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table)
         table: The candidates' file.
     """
     comment = f"{_counted(selection, poses)}, chosen by {selection.index}, in order of measurement"
-    if not selection.off_grid:
-        headers = [
-            name if unit is None else f"{name} [{unit}]" for name, unit in zip(table.names, table.units, strict=True)
-        ]
-        lines = _lines_of(table, [(int(k), poses.names[k]) for k in selection.chosen])
-        if selection.groups:
-            columns = _plan(robot, selection, poses, table, headers, lines)
-        else:
-            kept = [line for k in selection.chosen for line in lines[poses.names[k]]]
-            columns = [(header, [table.rows[line][c] for line in kept]) for c, header in enumerate(headers)]
-        if "pose" not in table.names:
-            columns.insert(0, ("pose", [poses.names[k] for k in selection.chosen]))
-        return format_table(columns, (comment,))
-    moved = replace(poses.subset(selection.chosen), joints=selection.joints)
-    comment += ", then moved off the grid"
-    if all(f"{target}_{axis}" in table.names for target in robot.target_names for axis in "xyz"):
-        return format_positions(robot, moved, selection.positions, (f"{comment}; positions are predicted",))
-    return format_table(list(moved.to_dict(robot).items()), (comment,))
+    headers = [
+        name if unit is None else f"{name} [{unit}]" for name, unit in zip(table.names, table.units, strict=True)
+    ]
+    lines = _lines_of(table, [(int(k), poses.names[k]) for k in selection.chosen])
+    if selection.groups:
+        columns = _plan(robot, selection, poses, table, headers, lines)
+    else:
+        kept = [line for k in selection.chosen for line in lines[poses.names[k]]]
+        columns = [(header, [table.rows[line][c] for line in kept]) for c, header in enumerate(headers)]
+    if "pose" not in table.names:
+        columns.insert(0, ("pose", [poses.names[k] for k in selection.chosen]))
+    return format_table(columns, (comment,))
 
 
 def _plan(
@@ -152,7 +141,7 @@ def _lines_of(table: Table, poses: Sequence[tuple[int, str]]) -> dict[str, list[
 def _summary(s: Selection, poses: Poses) -> list[str]:
     lines = [f"{_counted(s, poses)}, chosen by {s.index}"]
     if s.efficiency is not None and s.bound is not None:
-        reached, bound = (f"{_shown(s.index, value):.5g}" for value in (s.on_grid[s.index], s.bound))
+        reached, bound = (f"{_shown(s.index, value):.5g}" for value in (s.after[s.index], s.bound))
         least = math.floor(1000 * min(s.efficiency, 1.0)) / 10
         lines.append(
             f"Error over the task {reached} mm; no choice of {len(s)} candidates goes below {bound} mm (certified)"
@@ -161,12 +150,6 @@ def _summary(s: Selection, poses: Poses) -> list[str]:
         )
     if s.index not in CERTIFIED and len(s.runs) == 1 and len(s) < len(poses):
         lines.append(f"No bound is known for {s.index}, and one start was tried: --starts 5 may find better")
-    if s.off_grid:
-        off = _off_grid(s)
-        assert off is not None
-        lines.append(f"Moved off the grid: {off['better_percent']:.2f} % better than the choice from the candidates")
-        if off["above_bound_percent"] is not None and off["above_bound_percent"] > 0:
-            lines[-1] += f", {off['above_bound_percent']:.2f} % better than any choice from them can be"
     return lines
 
 
@@ -183,11 +166,9 @@ def _indices(s: Selection) -> Printed:
     keys = [key for key in (*INDICES, TASK) if key in s.after]
     headers = ("", *(f"{key}, mm" if key == TASK else key for key in keys))
     table = text_table(headers, title="Indices (scaled columns; task: predicted position error)")
-    rows = [("uniform", s.before), ("chosen", s.on_grid)]
+    rows = [("uniform", s.before), ("chosen", s.after)]
     if s.measured_only is not None:
         rows.insert(0, ("measured alone", s.measured_only))
-    if s.off_grid:
-        rows.append(("off the grid", s.after))
     rows.append((f"chosen, not scaled: {'noise' if s.sigma == WHITENED else 'mm'} per unit", s.raw))
     for label, values in rows:
         table.add_row(label, *(f"{_shown(key, values[key]):.5g}" if key in values else "" for key in keys))
@@ -217,8 +198,8 @@ def _remarks(s: Selection) -> list[str]:
     if s.unobstructed is not None:
         lines.append(f"Left out: {s.check.summary()}; the efficiency is that of the free candidates")
         lines.append(
-            f"{s.index} is {_shown(s.index, s.on_grid[s.index]):.5g}; {_shown(s.index, s.unobstructed[s.index]):.5g} if"
-            f" all candidates were free ({100 * s.on_grid[s.index] / s.unobstructed[s.index]:.1f} %)"
+            f"{s.index} is {_shown(s.index, s.after[s.index]):.5g}; {_shown(s.index, s.unobstructed[s.index]):.5g} if"
+            f" all candidates were free ({100 * s.after[s.index] / s.unobstructed[s.index]:.1f} %)"
         )
     if s.skipped:
         lines.append(f"{counted(len(s.skipped), 'candidate')} skipped:")
@@ -226,20 +207,6 @@ def _remarks(s: Selection) -> list[str]:
         lines += [f"  and {len(s.skipped) - _SHOWN} more"] if len(s.skipped) > _SHOWN else []
     lines.append(f"{s.seconds:.2f} s in all, {s.selecting_seconds:.2f} s for the choice")
     return lines
-
-
-def _off_grid(s: Selection) -> dict[str, float | None] | None:
-    """How much better the moved poses are, in percent of the index."""
-    if not s.off_grid:
-        return None
-
-    def better(than: float | None) -> float | None:
-        if than is None:
-            return None
-        ratio = than / s.after[s.index] if s.index == TASK else s.after[s.index] / than
-        return 100 * (ratio - 1)
-
-    return {"better_percent": better(s.on_grid[s.index]), "above_bound_percent": better(s.bound)}
 
 
 def _run(run: Run, s: Selection, poses: Poses) -> dict[str, object]:

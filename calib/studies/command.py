@@ -80,7 +80,6 @@ def command(
             loss=loss,
             elsewhere=None if elsewhere is None else read_poses(elsewhere, model).joints,
             seed=seed,
-            keep_draws=False,
             executor=jobs,
             progress=progress,
         )

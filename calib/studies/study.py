@@ -33,8 +33,10 @@ from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError, InputError, NotConvergedError
+from calib.core.base.memory import require_memory
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import in_si
+from calib.core.base.words import counted
 from calib.core.base.workers import Progress, Workers, in_order
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.in_memory import PosesLike
@@ -50,7 +52,7 @@ from calib.core.rows.jacobian import linearise
 from calib.core.rows.prediction import carried
 from calib.studies.many_calibrations import Estimate, Repeated
 from calib.studies.study_data import Noise, Resampled, Simulated, simulated
-from calib.studies.study_result import Draws, DrawSums, Study
+from calib.studies.study_result import Draws, Study
 
 _CHUNK = 50
 
@@ -67,7 +69,6 @@ class _Setting:
         near: Passive joints there, (n, n_passive) [m or rad].
         compiled: Whether there is so much to do that loading compiled code is worth it.
         seed: Of the whole study; draws have those spawned from it.
-        keep_draws: Whether every number of every draw is kept.
     """
 
     source: Simulated | Resampled
@@ -77,7 +78,6 @@ class _Setting:
     near: FloatArray
     compiled: bool
     seed: np.random.SeedSequence
-    keep_draws: bool
 
     @property
     def first(self) -> Fit:
@@ -88,15 +88,6 @@ class _Setting:
     def states_noise(self) -> bool:
         """Whether chi-square means something: what is drawn twice scatters less than noise does."""
         return self.first.chi_square is not None and isinstance(self.source, Simulated)
-
-
-@dataclass(frozen=True, eq=False)
-class _Chunk:
-    """What some draws gave; why some gave no answer."""
-
-    sums: DrawSums
-    draws: Draws | None
-    failures: tuple[str, ...]
 
 
 def study(
@@ -111,7 +102,6 @@ def study(
     loss: str = "none",
     elsewhere: ArrayLike | None = None,
     seed: int = 0,
-    keep_draws: bool = True,
     executor: Executor | int | None = None,
     progress: Progress | None = None,
 ) -> Study:
@@ -132,8 +122,6 @@ def study(
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
         elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad]; none if not given.
         seed: Seed of the whole study.
-        keep_draws: Whether `draws` of the result has every number of every draw. Without them, memory does not grow
-            with the number of draws.
         executor: What runs the draws; as in `calib.fit`.
         progress: Called with the number of draws done and of all draws, in the order of work.
 
@@ -149,22 +137,20 @@ def study(
     settings = Settings(sigma=sigma, loss=checked_loss(loss), seed=seed)
     shared = np.random.SeedSequence(seed)
     chunks = [range(start, min(start + _CHUNK, draws)) for start in range(0, draws, _CHUNK)]
-    kept, failures, sums = list[Draws](), list[str](), None
+    done, failures = list[Draws](), list[str]()
     with Workers(executor, len(chunks)) as workers:
         source = simulated(robot, poses, truth, sigma, noise) if not resample else _measured(poses, truth, noise)
-        setting = _prepared(robot, source, settings, elsewhere, shared, draws, keep_draws)
+        setting = _prepared(robot, source, settings, elsewhere, shared, draws)
         if setting.compiled and workers is not None:
             _chunk(setting, range(1))  # compiles what they then load, instead of each by itself
-        for chunk in in_order(partial(_chunk, setting), chunks, workers):
-            sums = chunk.sums if sums is None else sums.with_more(chunk.sums)
-            kept += [] if chunk.draws is None else [chunk.draws]
-            failures += chunk.failures
+        for some, why in in_order(partial(_chunk, setting), chunks, workers):
+            done.append(some)
+            failures += why
             if progress is not None:
-                progress(sums.n, draws)
-    assert sums is not None  # two draws or more
-    if not sums.answered:
+                progress(sum(map(len, done)), draws)
+    if len(failures) == draws:
         raise NotConvergedError(f"none of the {draws} draws gave an answer: {failures[0]}")
-    return _study(setting, sums, kept, failures, time.perf_counter() - started)
+    return _study(setting, Draws.joined(done), failures, time.perf_counter() - started)
 
 
 def _measured(poses: object, truth: object, noise: object) -> Measurements:
@@ -184,7 +170,6 @@ def _prepared(
     elsewhere: ArrayLike | None,
     seed: np.random.SeedSequence,
     draws: int,
-    keep_draws: bool,
 ) -> _Setting:
     """Do the calibration that all others start from."""
     q = np.zeros((0, len(robot.joint_names))) if elsewhere is None else joint_vector(robot, elsewhere)
@@ -196,7 +181,10 @@ def _prepared(
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
     known = source if isinstance(source, Simulated) else Resampled(first.robot, source, first.configurations.passive)
     use_compiled = pays(draws * len(data)) or compilation_requested()
-    return _Setting(known, settings, Repeated(first, settings), q, near, use_compiled, seed, keep_draws)
+    setting = _Setting(known, settings, Repeated(first, settings), q, near, use_compiled, seed)
+    each = sum(numbers.size for numbers in vars(_unanswered(setting)).values())
+    require_memory(2 * draws * each, counted(draws, "draw"), "ask for fewer")
+    return setting
 
 
 def _of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
@@ -205,8 +193,8 @@ def _of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequenc
 
 
 @one_blas_thread
-def _chunk(setting: _Setting, numbers: range) -> _Chunk:
-    """Do the draws of these numbers."""
+def _chunk(setting: _Setting, numbers: range) -> tuple[Draws, list[str]]:
+    """The draws of these numbers, and why some of them gave no answer."""
     draws, failures = list[Draws](), list[str]()
     with compiled() if setting.compiled else nullcontext():
         for number in numbers:
@@ -219,8 +207,7 @@ def _chunk(setting: _Setting, numbers: range) -> _Chunk:
             if failure:
                 failures.append(failure)
             draws.append(_unanswered(setting) if failure else _draw(setting, drawn.truth, estimate))
-    all_draws = Draws.joined(draws)
-    return _Chunk(DrawSums.of(all_draws), all_draws if setting.keep_draws else None, tuple(failures))
+    return Draws.joined(draws), failures
 
 
 def _draw(setting: _Setting, truth: Robot, estimate: Estimate) -> Draws:
@@ -259,17 +246,15 @@ def _unanswered(setting: _Setting) -> Draws:
     return Draws(*(np.full((1, *shape), np.nan) for shape in shapes))
 
 
-def _study(setting: _Setting, sums: DrawSums, kept: Sequence[Draws], failures: Sequence[str], seconds: float) -> Study:
+def _study(setting: _Setting, draws: Draws, failures: Sequence[str], seconds: float) -> Study:
     """Return the study of all draws."""
     first = setting.first
     free = tuple(first.nominal.parameters[k] for k in first.unknowns.index)
     groups = tuple(f"{estimate.group.name}: {estimate.group.part.name}" for estimate in first.noise)
-    draws = Draws.joined(kept) if setting.keep_draws else None
     return Study(
         first.nominal.name,
         free,
         groups,
-        sums,
         draws,
         tuple(failures),
         setting.source.data.n_poses,

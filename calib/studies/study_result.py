@@ -1,16 +1,10 @@
-"""What many calibrations say about a fit's statistics: bias, scatter, coverage and chi-square.
-
-All of it comes from sums over the draws. Each piece of work makes its own, where the draws arise, and they are put
-together in the order of the draws, so that a study needs no more memory for ten million draws than for fifty. The draws
-themselves are kept beside that unless nobody asks for them.
-
-Reference: chan1983.
-"""
+"""What many calibrations say about a fit's statistics: bias, scatter, coverage and chi-square."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -72,74 +66,6 @@ class Draws(ReadOnlyArrays):
         return np.isfinite(self.values[:, 0])
 
 
-@dataclass(frozen=True, eq=False)
-class DrawSums(ReadOnlyArrays):
-    """What the figures of a study need of its draws. All but `n` are of draws that gave an answer.
-
-    Attributes:
-        n: How many draws.
-        answered: How many gave an answer.
-        bias: Mean of value minus truth, (n_free,) [m or rad].
-        scatter: Sum of squares of value minus truth minus that mean, (n_free,).
-        held: How many 95 % intervals hold the truth, (n_free,); NaN where the truth has no such parameter.
-        variance: Sum of the squares of claimed standard deviations, (n_free,).
-        sigma: Sum of the noise found, (n_groups,) [SI].
-        chi_square: Sum of chi-square over its degrees of freedom.
-        chi_square_refused: How many of these a test at 5 % rejects; NaN where no noise is stated.
-        outliers: How many name an outlier.
-        squares: Sum of squared distances of predicted from true positions elsewhere, (n_poses, n_targets) [m^2].
-        positions_held: How many 95 % intervals hold each true coordinate elsewhere, (n_poses, n_targets, 3).
-    """
-
-    n: int
-    answered: int
-    bias: FloatArray
-    scatter: FloatArray
-    held: FloatArray
-    variance: FloatArray
-    sigma: FloatArray
-    chi_square: float
-    chi_square_refused: float
-    outliers: float
-    squares: FloatArray
-    positions_held: FloatArray
-
-    @staticmethod
-    def of(draws: Draws) -> DrawSums:
-        """Add up some draws."""
-        kept = draws.answered
-        error = (draws.values - draws.truth)[kept]
-        bias = np.sum(error, axis=0) / max(len(error), 1)
-        value, freedom = draws.chi_square[kept], draws.freedom[kept]
-        tail = np.minimum(scipy.special.chdtr(freedom, value), scipy.special.chdtrc(freedom, value))
-        elsewhere = draws.errors[kept]
-        return DrawSums(
-            len(draws),
-            len(error),
-            bias,
-            np.sum((error - bias) ** 2, axis=0),
-            np.sum(np.where(np.isnan(error), np.nan, np.abs(error) <= draws.half_width[kept]), axis=0),
-            np.sum(draws.std[kept] ** 2, axis=0),
-            np.sum(draws.sigma[kept], axis=0),
-            float(np.sum(value / freedom)),
-            float(np.sum(np.where(np.isfinite(value), tail < _TAIL / 2, np.nan))),
-            float(np.sum(draws.names_outliers[kept])),
-            np.sum(elsewhere**2, axis=(0, -1)),
-            np.sum(np.abs(elsewhere) <= draws.error_half_width[kept], axis=0, dtype=float),
-        )
-
-    def with_more(self, more: DrawSums) -> DrawSums:
-        """Return the sums over these draws and more of the same study."""
-        if not (self.answered and more.answered):
-            of_answers = self if self.answered else more
-            return replace(of_answers, n=self.n + more.n)
-        added = {field.name: getattr(self, field.name) + getattr(more, field.name) for field in fields(self)}
-        apart = more.bias - self.bias
-        added["bias"] = self.bias + apart * (more.answered / added["answered"])
-        added["scatter"] += apart**2 * (self.answered * more.answered / added["answered"])
-        return DrawSums(**added)
-
-
 @dataclass(frozen=True)
 class ParameterStudy:
     """One free parameter over all draws.
@@ -175,8 +101,7 @@ class Study(ReadOnlyArrays):
         robot: Name of the robot.
         free: The free parameters.
         groups: Names of the groups of rows, in the order of `draws.sigma`.
-        sums: What all draws gave together.
-        draws: What each draw gave; None if only sums were kept.
+        draws: What each draw gave.
         failures: Why draws gave no answer, as many as gave none.
         n_poses: How many poses were measured.
         seed: Seed of everything random.
@@ -187,8 +112,7 @@ class Study(ReadOnlyArrays):
     robot: str
     free: tuple[Parameter, ...]
     groups: tuple[str, ...]
-    sums: DrawSums
-    draws: Draws | None
+    draws: Draws
     failures: tuple[str, ...]
     n_poses: int
     seed: int
@@ -202,14 +126,23 @@ class Study(ReadOnlyArrays):
         return self.report()
 
     def __len__(self) -> int:
-        return self.sums.n
+        return len(self.draws)
+
+    @cached_property
+    def answered(self) -> Draws:
+        """The draws that gave an answer."""
+        kept = self.draws.answered
+        return Draws(**{field.name: getattr(self.draws, field.name)[kept] for field in fields(Draws)})
 
     @property
     def parameters(self) -> tuple[ParameterStudy, ...]:
         """Every free parameter over all draws that gave an answer."""
-        sums, n = self.sums, self.sums.answered
-        spread = np.sqrt(sums.scatter / (n - 1)) if n > 1 else np.full(len(sums.bias), np.nan)
-        columns = (sums.bias, spread / np.sqrt(n), spread, np.sqrt(sums.variance / n), sums.held / n)
+        draws, n = self.answered, len(self.answered)
+        error = draws.values - draws.truth
+        spread = np.std(error, axis=0, ddof=1) if n > 1 else np.full(len(self.free), np.nan)
+        claimed = np.sqrt(np.mean(draws.std**2, axis=0))
+        held = np.where(np.isnan(error), np.nan, np.abs(error) <= draws.half_width)
+        columns = (np.mean(error, axis=0), spread / np.sqrt(n), spread, claimed, np.mean(held, axis=0))
         scale = np.array([[parameter.per_si] * 4 + [1.0] for parameter in self.free])  # a coverage has no unit
         return tuple(
             ParameterStudy(parameter.name, parameter.unit, *map(float, numbers))
@@ -219,28 +152,30 @@ class Study(ReadOnlyArrays):
     @property
     def position_coverage(self) -> FloatArray:
         """Part of the draws whose 95 % interval holds each true coordinate elsewhere, (n_poses, n_targets, 3)."""
-        return self.sums.positions_held / self.sums.answered
+        return np.mean(np.abs(self.answered.errors) <= self.answered.error_half_width, axis=0)
 
     @property
     def position_error(self) -> float:
         """Root mean square distance of predicted from true positions elsewhere [m]; NaN where none are."""
-        squares = self.sums.squares / self.sums.answered
-        return float(np.sqrt(np.mean(squares))) if squares.size else float("nan")
+        errors = self.answered.errors
+        return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1)))) if errors.size else float("nan")
 
     @property
     def chi_square(self) -> float:
         """Mean of chi-square over its degrees of freedom: 1 where the noise is as stated; NaN where none is stated."""
-        return self.sums.chi_square / self.sums.answered
+        return float(np.mean(self.answered.chi_square / self.answered.freedom))
 
     @property
     def chi_square_refused(self) -> float:
         """Part of the draws that a test of chi-square at 5 % rejects; NaN where no noise is stated."""
-        return self.sums.chi_square_refused / self.sums.answered
+        value, freedom = self.answered.chi_square, self.answered.freedom
+        tail = np.minimum(scipy.special.chdtr(freedom, value), scipy.special.chdtrc(freedom, value))
+        return float(np.mean(np.where(np.isfinite(value), tail < _TAIL / 2, np.nan)))
 
     @property
     def outliers(self) -> float:
         """Part of the draws that name an outlier."""
-        return self.sums.outliers / self.sums.answered
+        return float(np.mean(self.answered.names_outliers))
 
     def report(self, *, verbose: bool = False) -> str:
         """Return the study as text.
@@ -268,12 +203,12 @@ class Study(ReadOnlyArrays):
             done, poses = "calibration", f"each from {self.n_poses} of its {self.n_poses} poses, with replacement"
         lines = [f"{counted(len(self), done)} of {self.robot}, {poses}, seed {self.seed}"]
         if self.failures:
-            n_failed = len(self) - self.sums.answered
+            n_failed = len(self) - len(self.answered)
             lines.append(f"{counted(n_failed, 'draw')} gave no answer: {listed(self.failures, '; ', 2)}")
         return lines
 
     def _findings(self) -> list[str]:
-        chance = 100 * np.sqrt(0.95 * 0.05 / self.sums.answered)
+        chance = 100 * np.sqrt(0.95 * 0.05 / len(self.answered))
         coverage = 100 * np.array([parameter.coverage for parameter in self.parameters])
         truth = "what all poses give" if self.resampled else "the truth"
         lines = [
@@ -283,7 +218,7 @@ class Study(ReadOnlyArrays):
         biased = [parameter.name for parameter in self.parameters if abs(parameter.bias) > _SURE * parameter.bias_std]
         if biased:
             lines.append(f"biased by more than chance ({_SURE:g} standard deviations): {listed(biased)}")
-        if self.sums.squares.size:
+        if self.draws.errors.size:
             lines.append(
                 f"predicted positions elsewhere: RMS error {millimetres(self.position_error):.4f} mm, intervals contain"
                 f" {truth} in {_range(100 * self.position_coverage)} %"
@@ -303,12 +238,12 @@ class Study(ReadOnlyArrays):
 
     def to_dict(self) -> dict[str, object]:
         """Return the study as data for JSON; parameters in the units of tables, unknown numbers None."""
-        sigma = self.sums.sigma / self.sums.answered
+        sigma = np.mean(self.answered.sigma, axis=0)
         return as_data(
             {
                 "robot": self.robot,
                 "draws": len(self),
-                "answered": self.sums.answered,
+                "answered": len(self.answered),
                 "failures": list(self.failures),
                 "n_poses": self.n_poses,
                 "resampled": self.resampled,

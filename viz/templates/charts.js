@@ -273,9 +273,11 @@ async function startReport() {
   const drawn = Object.entries(charts).map(([name, chart]) => new Chart(name, chart, selection));
   window.calibrationReport = { selection, charts: drawn };
   if (document.getElementById("space")) await new Space(selection).open();
-  await run("bokeh");
-  await run("bokeh-api");
-  Bokeh.set_log_level("error");
+  if (drawn.length) {
+    await run("bokeh");
+    await run("bokeh-api");
+    Bokeh.set_log_level("error");
+  }
   const near = new IntersectionObserver((entries) => entries.filter(({ isIntersecting }) => isIntersecting)
     .forEach(({ target }) => drawn.find(({ node }) => node === target).draw()), { rootMargin: "300px" });
   drawn.forEach(({ node }) => near.observe(node));

@@ -33,9 +33,6 @@ function follow(controls) {
   source.addEventListener("joints", (event) => {
     taken = taken.then(() => controls.showLive(JSON.parse(event.data)));
   });
-  source.addEventListener("command", (event) => {
-    if (controls.stage) controls.stage.viewer.handle_command_bytearray(decode(event.data, Uint8Array));
-  });
 }
 
 window.addEventListener("DOMContentLoaded", () => {

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import click
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
-from calib.core.base.files import write_files
 from calib.core.base.words import counted, listed
 from calib.core.commands.common import Output, shared_options
 from calib.core.data.table_writing import format_table
@@ -22,9 +20,10 @@ from calib.photographs.detection import DetectedImage, Detection, detect
 from calib.photographs.estimation import LITTLE_TURN, turning
 from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.opencv import GreyImage
-from calib.photographs.pages import Picture, page, small_copy
+from calib.photographs.pages import Picture, figure, small_copy
 from calib.photographs.scene import scene_of
 from calib.photographs.starts import LEAST_IMAGES, views
+from calib.pictures import answer
 
 
 @click.command("detect")
@@ -65,10 +64,9 @@ def command(
             Picture(image, copy, image.remark or counted(len(image.points), "point"), not image.usable)
             for image, copy in zip(detection.images, small, strict=True)
         ]
-        write_files(
-            {Path(page_file): page(f"Photographs of a board: {detection.board}", lines, pictures).encode()},
-            force=output.force,
-        )
+        figures = [(-1, figure(picture)) for picture in pictures]
+        title = f"Photographs of a board: {detection.board}"
+        output.write(page_file, answer(detection, title, "\n".join(lines), figures))
     for line in lines:
         output.say(line)
     output.say(f"Written to {out}")

@@ -94,12 +94,7 @@ _TRIED = (3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 65, 80, 100)
     "--starts", type=int, default=1, show_default=True, help="Number of starts; all but the first are random."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
-@click.option(
-    "--off-grid",
-    is_flag=True,
-    help="Afterwards, move the chosen poses continuously, within joint limits and the range of the candidates.",
-)
-@jobs_option("starts and moves off the grid")
+@jobs_option("starts")
 @click.option(
     "--skip-unreachable", is_flag=True, help="List candidates that cannot be assembled, and go on without them."
 )
@@ -124,7 +119,6 @@ def command(
     start: str,
     starts: int,
     seed: int,
-    off_grid: bool,
     jobs: int,
     skip_unreachable: bool,
     sigma_mm: float | None,
@@ -166,7 +160,6 @@ def command(
             random_start=start == "random",
             starts=starts,
             seed=seed,
-            off_grid=off_grid,
             skip_unreachable=skip_unreachable,
             sigma=sigma,
             executor=jobs,

@@ -132,7 +132,7 @@ def _lines_of(table: Table, poses: Sequence[tuple[int, str]]) -> dict[str, list[
     if "pose" not in table.names:
         return {name: [k] for k, name in poses}
     lines: dict[str, list[int]] = {name: [] for _, name in poses}
-    for line, name in enumerate(table.texts("pose")):
+    for line, name in enumerate(table.text("pose")):
         if name in lines:
             lines[name].append(line)
     return lines

@@ -38,6 +38,7 @@ lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python docs/site/name_check.py
 
 # Prints docs/performance.md and writes it, then single pieces of work; with DATA=FOLDER also of others' measurements.
 bench: $(VENV)/.ready-dev

@@ -14,18 +14,18 @@ from numpy.typing import ArrayLike
 from calib import pictures
 from calib.core.base.errors import InputError
 from calib.core.base.units import ERROR_UNIT, in_si
-from calib.core.base.words import listed, titled_html
+from calib.core.base.words import html_with_title, listing
 from calib.core.base.workers import Progress, Workers
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.calibrating.file_robots import with_files
 from calib.core.data.in_memory import MeasurementsLike, as_measurements, with_sigma
 from calib.core.fitting.error_sets import Folds, error_table
-from calib.core.fitting.fit import of_a_part
-from calib.core.fitting.settings import Asked, Settings
+from calib.core.fitting.fit import fit_of_a_part
+from calib.core.fitting.settings import RequestedOptions, Settings
 from calib.core.fitting.validation import cross_validate, n_folds
 from calib.core.instruments.kind import Readings
 from calib.core.judging.verdict import JudgedFit
-from calib.core.numerics.losses import checked_loss
+from calib.core.numerics.losses import find_loss
 from calib.core.results.loaded_result import CalibratedRobot
 from calib.core.results.report_text import summary, text_report, verdict_lines
 from calib.core.results.result_content import to_dict
@@ -62,7 +62,7 @@ class Calibration(JudgedFit, CalibratedRobot):
             for instrument, part, rows in error_set.parts()
             for values in (residuals[instrument.name],)
         ]
-        return titled_html(self.nominal.name, verdict_lines(self.verdict), errors, self.parameters.rows())
+        return html_with_title(self.nominal.name, verdict_lines(self.verdict), errors, self.parameters.rows())
 
     @property
     def plot(self) -> Plots:
@@ -113,7 +113,7 @@ class Calibration(JudgedFit, CalibratedRobot):
             CalibrationError: What `fit` raises, with fewer poses.
         """
         data = self.identification.data
-        fold = of_a_part(self, Settings(self.sigma_given, self.loss, seed=seed))
+        fold = fit_of_a_part(self, Settings(self.sigma_given, self.loss, seed=seed))
         with Workers(executor, n_folds(data, folds)) as workers:
             return cross_validate(data, folds, seed, fold, workers, progress)
 
@@ -219,7 +219,7 @@ def fit(
         progress: Called after each step with the number of steps done and of all steps known so far: three in a plain
             fit, one more for each start and each fold.
     """
-    robot = _freed(as_robot(robot).fix(fix), free)
+    robot = _with_free(as_robot(robot).fix(fix), free)
     for name, how_far in (prior or {}).items():
         robot = robot.with_prior(name, how_far)
     used, held = as_measurements(robot, data, readings), None
@@ -233,7 +233,7 @@ def fit(
         held = as_measurements(robot, validation).read_visits()
     settings = Settings(
         None if one_for_all is None else in_si(cast("float | str", one_for_all), "length", "sigma"),
-        checked_loss(loss),
+        find_loss(loss),
         exclude_outliers,
         starts,
         folds,
@@ -244,13 +244,15 @@ def fit(
     fixed, freed = ((given,) if isinstance(given, str) else tuple(given) for given in (fix, free))
     apart = f"{validation:g}" if isinstance(validation, (float, int)) else ""
     apart = str(validation) if isinstance(validation, (str, Path)) else apart
-    return Calibration.of(replace(fitted, asked=Asked(fixed, freed, dict(prior or {}), apart, folds)))
+    return Calibration.from_fit(
+        replace(fitted, requested_options=RequestedOptions(fixed, freed, dict(prior or {}), apart, folds))
+    )
 
 
-def _freed(robot: Robot, free: str | Sequence[str]) -> Robot:
+def _with_free(robot: Robot, free: str | Sequence[str]) -> Robot:
     """The robot with these parameters free; that all of them are free already is an `InputError`."""
     freed = robot.free(free)
     if len(free) and bool(np.all(freed.is_free == robot.is_free)):
-        names = free if isinstance(free, str) else listed(free)
+        names = free if isinstance(free, str) else listing(free)
         raise InputError(f"free: {names}: free already; to fit nothing else, also give fix='all'")
     return freed

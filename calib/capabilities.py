@@ -32,10 +32,10 @@ BROUGHT = tuple(
         ("calib.kinds", "pointing", "calib.redundancy.pointing:Pointing"),
         ("calib.kinds", "cable", "calib.redundancy.cable:Cable"),
         ("calib.kinds", "hole_pattern", "calib.redundancy.hole_pattern:HolePattern"),
-        ("calib.reasons", "between_holes", "calib.redundancy.hole_pattern:between_holes"),
+        ("calib.reasons", "between_holes", "calib.redundancy.hole_pattern:check_holes"),
         ("calib.terms", "play", "calib.redundancy.drive_terms:Play"),
         ("calib.terms", "in_proportion", "calib.redundancy.drive_terms:InProportion"),
-        ("calib.contradicted", "fleet", "calib.fleets.contradicted:without_contradicted_fleet"),
+        ("calib.contradicted", "fleet", "calib.fleets.contradicted_prior:without_contradicted_fleet"),
     )
 )
 """In the order in which commands and messages list them."""

@@ -1,4 +1,4 @@
-"""The `calib` program; a command is imported when it is asked for."""
+"""The `calib` program; a command is imported at first use."""
 
 from __future__ import annotations
 

@@ -42,8 +42,8 @@ from calib.core.instruments.kinds import KINDS
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.instruments.relation import RelatedSection, Relation
 from calib.core.judging.reasons import Reason
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import Format, FormatFile
-from calib.core.robots.held import Holds
 from calib.core.robots.named_origins import NamedComponent, NamedOrigins
 from calib.core.robots.parameters import Origin, Parametrisation, ResultUse, twist_of_edit
 from calib.core.robots.robot import Robot

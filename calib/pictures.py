@@ -53,10 +53,10 @@ class Live(Protocol):
     def url(self) -> str:
         """Address to open."""
 
-    def show(self, told: Any) -> None:
+    def show(self, progress: Any) -> None:
         """Show what is known after the poses measured so far."""
 
-    def remember(self, told: Any) -> None:
+    def remember(self, progress: Any) -> None:
         """Keep what was known after some poses, for the curve towards the goal."""
 
     def close(self) -> None:
@@ -64,7 +64,7 @@ class Live(Protocol):
 
 
 class Pictures(Protocol):
-    """What an entry of the group offers."""
+    """Functions that an entry of the group offers."""
 
     summary: str
     """What the command does, in the list of commands; asked for without the command."""
@@ -99,12 +99,12 @@ def commands() -> tuple[str, ...]:
 
 def command(name: str) -> click.Command:
     """Return an added command."""
-    return _named(name).command
+    return _pictures_named(name).command
 
 
 def summary(name: str) -> str:
     """Return what an added command does, for the list of commands."""
-    return _named(name).summary
+    return _pictures_named(name).summary
 
 
 def pages(fit: Fit, logo: Path | str | None = None) -> dict[str, bytes]:
@@ -128,7 +128,7 @@ def comparison(result_comparison: ResultComparison) -> bytes:
     Raises:
         InputError: Nothing that draws is installed.
     """
-    return _installed("--html")[0].comparison(result_comparison)
+    return _installed_pictures("--html")[0].comparison(result_comparison)
 
 
 def fleet(learned: object) -> bytes:
@@ -137,7 +137,7 @@ def fleet(learned: object) -> bytes:
     Raises:
         InputError: Nothing that draws is installed.
     """
-    return _installed("--html")[0].fleet(learned)
+    return _installed_pictures("--html")[0].fleet(learned)
 
 
 def answer(subject: object, title: str, text: str, figures: Sequence[tuple[int, str]] = ()) -> bytes:
@@ -152,7 +152,7 @@ def answer(subject: object, title: str, text: str, figures: Sequence[tuple[int, 
     Raises:
         InputError: Nothing that draws is installed.
     """
-    return _installed("--html")[0].answer(subject, title, text, figures)
+    return _installed_pictures("--html")[0].answer(subject, title, text, figures)
 
 
 def figures(subject: object) -> dict[str, bytes]:
@@ -162,7 +162,7 @@ def figures(subject: object) -> dict[str, bytes]:
         InputError: Nothing that draws is installed, or something that it needs is missing.
     """
     files: dict[str, bytes] = {}
-    for module in _installed("--plots"):
+    for module in _installed_pictures("--plots"):
         try:
             files |= module.figures(subject)
         except ImportError as error:
@@ -177,7 +177,7 @@ def plots(fit: Fit) -> Plots:
         InputError: Nothing that draws is installed, or something that it needs is missing.
     """
     try:
-        return _installed("plot")[0].plots(fit)
+        return _installed_pictures("plot")[0].plots(fit)
     except ImportError as error:
         raise InputError(f"plot: {error.name} is not installed; `pip install {error.name}` first") from None
 
@@ -188,16 +188,16 @@ def live(robot: Robot) -> Live:
     Raises:
         InputError: Nothing that draws is installed.
     """
-    return _installed("--view")[0].live(robot)
+    return _installed_pictures("--view")[0].live(robot)
 
 
-def _named(name: str) -> Pictures:
+def _pictures_named(name: str) -> Pictures:
     (entry,) = entry_points(group=GROUP, name=name)
     pictures: Pictures = entry.load()
     return pictures
 
 
-def _installed(option: str) -> list[Pictures]:
+def _installed_pictures(option: str) -> list[Pictures]:
     modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
     if not modules:
         raise InputError(f"{option}: nothing that draws is installed (entry point group {GROUP})")

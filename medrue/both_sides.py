@@ -25,10 +25,10 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.workers import in_order
+from calib.core.base.workers import results_in_order
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
-from calib.core.fitting.fit import Nearby, fit_data
+from calib.core.fitting.fit import WarmStart, fit_data
 from calib.core.fitting.settings import Settings
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
@@ -36,7 +36,7 @@ from calib.planning.selection import select
 from medrue.draws import PoseSet
 from medrue.imperfections import Imperfections, RailErrors, from_direction, imperfect_robot
 from medrue.paper_tables import table3
-from medrue.progress import Progress
+from medrue.progress import StageProgress
 from medrue.tracker import REPEATS, SIGMA, measure
 
 COUNTS = (10, 14, 21, 28, 42, 63, 84, 126)
@@ -91,7 +91,7 @@ class BothSidesTask:
 
 @dataclass(frozen=True, eq=False)
 class BothSidesDraw:
-    """What calibrations of one simulated robot gave.
+    """Results of calibrations of one simulated robot.
 
     Attributes:
         measured: Positions as read, by side and pose, (2, n, 3) [m].
@@ -130,14 +130,14 @@ class BothSides:
     def errors(self, way: Way, s: int) -> FloatArray:
         """Return the errors at the poses that the set `s` leaves, (n_draws, n_rows, 3) [m]."""
         w = WAYS.index(way)
-        others = self.sets[s].others(len(self.joints))
+        others = self.sets[s].validation_indices(len(self.joints))
         return np.array([draw.after[w, s][:, others].reshape(-1, 3) for draw in self.draws])
 
     def first_measurements(self) -> Measurements:
         """Return what was read of the first robot, all poses from both sides."""
         n = len(self.joints)
         side, pose = np.repeat(np.arange(len(SIDES)), n), np.tile(np.arange(n), len(SIDES))
-        return visited(self.extended, self.joints, self.draws[0].measured, side, pose)
+        return measurements_of_visits(self.extended, self.joints, self.draws[0].measured, side, pose)
 
 
 def run_both_sides(
@@ -149,7 +149,7 @@ def run_both_sides(
     imperfections: Imperfections,
     seeds: Sequence[np.random.SeedSequence],
     executor: Executor | None,
-    progress: Progress,
+    progress: StageProgress,
 ) -> BothSides:
     """Measure and calibrate the robots of the experiment from both sides.
 
@@ -166,13 +166,13 @@ def run_both_sides(
     """
     sets, rail = [first], RailErrors()
     with progress.stage("choosing poses for the extended model", len(counts)) as advance:
-        for chosen in in_order(_choose, [(extended, joints, count) for count in counts], executor):
+        for chosen in results_in_order(_choose, [(extended, joints, count) for count in counts], executor):
             sets.append(PoseSet(f"{len(chosen)}", chosen))
             advance(1)
     tasks = [BothSidesTask(robot, extended, joints, tuple(sets), imperfections, rail, seed) for seed in seeds]
     draws = []
     with progress.stage("measurements from both sides", len(tasks)) as advance:
-        for draw in in_order(both_sides_draw, tasks, executor):
+        for draw in results_in_order(both_sides_draw, tasks, executor):
             draws.append(draw)
             advance(1)
     return BothSides(extended, joints, tuple(sets), rail, tuple(draws))
@@ -203,20 +203,22 @@ def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
     for w, way in enumerate(WAYS):
         model = task.extended if way.extended else task.robot
         for s, pose_set in enumerate(task.sets):
-            data = visited(model, task.joints, measured, *_visits(way, pose_set, either))
+            data = measurements_of_visits(model, task.joints, measured, *_visits(way, pose_set, either))
             try:
-                fit = fit_data(model, how, data, nearby=Nearby.no_intervals(model))
+                fit = fit_data(model, how, data, nearby=WarmStart.without_intervals(model))
             except NotIdentifiableError:  # too few readings for so many parameters
                 continue
             if not fit.converged:
                 continue
-            after[w, s] = _predicted(fit.robot, task.joints, passive) - measured
+            after[w, s] = _predict(fit.robot, task.joints, passive) - measured
             if way == EXTENDED and s == 0:
                 values, std = fit.robot.values, fit.statistics.std
     return BothSidesDraw(measured, after, truth.robot.values, values, std)
 
 
-def visited(robot: Robot, joints: FloatArray, measured: FloatArray, side: IntArray, pose: IntArray) -> Measurements:
+def measurements_of_visits(
+    robot: Robot, joints: FloatArray, measured: FloatArray, side: IntArray, pose: IntArray
+) -> Measurements:
     """Return visits as measurements; a pose from another side is another pose, for errors are averaged over repeats.
 
     Args:
@@ -239,9 +241,9 @@ def _visits(way: Way, pose_set: PoseSet, either: IntArray) -> tuple[IntArray, In
     return (either[pose] if way.sides == "either" else np.zeros(len(pose), dtype=np.intp)), pose
 
 
-def _predicted(robot: Robot, joints: FloatArray, passive: FloatArray) -> FloatArray:
+def _predict(robot: Robot, joints: FloatArray, passive: FloatArray) -> FloatArray:
     """Positions of the tool from each side, (2, n, 3) [m], starting from the passive joints of the nominal robot."""
     if not robot.terms:
         return np.array([robot.positions(joints, seed=passive)[:, 0]] * len(SIDES))
-    directions = [Context.of(from_direction(np.full(len(joints), side)), {}) for side in SIDES]
+    directions = [Context.from_conditions(from_direction(np.full(len(joints), side)), {}) for side in SIDES]
     return np.array([robot.positions(joints, direction, passive)[:, 0] for direction in directions])

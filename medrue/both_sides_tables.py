@@ -8,10 +8,10 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.units import millimetres
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from medrue.both_sides import EXTENDED, PAPER, WAYS, BothSides, Way
 from medrue.ranking import standard_error
-from medrue.result_tables import Cell, Column, ResultTable
+from medrue.result_tables import Cell, ResultTable, TableColumn
 from medrue.study import STATISTICS, summary
 from medrue.tracker import REPEATS, SIGMA
 
@@ -28,7 +28,7 @@ BOTH_SIDES_NOTE = (
 _DECIDED = 0.5  # part of a parameter's expected error below which the data decide about it
 
 
-def error_columns(both_sides: BothSides) -> list[Column]:
+def error_columns(both_sides: BothSides) -> list[TableColumn]:
     """Return Table IV's columns of the paper's poses, approached from both sides."""
     columns = []
     for header, way in (("O1, both sides", PAPER), ("O1, both sides, extended", EXTENDED)):
@@ -37,18 +37,18 @@ def error_columns(both_sides: BothSides) -> list[Column]:
         for k in range(len(STATISTICS)):
             numbers = (draws[0, k], draws[:, k].mean(), standard_error(draws[:, k]))
             cells += [*map(_cell, numbers), None]
-        columns.append(Column(header, tuple(cells)))
+        columns.append(TableColumn(header, tuple(cells)))
     return columns
 
 
-def component_columns(both_sides: BothSides) -> list[Column]:
+def component_columns(both_sides: BothSides) -> list[TableColumn]:
     """Return Table V's columns of the first draw, approached from both sides."""
     columns = []
     for header, way in (("both sides", PAPER), ("both sides, extended", EXTENDED)):
         for axis, values in zip("xyz", np.abs(both_sides.errors(way, 0)[0].T), strict=True):
             ours = millimetres(summary(values))[: len(STATISTICS)]
             cells = [cell for value in ours for cell in (_cell(value), None)]
-            columns.append(Column(f"{header} {axis}", tuple(cells)))
+            columns.append(TableColumn(f"{header} {axis}", tuple(cells)))
     return columns
 
 
@@ -60,7 +60,7 @@ def both_sides_tables(both_sides: BothSides) -> tuple[ResultTable, ...]:
 def pose_count_table(both_sides: BothSides) -> ResultTable:
     """Error along x that remains, by the number of poses and the way to calibrate."""
     names = (f"{len(both_sides.sets[0].chosen)}, the paper's", *(pose_set.name for pose_set in both_sides.sets[1:]))
-    columns = [Column("poses", names)]
+    columns = [TableColumn("poses", names)]
     for way in WAYS:
         columns.append(_column(f"{way.name}, mean x error [mm]", millimetres(mean_x(both_sides, way).mean(axis=0))))
     draws = mean_x(both_sides, EXTENDED)
@@ -79,7 +79,7 @@ def pose_count_table(both_sides: BothSides) -> ResultTable:
         tuple(columns),
         (
             "poses chosen by O1 of the extended model; the paper's: by O1 of its own model",
-            f"simulated; {counted(len(both_sides.draws), 'draw')}; at all other poses from both sides, with the"
+            f"simulated; {count_noun(len(both_sides.draws), 'draw')}; at all other poses from both sides, with the"
             f" tracker's noise, which alone has an RMS of {millimetres(NOISE):.4f} mm and a mean magnitude of"
             f" {millimetres(NOISE) * np.sqrt(2 / np.pi):.4f} mm",
             "both sides: two visits of each pose; either side: one visit, from a side that chance decides; one side:"
@@ -98,15 +98,15 @@ def extended_parameter_table(both_sides: BothSides) -> ResultTable:
     lacking = [k >= terms.start or (p.name in tilts and p.name[:-3] != "base_origin") for k, p in enumerate(parameters)]
     shown = np.flatnonzero(lacking & (draw.std < _DECIDED * expected))
 
-    def column(header: str, values: FloatArray) -> Column:
-        return Column(header, tuple(float(value) for value in (values * scale)[shown]), 4)
+    def column(header: str, values: FloatArray) -> TableColumn:
+        return TableColumn(header, tuple(float(value) for value in (values * scale)[shown]), 4)
 
     return ResultTable(
         "extended",
         "Tilts and errors of the rail that the extended model finds from the 84 poses of O1, from both sides",
         (
-            Column("parameter", tuple(parameters[k].name for k in shown)),
-            Column("unit", tuple(parameters[k].unit for k in shown)),
+            TableColumn("parameter", tuple(parameters[k].name for k in shown)),
+            TableColumn("unit", tuple(parameters[k].unit for k in shown)),
             column("expected error", expected),
             column("actual", draw.actual),
             column("identified", draw.values),
@@ -127,14 +127,15 @@ def both_sides_findings(both_sides: BothSides) -> tuple[str, ...]:
     rms, noise = _length(component_rms(both_sides, EXTENDED)[0, 0]), millimetres(NOISE)
     return (
         f"From both sides at the same {len(both_sides.sets[0].chosen)} poses,"
-        f" {counted(len(both_sides.extended.parameters), 'parameter')} (geometry in all six components, and the screw's"
+        f" {count_noun(len(both_sides.extended.parameters), 'parameter')} (geometry in all six components, and the"
+        f" screw's"
         f" lead, turns and backlash) leave a mean x error of {extended}, the paper's model {paper}; the"
         f" tracker's noise alone is {noise * np.sqrt(2 / np.pi):.3f} mm (RMS {rms} and {noise:.3f} mm).",
-        _needed(both_sides),
+        _needed_poses(both_sides),
     )
 
 
-def _needed(both_sides: BothSides) -> str:
+def _needed_poses(both_sides: BothSides) -> str:
     """How many poses each way needs, and which ways do not get there with any number of them."""
     counts = np.array([len(pose_set.chosen) for pose_set in both_sides.sets[1:]])
     means = {way.name: mean_x(both_sides, way)[:, 1:].mean(axis=0) for way in WAYS}
@@ -142,13 +143,13 @@ def _needed(both_sides: BothSides) -> str:
     never = [f"{name} ({_length(mean[-1])})" for name, mean in means.items() if not np.any(mean <= GOAL)]
     return (
         f"Poses needed, of the numbers tried, for a mean x error of {millimetres(GOAL):g} mm:"
-        f" {_least(counts, {name: mean <= GOAL for name, mean in means.items()})}; for an RMS x error within"
-        f" {100 * (NEAR_NOISE - 1):.0f} % of the noise: {_least(counts, near)}."
+        f" {_least_poses(counts, {name: mean <= GOAL for name, mean in means.items()})}; for an RMS x error within"
+        f" {100 * (NEAR_NOISE - 1):.0f} % of the noise: {_least_poses(counts, near)}."
         + (f" Not even {counts[-1]} are enough for {', '.join(never)}." if never else "")
     )
 
 
-def _least(counts: IntArray, reached: Mapping[str, BoolArray]) -> str:
+def _least_poses(counts: IntArray, reached: Mapping[str, BoolArray]) -> str:
     """The least number of poses that is enough, of every way for which one is."""
     enough = [f"{counts[which].min()} ({name})" for name, which in reached.items() if np.any(which)]
     return ", ".join(enough) or f"more than {counts[-1]}"
@@ -166,8 +167,8 @@ def component_rms(both_sides: BothSides, way: Way) -> FloatArray:
     )
 
 
-def _column(header: str, values: FloatArray) -> Column:
-    return Column(header, tuple(map(_cell, values)), 4)
+def _column(header: str, values: FloatArray) -> TableColumn:
+    return TableColumn(header, tuple(map(_cell, values)), 4)
 
 
 def _cell(value: float) -> float | None:

@@ -14,14 +14,14 @@ import numpy as np
 
 from calib.core.base.files import write_folder
 from calib.core.base.units import metres, millimetres
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.base.workers import Workers
 from calib.core.commands.common import Output, shared_options
 from calib.core.commands.program import run_program
 from calib.core.data.measurement_files import format_positions
 from calib.core.robots.loading import load
 from medrue import measurement_file, page_files, robot_file
-from medrue.progress import Silent, TerminalBars
+from medrue.progress import SilentProgress, TerminalBars
 
 if TYPE_CHECKING:
     from medrue.pages import Report
@@ -95,7 +95,7 @@ def examples_command(output: Output) -> None:
     for folder, files in folders.items():
         write_folder(folder, {name: path.read_bytes() for name, path in files.items()}, force=output.force)
     count = sum(map(len, folders.values()))
-    output.say(f"{counted(count, 'file')} written to {listed(sorted(folders))}")
+    output.say(f"{count_noun(count, 'file')} written to {listing(sorted(folders))}")
 
 
 @group.command("poses", short_help="Write the 420 poses of the target workspace.")
@@ -161,7 +161,9 @@ def study_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int
 
         size = QUICK if quick else StudySize()
         size = replace(size, noise_draws=draws or size.noise_draws)
-        study = run_study(load(robot_file()), size, seed, executor, Silent() if output.quiet else TerminalBars())
+        study = run_study(
+            load(robot_file()), size, seed, executor, SilentProgress() if output.quiet else TerminalBars()
+        )
     _finish(study_report(study), out, output, shown=("table2",))
 
 
@@ -201,7 +203,7 @@ def experiment_command(
             usual.tilt if tilt_deg is None else float(np.radians(tilt_deg)),
         )
         count = draws or (QUICK_DRAWS if quick else DRAWS)
-        progress = Silent() if output.quiet else TerminalBars()
+        progress = SilentProgress() if output.quiet else TerminalBars()
         robots = load(robot_file()), load(robot_file("medrue_extended"))
         counts = QUICK_COUNTS if quick else COUNTS
         experiment = run_experiment(*robots, count, seed, executor, progress, imperfections, counts)
@@ -220,7 +222,9 @@ def touch_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int
 
         size = QUICK if quick else SIZE
         size = replace(size, noise_draws=draws or size.noise_draws)
-        study = run_touch(load(robot_file()), size, seed, executor, Silent() if output.quiet else TerminalBars())
+        study = run_touch(
+            load(robot_file()), size, seed, executor, SilentProgress() if output.quiet else TerminalBars()
+        )
     _finish(touch_report(study), out, output, shown=("world", "shape"))
 
 

@@ -21,7 +21,7 @@ from calib import fit
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import NotConvergedError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.workers import in_order
+from calib.core.base.workers import results_in_order
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.numerics import linalg
@@ -49,13 +49,13 @@ class PoseSet:
     name: str
     chosen: IntArray
 
-    def others(self, n_candidates: int) -> IntArray:
+    def validation_indices(self, n_candidates: int) -> IntArray:
         """Return the indices of the poses that validate, ascending, (n_candidates - n,)."""
         return np.setdiff1d(np.arange(n_candidates), self.chosen)
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class DrawTask:
     """Draws of noise on one truth.
 
     Attributes:
@@ -78,17 +78,17 @@ class Task:
         """Return the measured positions of one draw, (n, 3) [m]."""
         return self.truth + np.random.default_rng(seed).normal(0.0, self.sigma, self.truth.shape)
 
-    def chunks(self) -> list[Task]:
+    def chunks(self) -> list[DrawTask]:
         """Return the same draws in chunks of `CHUNK`."""
         return [
-            Task(self.robot, self.joints, self.truth, self.sets, self.sigma, self.seeds[start : start + CHUNK])
+            DrawTask(self.robot, self.joints, self.truth, self.sets, self.sigma, self.seeds[start : start + CHUNK])
             for start in range(0, len(self.seeds), CHUNK)
         ]
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """What the draws gave, axes (draw, set, ...).
+class DrawOutcome:
+    """Results of the draws, axes (draw, set, ...).
 
     Attributes:
         values: Identified parameters, (n_draws, n_sets, n_parameters) [m, rad].
@@ -99,9 +99,9 @@ class Outcome:
     distances: FloatArray
 
     @staticmethod
-    def joined(parts: Sequence[Outcome]) -> Outcome:
+    def join(parts: Sequence[DrawOutcome]) -> DrawOutcome:
         """Put the draws of several outcomes one after another."""
-        return Outcome(
+        return DrawOutcome(
             np.concatenate([part.values for part in parts]), np.concatenate([part.distances for part in parts])
         )
 
@@ -111,7 +111,7 @@ def measurements(robot: Robot, joints: FloatArray, positions: FloatArray, index:
     return as_measurements(robot, joints[index], positions[index], [str(k + 1) for k in index])
 
 
-def run(tasks: Sequence[Task], executor: Executor | None, done: Callable[[int], None]) -> list[Outcome]:
+def run(tasks: Sequence[DrawTask], executor: Executor | None, done: Callable[[int], None]) -> list[DrawOutcome]:
     """Run tasks.
 
     Args:
@@ -124,19 +124,19 @@ def run(tasks: Sequence[Task], executor: Executor | None, done: Callable[[int], 
     """
     chunks = [chunk for task in tasks for chunk in task.chunks()]
     parts = []
-    for chunk, part in zip(chunks, in_order(run_chunk, chunks, executor), strict=True):
+    for chunk, part in zip(chunks, results_in_order(run_chunk, chunks, executor), strict=True):
         parts.append(part)
         done(len(chunk.seeds) * len(chunk.sets))
     outcomes = []
     for task in tasks:
         count = len(task.chunks())
-        outcomes.append(Outcome.joined(parts[:count]))
+        outcomes.append(DrawOutcome.join(parts[:count]))
         parts = parts[count:]
     return outcomes
 
 
 @one_blas_thread
-def run_chunk(task: Task) -> Outcome:
+def run_chunk(task: DrawTask) -> DrawOutcome:
     """Run the draws of one task, one after another."""
     exact = measurements(task.robot, task.joints, task.truth, task.sets[0].chosen)
     start = fit(task.robot, exact, sigma=task.sigma or 1e-6).robot
@@ -150,7 +150,7 @@ def run_chunk(task: Task) -> Outcome:
             robot = calibrator.calibrate(noisy)
             values[d, s] = robot.values
             distances[d, s] = np.linalg.norm(calibrator.predict(robot) - task.truth, axis=1)
-    return Outcome(values, distances)
+    return DrawOutcome(values, distances)
 
 
 class Calibrator:
@@ -163,11 +163,11 @@ class Calibrator:
         nearby: Its passive joints at the candidates, (n, n_passive) [m, rad].
     """
 
-    def __init__(self, task: Task, pose_set: PoseSet, start: Robot, nearby: FloatArray) -> None:
+    def __init__(self, task: DrawTask, pose_set: PoseSet, start: Robot, nearby: FloatArray) -> None:
         self._chosen, self._joints, self._free = pose_set.chosen, task.joints, task.robot.is_free
         self._scales = np.array([parameter.sigma_si for parameter in task.robot.parameters])[self._free]
         self._start, self._passive = start, nearby
-        self._first = linearise(start, self._assembled(start, self._chosen))
+        self._first = linearise(start, self._assemble(start, self._chosen))
 
     def calibrate(self, positions: FloatArray) -> Robot:
         """Return the robot identified from positions of all candidates, (n, 3) [m], of which only the set's are used.
@@ -185,12 +185,12 @@ class Calibrator:
             robot = robot.with_parameters(values)
             if np.linalg.norm(jacobian @ step) <= _SMALL_STEP * np.linalg.norm(residual):
                 return robot
-            linear = linearise(robot, self._assembled(robot, self._chosen))
+            linear = linearise(robot, self._assemble(robot, self._chosen))
         raise NotConvergedError(f"a simulated identification did not converge in {_MAX_STEPS} steps")
 
     def predict(self, robot: Robot) -> FloatArray:
         """Return the positions of the tool at all candidates, (n, 3) [m]."""
         return robot.positions(self._joints, seed=self._passive)[:, 0]
 
-    def _assembled(self, robot: Robot, index: IntArray) -> Configurations:
+    def _assemble(self, robot: Robot, index: IntArray) -> Configurations:
         return robot.assemble(self._joints[index], self._passive[index])

@@ -59,7 +59,7 @@ NEAR = 0.1
 
 
 @dataclass(frozen=True)
-class Errors:
+class DistanceSummary:
     """Distances between the nominal and the true robot over some poses, [mm]."""
 
     smallest: float
@@ -77,10 +77,12 @@ class Errors:
         return all(abs(ours / theirs - 1) < NEAR for ours, theirs in pairs)
 
 
-def errors_of(differences: FloatArray) -> Errors:
+def errors_of(differences: FloatArray) -> DistanceSummary:
     """Summarise differences of positions, (n, 3) [m]."""
     distances = millimetres(np.linalg.norm(differences, axis=1))
-    return Errors(*(float(f) for f in (distances.min(), distances.mean(), distances.max(), distances.std(ddof=1))))
+    return DistanceSummary(
+        *(float(f) for f in (distances.min(), distances.mean(), distances.max(), distances.std(ddof=1)))
+    )
 
 
 def differences(parameters: FloatArray, q: FloatArray) -> FloatArray:
@@ -89,12 +91,12 @@ def differences(parameters: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def base_placed(nominal: FloatArray, true: FloatArray) -> FloatArray:
-    """What remains of true minus nominal positions (n, 3) [m] after the best rigid motion of the nominal ones."""
+    """True minus nominal positions (n, 3) [m] after the best rigid motion of the nominal ones."""
     rotation, translation = best_transform(nominal, true)
     return np.asarray(true - (nominal @ rotation.T + translation))
 
 
-def signs(q: FloatArray) -> Iterator[tuple[Errors, Errors]]:
+def signs(q: FloatArray) -> Iterator[tuple[DistanceSummary, DistanceSummary]]:
     """Errors of Tables II and IV with the deviations of every combination of groups reversed.
 
     Args:
@@ -109,14 +111,14 @@ def signs(q: FloatArray) -> Iterator[tuple[Errors, Errors]]:
         yield errors, other
 
 
-def rotation_orders(q: FloatArray) -> dict[str, tuple[Errors, Errors]]:
+def rotation_orders(q: FloatArray) -> dict[str, tuple[DistanceSummary, DistanceSummary]]:
     """Errors of Tables II and IV with the base's three angles read otherwise.
 
     Args:
         q: Joint values, (n, 6) [m, rad].
     """
     nominal = forward(q, table1().nominal).p_world_tool
-    errors_by_order: dict[str, list[Errors]] = {"Rx Ry Rz": [], "transposed": []}
+    errors_by_order: dict[str, list[DistanceSummary]] = {"Rx Ry Rz": [], "transposed": []}
     for parameters in _robots():
         named = name_parameters(parameters, len(q))
         R, p = base_in_world(named)
@@ -127,7 +129,7 @@ def rotation_orders(q: FloatArray) -> dict[str, tuple[Errors, Errors]]:
     return {name: (errors[0], errors[1]) for name, errors in errors_by_order.items()}
 
 
-def placements(step: float = 0.1, turns: int = 8) -> Iterator[tuple[Errors, Errors]]:
+def placements(step: float = 0.1, turns: int = 8) -> Iterator[tuple[DistanceSummary, DistanceSummary]]:
     """Errors of Tables II and IV on 60 poses of every reachable half cylinder.
 
     Args:

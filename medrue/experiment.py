@@ -20,8 +20,8 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.workers import in_order
-from calib.core.fitting.fit import Nearby, fit_data
+from calib.core.base.workers import results_in_order
+from calib.core.fitting.fit import WarmStart, fit_data
 from calib.core.fitting.settings import Settings
 from calib.core.robots.robot import Robot
 from medrue.both_sides import COUNTS, BothSides, run_both_sides
@@ -29,7 +29,7 @@ from medrue.draws import PoseSet, measurements
 from medrue.imperfections import Imperfections, approach_in_order, imperfect_robot
 from medrue.paper_tables import table3
 from medrue.poses import target_poses
-from medrue.progress import Progress
+from medrue.progress import StageProgress
 from medrue.study import choose_sets
 from medrue.tracker import REPEATS, SIGMA, measure
 
@@ -61,7 +61,7 @@ class ExperimentTask:
 
 @dataclass(frozen=True, eq=False)
 class ExperimentDraw:
-    """What one simulated experiment gave; errors are predicted minus measured, in the world.
+    """Results of one simulated experiment; errors are predicted minus measured, in the world.
 
     Attributes:
         before: Errors of the nominal robot, (n, 3) [m].
@@ -114,7 +114,7 @@ class Experiment:
     def validation(self, draw: ExperimentDraw, name: str) -> tuple[FloatArray, FloatArray]:
         """Return the errors before and after at the poses that the set `name` leaves for validation, (336, 3) [m]."""
         s = self.names.index(name)
-        others = self.sets[s].others(len(self.joints))
+        others = self.sets[s].validation_indices(len(self.joints))
         return draw.before[others], draw.after[s, others]
 
 
@@ -124,7 +124,7 @@ def run_experiment(
     draws: int,
     seed: int,
     executor: Executor | None,
-    progress: Progress,
+    progress: StageProgress,
     imperfections: Imperfections,
     counts: tuple[int, ...] = COUNTS,
 ) -> Experiment:
@@ -149,7 +149,7 @@ def run_experiment(
         tasks += [ExperimentTask(robot, extended, joints, sets[:1], alone, child) for child in seeds]
     drawn = []
     with progress.stage("simulated experiments", len(tasks)) as advance:
-        for draw in in_order(experiment_draw, tasks, executor):
+        for draw in results_in_order(experiment_draw, tasks, executor):
             drawn.append(draw)
             advance(1)
     causes = {name: tuple(drawn[k * draws : (k + 1) * draws]) for k, name in enumerate(imperfections.causes, start=1)}
@@ -170,7 +170,7 @@ def experiment_draw(task: ExperimentTask) -> ExperimentDraw:
     for pose_set in task.sets:
         data = measurements(task.robot, task.joints, readings.positions, pose_set.chosen)
         how = Settings(sigma=SIGMA / float(np.sqrt(REPEATS)))
-        result = fit_data(task.robot, how, data, nearby=Nearby.no_intervals(task.robot))
+        result = fit_data(task.robot, how, data, nearby=WarmStart.without_intervals(task.robot))
         after.append(result.robot.positions(task.joints)[:, 0] - readings.positions)
         values.append(result.robot.values)
         spread = np.zeros(len(result.robot.values))

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.units import micrometres, millimetres
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from medrue.both_sides_tables import (
     BOTH_SIDES_NOTE,
     both_sides_findings,
@@ -21,7 +21,7 @@ from medrue.experiment import Experiment, ExperimentDraw
 from medrue.imperfections import Imperfections
 from medrue.paper_tables import error_table, table1, table3
 from medrue.ranking import Ranking, rank, ranking_table, standard_error
-from medrue.result_tables import Cell, Column, ResultTable
+from medrue.result_tables import Cell, ResultTable, TableColumn
 from medrue.study import STATISTICS, summary
 from medrue.tracker import REPEATS, SIGMA
 from medrue.world_frame import OUTLIER_PROBABILITY
@@ -45,30 +45,30 @@ def parameter_table(experiment: Experiment) -> ResultTable:
     scale = np.array([parameter.per_si for parameter in parameters])
     draw, free = experiment.draws[0], experiment.robot.is_free
 
-    def column(header: str, values: FloatArray) -> Column:
-        return Column(header, tuple(None if np.isnan(value) else float(value) for value in values * scale))
+    def column(header: str, values: FloatArray) -> TableColumn:
+        return TableColumn(header, tuple(None if np.isnan(value) else float(value) for value in values * scale))
 
     return ResultTable(
         "table3",
         "Table III: parameters identified in the simulated experiment from the 84 poses of O1",
         (
-            Column("parameter", tuple(parameter.name for parameter in parameters)),
-            Column("unit", tuple(parameter.unit for parameter in parameters)),
+            TableColumn("parameter", tuple(parameter.name for parameter in parameters)),
+            TableColumn("unit", tuple(parameter.unit for parameter in parameters)),
             column("nominal", table3().nominal),
             column("actual (paper: identified)", table3().identified),
             column("identified", draw.values[0]),
             column("std", np.where(free, draw.std[0], np.nan)),
             column("identified - actual", np.where(free, draw.values[0] - table3().identified, np.nan)),
-            Column("redundant", tuple("yes" if name in table1().redundant else "no" for name in table1().names)),
+            TableColumn("redundant", tuple("yes" if name in table1().redundant else "no" for name in table1().names)),
         ),
         (
             f"simulated; seed {experiment.seed}; the simulated robot has the parameters that the paper identified",
-            _beyond_std(draw, free),
+            _share_beyond_std(draw, free),
         ),
     )
 
 
-def _beyond_std(draw: ExperimentDraw, free: BoolArray) -> str:
+def _share_beyond_std(draw: ExperimentDraw, free: BoolArray) -> str:
     """How often the true value is outside what the fit states."""
     off = np.abs(draw.values[0] - table3().identified)[free] > 2 * draw.std[0][free]
     return (
@@ -80,7 +80,7 @@ def index_table(experiment: Experiment) -> ResultTable:
     """Table IV: position errors by the index that chose the poses."""
     after = np.array([[_summary(experiment, draw, name)[1] for name in experiment.names] for draw in experiment.draws])
     before = _summary(experiment, experiment.draws[0], "O1")[0]
-    printed, draws = error_table(4), counted(len(after), "draw")
+    printed, draws = error_table(4), count_noun(len(after), "draw")
     rows: list[tuple[str, Cell, FloatArray]] = []
     for k, statistic in enumerate(STATISTICS):
         paper = [printed[name][statistic] if name in printed else np.nan for name in experiment.names]
@@ -90,9 +90,12 @@ def index_table(experiment: Experiment) -> ResultTable:
             (f"{statistic}, standard error over {draws}", None, standard_error(after[:, :, k])),
             (f"{statistic}, paper", printed["before"][statistic], np.array(paper)),
         ]
-    columns = [Column("error [mm]", tuple(row[0] for row in rows)), Column("before", tuple(row[1] for row in rows))]
+    columns = [
+        TableColumn("error [mm]", tuple(row[0] for row in rows)),
+        TableColumn("before", tuple(row[1] for row in rows)),
+    ]
     for s, name in enumerate(experiment.names):
-        columns.append(Column(name, tuple(None if np.isnan(row[2][s]) else float(row[2][s]) for row in rows)))
+        columns.append(TableColumn(name, tuple(None if np.isnan(row[2][s]) else float(row[2][s]) for row in rows)))
     columns += error_columns(experiment.both_sides)
     return ResultTable(
         "table4",
@@ -117,7 +120,7 @@ def axis_table(experiment: Experiment) -> ResultTable:
     """Table V: position errors along each axis, for the poses of O1."""
     printed = error_table(5)
     columns = [
-        Column(
+        TableColumn(
             "error [mm]", tuple(f"{statistic}{who}" for statistic in STATISTICS for who in (", simulated", ", paper"))
         )
     ]
@@ -125,7 +128,7 @@ def axis_table(experiment: Experiment) -> ResultTable:
         for axis, values in zip("xyz", np.abs(errors.T), strict=True):
             ours = dict(zip(STATISTICS, millimetres(summary(values)), strict=False))
             cells = [cell for key in STATISTICS for cell in (float(ours[key]), printed[f"{when}_{axis}"][key])]
-            columns.append(Column(f"{when} {axis}", tuple(cells)))
+            columns.append(TableColumn(f"{when} {axis}", tuple(cells)))
     columns += component_columns(experiment.both_sides)
     return ResultTable(
         "table5",
@@ -139,18 +142,18 @@ def axis_table(experiment: Experiment) -> ResultTable:
 
 
 def cause_table(experiment: Experiment) -> ResultTable:
-    """What each cause alone leaves after calibration."""
+    """Error that each cause alone leaves after calibration."""
     rows = cause_rms(experiment)
     sizes = {
-        "tracker noise alone": f"{micrometres(SIGMA):.0f} um, {counted(REPEATS, 'reading')} averaged",
+        "tracker noise alone": f"{micrometres(SIGMA):.0f} um, {count_noun(REPEATS, 'reading')} averaged",
         **experiment.imperfections.sizes,
     }
-    columns = [Column("cause", tuple(rows)), Column("size", tuple(sizes.get(name, "") for name in rows))]
+    columns = [TableColumn("cause", tuple(rows)), TableColumn("size", tuple(sizes.get(name, "") for name in rows))]
     for k, axis in enumerate(("x", "y", "z", "distance")):
-        columns.append(Column(f"RMS {axis} [mm]", tuple(float(values[k]) for values in rows.values()), 4))
+        columns.append(TableColumn(f"RMS {axis} [mm]", tuple(float(values[k]) for values in rows.values()), 4))
     notes = [
         "simulated; each cause with the tracker's noise, calibrated from the poses of O1, at the 336 others; root mean"
-        f" square over the same {counted(len(experiment.draws), 'draw')} in every row"
+        f" square over the same {count_noun(len(experiment.draws), 'draw')} in every row"
     ]
     if experiment.imperfections == Imperfections():
         notes.append(
@@ -161,7 +164,7 @@ def cause_table(experiment: Experiment) -> ResultTable:
 
 def cause_rms(experiment: Experiment) -> dict[str, FloatArray]:
     """Root mean square of x, y, z and distance after calibration from O1's poses, by cause, (4,) [mm]."""
-    others = experiment.sets[0].others(len(experiment.joints))
+    others = experiment.sets[0].validation_indices(len(experiment.joints))
 
     def rms(draws: Sequence[ExperimentDraw]) -> FloatArray:
         squares = np.mean([millimetres(draw.after[0, others]) ** 2 for draw in draws], axis=(0, 1))
@@ -178,9 +181,9 @@ def experiment_findings(experiment: Experiment) -> tuple[str, ...]:
     return (
         f"Calibration from O1's poses takes the mean error from {before[0]:.3f} to {after[0]:.3f} mm; in the paper from"
         f" {printed['before']['mean']:.3f} to {printed['O1']['mean']:.3f} mm.",
-        _before_finding(experiment),
+        _error_before_finding(experiment),
         _axis_finding(experiment),
-        f"Mean error over {counted(ranking.n_draws, 'draw')}, least first: {ranking}. The largest is"
+        f"Mean error over {count_noun(ranking.n_draws, 'draw')}, least first: {ranking}. The largest is"
         f" {100 * (ranking.means[-1] / ranking.means[0] - 1):.0f} % above the least; in the paper"
         f" {100 * (max(paper) / min(paper) - 1):.0f} %, from one experiment.",
         _measuring_finding(experiment),
@@ -188,7 +191,7 @@ def experiment_findings(experiment: Experiment) -> tuple[str, ...]:
     )
 
 
-def _before_finding(experiment: Experiment) -> str:
+def _error_before_finding(experiment: Experiment) -> str:
     """Whether the choice of poses can explain the error before."""
     draw, printed = experiment.draws[0], error_table(4)["before"]["mean"]
     distances = millimetres(np.linalg.norm(draw.before, axis=1))
@@ -198,7 +201,7 @@ def _before_finding(experiment: Experiment) -> str:
     verdict = (
         "no pose of ours has as little as the paper's mean, so that which of them are chosen does not explain it"
         if below == 0
-        else f"{counted(below, 'pose')} of ours {'has' if below == 1 else 'have'} no more than the paper's mean"
+        else f"{count_noun(below, 'pose')} of ours {'has' if below == 1 else 'have'} no more than the paper's mean"
     )
     return (
         f"Before calibration the error lies between {distances.min():.2f} and {distances.max():.2f} mm over all"
@@ -227,7 +230,8 @@ def _measuring_finding(experiment: Experiment) -> str:
     return (
         f"Repeats at one pose scatter by {micrometres(draw.repeatability):.1f} um on each axis (repeatability). The"
         f" world frame from three nests is uncertain by up to {micrometres(draw.frame_sigma):.0f} um at the tool (one"
-        f" standard deviation). Nests that seem not to fit: {outliers} in {counted(len(draws), 'draw')}; chance alone"
+        f" standard deviation). Nests that seem not to fit: {outliers} in {count_noun(len(draws), 'draw')}; chance"
+        f" alone"
         f" does that in up to one of {1 / OUTLIER_PROBABILITY:.0f}."
     )
 

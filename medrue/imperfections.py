@@ -71,7 +71,7 @@ class Imperfections:
         }
 
     def __str__(self) -> str:
-        """What there is, in words."""
+        """The imperfections in words."""
         present = {
             "lead error": self.lead,
             "links out of perpendicular": self.tilt,
@@ -95,7 +95,7 @@ class RailErrors:
     bow: float = 20e-6
 
     def __str__(self) -> str:
-        """What there is, in words."""
+        """The imperfections in words."""
         return (
             f"an error of each turn of the screw of {millimetres(self.periodic):g} mm, backlash that is"
             f" {100 * self.wear:g} % larger in the middle of the rail than at its ends, and a rail that is bent by"
@@ -109,7 +109,7 @@ STRAIGHT = RailErrors(0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class ImperfectRobot:
-    """A simulated robot that does not quite do what it is told.
+    """A simulated robot that does not quite follow its commands.
 
     Attributes:
         robot: The extended model with the true values of its parameters.
@@ -131,7 +131,7 @@ class ImperfectRobot:
         moved = joints.copy()
         moved[:, 0] += self.rail.wear * middle * half_backlash * approach
         y_and_z = self.robot.mechanism.placement("base_origin").rotation[:, 1:]
-        points = self.robot.positions(moved, Context.of(from_direction(approach), {}))[:, 0]
+        points = self.robot.positions(moved, Context.from_conditions(from_direction(approach), {}))[:, 0]
         return np.asarray(points + self.rail.bow * middle[:, None] * y_and_z.sum(axis=1))
 
 

@@ -112,10 +112,10 @@ class MedrueParametrisation:
     def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
         """Return the origins at `values`, (36,) [m, rad], by joint name."""
         rotations = {name: pin.rpy.rpyToMatrix(*rpy) for name, rpy in self._turning(values).items()}
-        moved = self._given[0] + (_xyz(values) - self._nominal[0])
+        moved = self._urdf_origins[0] + (_xyz(values) - self._nominal[0])
         return {
             name: pin.SE3(rotations.get(name, rotation), xyz)
-            for (name, (rotation, _)), xyz in zip(self._turned.items(), moved, strict=True)
+            for (name, (rotation, _)), xyz in zip(self._turned_origins.items(), moved, strict=True)
         }
 
     def twists(self, values: FloatArray) -> dict[str, FloatArray]:
@@ -124,7 +124,7 @@ class MedrueParametrisation:
             name: twist_of_edit(rpy, _LINEAR[name][0], _rpy_derivative(name, values))
             for name, rpy in self._turning(values).items()
         }
-        return {name: turning.get(name, twist) for name, (_, twist) in self._turned.items()}
+        return {name: turning.get(name, twist) for name, (_, twist) in self._turned_origins.items()}
 
     @cached_property
     def _nominal(self) -> tuple[FloatArray, FloatArray]:
@@ -133,13 +133,13 @@ class MedrueParametrisation:
         return _xyz(nominal), _rpy(nominal)
 
     @cached_property
-    def _given(self) -> tuple[FloatArray, FloatArray]:
+    def _urdf_origins(self) -> tuple[FloatArray, FloatArray]:
         """The same in the URDF."""
         given = [self.origins[name] for name in _COORDINATES]
         return np.array([origin.xyz for origin in given]), np.array([origin.rpy for origin in given])
 
     @cached_property
-    def _turned(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+    def _turned_origins(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Rotation matrix and twists of each origin in the URDF, which no parameter changes where it does not turn."""
         return {
             name: (pin.rpy.rpyToMatrix(*self.origins[name].rpy), twist_of_edit(self.origins[name].rpy, *_LINEAR[name]))
@@ -148,7 +148,7 @@ class MedrueParametrisation:
 
     def _turning(self, values: FloatArray) -> dict[str, FloatArray]:
         """Rpy of the origins that turn."""
-        rpy = self._given[1] + (_rpy(values) - self._nominal[1])
+        rpy = self._urdf_origins[1] + (_rpy(values) - self._nominal[1])
         return {name: own for name, own in zip(_COORDINATES, rpy, strict=True) if name in _TURNING}
 
 

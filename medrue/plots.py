@@ -13,7 +13,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.units import millimetres
 from calib.planning.selection import Selection
 from medrue.workspace import Workspace
-from viz.svg import styled, svg_file
+from viz.svg import svg_file, with_style
 
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#666666"
 """Colours that people with any colour vision tell apart (Okabe and Ito)."""
@@ -21,7 +21,7 @@ AXIS_COLOURS = (ORANGE, BLUE, GREEN)
 _MARKERS = ("o", "s", "^")
 
 
-@styled
+@with_style
 def figure_files(figure: Figure, name: str) -> dict[str, bytes]:
     """Return a figure as `name.png` and `name.svg`; the same figure gives the same bytes."""
     png, layout = io.BytesIO(), figure.get_layout_engine()
@@ -33,11 +33,11 @@ def figure_files(figure: Figure, name: str) -> dict[str, bytes]:
 
 
 def _labels(figure: Figure) -> str:
-    """What the legends say, for those who cannot see the figure."""
+    """Texts of the legends, for those who cannot see the figure."""
     return "; ".join(str(label) for axes in figure.axes for label in axes.get_legend_handles_labels()[1])
 
 
-@styled
+@with_style
 def workspace_figure(workspace: Workspace) -> Figure:
     """The 420 positions on their half cylinder, the leg's axis, and the direction of the probe at each (Figure 3)."""
     figure = Figure(figsize=(7.5, 4.7))
@@ -60,7 +60,7 @@ def workspace_figure(workspace: Workspace) -> Figure:
     return figure
 
 
-@styled
+@with_style
 def exchange_figure(selection: Selection) -> Figure:
     """O1 while poses are exchanged (Figure 4)."""
     figure = Figure(figsize=(7, 4), layout="constrained")
@@ -82,7 +82,7 @@ def exchange_figure(selection: Selection) -> Figure:
     return figure
 
 
-@styled
+@with_style
 def before_after_figure(before: FloatArray, after: FloatArray, title: str) -> Figure:
     """Position errors at the validation poses before and after calibration, on the same axes (Figures 5 and 7).
 
@@ -104,7 +104,7 @@ def before_after_figure(before: FloatArray, after: FloatArray, title: str) -> Fi
     return figure
 
 
-@styled
+@with_style
 def axis_figure(before: FloatArray, after: FloatArray, title: str) -> Figure:
     """Components of the position errors before and after calibration, on the same axes (Figure 8).
 
@@ -142,7 +142,7 @@ def _error_axes(axes: Axes, legend: str | None = None) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3, title=legend, **spacing)
 
 
-@styled
+@with_style
 def spread_figure(names: tuple[str, ...], errors: FloatArray, floors: FloatArray, title: str) -> Figure:
     """How the error of every choice of poses scatters over the draws.
 
@@ -190,9 +190,9 @@ def spread_figure(names: tuple[str, ...], errors: FloatArray, floors: FloatArray
     return figure
 
 
-@styled
+@with_style
 def cause_figure(causes: Mapping[str, FloatArray]) -> Figure:
-    """What remains along each axis after calibration, by cause.
+    """Error along each axis after calibration, by cause.
 
     Args:
         causes: Root mean square along x, y and z by cause, (3,) [mm].
@@ -211,7 +211,7 @@ def cause_figure(causes: Mapping[str, FloatArray]) -> Figure:
     return figure
 
 
-@styled
+@with_style
 def pose_count_figure(counts: tuple[int, ...], errors: Mapping[str, FloatArray], noise: float) -> Figure:
     """Mean error along x after calibration over the number of poses, by the way to calibrate.
 

@@ -13,19 +13,19 @@ from rich.progress import Progress as Bars
 Advance = Callable[[int], None]
 
 
-class Progress(Protocol):
-    """Something that is told about stages of work."""
+class StageProgress(Protocol):
+    """Something that reports stages of work."""
 
     def stage(self, name: str, total: int) -> AbstractContextManager[Advance]:
         """Announce a stage of `total` steps; the function that it gives is called with steps done."""
 
 
-class Silent:
+class SilentProgress:
     """Tell nothing."""
 
     @contextmanager
     def stage(self, name: str, total: int) -> Iterator[Advance]:
-        """See `Progress`."""
+        """See `StageProgress`."""
         yield lambda steps: None
 
 
@@ -34,7 +34,7 @@ class TerminalBars:
 
     @contextmanager
     def stage(self, name: str, total: int) -> Iterator[Advance]:
-        """See `Progress`."""
+        """See `StageProgress`."""
         console = Console(stderr=True)
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         with Bars(*columns, console=console, disable=not console.is_terminal, transient=True) as bars:

@@ -32,4 +32,4 @@ def checks() -> Iterator[Check]:
         off = float(np.max(np.abs(here.positions(joints[ok])[:, 0] - expected.p_world_tool)))
         requirement = f"tool positions within {1e3 * _FAR:g} mm of the closed form (equations 1 to 17 of the paper)"
         found = f"{1e3 * off:.1e} mm at {int(np.sum(ok))} poses"
-        yield Check.of(Phase.OPERATION, f"MedRUE, {name}", requirement, found, off <= _FAR)
+        yield Check.from_values(Phase.OPERATION, f"MedRUE, {name}", requirement, found, off <= _FAR)

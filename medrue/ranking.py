@@ -18,8 +18,8 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.words import counted
-from medrue.result_tables import Cell, Column, ResultTable
+from calib.core.base.words import count_noun
+from medrue.result_tables import Cell, ResultTable, TableColumn
 
 LUCK = 1e-3
 """How often luck alone may make any difference of a ranking look sure."""
@@ -46,9 +46,9 @@ class Ranking:
 
     def __str__(self) -> str:
         """The order, and every sure comparison."""
-        return f"{', '.join(self.names)}; {self.sure()}"
+        return f"{', '.join(self.names)}; {self.sure_differences()}"
 
-    def sure(self) -> str:
+    def sure_differences(self) -> str:
         """Say which sets are surely better than which, every pair of them."""
         winners: dict[str, list[str]] = {}
         for row, name in enumerate(self.names):
@@ -56,10 +56,10 @@ class Ranking:
                 winners.setdefault(self._losers(row), []).append(name)
         if not winners:
             return "no set is better by more than chance"
-        clauses = [f"{_enumerated(names)} than {losers}" for losers, names in winners.items()]
+        clauses = [f"{_enumerate_names(names)} than {losers}" for losers, names in winners.items()]
         return f"better by more than chance: {'; '.join(clauses)}; every other difference may be chance"
 
-    def compared(self, row: int, column: int) -> str:
+    def compare(self, row: int, column: int) -> str:
         """Return `better`, `worse` or `open` for a set (by rank) against another, nothing for itself."""
         if row == column:
             return ""
@@ -76,7 +76,7 @@ class Ranking:
         if behind > 2:
             alone.append(f"{self.names[first]} and all after it")
             return ", ".join(alone)
-        return _enumerated([*alone, *self.names[first:]])
+        return _enumerate_names([*alone, *self.names[first:]])
 
 
 def rank(names: tuple[str, ...], errors: FloatArray) -> Ranking:
@@ -93,10 +93,10 @@ def rank(names: tuple[str, ...], errors: FloatArray) -> Ranking:
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = differences.mean(axis=0) / standard_error(differences)
         luck = 2 * scipy.special.stdtr(n - 1, -np.abs(steps)) if n > 1 else np.full(steps.shape, np.nan)
-    return Ranking(tuple(names[k] for k in order), means[order], n, steps, _sure(luck) & (steps > 0))
+    return Ranking(tuple(names[k] for k in order), means[order], n, steps, _is_sure(luck) & (steps > 0))
 
 
-def _sure(luck: FloatArray) -> BoolArray:
+def _is_sure(luck: FloatArray) -> BoolArray:
     """Which pairs differ surely, after Holm, (n, n): least probable first, until one may be luck.
 
     Args:
@@ -125,16 +125,17 @@ def ranking_table(rankings: dict[str, Ranking]) -> ResultTable:
     for what, ranking in rankings.items():
         place = {name: k for k, name in enumerate(ranking.names)}
         for k, name in enumerate(ranking.names):
-            compared: list[Cell] = [ranking.compared(k, place[other]) for other in names]
+            compared: list[Cell] = [ranking.compare(k, place[other]) for other in names]
             rows.append([f"{what}: {name}", float(ranking.means[k]), *compared])
     headers = ["poses chosen by", "mean over draws [mm]", *(f"against {name}" for name in names)]
     cells = zip(headers, zip(*rows, strict=True), strict=True)
     return ResultTable(
         "ranking",
         "Which choice of poses is better than which",
-        tuple(Column(header, column, 4) for header, column in cells),
+        tuple(TableColumn(header, column, 4) for header, column in cells),
         (
-            f"simulated; better or worse: by paired differences over {counted(first.n_draws, 'draw')}, Student's t with"
+            f"simulated; better or worse: by paired differences over {count_noun(first.n_draws, 'draw')}, Student's t"
+            f" with"
             f" Holm's correction; chance says so of any pair in one ranking of {1 / LUCK:.0f}; open: may be chance",
         ),
     )
@@ -154,6 +155,6 @@ def agreement(first: dict[str, float], second: dict[str, float]) -> float:
     return float(scipy.stats.kendalltau([first[name] for name in names], [second[name] for name in names]).statistic)
 
 
-def _enumerated(names: list[str]) -> str:
+def _enumerate_names(names: list[str]) -> str:
     """`a`, `a and b`, `a, b and c`."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.base.units import millimetres
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.data.measurement_files import format_measurements
 from medrue.both_sides import WAYS, BothSides
 from medrue.both_sides_tables import NOISE, mean_x
@@ -21,7 +21,7 @@ from medrue.plots import (
     spread_figure,
     workspace_figure,
 )
-from medrue.study import COUNT, Study
+from medrue.study import COUNT, PaperStudy
 from medrue.study_tables import study_findings, study_tables
 from medrue.touch import WAYS as TOUCH_WAYS
 from medrue.touch import TouchStudy
@@ -30,7 +30,7 @@ from medrue.tracker import REPEATS, SIGMA
 from medrue.workspace import target_workspace
 
 
-def study_report(study: Study) -> Report:
+def study_report(study: PaperStudy) -> Report:
     """Return the report of the simulation study."""
     return Report(
         "The paper's simulation study: Tables I and II, Figures 4 and 5",
@@ -39,12 +39,12 @@ def study_report(study: Study) -> Report:
         " not in numbers.",
         study_findings(study),
         study_tables(study),
-        (_exchange(study), _study_errors(study), _spread(study)),
+        (_exchange(study), _study_errors(study), _spread_figure(study)),
         study.seed,
     )
 
 
-def _exchange(study: Study) -> NamedFigure:
+def _exchange(study: PaperStudy) -> NamedFigure:
     selection = study.selections["O1"]
     bound = "" if selection.bound is None else " The dashed line is a proven bound."
     return NamedFigure(
@@ -55,8 +55,8 @@ def _exchange(study: Study) -> NamedFigure:
     )
 
 
-def _study_errors(study: Study) -> NamedFigure:
-    others = study.sets[0].others(len(study.joints))
+def _study_errors(study: PaperStudy) -> NamedFigure:
+    others = study.sets[0].validation_indices(len(study.joints))
     before = np.linalg.norm(study.robot.positions(study.joints)[others, 0] - study.truth[others], axis=1)
     return NamedFigure(
         "figure5",
@@ -69,9 +69,9 @@ def _study_errors(study: Study) -> NamedFigure:
     )
 
 
-def _spread(study: Study) -> NamedFigure:
+def _spread_figure(study: PaperStudy) -> NamedFigure:
     errors = study.validation_errors(study.outcome)[:, :, 3]
-    draws = counted(len(errors), "draw")
+    draws = count_noun(len(errors), "draw")
     return NamedFigure(
         "errors_over_draws",
         "Errors over the draws of the noise",
@@ -106,7 +106,7 @@ def _measurement_file(experiment: Experiment) -> str:
     comments = (
         "simulated measurements of MedRUE; no real robot was measured",
         f"all poses from both sides: approach_q1 is the direction in which the rail came; seed {experiment.seed}",
-        f"tracker noise {millimetres(SIGMA):g} mm on each axis, {counted(REPEATS, 'reading')} averaged",
+        f"tracker noise {millimetres(SIGMA):g} mm on each axis, {count_noun(REPEATS, 'reading')} averaged",
     )
     both_sides = experiment.both_sides
     return format_measurements(both_sides.extended, both_sides.first_measurements(), comments)
@@ -149,7 +149,7 @@ def _causes(experiment: Experiment) -> NamedFigure:
         "causes",
         "What remains, by cause",
         "Root mean square along each axis after calibration, with one cause at a time and with all, over the same"
-        f" {counted(len(experiment.draws), 'draw')}.",
+        f" {count_noun(len(experiment.draws), 'draw')}.",
         cause_figure(cause_rms(experiment)),
     )
 
@@ -182,7 +182,7 @@ def _touch_errors(study: TouchStudy) -> NamedFigure:
 
 
 def _pose_count(both_sides: BothSides) -> NamedFigure:
-    draws = counted(len(both_sides.draws), "draw")
+    draws = count_noun(len(both_sides.draws), "draw")
     return NamedFigure(
         "pose_count",
         "How many poses the extended model needs",

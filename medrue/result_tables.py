@@ -11,7 +11,7 @@ Cell = str | float | None
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """One column.
 
     Attributes:
@@ -24,7 +24,7 @@ class Column:
     values: tuple[Cell, ...]
     digits: int = 3
 
-    def shown(self) -> list[str]:
+    def cell_texts(self) -> list[str]:
         """Return the cells as people read them."""
         return [
             "" if cell is None else cell if isinstance(cell, str) else f"{cell:.{self.digits}f}" for cell in self.values
@@ -44,7 +44,7 @@ class ResultTable:
 
     name: str
     title: str
-    columns: tuple[Column, ...]
+    columns: tuple[TableColumn, ...]
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -53,7 +53,7 @@ class ResultTable:
 
     def rows(self) -> list[list[str]]:
         """Return the rows as people read them."""
-        return [list(row) for row in zip(*(column.shown() for column in self.columns), strict=True)]
+        return [list(row) for row in zip(*(column.cell_texts() for column in self.columns), strict=True)]
 
     def csv(self) -> str:
         """Return the table as CSV, cells without a value being empty."""
@@ -69,7 +69,7 @@ class ResultTable:
 
     def text(self) -> str:
         """Return the table as text for a terminal."""
-        cells = [[column.header, *column.shown()] for column in self.columns]
+        cells = [[column.header, *column.cell_texts()] for column in self.columns]
         widths = [max(len(cell) for cell in column) for column in cells]
         lines = []
         for row in zip(*cells, strict=True):

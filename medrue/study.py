@@ -23,15 +23,15 @@ import numpy as np
 
 from calib import Fit, fit
 from calib.core.base.arrays import FloatArray
-from calib.core.base.workers import in_order
+from calib.core.base.workers import results_in_order
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
 from calib.planning.selection import Selection, select
 from medrue.closed_form import forward
-from medrue.draws import Outcome, PoseSet, Task, measurements, run
+from medrue.draws import DrawOutcome, DrawTask, PoseSet, measurements, run
 from medrue.paper_tables import table1
 from medrue.poses import target_poses
-from medrue.progress import Advance, Progress
+from medrue.progress import Advance, StageProgress
 
 INDICES = ("O1", "O2", "O3", "O4", "O5", "task")
 COUNT = 84
@@ -61,7 +61,7 @@ QUICK = StudySize(noise_draws=10, actual_draws=2, noise_per_actual=2)
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class PaperStudy:
     """Everything that the study found.
 
     Attributes:
@@ -86,8 +86,8 @@ class Study:
     sets: tuple[PoseSet, ...]
     exact: Fit
     single: Fit
-    outcome: Outcome
-    by_actual: tuple[Outcome, ...]
+    outcome: DrawOutcome
+    by_actual: tuple[DrawOutcome, ...]
     floors: FloatArray
     seed: int
     size: StudySize
@@ -97,20 +97,22 @@ class Study:
         """Names of the pose sets."""
         return tuple(pose_set.name for pose_set in self.sets)
 
-    def validation_errors(self, outcome: Outcome) -> FloatArray:
+    def validation_errors(self, outcome: DrawOutcome) -> FloatArray:
         """Return mean, max, std and RMS of the distances over each set's validation poses, (n_draws, n_sets, 4) [m]."""
         summaries = []
         for s, pose_set in enumerate(self.sets):
-            summaries.append(summary(outcome.distances[:, s, pose_set.others(len(self.joints))]))
+            summaries.append(summary(outcome.distances[:, s, pose_set.validation_indices(len(self.joints))]))
         return np.stack(summaries, axis=1)
 
-    def before(self) -> FloatArray:
+    def nominal_errors(self) -> FloatArray:
         """Return mean, max, std and RMS of the nominal robot's errors at O1's validation poses, (4,) [m]."""
         errors = np.linalg.norm(self.robot.positions(self.joints)[:, 0] - self.truth, axis=1)
-        return summary(errors[None, self.sets[0].others(len(self.joints))])[0]
+        return summary(errors[None, self.sets[0].validation_indices(len(self.joints))])[0]
 
 
-def run_study(robot: Robot, size: StudySize, seed: int, executor: Executor | None, progress: Progress) -> Study:
+def run_study(
+    robot: Robot, size: StudySize, seed: int, executor: Executor | None, progress: StageProgress
+) -> PaperStudy:
     """Run the study.
 
     Args:
@@ -125,16 +127,16 @@ def run_study(robot: Robot, size: StudySize, seed: int, executor: Executor | Non
     with progress.stage("choosing poses", len(INDICES)) as advance:
         selections, sets = choose_sets(robot, joints, executor, advance)
     noise_seeds, actual_seeds = np.random.SeedSequence(seed).spawn(2)
-    main = Task(robot, joints, truth, sets, SIGMA, tuple(noise_seeds.spawn(size.noise_draws)))
-    tasks = [main, *_other_robots(robot, joints, sets, actual_seeds, size)]
+    main = DrawTask(robot, joints, truth, sets, SIGMA, tuple(noise_seeds.spawn(size.noise_draws)))
+    tasks = [main, *_tasks_of_other_robots(robot, joints, sets, actual_seeds, size)]
     with progress.stage("simulated calibrations", sum(len(task.seeds) for task in tasks) * len(sets)) as advance:
         outcomes = run(tasks, executor, advance)
     chosen = sets[0].chosen
-    others = measurements(robot, joints, truth, sets[0].others(len(joints)))
+    others = measurements(robot, joints, truth, sets[0].validation_indices(len(joints)))
     exact = fit(robot, measurements(robot, joints, truth, chosen), validation=others, sigma=SIGMA)
     single = fit(robot, measurements(robot, joints, main.noisy(main.seeds[0]), chosen), validation=others, sigma=SIGMA)
     floors = error_floors(exact.robot, joints, sets, SIGMA)
-    return Study(
+    return PaperStudy(
         robot, joints, truth, selections, sets, exact, single, outcomes[0], tuple(outcomes[1:]), floors, seed, size
     )
 
@@ -168,7 +170,7 @@ def choose_sets(
     """
     selections, sets = {}, []
     tasks = [(robot, joints, index) for index in INDICES]
-    for index, selection in zip(INDICES, in_order(_choose, tasks, executor), strict=True):
+    for index, selection in zip(INDICES, results_in_order(_choose, tasks, executor), strict=True):
         selections[index] = selection
         sets.append(PoseSet(index, np.sort(selection.chosen)))
         advance(1)
@@ -200,13 +202,13 @@ def error_floors(robot: Robot, joints: FloatArray, sets: tuple[PoseSet, ...], si
     floors = []
     for pose_set in sets:
         used = jacobian[pose_set.chosen].reshape(-1, jacobian.shape[2])
-        seen = jacobian[pose_set.others(len(joints))]
+        seen = jacobian[pose_set.validation_indices(len(joints))]
         half = np.linalg.solve(np.linalg.cholesky(used.T @ used), seen.reshape(-1, jacobian.shape[2]).T)
         floors.append(sigma * np.sqrt(np.sum(half**2) / len(seen)))
     return np.array(floors)
 
 
-def drawn_parameters(robot: Robot, seed: np.random.SeedSequence) -> FloatArray:
+def draw_parameters(robot: Robot, seed: np.random.SeedSequence) -> FloatArray:
     """Actual parameters drawn as the paper's: within +-2 mm and +-1.5 deg, the redundant ones nominal, (36,) [m, rad].
 
     Args:
@@ -219,15 +221,15 @@ def drawn_parameters(robot: Robot, seed: np.random.SeedSequence) -> FloatArray:
     return drawn
 
 
-def _other_robots(
+def _tasks_of_other_robots(
     robot: Robot, joints: FloatArray, sets: tuple[PoseSet, ...], seeds: np.random.SeedSequence, size: StudySize
-) -> list[Task]:
+) -> list[DrawTask]:
     """Draws of the noise on other robots."""
     tasks = []
     for child in seeds.spawn(size.actual_draws):
         robot_seed, noise = child.spawn(2)
         draws = tuple(noise.spawn(size.noise_per_actual))
         tasks.append(
-            Task(robot, joints, true_positions(joints, drawn_parameters(robot, robot_seed)), sets, SIGMA, draws)
+            DrawTask(robot, joints, true_positions(joints, draw_parameters(robot, robot_seed)), sets, SIGMA, draws)
         )
     return tasks

@@ -6,14 +6,14 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.units import micrometres, millimetres
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from medrue.paper_tables import error_table, table1
 from medrue.ranking import LEGEND, Ranking, agreement, rank, ranking_table, standard_error
-from medrue.result_tables import Column, ResultTable
-from medrue.study import COUNT, SIGMA, STATISTICS, Study
+from medrue.result_tables import ResultTable, TableColumn
+from medrue.study import COUNT, SIGMA, STATISTICS, PaperStudy
 
 
-def study_tables(study: Study) -> tuple[ResultTable, ...]:
+def study_tables(study: PaperStudy) -> tuple[ResultTable, ...]:
     """Return all tables of the study."""
     return (
         parameter_table(study),
@@ -24,7 +24,7 @@ def study_tables(study: Study) -> tuple[ResultTable, ...]:
     )
 
 
-def parameter_table(study: Study) -> ResultTable:
+def parameter_table(study: PaperStudy) -> ResultTable:
     """Table I: the parameters that the 84 poses of O1 identify."""
     paper = table1()
     units = [parameter.unit for parameter in study.robot.parameters]
@@ -34,16 +34,16 @@ def parameter_table(study: Study) -> ResultTable:
     std[free] = _predicted_std(study)
     scatter = np.where(free, study.outcome.values[:, 0].std(axis=0, ddof=1), np.nan)
 
-    def column(header: str, values: FloatArray) -> Column:
+    def column(header: str, values: FloatArray) -> TableColumn:
         cells = (None if np.isnan(value) else float(value) for value in values * scale)
-        return Column(header, tuple(cells))
+        return TableColumn(header, tuple(cells))
 
     return ResultTable(
         "table1",
         "Table I: parameters identified in simulation from the 84 poses of O1",
         (
-            Column("parameter", paper.names),
-            Column("unit", tuple(units)),
+            TableColumn("parameter", paper.names),
+            TableColumn("unit", tuple(units)),
             column("nominal", paper.nominal),
             column("actual", paper.actual),
             column("identified without noise", study.exact.robot.values),
@@ -52,29 +52,29 @@ def parameter_table(study: Study) -> ResultTable:
             column("scatter over draws", scatter),
             column("paper: without noise", paper.identified_without_noise),
             column("paper: with noise", paper.identified_with_noise),
-            Column("redundant", tuple("yes" if name in paper.redundant else "no" for name in paper.names)),
+            TableColumn("redundant", tuple("yes" if name in paper.redundant else "no" for name in paper.names)),
         ),
         (
             f"simulated; noise sigma {micrometres(SIGMA):.0f} um on each axis, seed {study.seed}; scatter over"
-            f" {counted(len(study.outcome.values), 'draw')} of the noise",
+            f" {count_noun(len(study.outcome.values), 'draw')} of the noise",
             "redundant parameters stay nominal; the nominal joint offsets are zero (the paper's Table I prints others)",
         ),
     )
 
 
-def _predicted_std(study: Study) -> FloatArray:
+def _predicted_std(study: PaperStudy) -> FloatArray:
     """Standard deviations of the free parameters that the stated noise predicts, (n_free,) [m, rad]."""
-    return study.exact.unknowns.scales * study.exact.rows.alone.standard_deviations()
+    return study.exact.unknowns.scales * study.exact.rows.data_information.standard_deviations()
 
 
-def error_tables(study: Study) -> ResultTable:
+def error_tables(study: PaperStudy) -> ResultTable:
     """Table II: position errors of the calibrated robot, by choice of poses."""
     draws = millimetres(study.validation_errors(study.outcome))
     by_actual = millimetres(np.array([study.validation_errors(outcome).mean(axis=0) for outcome in study.by_actual]))
-    before = millimetres(study.before())
+    before = millimetres(study.nominal_errors())
     printed = error_table(2)
     blocks: list[tuple[str, float | None, FloatArray | None]] = []
-    noise, robots = f"{counted(len(draws), 'draw')} of noise", counted(len(by_actual), "actual robot")
+    noise, robots = f"{count_noun(len(draws), 'draw')} of noise", count_noun(len(by_actual), "actual robot")
     for k, statistic in enumerate(STATISTICS):
         blocks += [
             (f"{statistic}, single draw", float(before[k]), draws[0, :, k]),
@@ -82,13 +82,13 @@ def error_tables(study: Study) -> ResultTable:
             (f"{statistic}, standard error over {noise}", None, standard_error(draws[:, :, k])),
             (f"{statistic}, mean over {robots}", None, by_actual[:, :, k].mean(axis=0)),
             (f"{statistic}, standard error over {robots}", None, standard_error(by_actual[:, :, k])),
-            (f"{statistic}, paper", printed["before"][statistic], _printed(statistic, study.names)),
+            (f"{statistic}, paper", printed["before"][statistic], _printed_figures(statistic, study.names)),
         ]
-    columns = [Column("error [mm]", tuple(name for name, _, _ in blocks))]
-    columns.append(Column("before", tuple(value for _, value, _ in blocks)))
+    columns = [TableColumn("error [mm]", tuple(name for name, _, _ in blocks))]
+    columns.append(TableColumn("before", tuple(value for _, value, _ in blocks)))
     for s, name in enumerate(study.names):
         cells = (None if values is None or np.isnan(values[s]) else float(values[s]) for _, _, values in blocks)
-        columns.append(Column(name, tuple(cells), 4))
+        columns.append(TableColumn(name, tuple(cells), 4))
     return ResultTable(
         "table2",
         "Table II: position errors in simulation, by the index that chose the 84 poses to identify with",
@@ -97,21 +97,22 @@ def error_tables(study: Study) -> ResultTable:
             f"simulated; distance from the true position at the {len(study.joints) - COUNT} other poses;"
             f" seed {study.seed}",
             "before: the nominal robot at the validation poses of O1; the first draw is the single one",
-            f"actual robots: drawn within +-2 mm and +-1.5 deg, {counted(study.size.noise_per_actual, 'draw')} of noise"
+            f"actual robots: drawn within +-2 mm and +-1.5 deg, {count_noun(study.size.noise_per_actual, 'draw')} of"
+            f" noise"
             " each",
             "task: smallest predicted error over all 420 poses; the paper does not have it",
         ),
     )
 
 
-def _printed(statistic: str, names: tuple[str, ...]) -> FloatArray:
+def _printed_figures(statistic: str, names: tuple[str, ...]) -> FloatArray:
     """The paper's Table II, NaN where it has no such column, (n_sets,) [mm]."""
     printed = error_table(2)
     return np.array([printed[name][statistic] if name in printed else np.nan for name in names])
 
 
-def floor_table(study: Study) -> ResultTable:
-    """What theory allows against what the draws gave."""
+def floor_table(study: PaperStudy) -> ResultTable:
+    """The theoretical limit beside the results of the draws."""
     squares = millimetres(study.validation_errors(study.outcome)[:, :, 3]) ** 2
     mean_squares, spread = squares.mean(axis=0), standard_error(squares)
     floors = millimetres(study.floors)
@@ -119,32 +120,33 @@ def floor_table(study: Study) -> ResultTable:
         "floor",
         "Root-mean-square error over the validation poses: theory (Cramer-Rao) and draws",
         (
-            Column("poses chosen by", study.names),
-            Column("theory [mm]", tuple(float(value) for value in floors), 4),
-            Column("draws [mm]", tuple(float(value) for value in np.sqrt(mean_squares)), 4),
-            Column("ratio of squares", tuple(float(value) for value in mean_squares / floors**2), 3),
-            Column("its standard error", tuple(float(value) for value in spread / floors**2), 3),
+            TableColumn("poses chosen by", study.names),
+            TableColumn("theory [mm]", tuple(float(value) for value in floors), 4),
+            TableColumn("draws [mm]", tuple(float(value) for value in np.sqrt(mean_squares)), 4),
+            TableColumn("ratio of squares", tuple(float(value) for value in mean_squares / floors**2), 3),
+            TableColumn("its standard error", tuple(float(value) for value in spread / floors**2), 3),
         ),
         (
-            f"simulated; {counted(len(squares), 'draw')} of the noise; draws: root of the mean square over all of them",
+            f"simulated; {count_noun(len(squares), 'draw')} of the noise; draws: root of the mean square over all of"
+            f" them",
             "a ratio of 1 means that no unbiased estimate can be better",
         ),
     )
 
 
-def observability_table(study: Study) -> ResultTable:
+def observability_table(study: PaperStudy) -> ResultTable:
     """Indices of every choice of poses."""
     values = [
         study.selections[name].after if name in study.selections else study.selections["O1"].before
         for name in study.names
     ]
     efficiency = [study.selections[name].efficiency if name in study.selections else None for name in study.names]
-    columns = [Column("poses chosen by", study.names)]
+    columns = [TableColumn("poses chosen by", study.names)]
     for index in ("O1", "O2", "O3", "O4", "O5"):
         best = max(value[index] for value in values)
-        columns.append(Column(f"{index} [% of the best]", tuple(100 * value[index] / best for value in values), 1))
-    columns.append(Column("task [um]", tuple(micrometres(value["task"]) for value in values), 2))
-    columns.append(Column("proven efficiency [%]", tuple(None if e is None else 100 * e for e in efficiency), 2))
+        columns.append(TableColumn(f"{index} [% of the best]", tuple(100 * value[index] / best for value in values), 1))
+    columns.append(TableColumn("task [um]", tuple(micrometres(value["task"]) for value in values), 2))
+    columns.append(TableColumn("proven efficiency [%]", tuple(None if e is None else 100 * e for e in efficiency), 2))
     return ResultTable(
         "observability",
         "Observability of the chosen poses, at nominal parameters",
@@ -156,12 +158,12 @@ def observability_table(study: Study) -> ResultTable:
     )
 
 
-def study_findings(study: Study) -> tuple[str, ...]:
+def study_findings(study: PaperStudy) -> tuple[str, ...]:
     """Say in words what the tables show."""
     return (_exact_finding(study), *_ranking_findings(study), *_floor_findings(study))
 
 
-def _exact_finding(study: Study) -> str:
+def _exact_finding(study: PaperStudy) -> str:
     units = np.array([parameter.per_si for parameter in study.robot.parameters])
     exact = float(np.max(np.abs((study.exact.robot.values - table1().actual) * units)))
     return (
@@ -175,23 +177,23 @@ def _rankings(names: tuple[str, ...], errors: FloatArray) -> dict[str, Ranking]:
     return {what: rank(names, errors[:, :, k]) for k, what in enumerate(("mean error", "largest error"))}
 
 
-def _ranking_findings(study: Study) -> tuple[str, ...]:
+def _ranking_findings(study: PaperStudy) -> tuple[str, ...]:
     """How far the paper's order of the indices holds."""
     draws = millimetres(study.validation_errors(study.outcome))
     by_actual = millimetres(np.array([study.validation_errors(outcome).mean(axis=0) for outcome in study.by_actual]))
     orders = [
         f"{what.capitalize()} over {whose}, least first: {ranking}."
         for errors, whose in (
-            (draws, f"{counted(len(draws), 'draw')} of the noise"),
-            (by_actual, counted(len(by_actual), "actual robot")),
+            (draws, f"{count_noun(len(draws), 'draw')} of the noise"),
+            (by_actual, count_noun(len(by_actual), "actual robot")),
         )
         for what, ranking in _rankings(study.names, errors).items()
     ]
     ours = _rankings(study.names, draws)["mean error"]
-    return (f"{orders[0]} ({LEGEND}.)", *orders[1:], *_against_the_paper(ours, study))
+    return (f"{orders[0]} ({LEGEND}.)", *orders[1:], *_findings_against_paper(ours, study))
 
 
-def _against_the_paper(ours: Ranking, study: Study) -> tuple[str, ...]:
+def _findings_against_paper(ours: Ranking, study: PaperStudy) -> tuple[str, ...]:
     """The paper's order of the mean error beside ours."""
     printed = {name: values["mean"] for name, values in error_table(2).items() if name != "before"}
     means = dict(zip(ours.names, ours.means.tolist(), strict=True))
@@ -202,7 +204,7 @@ def _against_the_paper(ours: Ranking, study: Study) -> tuple[str, ...]:
     best_two = "also" if set(shared[:2]) == set(paper[:2]) else "not"
     nominal = millimetres(np.linalg.norm(study.robot.positions(study.joints)[:, 0] - study.truth, axis=1))
     return (
-        f"Before calibration the mean error is {millimetres(study.before()[0]):.2f} mm here,"
+        f"Before calibration the mean error is {millimetres(study.nominal_errors()[0]):.2f} mm here,"
         f" {error_table(2)['before']['mean']:.2f} mm in the paper; at single poses of ours it lies between"
         f" {nominal.min():.2f} and {nominal.max():.2f} mm.",
         f"The paper's order of the mean error, from one draw: {', '.join(paper)}. Its two least are {best_two} ours"
@@ -213,8 +215,8 @@ def _against_the_paper(ours: Ranking, study: Study) -> tuple[str, ...]:
     )
 
 
-def _floor_findings(study: Study) -> tuple[str, ...]:
-    """What theory allows, and where the paper's figure stands."""
+def _floor_findings(study: PaperStudy) -> tuple[str, ...]:
+    """Findings on the theoretical limit and the paper's figure."""
     draws = millimetres(study.validation_errors(study.outcome)[:, 0])
     squares, floor = draws[:, 3] ** 2, millimetres(float(study.floors[0]))
     printed = error_table(2)["O1"]

@@ -30,8 +30,8 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.workers import in_order
-from calib.core.fitting.fit import Nearby, fit_data
+from calib.core.base.workers import results_in_order
+from calib.core.fitting.fit import WarmStart, fit_data
 from calib.core.fitting.settings import Settings
 from calib.core.robots.robot import Robot
 from calib.planning.assessment import Assessment, check
@@ -39,16 +39,16 @@ from calib.planning.selection import Selection, select
 from medrue.error_before import base_placed
 from medrue.paper_tables import PARAMETERS, TOOL_POINT, table1
 from medrue.poses import target_poses
-from medrue.progress import Progress
-from medrue.study import COUNT, SIGMA, StudySize, drawn_parameters, true_positions
+from medrue.progress import StageProgress
+from medrue.study import COUNT, SIGMA, StudySize, draw_parameters, true_positions
 from medrue.touch_methods import (
     ARTEFACT,
     Artefact,
-    ByEncoders,
-    ByTouch,
-    ByTracker,
+    EncoderMethod,
     Method,
     Touches,
+    TouchMethod,
+    TrackerMethod,
     encoder_robot,
     possible_touches,
     touching_robot,
@@ -117,7 +117,9 @@ class TouchStudy:
         return (BEFORE, *(method.name for method in self.methods), TOOL_KNOWN)
 
 
-def run_touch(robot: Robot, size: StudySize, seed: int, executor: Executor | None, progress: Progress) -> TouchStudy:
+def run_touch(
+    robot: Robot, size: StudySize, seed: int, executor: Executor | None, progress: StageProgress
+) -> TouchStudy:
     """Calibrate simulated robots in every way.
 
     Args:
@@ -141,16 +143,16 @@ def run_touch(robot: Robot, size: StudySize, seed: int, executor: Executor | Non
     ]
     for child in actual_seeds.spawn(size.actual_draws):
         robot_seed, noise = child.spawn(2)
-        actual = drawn_parameters(robot, robot_seed)
+        actual = draw_parameters(robot, robot_seed)
         tasks += [TouchTask(methods, joints, actual, noise_seed) for noise_seed in noise.spawn(size.noise_per_actual)]
     drawn = []
     with progress.stage("simulated calibrations", len(tasks) * len(methods)) as advance:
-        for distances in in_order(touch_draw, tasks, executor):
+        for distances in results_in_order(touch_draw, tasks, executor):
             drawn.append(distances)
             advance(len(methods))
     first, others = np.array(drawn[: size.noise_draws]), np.array(drawn[size.noise_draws :])
     by_actual = others.reshape(size.actual_draws, size.noise_per_actual, *others.shape[1:])
-    seen = {method.name: _seen(method) for method in methods}
+    seen = {method.name: _assess_method(method) for method in methods}
     return TouchStudy(methods, selections, artefacts, seen, first, by_actual, seed)
 
 
@@ -162,10 +164,10 @@ def choose_methods(robot: Robot, joints: FloatArray) -> tuple[tuple[Method, ...]
     read = select(encoders, joints, COUNT, "task")
     touches = possible.some(touched.chosen)
     methods: tuple[Method, ...] = (
-        ByTracker("tracker", robot, joints[positions.chosen]),
-        ByTouch("touch", touching_robot(anywhere=False), touches, anywhere=False),
-        ByTouch("touch, artefact anywhere", touching_robot(anywhere=True), touches, anywhere=True),
-        ByEncoders("encoders", encoders, joints[read.chosen]),
+        TrackerMethod("tracker", robot, joints[positions.chosen]),
+        TouchMethod("touch", touching_robot(anywhere=False), touches, anywhere=False),
+        TouchMethod("touch, artefact anywhere", touching_robot(anywhere=True), touches, anywhere=True),
+        EncoderMethod("encoders", encoders, joints[read.chosen]),
     )
     chosen = (positions, touched, touched, read)
     return methods, {method.name: selection for method, selection in zip(methods, chosen, strict=True)}
@@ -201,23 +203,23 @@ def touch_draw(task: TouchTask) -> FloatArray:
     generator = np.random.default_rng(task.seed)
     truth = true_positions(task.joints, task.actual)
     calibrated = task.methods[0].robot
-    distances = [_judged(calibrated, task.joints, truth)]
+    distances = [_errors_of_fit(calibrated, task.joints, truth)]
     for method in task.methods:
         data = method.measured(task.actual, generator)
-        how = Settings(sigma=SIGMA if isinstance(method, ByTracker) else None)
-        calibrated = fit_data(method.robot, how, data, nearby=Nearby.no_intervals(method.robot)).robot
-        distances.append(_judged(calibrated, task.joints, truth))
+        how = Settings(sigma=SIGMA if isinstance(method, TrackerMethod) else None)
+        calibrated = fit_data(method.robot, how, data, nearby=WarmStart.without_intervals(method.robot)).robot
+        distances.append(_errors_of_fit(calibrated, task.joints, truth))
     tool = {name: float(task.actual[PARAMETERS.index(name)]) for name in TOOL_POINT}
-    return np.array([*distances, _judged(calibrated.with_parameters(tool), task.joints, truth)])
+    return np.array([*distances, _errors_of_fit(calibrated.with_parameters(tool), task.joints, truth)])
 
 
-def _judged(robot: Robot, joints: FloatArray, truth: FloatArray) -> FloatArray:
+def _errors_of_fit(robot: Robot, joints: FloatArray, truth: FloatArray) -> FloatArray:
     """Distances from the true positions (n, 3) [m] in the world, and after the best rigid motion, (2, n) [m]."""
     predicted = robot.positions(joints)[:, 0]
     return np.linalg.norm([predicted - truth, base_placed(predicted, truth)], axis=2)
 
 
-def _seen(method: Method) -> Assessment:
-    """What the readings of a method determine, at nominal parameters."""
+def _assess_method(method: Method) -> Assessment:
+    """Parameters that the readings of a method determine, at nominal values."""
     data = method.measured(table1().nominal, np.random.default_rng(0))
     return check(method.robot, data)

@@ -141,7 +141,7 @@ class Method(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class ByTracker(Method):
+class TrackerMethod(Method):
     """Positions at poses, (n, 6) [m, rad]."""
 
     joints: FloatArray
@@ -153,7 +153,7 @@ class ByTracker(Method):
 
 
 @dataclass(frozen=True, eq=False)
-class ByTouch(Method):
+class TouchMethod(Method):
     """Touches of sockets.
 
     Attributes:
@@ -184,7 +184,7 @@ class ByTouch(Method):
 
 
 @dataclass(frozen=True, eq=False)
-class ByEncoders(Method):
+class EncoderMethod(Method):
     """Readings of the passive joints at poses, (n, 6) [m, rad]."""
 
     joints: FloatArray
@@ -244,11 +244,11 @@ def _with_instruments(instruments: Mapping[str, Any], *, hold: bool) -> Robot:
 
 def _expected(robot: Robot) -> Robot:
     """The same robot, the sigmas of its geometry counting as information; measured places may be anywhere."""
-    return replace(robot, parametrisation=_Expected(robot.parametrisation))
+    return replace(robot, parametrisation=_ExpectedParametrisation(robot.parametrisation))
 
 
 @dataclass(frozen=True, eq=False)
-class _Expected:
+class _ExpectedParametrisation:
     """A parametrisation whose parameters, but for places, are expected within their sigmas."""
 
     own: Parametrisation

@@ -10,9 +10,9 @@ from scipy.spatial.distance import pdist
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.units import micrometres, millimetres
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.planning.assessment import Assessment
-from medrue.result_tables import Cell, Column, ResultTable
+from medrue.result_tables import Cell, ResultTable, TableColumn
 from medrue.study import COUNT, SIGMA, STATISTICS, summary
 from medrue.touch import BEFORE, TOOL_KNOWN, WAYS, TouchStudy
 from medrue.touch_methods import ENCODER_SIGMA, Artefact
@@ -35,7 +35,7 @@ def touch_tables(study: TouchStudy) -> tuple[ResultTable, ...]:
 def error_table(study: TouchStudy, way: str) -> ResultTable:
     """Errors at the 420 poses before calibration and after each method, judged in one of `WAYS`."""
     draws, robots = _summaries(study.noise, way), _summaries(study.by_actual, way).mean(axis=1)
-    noise, others = f"{counted(len(draws), 'draw')} of noise", counted(len(robots), "actual robot")
+    noise, others = f"{count_noun(len(draws), 'draw')} of noise", count_noun(len(robots), "actual robot")
     rows: list[tuple[str, list[Cell]]] = []
     for k, statistic in enumerate(STATISTICS):
         for what, values in ((noise, draws[:, :, k]), (others, robots[:, :, k])):
@@ -43,14 +43,15 @@ def error_table(study: TouchStudy, way: str) -> ResultTable:
             rows.append((f"{statistic}, spread over {what}", values.std(axis=0, ddof=1).tolist()))
         if way == "world" and statistic in AUTHORS:
             rows.append((f"{statistic}, authors", [AUTHORS[statistic].get(name) for name in study.names]))
-    columns = [Column("error [mm]", tuple(label for label, _ in rows))]
+    columns = [TableColumn("error [mm]", tuple(label for label, _ in rows))]
     for m, name in enumerate(study.names):
-        columns.append(Column(name, tuple(values[m] for _, values in rows), 3 if name == BEFORE else 4))
+        columns.append(TableColumn(name, tuple(values[m] for _, values in rows), 3 if name == BEFORE else 4))
     notes = [
         f"simulated; distance from the true position at all {study.noise.shape[-1]} poses of the target workspace; seed"
         f" {study.seed}",
-        f"every method measures {counted(COUNT, 'pose')}; the draws of noise are on Table I's robot, the actual robots"
-        f" drawn within +-2 mm and +-1.5 deg, {counted(study.by_actual.shape[1], 'draw')} of noise each; spread: one"
+        f"every method measures {count_noun(COUNT, 'pose')}; the draws of noise are on Table I's robot, the actual"
+        f" robots"
+        f" drawn within +-2 mm and +-1.5 deg, {count_noun(study.by_actual.shape[1], 'draw')} of noise each; spread: one"
         " standard deviation",
     ]
     if way == "world":
@@ -59,7 +60,7 @@ def error_table(study: TouchStudy, way: str) -> ResultTable:
 
 
 def method_table(study: TouchStudy) -> ResultTable:
-    """What each method reads and sees, and whether its errors are as large as theory says."""
+    """Readings of each method, and its errors beside those of theory."""
     names = tuple(method.name for method in study.methods)
     seen = [study.seen[name] for name in names]
     rms = np.sqrt(np.mean(study.noise[:, 1 : 1 + len(names), WAYS.index("world")] ** 2, axis=(0, 2)))
@@ -71,17 +72,17 @@ def method_table(study: TouchStudy) -> ResultTable:
         "methods",
         "What each method reads, and what it cannot see",
         (
-            Column("method", names),
-            Column("rows", tuple(determined.n_rows for determined in seen), 0),
-            Column("unknowns", tuple(len(determined.parameters) for determined in seen), 0),
-            Column("rank", tuple(determined.rank_all.rank for determined in seen), 0),
-            Column("predicted RMS [mm]", tuple(predicted), 4),
-            Column("RMS over draws [mm]", tuple(float(millimetres(value)) for value in rms), 4),
-            Column("cannot see", tuple(unseen(determined) for determined in seen)),
+            TableColumn("method", names),
+            TableColumn("rows", tuple(determined.n_rows for determined in seen), 0),
+            TableColumn("unknowns", tuple(len(determined.parameters) for determined in seen), 0),
+            TableColumn("rank", tuple(determined.rank_all.rank for determined in seen), 0),
+            TableColumn("predicted RMS [mm]", tuple(predicted), 4),
+            TableColumn("RMS over draws [mm]", tuple(float(millimetres(value)) for value in rms), 4),
+            TableColumn("cannot see", tuple(unseen(determined) for determined in seen)),
         ),
         (
             f"simulated; noise: {micrometres(SIGMA):.0f} um on each axis, {1e6 * ENCODER_SIGMA:.0f} urad of encoders"
-            f" that turn; {counted(len(study.noise), 'draw')} of it on Table I's robot",
+            f" that turn; {count_noun(len(study.noise), 'draw')} of it on Table I's robot",
             "predicted: by theory, at nominal parameters, in the world; empty where readings alone do not determine it",
             "cannot see: parameters without effect, and those of which only a combination has one, at nominal",
         ),
@@ -95,8 +96,8 @@ def artefact_table(study: TouchStudy) -> ResultTable:
         "artefacts",
         f"Error in the target workspace predicted for the best {COUNT} touches of an artefact",
         (
-            Column("sockets of the artefact", tuple(_size(artefact) for artefact in study.artefacts)),
-            Column("predicted RMS [mm]", tuple(predicted), 4),
+            TableColumn("sockets of the artefact", tuple(_size(artefact) for artefact in study.artefacts)),
+            TableColumn("predicted RMS [mm]", tuple(predicted), 4),
         ),
         (
             "the first is used; by theory, at nominal parameters, in the world: nothing measured or simulated enters",

@@ -22,7 +22,7 @@ PLACE = pin.SE3(pin.rpy.rpyToMatrix(0.02, -0.03, 2.4), np.array([0.4, 2.6, 0.9])
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
+class TrackerPoints:
     """Points as the tracker saw them, brought to the world.
 
     Attributes:
@@ -38,7 +38,7 @@ class Readings:
     frame_sigma: float
 
 
-def measure(points: FloatArray, sigma: float, repeats: int, generator: np.random.Generator) -> Readings:
+def measure(points: FloatArray, sigma: float, repeats: int, generator: np.random.Generator) -> TrackerPoints:
     """Measure points.
 
     Args:
@@ -54,7 +54,7 @@ def measure(points: FloatArray, sigma: float, repeats: int, generator: np.random
     scatter = float(np.sqrt(np.mean(np.var(readings, axis=1, ddof=1)))) if repeats > 1 else float("nan")
     outliers = tuple(NEST_NAMES[k] for k in world.outliers)
     variances = np.diagonal(world.point_covariance(readings.mean(axis=1)), axis1=1, axis2=2)
-    return Readings(positions, scatter, outliers, float(np.sqrt(variances.max())))
+    return TrackerPoints(positions, scatter, outliers, float(np.sqrt(variances.max())))
 
 
 def _seen(points: FloatArray, sigma: float, repeats: int, generator: np.random.Generator) -> FloatArray:

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.photographs.scene import Scene
+from calib.photographs.scene import BoardScene
 
 SQUARE = 0.045
 INTRINSICS = np.array([900.0, 905.0, 655.0, 470.0, -0.1, 0.05, 0.0, 0.0, 0.0])
@@ -63,4 +63,4 @@ def scene(n=12, mount="tool", seed=0, noise=0.2, shift=0.0, turn=0.0, intrinsics
         [T @ pose(shift * generator.standard_normal(3), np.rad2deg(turn * generator.standard_normal(3))) for T in real]
     )
     names = tuple(f"shot_{k + 1:02d}" for k in range(n))
-    return Scene(names, told, np.repeat(np.arange(n), len(body)), np.tile(body, (n, 1)), pixels, mount, SIZE)
+    return BoardScene(names, told, np.repeat(np.arange(n), len(body)), np.tile(body, (n, 1)), pixels, mount, SIZE)

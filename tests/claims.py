@@ -24,9 +24,9 @@ from public_data import EXAMPLES, PLACES, described, mukca, ur10_tracker
 
 import calib
 from calib.core.base.errors import CalibrationError
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.data.measurements import Measurements
-from calib.core.judging.claim import claim_of, elsewhere, unlike_measured
+from calib.core.judging.claim import claim_of, is_elsewhere, unlike_measured
 
 PAGE = EXAMPLES.parent / "verdict.md"
 _PLACE = re.compile(r"(<!-- begin real robots -->\n).*?(<!-- end real robots -->)", re.DOTALL)
@@ -51,7 +51,7 @@ def splits(folder: Path) -> Iterator[Split]:
     for points in (0, 1, 4):
         robot, data = fr3(folder, points)
         order = np.random.default_rng(points).permutation(len(data))
-        kind = "poses" if points == 0 else f"poses as {counted(points, 'point')}"
+        kind = "poses" if points == 0 else f"poses as {count_noun(points, 'point')}"
         yield Split("FR3", f"{kind}, 60 at random", robot, *_parts(data, order[:60], order[60:]))
     yield from _positioner(folder)
     for arm, places in PLACES.items():
@@ -229,16 +229,16 @@ def main() -> None:
             continue
         made = claim_of(fit)
         before, after = (1e3 * fit.validation.rms(state) for state in ("before", "after"))
-        told = 1e3 * made.told.rms if made else float("nan")
+        told = 1e3 * made.at_measured_poses.rms if made else float("nan")
         good = after <= 1.25 * told and after < before
         n_splits[good] += 1
         right[good] += (fit.verdict.grade == "PASS") == good
         ratios.append(after / told)
         unlike = unlike_measured(fit)
-        alike.append(not elsewhere(unlike))
-        if made and made.told.is_position:
-            known = float(np.sqrt(np.mean(fit.validation_uncertainty.located**2)))
-            there.append(after / (1e3 * made.at(known).rms))
+        alike.append(not is_elsewhere(unlike))
+        if made and made.at_measured_poses.is_position:
+            known = float(np.sqrt(np.mean(fit.validation_uncertainty.reported_distance**2)))
+            there.append(after / (1e3 * made.error_at(known).rms))
         codes = [reason.code for reason in fit.verdict.reasons if reason.grade != "PASS"]
         first = codes[0].replace("_", "\\_") if codes else ""
         numbers = f"{100 * np.mean(unlike):.0f} | {before:.3f} | {after:.3f} | {told:.3f} | {after / told:.2f}"

@@ -275,12 +275,12 @@ def of_grid(trial, known):
     grid = correction_grid(known, calib.Goals(box_of(trial)), (3, 3, 3))
     (did, _), (plain, meant) = (driven_nominally(trial, x) for x in (grid.nodes + grid.shift, grid.nodes))
     nothing = np.full(len(grid.nodes), np.nan)
-    return {"": (lengths(did - meant), grid.expected, nothing, lengths(plain - meant), nothing)}
+    return {"": (lengths(did - meant), grid.expected_error, nothing, lengths(plain - meant), nothing)}
 
 
 def of_plan(trial, rng):
     """Whether a change of the size that a plan calls visible is seen, and whether an unchanged robot agrees."""
-    nominal, promise = trial.nominal, Promise.of(trial.fit)
+    nominal, promise = trial.nominal, Promise.from_calibration(trial.fit)
     poses = as_poses(nominal, trial.program)
     sigma = {p.name: p.sigma_si for p in nominal.parameters}
     changes = [c for c in visible_changes(promise, poses) if c.visible < 5 * sigma.get(c.name, 0.0)]

@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 from test_denavit_hartenberg import flange_poses
 
 import calib
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import formats
-from calib.core.robots.held import Holds
 from calib.core.robots.robot_files import urdf_of_origins, without_terms
 
 ENDINGS = {

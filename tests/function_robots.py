@@ -24,10 +24,10 @@ from six_axis_arm import FREE, URDF, YAML
 import calib
 from calib.core.robots import kinematics
 from calib.core.robots.closure import residual
-from calib.core.robots.configurations import configured
+from calib.core.robots.configurations import solve_configurations
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.terms.term import Context
-from calib.core.robots.terms.terms import listed_terms
+from calib.core.robots.terms.terms import parse_terms
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "docs" / "examples"
@@ -77,14 +77,14 @@ def six_axes(folder):
     (folder / "arm.urdf").write_text(with_masses(URDF))
     (folder / "arm.yaml").write_text(YAML + FREE + "  - {joint: j2, term: coupling, driven_by: j3}\n")
     robot = calib.load(folder / "arm.yaml")
-    return shaken(robot.with_terms((*robot.description.terms, *listed_terms(EVERY_TERM))))
+    return shaken(robot.with_terms((*robot.description.terms, *parse_terms(EVERY_TERM))))
 
 
 def stewart_with_masses(folder):
     """The Stewart platform, with legs that are compliant under its weight, and have gears."""
     (folder / "stewart.urdf").write_text(with_masses((EXAMPLES / "stewart.urdf").read_text()))
     shutil.copy(EXAMPLES / "stewart.yaml", folder)
-    return shaken(calib.load(folder / "stewart.yaml").with_terms(listed_terms("gain,curve,compliance,backlash")))
+    return shaken(calib.load(folder / "stewart.yaml").with_terms(parse_terms("gain,curve,compliance,backlash")))
 
 
 ROBOTS = {
@@ -122,7 +122,7 @@ def poses_of_engine(robot, q, context, target=0, *, sharp=True):
     """
     columns = term_columns(robot, q, context)
     closed = robot.close(q, columns=columns)
-    at = configured(robot, q, replace(closed, passive=np.nan_to_num(closed.passive)), columns)
+    at = solve_configurations(robot, q, replace(closed, passive=np.nan_to_num(closed.passive)), columns)
     passive = at.passive.copy()
     if robot.mechanism.loops and sharp:
         gap, slope, _ = residual(robot.mechanism, at.actuated, passive)
@@ -211,14 +211,14 @@ def _figures(name, robot, folder, n=10_000):
     closed = np.isfinite(truth[:, 0, 0])
     timed = np.flatnonzero(closed)[:2000]
     started = time.perf_counter()
-    poses_of_engine(robot, q[timed], context.at(timed), sharp=False)
+    poses_of_engine(robot, q[timed], context.select(timed), sharp=False)
     seconds = {"calib": time.perf_counter() - started}
     print(f"{name}: {closed.sum()} of {n} poses close")
     for language in ("numpy", "c"):
         functions = exported(robot, language, folder)
         given = {} if language == "c" else by_name(functions, context)
         poses = functions.forward(q, context) if language == "c" else functions.forward(q, **given)
-        called = (context.at(timed),) if language == "c" else ()
+        called = (context.select(timed),) if language == "c" else ()
         by_keyword = {key: value[timed] for key, value in given.items()}
         started = time.perf_counter()
         functions.forward(q[timed], *called, **by_keyword)
@@ -228,8 +228,8 @@ def _figures(name, robot, folder, n=10_000):
         some = np.flatnonzero(closed)[:500]
         start = near(robot, q[some])
         if language == "c":
-            back = functions.inverse(poses[some], start, context.at(some))
-            there = functions.forward(back, context.at(some))
+            back = functions.inverse(poses[some], start, context.select(some))
+            there = functions.forward(back, context.select(some))
         else:
             given = {key: value[some] for key, value in given.items()}
             back = functions.inverse(poses[some], start, **given)

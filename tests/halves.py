@@ -63,15 +63,15 @@ def predicted(fit: calib.Calibration, data: Measurements) -> tuple[FloatArray, f
 
     The variances are means over positions. The errors left to priors are columns (3 n,), one for each parameter.
     """
-    known, robot, located = fit.uncertainty, fit.robot, fit.robot.located
-    linear, lasting = known.linearised(robot, data.joints, data.conditions), known.lasting(robot)
+    known, robot, located = fit.uncertainty, fit.robot, fit.robot.reported_targets
+    linear, lasting = known.linearise(robot, data.joints, data.conditions), known.lasting(robot)
     columns = linear.jacobian[:, located, :3][..., lasting].reshape(-1, int(np.sum(lasting)))
     claimed, n = known.covariance_of(robot)[np.ix_(lasting, lasting)], len(known.covariance)
     by_priors, prior, scales = fit.rows.prior.times(fit.root), fit.rows.prior, fit.unknowns.scales
     left = scales[:, None] * (fit.root @ by_priors.T)  # of the covariance, left @ left.T is what priors leave open
-    claimed[:n, :n] -= fit.widened**2 * left @ left.T
+    claimed[:n, :n] -= fit.interval_factor**2 * left @ left.T
     noise = claimed.copy()
-    noise[:n, :n] -= (fit.widened**2 - 1.0) * (fit.statistics.covariance - left @ left.T)
+    noise[:n, :n] -= (fit.interval_factor**2 - 1.0) * (fit.statistics.covariance - left @ left.T)
     by_prior = columns[:, :n] @ (left @ prior.times(np.eye(n)))
     points = linear.positions[:, located].reshape(-1, 3)
     variances = [float(np.sum((columns @ covariance) * columns)) / len(points) for covariance in (noise, claimed)]

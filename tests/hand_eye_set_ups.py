@@ -26,8 +26,8 @@ from calib.core.base.errors import CalibrationError
 from calib.photographs.estimation import plain
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import judge
-from calib.photographs.left_out import rms
-from calib.photographs.scene import Placed, Scene, on_board
+from calib.photographs.left_out_images import rms
+from calib.photographs.scene import BoardScene, HandEyePlacement, plane_errors_on_board
 
 TABLES = {
     "UR5": [(0.089159, 0, 1), (0, -0.425, 0), (0, -0.39225, 0), (0.10915, 0, 1), (0.09465, 0, -1), (0.0823, 0, 0)],
@@ -122,8 +122,8 @@ def drawn(generator, errors, n, mount, robot, sigma):
     pixels = np.concatenate([pixels_of(body @ view[:3, :3].T + view[:3, 3]) for view in views])
     pixels += sigma * generator.standard_normal(pixels.shape)
     names = tuple(f"shot_{k + 1:03d}" for k in range(n))
-    scene = Scene(names, told, np.repeat(np.arange(n), len(body)), np.tile(body, (n, 1)), pixels, mount, SIZE)
-    return scene, Placed(camera, board, INTRINSICS)
+    scene = BoardScene(names, told, np.repeat(np.arange(n), len(body)), np.tile(body, (n, 1)), pixels, mount, SIZE)
+    return scene, HandEyePlacement(camera, board, INTRINSICS)
 
 
 def covered(fitted, camera):
@@ -161,15 +161,15 @@ def tried(number, errors, seed):
         return None
     every, real = case
     order = generator.permutation(n + NEW)
-    own = every.only(np.isin(np.arange(n + NEW), order[:n]))
-    new = every.only(np.isin(np.arange(n + NEW), order[n:]))
+    own = every.select_images(np.isin(np.arange(n + NEW), order[:n]))
+    new = every.select_images(np.isin(np.arange(n + NEW), order[n:]))
     result = calibrate(own, INTRINSICS, mounts=(mount,))
     reference, _ = plain(own, real, ())
-    off = rms(on_board(new, result.fitted.placed))
+    off = rms(plane_errors_on_board(new, result.fitted.placed))
     line = Line(
-        off / rms(on_board(new, reference)),
+        off / rms(plane_errors_on_board(new, reference)),
         covered(result.fitted, real.camera),
-        rms(on_board(new.only(np.arange(NEW) < n), result.fitted.placed)) / result.limit,
+        rms(plane_errors_on_board(new.select_images(np.arange(NEW) < n), result.fitted.placed)) / result.limit,
         judge(result).grade,
     )
     words = ["lens found"] * result.lens_found + ["weighed"] * result.weighed

@@ -31,7 +31,7 @@ import medrue
 import medrue.cli
 import medrue.reports
 import medrue.study
-from medrue.progress import Silent
+from medrue.progress import SilentProgress
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 _ROBOT, _DATA = str(EXAMPLES / "five_bar.yaml"), str(EXAMPLES / "five_bar_simulated.csv")
@@ -147,7 +147,7 @@ def commands(runs: int, seed: int) -> dict[str, Counter[str]]:
         words = f"fit {_ROBOT} {_DATA} --seed {variant} --validate 0.3 --out r{variant}"
         assert child(lambda words=words: run("calib", words)) == 0
     robot = calib.load(medrue.robot_file())
-    studies = [medrue.study.run_study(robot, medrue.study.QUICK, seed, None, Silent()) for seed in (0, 1)]
+    studies = [medrue.study.run_study(robot, medrue.study.QUICK, seed, None, SilentProgress()) for seed in (0, 1)]
     reports = [medrue.reports.study_report(study) for study in studies]
     assert all(report.files() for report in reports)  # and keeps its figures
     medrue.study.run_study = lambda robot, size, seed, executor, progress: seed

@@ -24,7 +24,7 @@ from multiprocessing import get_context
 
 import psutil
 
-from calib.core.base.workers import Workers, in_order
+from calib.core.base.workers import Workers, results_in_order
 
 _SIZE, _PIECES = 300_000, 40
 _START = 60.0
@@ -53,7 +53,7 @@ def program(pool: str) -> None:
         last, began = False, False
         while not last:
             last = bool(select.select([sys.stdin], [], [], 0)[0])
-            for number, result in enumerate(in_order(result_of, range(_PIECES), executor)):
+            for number, result in enumerate(results_in_order(result_of, range(_PIECES), executor)):
                 if result != result_of(number):
                     sys.exit(f"result {number} is wrong")
                 if not began:

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
 from calib.core.instruments.position import Position
-from calib.core.rows.observed import observe, predicted_readings
+from calib.core.rows.observed import observe, predict_readings
 
 _STEP = 1e-4
 _DIFFERENCES = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
@@ -100,8 +100,12 @@ def assert_covered(covered, n):
 def positions_by_joint(robot, q):
     """Derivative of what a robot's instruments of positions read by the joints, (n, n_instruments, 3, n_actuated)."""
     at = robot.assemble(q)
-    observed = observe(robot, at, predicted_readings(robot, at), joints=True)
+    observed = observe(robot, at, predict_readings(robot, at), joints=True)
     return np.stack(
-        [observed[instrument.name].by_joint for instrument in robot.instruments if isinstance(instrument, Position)],
+        [
+            observed[instrument.name].joint_derivative
+            for instrument in robot.instruments
+            if isinstance(instrument, Position)
+        ],
         axis=1,
     )

@@ -23,9 +23,9 @@ from test_kind_pose import YAML as POSES
 import calib
 from calib.core.data.measurements import with_points
 from calib.core.judging.reasons import Code, Reason
-from calib.core.judging.rules_model import not_assembled
+from calib.core.judging.rules_model import check_assembly
 from calib.core.robots.robot_files import urdf_of_origins
-from calib.core.robots.terms.terms import listed_terms
+from calib.core.robots.terms.terms import parse_terms
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 4e-5
@@ -209,7 +209,7 @@ def _(shop):
     robot = calib.load(write_parallelogram(shop.new()))
     fit = calib.fit(robot, calib.simulate(robot, robot.sample(30, seed=1), sigma=SIGMA, seed=2))
     torn = replace(fit, robot=fit.robot.with_parameters({"c.x": 5.0}))
-    return Situation(torn, fit, "cannot be assembled from its home configuration", rule=not_assembled)
+    return Situation(torn, fit, "cannot be assembled from its home configuration", rule=check_assembly)
 
 
 @situation(Code.WORSE_ON_VALIDATION, "FAIL")
@@ -582,7 +582,7 @@ def _(shop):
 def tried_terms(term, name, *sizes):
     """Fits of the example arm whose joint 2 has a term of so many times its usual size."""
     robot, fits = calib.load(EXAMPLES / "arm.yaml"), []
-    real = robot.with_terms(listed_terms(f"joint_2={term}"))
+    real = robot.with_terms(parse_terms(f"joint_2={term}"))
     usual, q = real.parameters[name].sigma_si, np.random.default_rng(19).uniform(-1.5, 1.5, (60, 6))
     for times in sizes:
         true, rng = real.with_parameters({name: times * usual}), np.random.default_rng(20)
@@ -597,7 +597,10 @@ def _(shop):
     for tolerance in (0.05, 0.5):
         robot = shop.robot(f"{NO_PRIORS}{YAML}{FREE}tolerance: {tolerance} mm\n")
         fits.append(calib.fit(robot, shop.used))
-    limit, says = fits[0].verdict.claim.told.limit95, r"the claim is ([\d.]+) mm .* the tolerance of ([\d.]+) mm"
+    limit, says = (
+        fits[0].verdict.claim.at_measured_poses.limit95,
+        r"the claim is ([\d.]+) mm .* the tolerance of ([\d.]+) mm",
+    )
     return Situation(*fits, says, (1e3 * limit, 0.05))
 
 
@@ -716,7 +719,7 @@ def _(shop):
     bent[:, 0] += 2e-4 * np.sin(q[:, 1]) * np.cos(2.0 * q[:, 2])
     noise = SIGMA * np.random.default_rng(1).standard_normal((120, 1, 3))
     fits = [calib.fit(shop.prior, measurements(shop.prior, q, shop.prior.positions(off) + noise)) for off in (bent, q)]
-    return Situation(*fits, r", ([\d.]+) times more than noise", (fits[0].widened,), 0.05)
+    return Situation(*fits, r", ([\d.]+) times more than noise", (fits[0].interval_factor,), 0.05)
 
 
 @situation(Code.TERMS_UNTESTED)

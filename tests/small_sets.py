@@ -16,7 +16,7 @@ import numpy as np
 
 import calib
 from calib.core.base.threads import one_blas_thread
-from calib.core.robots.terms.terms import listed_terms
+from calib.core.robots.terms.terms import parse_terms
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 KINDS = ("nothing", "gain", "harmonics", "curve", "compliance", "bending", "lacking")
@@ -38,7 +38,7 @@ def lacking(q, rng):
 
 def true_robot(robot, kind, rng):
     """A robot with errors of origins, and of one kind of joints' errors."""
-    true = robot if kind in ("nothing", "lacking") else robot.with_terms(listed_terms(kind))
+    true = robot if kind in ("nothing", "lacking") else robot.with_terms(parse_terms(kind))
     n_origins, size = len(robot.parameters), np.exp(rng.uniform(np.log(0.3), np.log(3)))
     sizes = [
         0.0 if p.placement else p.sigma_si * (1.0 if k < n_origins else size) for k, p in enumerate(true.parameters)

@@ -13,7 +13,7 @@ from calib.core.data.in_memory import as_poses
 from calib.core.numerics.null_space import describe_group
 from calib.core.numerics.observability import raw_columns
 from calib.core.rows.jacobian import linearise
-from calib.core.rows.prediction import beside_common_motion
+from calib.core.rows.prediction import without_common_motion
 from calib.planning.assessment import accuracy_by_count, check
 from calib.planning.assessment_text import text_report
 from calib.planning.pose_sampling import sample
@@ -98,7 +98,7 @@ def test_accuracy_where_the_poses_say_nothing_is_infinite(medrue):
     """All poses with the probe in one direction leave directions open that other poses need."""
     few = as_poses(medrue, Q[:10])
     assessment = check(medrue, few, task=as_poses(medrue, Q[::40]))
-    assert assessment.known.rank.rank < 28
+    assert assessment.posterior_information.rank.rank < 28
     assert np.isinf(assessment.accuracy.rms)
 
 
@@ -107,7 +107,7 @@ def test_priors_hold_what_poses_do_not(tmp_path):
     poses = sample(arm, 30, np.random.default_rng(0))
     assessment = check(arm, poses, sigma=5e-5)
     assert assessment.rank_free.rank < assessment.rank_free.n_columns
-    assert assessment.known.rank.rank == assessment.rank_free.n_columns
+    assert assessment.posterior_information.rank.rank == assessment.rank_free.n_columns
     assert assessment.open_groups == ()
     assert np.all(assessment.std <= np.array([p.sigma_si for p in assessment.free_parameters]) * (1 + 1e-9))
     assert any(part > 0.99 for _, part in assessment.hardly_known())
@@ -133,11 +133,11 @@ def test_a_place_that_nobody_expects_anywhere_has_no_expected_error_left():
 
 
 def test_correlations_above_the_limit_are_listed_largest_first(assessment):
-    pairs = assessment.correlated(0.9)
+    pairs = assessment.correlated_pairs(0.9)
     sizes = [abs(r) for _, _, r in pairs]
     assert sizes == sorted(sizes, reverse=True)
     assert min(sizes) > 0.9
-    matrix = assessment.known.correlations()
+    matrix = assessment.posterior_information.correlations()
     names = [p.name for p in assessment.free_parameters]
     first, second, r = pairs[0]
     assert matrix[names.index(first), names.index(second)] == pytest.approx(r)
@@ -221,7 +221,7 @@ def test_position_errors_beside_a_common_motion_of_all():
     shifted = np.tile([1.0, 2.0, -1.0], (len(flat), 1))
     larger = flat - flat.mean(axis=0)  # a scale: neither shift nor turn has a part in it
     rows = np.stack([turned, shifted, larger, larger + turned + shifted], axis=2).reshape(30, 6, 4)
-    beside = beside_common_motion(positions, rows)
+    beside = without_common_motion(positions, rows)
     assert beside.shape == rows.shape
     assert np.allclose(beside[..., :2], 0.0, atol=1e-12)
     assert np.allclose(beside[..., 2], rows[..., 2], atol=1e-12)

@@ -67,7 +67,7 @@ def test_a_bent_arm_is_where_rotations_written_out_bring_it(tmp_path):
     robot = soft(bending_arm(tmp_path))
     q, load = poses(robot, 12, 0), np.linspace(0.0, 6.0, 12)
     expected = np.array([bent_by_gravity(*row) for row in zip(q, load, strict=True)])
-    context = Context.of(np.zeros_like(q), {"load": load})
+    context = Context.from_conditions(np.zeros_like(q), {"load": load})
     # tilts of some 0.3 mrad one after the other, or about one axis, differ by their product
     assert np.allclose(robot.positions(q, context)[:, 0], expected, rtol=0, atol=1e-7)
     straight = np.array([bent(row, np.zeros((3, 2)))[0] for row in q])

@@ -41,9 +41,9 @@ def test_parameters_that_blocks_disagree_on_are_a_check_and_predictions_count_wh
     assert codes_of(fit).grade == "CHECK"
     assert told > 1.3
     assert too_sure(fit, other, bent(arm, other)) < 1.3
-    assert float(f"{fit.widened:.2g}") == told
+    assert float(f"{fit.interval_factor:.2g}") == told
     healthy = calib.fit(arm, measurements(arm, q, arm.positions(q) + noise))
-    assert healthy.widened == 1.0
+    assert healthy.interval_factor == 1.0
     assert codes_of(healthy) is None
     assert too_sure(healthy, other, arm.positions(other)) < 1.3
 
@@ -94,6 +94,6 @@ def test_intervals_of_parameters_are_as_wide_as_regions_disagree(arm, tmp_path):
     )
     fit.save(tmp_path / "out")
     saved = calib.load_result(tmp_path / "out")
-    assert saved.content["widened"] == pytest.approx(fit.widened)
+    assert saved.content["widened"] == pytest.approx(fit.interval_factor)
     assert saved.covariance.values == pytest.approx(fit.covariance.values, rel=1e-6)
     assert saved.predict(q[:5]).std == pytest.approx(fit.predict(q[:5]).std, rel=1e-6)

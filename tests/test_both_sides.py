@@ -22,7 +22,7 @@ from medrue.both_sides_tables import (
 from medrue.draws import PoseSet
 from medrue.imperfections import STRAIGHT, Imperfections, RailErrors, from_direction, imperfect_robot
 from medrue.paper_tables import table3
-from medrue.progress import Silent
+from medrue.progress import SilentProgress
 from medrue.workspace import target_workspace
 
 EITHER, ONE = WAYS[2:]
@@ -43,7 +43,7 @@ def both_sides(robot: Robot, extended: Robot) -> BothSides:
     """One robot; 42 uniform poses, and 10 chosen ones."""
     joints = np.array(target_workspace().q)[::4]
     first, seeds = PoseSet("uniform", np.flatnonzero(np.arange(105) % 5 < 2)), np.random.SeedSequence(7).spawn(1)
-    return run_both_sides(robot, extended, joints, first, (10,), Imperfections(), seeds, None, Silent())
+    return run_both_sides(robot, extended, joints, first, (10,), Imperfections(), seeds, None, SilentProgress())
 
 
 def cells(table) -> dict[str, tuple]:
@@ -67,7 +67,7 @@ def test_every_origin_has_six_components(extended: Robot) -> None:
 def test_positions_from_both_sides_determine_54_combinations(extended: Robot) -> None:
     """The loops of the planar five-bars take no tilt of the links from A to E, but for its square."""
     q = np.array(target_workspace().q[::4])
-    sides = Context.of(from_direction(np.tile([1.0, -1.0], len(q))), {})
+    sides = Context.from_conditions(from_direction(np.tile([1.0, -1.0], len(q))), {})
     jacobian = linearise(extended, extended.assemble(np.repeat(q, 2, axis=0), context=sides)).jacobian
     scaled = jacobian.reshape(-1, len(extended.parameters)) * [parameter.sigma_si for parameter in extended.parameters]
     values = np.linalg.svd(scaled, compute_uv=False)

@@ -30,8 +30,8 @@ from calib.quality.uncertainty_budget import (
     SIZES,
     TEMPERATURE,
     Budget,
-    Contribution,
-    LinearFit,
+    BudgetRow,
+    ErrorPropagation,
     budget,
 )
 
@@ -103,27 +103,27 @@ def test_what_an_instrument_is_off_reaches_the_tool_as_a_fit_of_such_readings_sa
     moved = [change(y)] if change else [y + 7.5e-6 * axis for axis in np.eye(3)]
     again = [calib.fit(arm, q, readings).robot.positions(q) for readings in moved]
     squares = sum(np.mean((positions - fit.robot.positions(q)) ** 2) for positions in again)
-    found = contributions(budget(LinearFit.of(fit), TRACEABILITY))[quantity]
+    found = contributions(budget(ErrorPropagation.from_fit(fit), TRACEABILITY))[quantity]
     assert found == pytest.approx(math.sqrt(squares), rel=0.02)
 
 
 def test_noise_shrinks_with_the_number_of_poses_and_scale_does_not(arm, measured, fit):
     few = calib.fit(arm, *(part[:30] for part in measured))
-    many, less = (contributions(budget(LinearFit.of(one), TRACEABILITY)) for one in (fit, few))
+    many, less = (contributions(budget(ErrorPropagation.from_fit(one), TRACEABILITY)) for one in (fit, few))
     assert less[NOISE] > 1.3 * many[NOISE]
     assert less[SCALE] == pytest.approx(many[SCALE], rel=0.25)
 
 
 def test_an_unknown_base_takes_up_an_offset_and_not_a_scale(loose_arm):
     loose = calib.fit(loose_arm, EXAMPLES / "arm_simulated.csv")
-    known = contributions(budget(LinearFit.of(loose), TRACEABILITY))
+    known = contributions(budget(ErrorPropagation.from_fit(loose), TRACEABILITY))
     assert known[OFFSET] < 1e-9 < known[SCALE]
 
 
 @pytest.mark.amount(100, 300)
 def test_monte_carlo_finds_what_is_propagated(loose_arm, amount):
     measurements = calib.read_measurements(EXAMPLES / "arm_simulated.csv", loose_arm)
-    linear = LinearFit.of(calib.fit(loose_arm, measurements[:18]))
+    linear = ErrorPropagation.from_fit(calib.fit(loose_arm, measurements[:18]))
     known = budget(linear, TRACEABILITY)
     drawn = monte_carlo(linear, TRACEABILITY, known, draws=amount)
     assert drawn.draws == amount
@@ -137,18 +137,18 @@ def _instrument(scale):
 
 
 def test_the_claim_is_all_of_the_budget_but_instrument_and_temperature(fit):
-    found = contributions(budget(LinearFit.of(fit), TRACEABILITY))
+    found = contributions(budget(ErrorPropagation.from_fit(fit), TRACEABILITY))
     own = math.hypot(found[NOISE], found[PRIOR], found[MODEL])
-    assert own == pytest.approx(fit.verdict.claim.told.rms / math.sqrt(3), rel=1e-6)
+    assert own == pytest.approx(fit.verdict.claim.at_measured_poses.rms / math.sqrt(3), rel=1e-6)
     assert found[TEMPERATURE] > 0
 
 
 def test_combined_expanded_and_effective_freedom_are_those_of_the_gauge_block_of_the_gum():
     """JCGM 100:2008, H.1.6: 25, 9.7, 2.9, 16.6 nm with 18, 25.6, 50, 2 degrees of freedom give 32 nm and 16.7."""
     sizes, freedoms = (25, 9.7, 2.9, 16.6), (18, 25.6, 50, 2)
-    rows = tuple(Contribution.direct("", 1e-9 * u, v, "") for u, v in zip(sizes, freedoms, strict=True))
+    rows = tuple(BudgetRow.direct("", 1e-9 * u, v, "") for u, v in zip(sizes, freedoms, strict=True))
     found = Budget((*rows, replace(rows[0], counts=False)))
-    assert found.combined == pytest.approx(32e-9, rel=0.02)
+    assert found.combined_uncertainty == pytest.approx(32e-9, rel=0.02)
     assert found.freedom == pytest.approx(16.7, abs=0.1)
     assert found.coverage_factor == pytest.approx(2.11, abs=0.01)  # table G.2, 17 degrees of freedom, 95 %
 
@@ -156,15 +156,15 @@ def test_combined_expanded_and_effective_freedom_are_those_of_the_gauge_block_of
 def test_maximum_permissible_errors_are_rectangular_and_centring_is_not_counted_twice(fit):
     instrument = {"scale": "10 ppm", "stated": "maximum permissible error"}
     stated = TraceabilitySection.model_validate({"instrument": instrument, "target": {"centring": "1 mm"}})
-    rows = {row.quantity: row for row in budget(LinearFit.of(fit), stated).rows}
+    rows = {row.quantity: row for row in budget(ErrorPropagation.from_fit(fit), stated).rows}
     assert rows[SCALE].standard_uncertainty == pytest.approx(1e-5 / math.sqrt(3))
     assert (rows[CENTRING].counts, rows[CENTRING].contribution > 1e-5) == (False, True)
 
 
 def test_poses_elsewhere_add_what_the_claim_grows_by(fit):
     q = 1.8 * fit.identification.data.joints[:20]
-    rows = contributions(budget(LinearFit.of(fit), TRACEABILITY, q))
-    expected = math.sqrt(max(fit.claim_at(q).rms ** 2 - fit.verdict.claim.told.rms**2, 0) / 3)
+    rows = contributions(budget(ErrorPropagation.from_fit(fit), TRACEABILITY, q))
+    expected = math.sqrt(max(fit.claim_at(q).rms ** 2 - fit.verdict.claim.at_measured_poses.rms**2, 0) / 3)
     assert rows[ELSEWHERE] == pytest.approx(expected)
     assert expected > 0
 
@@ -258,7 +258,7 @@ def test_repeated_poses_bring_repeatability_and_the_figures_of_iso_9283(arm, mea
     again, names = np.repeat(np.arange(24), 4), np.repeat([f"p{k}" for k in range(24)], 4)
     q, y = (part[again] for part in measured)
     fit = calib.fit(arm, as_measurements(arm, q, y + scatter * rng.standard_normal(y.shape), list(names)))
-    found = {row.quantity: row for row in budget(LinearFit.of(fit), TRACEABILITY).rows}
+    found = {row.quantity: row for row in budget(ErrorPropagation.from_fit(fit), TRACEABILITY).rows}
     assert found[REPEATABILITY].contribution == pytest.approx(scatter, rel=0.15)  # 216 degrees of freedom
     assert found[REPEATABILITY].freedom == 24 * 3 * 3
     fit.save(tmp_path / "fit")
@@ -384,12 +384,12 @@ def test_what_a_camera_or_an_inclinometer_is_off_reaches_the_tool_as_a_fit_of_su
         read = data.readings[first]
         moved = replace(data, readings=data.readings | {first: replace(read, values=change(read.values))})
         again, before = (one.robot.positions(data.joints)[:, 0] for one in (calib.fit(robot, moved), fit))
-        if fit.told_positions.motion is not None:  # positions count beside what moves all of them as one body
+        if fit.reported_uncertainty.motion is not None:  # positions count beside what moves all of them as one body
             rotation, shift = best_transform(again, before)
             again = again @ rotation.T + shift
         squares += np.mean((again - before) ** 2)
     known = TraceabilitySection.model_validate({"instrument": stated})
-    found = contributions(budget(LinearFit.of(fit), known))
+    found = contributions(budget(ErrorPropagation.from_fit(fit), known))
     assert found[quantity] == pytest.approx(math.sqrt(squares), rel=0.05)
     assert SCALE not in found or "ball" in instruments
 
@@ -397,7 +397,7 @@ def test_what_a_camera_or_an_inclinometer_is_off_reaches_the_tool_as_a_fit_of_su
 @pytest.mark.amount(10, 40)
 def test_monte_carlo_draws_the_sizes_of_joint_terms(arm, measured, amount):
     q, y = measured
-    linear = LinearFit.of(calib.fit(arm, q, y, terms="curve"))
+    linear = ErrorPropagation.from_fit(calib.fit(arm, q, y, terms="curve"))
     known = budget(linear, TRACEABILITY)
     assert contributions(known)[SIZES] > 0
     drawn = monte_carlo(linear, TRACEABILITY, known, draws=amount)

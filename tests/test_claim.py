@@ -37,7 +37,7 @@ def test_95_of_100_new_poses_are_as_close_as_claimed(arm, truth, by):
         new = joints(400, 100 + seed)
         read = sagging(arm, truth, new, 200 + seed, by=by).points(arm)
         off = np.linalg.norm(fit.robot.positions(new) - read, axis=2)[:, 0]
-        told = fit.verdict.claim.told
+        told = fit.verdict.claim.at_measured_poses
         within.append(np.mean(off < told.limit95))
         ratios.append(np.sqrt(np.mean(off**2)) / told.rms)
     assert 0.92 < np.mean(within) <= 1.0
@@ -151,7 +151,7 @@ def test_a_few_bad_rows_of_many_decide_nothing_and_are_named(arm, truth, n_bad, 
     points[:: 300 // n_bad, :, 2][:n_bad] += 3e-3
     fit = calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), validation=with_points(arm, other, points))
     claim = fit.verdict.claim
-    assert claim.unused[0].accuracy.rms > 2.0 * claim.told.rms
+    assert claim.unused[0].accuracy.rms > 2.0 * claim.at_measured_poses.rms
     assert claim.holds == holds
     assert fit.verdict.grade == ("PASS" if holds else "CHECK")
     named = [reason.text for reason in fit.verdict.reasons if reason.code == "outliers"]

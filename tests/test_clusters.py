@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import inv, sqrtm
 
-from calib.core.numerics.clusters import LeftOut, scatter
+from calib.core.numerics.clusters import LeftOutBlocks, scatter
 from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
 
@@ -61,9 +61,11 @@ def test_blocks_are_foretold_as_by_a_fit_of_all_others():
         normal = jacobian[rest].T @ jacobian[rest] + np.diag(1.0 * has_prior)
         expected[~rest] = errors[~rest] - jacobian[~rest] @ np.linalg.solve(normal, jacobian[rest].T @ errors[rest])
     span = jacobian @ root
-    np.testing.assert_allclose(residuals + LeftOut(span, block).moved(residuals)[0], expected, rtol=1e-9, atol=1e-9)
-    of_fewer = LeftOut(span[:, :-2], block)
-    moved, _ = of_fewer.moved(residuals, beside=span[:, -2:])
+    np.testing.assert_allclose(
+        residuals + LeftOutBlocks(span, block).shifts_without_block(residuals)[0], expected, rtol=1e-9, atol=1e-9
+    )
+    of_fewer = LeftOutBlocks(span[:, :-2], block)
+    moved, _ = of_fewer.shifts_without_block(residuals, beside=span[:, -2:])
     np.testing.assert_allclose(residuals + moved, expected, rtol=1e-9, atol=1e-9)
 
 
@@ -73,8 +75,8 @@ def test_rows_move_as_in_a_fit_without_their_block():
     weighted = jacobian * np.exp(weights)[:, None]
     root = np.linalg.cholesky(np.linalg.inv(weighted.T @ weighted + np.diag(1.0 * has_prior)))
     residuals, solution = fitted(weighted, root, has_prior, errors)
-    left_out = LeftOut(weighted @ root, block)
-    moved, largest = left_out.moved(residuals, seen=jacobian @ root, alone=1.0 - 1e-6)
+    left_out = LeftOutBlocks(weighted @ root, block)
+    moved, largest = left_out.shifts_without_block(residuals, seen=jacobian @ root, alone=1.0 - 1e-6)
     for b in range(6):
         own = block == b
         normal = weighted[~own].T @ weighted[~own] + np.diag(1.0 * has_prior)
@@ -82,8 +84,8 @@ def test_rows_move_as_in_a_fit_without_their_block():
         np.testing.assert_allclose(moved[own], jacobian[own] @ (root @ solution - without), rtol=1e-8, atol=1e-8)
         hat = weighted[own] @ root @ root.T @ weighted[own].T
         assert largest[b] == pytest.approx(np.linalg.eigvalsh(hat)[-1], rel=1e-9)
-    alike = left_out.moved(residuals, seen=weighted @ root)
-    for number, other in zip(left_out.moved(residuals), alike, strict=True):
+    alike = left_out.shifts_without_block(residuals, seen=weighted @ root)
+    for number, other in zip(left_out.shifts_without_block(residuals), alike, strict=True):
         np.testing.assert_allclose(number, other, rtol=1e-9, atol=1e-9)
 
 
@@ -153,5 +155,5 @@ def test_larger_blocks_are_judged_beside_the_poses_within():
         residuals, _ = fitted(jacobian, root, has_prior, errors)
         noise = np.full(len(pose), np.sqrt(5.0))
         poses, boxes = (scatter(jacobian @ root, residuals, noise, block, 1e6) for block in (pose, pose // 10))
-        chances.append(boxes.beyond(poses)[1])
+        chances.append(boxes.ratio_to(poses)[1])
     assert np.mean(np.array(chances) < 0.05) < 0.12

@@ -97,7 +97,7 @@ def test_a_last_correction_that_is_not_checked_closes_the_loops(medrue, part, co
     q = np.array(target_workspace().q)[::4]
     moved = medrue.with_parameters(medrue.values + part * (table1().actual - medrue.values))
     passive = medrue.assemble(q).passive
-    with acceleration.compiled(compiled):
+    with acceleration.compile_kinematics(compiled):
         confirmed, _, _, ok = continuation.newton(moved.mechanism, medrue.mode, q, passive)
         solved, slopes, _, known = continuation.newton(moved.mechanism, medrue.mode, q, passive, slopes=False)
         from_seed = moved.assemble(q, seed=passive)

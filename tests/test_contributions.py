@@ -41,7 +41,7 @@ def test_numbers_carry_what_they_contain(fit):
     assert Contribution.JOINT_ERRORS not in interval
     assert Contribution.SECOND_ORDER not in fit.covariance.contains
     assert Contribution.FRAME not in position  # the arm stands where it is known to stand
-    assert (Contribution.REGIONS in interval) == (fit.widened > 1)
+    assert (Contribution.REGIONS in interval) == (fit.interval_factor > 1)
     assert fit.verdict.claim.contains == {Contribution.LEFT_OUT}
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import calib
 from calib.core.robots.joint_samples import joint_samples
-from calib.core.rows.gauge import around_home
+from calib.core.rows.gauge import poses_around_home
 from calib.exporting.gap import poses_near_home
 from calib.matching.agreement import other_poses
 
@@ -146,15 +146,15 @@ def test_a_fit_says_the_same_of_a_robot_described_in_another_way(told, first, tm
         order = (5, 2, 0, 3, 4, 1)
     fit, at, std = _fitted(tmp_path / "arm", told, tuple(chain), order)
     same, predicted, same_std = first
-    assert same.widened > 1.0
-    assert fit.widened == pytest.approx(same.widened, rel=1e-6)
+    assert same.interval_factor > 1.0
+    assert fit.interval_factor == pytest.approx(same.interval_factor, rel=1e-6)
     assert fit.sigma == pytest.approx(same.sigma, rel=1e-6)
     np.testing.assert_allclose(at.positions, predicted.positions, atol=1e-9)
     np.testing.assert_allclose(at.std, predicted.std, rtol=1e-5)
     codes, same_codes = ([reason.code for reason in one.verdict.reasons] for one in (fit, same))
     assert (fit.verdict.grade, codes) == (same.verdict.grade, same_codes)
     for number in ("rms", "limit95"):
-        claimed, same_claimed = (getattr(one.verdict.claim.told, number) for one in (fit, same))
+        claimed, same_claimed = (getattr(one.verdict.claim.at_measured_poses, number) for one in (fit, same))
         assert claimed == pytest.approx(same_claimed, rel=1e-6)
     assert fit.verdict.claim.known == pytest.approx(same.verdict.claim.known, rel=1e-5)
     if "split" not in ways:  # directions of an origin are those of the link before
@@ -174,7 +174,7 @@ def test_searches_start_and_end_at_the_same_places(tmp_path, ways):
 
     halves = joint_samples(first.mode, 50) - 0.5, joint_samples(other.mode, 50) - 0.5
     np.testing.assert_allclose(as_first(halves[1]), halves[0], atol=1e-12)
-    for places in (around_home, poses_near_home, other_poses):
+    for places in (poses_around_home, poses_near_home, other_poses):
         np.testing.assert_allclose(as_first(places(other)), places(first), atol=1e-9)
     rng = np.random.default_rng(2)
     poses = np.asarray(first.forward(rng.uniform(-2.5, 2.5, (30, 6)), "ball"))

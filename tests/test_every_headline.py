@@ -12,7 +12,7 @@ from headline_situations import Commands, derivative, joints, measured, on_one_l
 
 import calib
 from calib.core.data.in_memory import as_poses
-from calib.planning.next_steps import after_check
+from calib.planning.next_steps import advice_after_check
 
 
 @pytest.fixture(scope="module")
@@ -265,12 +265,12 @@ def test_after_a_check_the_next_step_is_what_the_poses_need(commands):
     robot, q = commands.few_free[0], joints(20, 3)
     poses, data = as_poses(robot, q), measured(robot, q, 1)
     good, bad = (commands.checked[name] for name in ("base", "still"))
-    assert "calib sample r.yaml" in after_check(good, "r.yaml", poses, (), {})
+    assert "calib sample r.yaml" in advice_after_check(good, "r.yaml", poses, (), {})
     hold = "Next: hold parameters that are named above (`held` in the description), or add poses, and check again: "
-    assert after_check(bad, "r.yaml", poses, ("p.csv",), {}) == f"{hold}calib check r.yaml p.csv"
-    assert after_check(bad, "r.yaml", data, ("d.csv",), {}) == f"{hold}calib check r.yaml d.csv"
-    assert "fit these measurements: calib fit r.yaml d.csv" in after_check(good, "r.yaml", data, ("d.csv",), {})
-    assert "choose the poses to measure: calib select" in after_check(good, "r.yaml", poses, ("p.csv",), {})
+    assert advice_after_check(bad, "r.yaml", poses, ("p.csv",), {}) == f"{hold}calib check r.yaml p.csv"
+    assert advice_after_check(bad, "r.yaml", data, ("d.csv",), {}) == f"{hold}calib check r.yaml d.csv"
+    assert "fit these measurements: calib fit r.yaml d.csv" in advice_after_check(good, "r.yaml", data, ("d.csv",), {})
+    assert "choose the poses to measure: calib select" in advice_after_check(good, "r.yaml", poses, ("p.csv",), {})
 
 
 # select
@@ -376,7 +376,9 @@ def test_a_robot_may_differ_without_a_parameter_that_is_proven_to(commands):
     """Many parameters differ by a little each."""
     assert "the robot differs, but no single parameter is proven to" in commands.compare_texts["arm and other"]
     comparison = commands.comparisons["arm and other"]
-    assert comparison.together[0] < 0.05 <= np.nanmin([difference.p_values for difference in comparison.differences])
+    assert (
+        comparison.joint_p_values[0] < 0.05 <= np.nanmin([difference.p_values for difference in comparison.differences])
+    )
     assert "no single" not in commands.compare_texts["first and longer"]
 
 
@@ -384,8 +386,8 @@ def test_of_more_results_fewer_pairs_differ_by_chance(commands):
     """Each pair alone would err in one of twenty; Holm's step-down makes the p-values of three pairs larger."""
     _, folder = commands.results
     names = ("first", "again", "elsewhere")
-    together = calib.compare(*(folder / name for name in names)).together
-    alone = [commands.comparisons[f"first and {name}"].together[0] for name in names[1:]]
+    together = calib.compare(*(folder / name for name in names)).joint_p_values
+    alone = [commands.comparisons[f"first and {name}"].joint_p_values[0] for name in names[1:]]
     assert all(p > 0.999 * single for p, single in zip(together, alone, strict=True))
     assert together[0] > 1.9 * alone[0]  # at most one pair has a smaller p, so it counts twice at least
 

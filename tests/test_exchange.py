@@ -77,11 +77,11 @@ def test_the_history_rises_and_leads_from_start_to_end(index):
 def test_exchange_ends_when_the_pose_just_added_is_the_one_that_goes():
     problem, rng = made_up(3)
     done = exchange(problem, "O1", rng.choice(N, COUNT, replace=False), everywhere())
-    added = done.scores.best(~done.chosen, add=True)
-    larger = done.scores.moved(added, add=True)
+    added = done.scores.best_move(~done.chosen, add=True)
+    larger = done.scores.after_move(added, add=True)
     more = done.chosen.copy()
     more[added] = True
-    assert larger.best(more, add=False) == added
+    assert larger.best_move(more, add=False) == added
 
 
 @pytest.mark.parametrize("index", CHOICES)
@@ -90,7 +90,7 @@ def test_a_start_that_determines_too_little_is_mended(index):
     rows[:COUNT, :, 0] = 0.0  # the start sees nothing of the first direction
     problem = build_problem(rows, task_rows=rows)
     done = exchange(problem, index, np.arange(COUNT), everywhere())
-    assert problem.determined_by(done.chosen)
+    assert problem.is_determined_by(done.chosen)
     values = np.array(done.values)
     assert values[0] in (0.0, -np.inf)
     assert np.isfinite(values[-1])
@@ -116,7 +116,7 @@ def test_chosen_poses_keep_their_distance(index):
     rows = rng.standard_normal((60, 3, D))
     space = Spacing(rng.uniform(0, 1, (60, 3)), 0.3, rng.uniform(size=60) < 0.8)
     problem = build_problem(rows, task_rows=rows)
-    start = space.spread(np.flatnonzero(space.usable)[:8], 8)
+    start = space.select_spread(np.flatnonzero(space.usable)[:8], 8)
     done = swap(exchange(problem, index, start, space), space)
     chosen = np.flatnonzero(done.chosen)
     gaps = np.linalg.norm(space.points[chosen][:, None] - space.points[chosen], axis=2) + np.eye(len(chosen))
@@ -128,4 +128,4 @@ def test_chosen_poses_keep_their_distance(index):
 
 def test_spread_gives_fewer_poses_where_there_is_no_room():
     space = Spacing(np.array([[0.0], [0.1], [0.2], [1.0]]), 0.5, np.ones(4, dtype=bool))
-    assert space.spread(np.array([1, 2, 0]), 3).tolist() == [1, 3]
+    assert space.select_spread(np.array([1, 2, 0]), 3).tolist() == [1, 3]

@@ -22,7 +22,7 @@ from medrue.experiment import QUICK_DRAWS, Experiment, ExperimentTask, experimen
 from medrue.experiment_tables import cause_rms, experiment_findings, experiment_tables
 from medrue.imperfections import TILTED_JOINTS, Imperfections, ImperfectRobot, approach_in_order, imperfect_robot
 from medrue.paper_tables import error_table, table3
-from medrue.progress import Silent
+from medrue.progress import SilentProgress
 from medrue.tracker import NESTS, PLACE, measure
 from medrue.workspace import target_workspace
 
@@ -61,7 +61,7 @@ def experiment(robot: Robot, extended: Robot) -> Experiment:
         name: tuple(experiment_draw(ExperimentTask(robot, extended, joints, sets[:1], alone, seed)) for seed in seeds)
         for name, alone in usual.causes.items()
     }
-    both_sides = run_both_sides(robot, extended, joints, sets[0], (28,), usual, seeds[:1], None, Silent())
+    both_sides = run_both_sides(robot, extended, joints, sets[0], (28,), usual, seeds[:1], None, SilentProgress())
     return Experiment(robot, joints, sets, usual, draws, causes, both_sides, 3)
 
 

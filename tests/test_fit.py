@@ -13,11 +13,11 @@ import calib
 from calib.core.fitting.fitted import Convergence
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.settings import Settings
-from calib.core.fitting.solving import convergence_at, place, placed_as, solve_from, uncertainty_at
+from calib.core.fitting.solving import convergence_at, place, reuse_placement, solve_from, uncertainty_at
 from calib.core.fitting.terms.candidate_terms import missing_terms
 from calib.core.results.result_reading import load_result, read_content
 from calib.core.results.results import save
-from calib.core.robots.terms.terms import listed_terms
+from calib.core.robots.terms.terms import parse_terms
 
 SIGMA = 4e-5
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -58,14 +58,14 @@ def test_lengths_that_want_to_be_infinite_are_named_at_once_and_the_others_are_f
 
 @pytest.mark.parametrize(("off", "stopped"), [(0.0, True), (0.0, False), (0.5, True), (0.5, False)])
 def test_the_message_says_what_the_step_that_is_left_says(arm, off, stopped):
-    problem = Problem.of(arm, noisy(arm, joints(60), SIGMA, 1))
+    problem = Problem.from_data(arm, noisy(arm, joints(60), SIGMA, 1))
     solved = solve_from(problem, place(problem), Settings())
     _, _, uncertainty = uncertainty_at(solved)
-    values = solved.at.robot.values.copy()
+    values = solved.evaluation.robot.values.copy()
     values[solved.problem.unknowns.index[0]] += off * uncertainty.std[0]
-    at = problem.evaluate(solved.at.robot.with_parameters(values))
+    at = problem.evaluate(solved.evaluation.robot.with_parameters(values))
     message = "the sum of squares no longer changes" if stopped else "the limit of evaluations was reached"
-    ended = replace(solved, at=at, solution=replace(solved.solution, converged=stopped, message=message))
+    ended = replace(solved, evaluation=at, solution=replace(solved.solution, converged=stopped, message=message))
     end = convergence_at(ended, problem.rows(at, solved.groups), uncertainty.std)
     assert end.converged is (off == 0.0)
     assert ("no parameter would still move by more than" in end.message) is (end.converged and not stopped)
@@ -250,13 +250,13 @@ def test_stating_a_small_noise_keeps_a_fit_of_real_measurements_converged(shared
 def test_places_are_taken_over_from_a_robot_that_moves_alike_and_from_no_other():
     arm = calib.load(EXAMPLES / "arm.yaml")
     data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", arm)
-    placed = place(Problem.of(arm, data))
+    placed = place(Problem.from_data(arm, data))
     known = placed.robot, placed.residuals
-    with_gains = Problem.of(arm.with_terms(missing_terms(arm, listed_terms("gain"))), data)
-    taken, found = placed_as(with_gains, *known), place(with_gains)
+    with_gains = Problem.from_data(arm.with_terms(missing_terms(arm, parse_terms("gain"))), data)
+    taken, found = reuse_placement(with_gains, *known), place(with_gains)
     assert taken is not None
     assert np.any(with_gains.unknowns.placement)
     np.testing.assert_allclose(taken.robot.values, found.robot.values, rtol=0.0, atol=1e-9)
     moved = arm.with_parameters({arm.parameters[0].name: arm.values[0] + 1e-6})
-    assert placed_as(Problem.of(moved, data), *known) is None  # a micrometre elsewhere
-    assert placed_as(Problem.of(arm, data.subset(np.arange(20))), *known) is None
+    assert reuse_placement(Problem.from_data(moved, data), *known) is None  # a micrometre elsewhere
+    assert reuse_placement(Problem.from_data(arm, data.subset(np.arange(20))), *known) is None

@@ -13,7 +13,7 @@ from six_axis_arm import FREE, YAML, joints, write_six_axis
 import calib
 from calib.core.calibrating.file_robots import why_withheld
 from calib.core.results.result_reading import read_content
-from calib.core.robots.held import Accuracy, Holds, SeenAt
+from calib.core.robots.accuracy_of_files import Accuracy, Holds, PoseUse
 from calib.core.robots.robot_files import urdf_of_origins, without_terms
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -129,7 +129,7 @@ def test_the_result_holds_these_robots_and_how_sure_they_are(fit, folder):
     assert list(loaded.robot.files) == list(read_names(folder)) == [h for h in Holds if h is not Holds.TO_LAST_AXIS]
     for holds, file in loaded.robot.files.items():
         stated, result = file.accuracy, fit.robot.files[holds].accuracy
-        assert (stated.poses, stated.n_poses, stated.part) == (SeenAt.VALIDATION, 40, "position")
+        assert (stated.poses, stated.n_poses, stated.part) == (PoseUse.VALIDATION, 40, "position")
         assert (stated.rms, stated.limit95, stated.before) == pytest.approx((result.rms, result.limit95, result.before))
         np.testing.assert_allclose(file.offsets, fit.robot.files[holds].offsets, rtol=1e-14, atol=1e-17)
 
@@ -172,7 +172,7 @@ def test_a_fit_without_terms_follows_the_choices_of_the_one_with_them(tmp_path, 
     assert own.identification.data.names == fit.identification.data.names
     assert "7" not in own.identification.data.names
     accuracy = fit.robot.files[Holds.ORIGINS].accuracy
-    assert (accuracy.poses, accuracy.n_poses) == (SeenAt.FOLDS, own.identification.data.n_poses)
+    assert (accuracy.poses, accuracy.n_poses) == (PoseUse.FOLDS, own.identification.data.n_poses)
 
 
 def test_a_robot_whose_joints_are_only_off_by_zeros_gets_them_back(tmp_path, true_tip):
@@ -302,7 +302,7 @@ def test_it_is_the_robot_in_the_file_that_is_worse(withheld, tmp_path):
 
 def test_a_larger_error_is_enough_and_rounding_is_not():
     def judgement(rms, before):
-        return Accuracy(SeenAt.VALIDATION, 20, "position", "length", before, rms, np.nan)
+        return Accuracy(PoseUse.VALIDATION, 20, "position", "length", before, rms, np.nan)
 
     assert why_withheld(judgement(1.01e-4, 1e-4)).startswith("it is worse than the nominal robot: 0.1010 mm RMS")
     assert why_withheld(judgement(1e-4, 1e-4)) == why_withheld(judgement(1e-4 * (1 + 1e-9), 1e-4)) == ""

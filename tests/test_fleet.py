@@ -11,14 +11,14 @@ from click.testing import CliRunner
 import calib
 from calib.cli import group
 from calib.core.numerics.prior import Prior
-from calib.fleets.hierarchy import Told, learn, learn_without_odd, likeness, told_by
+from calib.fleets.hierarchy import FleetEvidence, evidence_of_data, learn, learn_without_odd, likeness
 
 N, R = 6, 7
 NOISE = 3e-5  # of docs/examples/arm.yaml [m]
 
 
 def told_exactly(u, sure=1e10):
-    return Told(sure * np.eye(len(u)), sure * u)
+    return FleetEvidence(sure * np.eye(len(u)), sure * u)
 
 
 def test_mean_and_spread_of_robots_that_are_known_exactly():
@@ -37,7 +37,9 @@ def test_given_the_spreads_mean_and_covariance_are_those_of_the_dense_normal_mod
     rng = np.random.default_rng(1)
     jacobians = [rng.standard_normal((4, N)) for _ in range(3)]  # each shows four directions of six
     data = [rng.standard_normal(4) for _ in jacobians]
-    learned = learn([Told(j.T @ j, j.T @ y) for j, y in zip(jacobians, data, strict=True)], np.zeros(N, dtype=int))
+    learned = learn(
+        [FleetEvidence(j.T @ j, j.T @ y) for j, y in zip(jacobians, data, strict=True)], np.zeros(N, dtype=int)
+    )
     variance = learned.variance * (learned.freedom - 2) / learned.freedom
     blocks = [np.linalg.inv(j @ np.diag(variance) @ j.T + np.eye(4)) for j in jacobians]
     dense = np.linalg.inv(np.eye(N) + sum(j.T @ b @ j for j, b in zip(jacobians, blocks, strict=True)))
@@ -51,7 +53,7 @@ def test_what_the_data_say_alone_is_what_is_left_of_an_estimate_without_its_prio
     j, y, mean = rng.standard_normal((4, N)), rng.standard_normal(4), rng.standard_normal(N)
     covariance = np.linalg.inv(j.T @ j + 2 * np.eye(N))
     estimate = covariance @ (j.T @ y + 2 * mean)
-    result = told_by(covariance, estimate, 2 * np.eye(N), mean, 1e9)
+    result = evidence_of_data(covariance, estimate, 2 * np.eye(N), mean, 1e9)
     np.testing.assert_allclose(result.precision, j.T @ j, atol=1e-7)
     np.testing.assert_allclose(result.pull, j.T @ y, atol=1e-7)
 
@@ -71,10 +73,13 @@ def test_a_result_that_is_ten_times_as_far_off_in_everything_is_named_and_nobody
     for _ in range(20):
         u = 0.05 * rng.standard_normal((5, 12)) + rng.standard_normal(12)
         scatter = 0.05 * np.exp(0.5 * rng.standard_normal(12)) / np.sqrt(1000.0)  # noise, of other sizes
-        told = [Told(np.diag(scatter**-2), (values + scatter * rng.standard_normal(12)) / scatter**2) for values in u]
+        told = [
+            FleetEvidence(np.diag(scatter**-2), (values + scatter * rng.standard_normal(12)) / scatter**2)
+            for values in u
+        ]
         alarms += bool(learn_without_odd(told, np.zeros(12, dtype=int))[1])
         far = u[0] + 10 * (u[0] - u.mean(axis=0))
-        told[0] = Told(told[0].precision, far / scatter**2)
+        told[0] = FleetEvidence(told[0].precision, far / scatter**2)
         named += learn_without_odd(told, np.zeros(12, dtype=int))[1] == (0,)
     assert (named, alarms) == (20, 0)
 
@@ -84,7 +89,7 @@ def test_the_mean_of_squares_of_students_t_is_judged_by_its_own_quantiles():
     squares = np.random.default_rng(5).standard_t(freedom, (200_000, count)) ** 2 * (freedom - 2) / freedom
     for part in (0.5, 0.05, 0.01, 0.001):
         together = np.quantile(np.mean(squares, axis=1), 1 - part)
-        told = Told(1e12 * np.eye(count), 1e12 * np.sqrt(together) * np.ones(count))
+        told = FleetEvidence(1e12 * np.eye(count), 1e12 * np.sqrt(together) * np.ones(count))
         compared = likeness(told, np.zeros(count), np.eye(count), np.full(count, freedom))
         assert 0.5 * part < compared.p_together < 1.5 * part
 
@@ -101,14 +106,14 @@ def test_products_with_a_joint_prior_are_those_with_its_inverse_covariance():
     u = rng.standard_normal(5)
     np.testing.assert_allclose(prior.rows.T @ prior.rows, dense, atol=1e-9)
     np.testing.assert_allclose(prior.pull(u), dense @ u)
-    np.testing.assert_allclose(prior.added_to(np.eye(5)), np.eye(5) + dense)
+    np.testing.assert_allclose(prior.add_to(np.eye(5)), np.eye(5) + dense)
     root = np.diag(u) + 1.0
     np.testing.assert_allclose(
         prior.share(root[prior.together], np.sum(root**2, axis=1)), np.trace(root.T @ dense @ root)
     )
     assert prior.cost(u) == pytest.approx(u @ dense @ u)
     np.testing.assert_allclose(prior.root @ prior.root.T, np.where(dense != 0, prior.root @ prior.root.T, 0.0))
-    some = prior.only(np.array([True, True, True, False, True]))
+    some = prior.select(np.array([True, True, True, False, True]))
     np.testing.assert_array_equal(some.together, [1, 3])
     np.testing.assert_array_equal(some.correlations, correlations[np.ix_([0, 2], [0, 2])])
 

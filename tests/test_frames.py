@@ -10,7 +10,7 @@ from six_axis_arm import write_six_axis
 
 import calib
 from calib.core.results.result_reading import load_result
-from calib.core.rows.common_motion import CommonMotion, Loose
+from calib.core.rows.common_motion import CommonMotion, UnknownPlaces
 from calib.core.rows.frames import measurement_frame, program_frame
 from calib.core.rows.known_robot import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty
@@ -144,8 +144,8 @@ def test_a_platform_that_never_turns_does_not_tell_base_and_tool_apart(nominal_d
     nominal = nominal_delta[0].nominal
     joints = nominal.sample(30, seed=0)
     tracked = nominal.with_parameters(ELSEWHERE)
-    motion = CommonMotion.of(nominal, tracked, Loose.of(nominal), joints)
-    assert motion.loose == Loose(True, (0,), (0,), ())
+    motion = CommonMotion.from_robots(nominal, tracked, UnknownPlaces.from_robot(nominal), joints)
+    assert motion.loose == UnknownPlaces(True, (0,), (0,), ())
     assert motion.basis.shape == (9, 6)
     assert np.abs(motion.robot.positions(joints) - tracked.positions(joints)).max() < 1e-9
 
@@ -153,24 +153,24 @@ def test_a_platform_that_never_turns_does_not_tell_base_and_tool_apart(nominal_d
 @pytest.mark.parametrize(
     ("base", "tool", "extra", "loose"),
     [
-        ("unknown", "unknown", "", Loose(True, (0,), (0,), ())),
-        ("unknown", "known", "", Loose(True, (0,), (), ())),
-        ("known", "unknown", "", Loose(False, (0,), (0,), ())),
-        ("known", "known", "", Loose(False, (0,), (), ())),
+        ("unknown", "unknown", "", UnknownPlaces(True, (0,), (0,), ())),
+        ("unknown", "known", "", UnknownPlaces(True, (0,), (), ())),
+        ("known", "unknown", "", UnknownPlaces(False, (0,), (0,), ())),
+        ("known", "known", "", UnknownPlaces(False, (0,), (), ())),
         ("unknown", "known", f"held: [{', '.join(f'base.{axis}' for axis in ('x', 'y', 'z', 'rx', 'ry', 'rz'))}]\n",
-         Loose(False, (0,), (), ())),
-        ("known", "known", SOCKET.replace("P", "unknown"), Loose(True, (0,), (), ())),
-        ("known", "known", SOCKET.replace("P", "known"), Loose(False, (0,), (), ())),
-        ("unknown", "known", SOCKET.replace("P", "known"), Loose(False, (0,), (), ())),
-        ("known", "known", WIRE.replace("P", "unknown"), Loose(True, (0,), (), ())),
+         UnknownPlaces(False, (0,), (), ())),
+        ("known", "known", SOCKET.replace("P", "unknown"), UnknownPlaces(True, (0,), (), ())),
+        ("known", "known", SOCKET.replace("P", "known"), UnknownPlaces(False, (0,), (), ())),
+        ("unknown", "known", SOCKET.replace("P", "known"), UnknownPlaces(False, (0,), (), ())),
+        ("known", "known", WIRE.replace("P", "unknown"), UnknownPlaces(True, (0,), (), ())),
         ("known", "known", "instruments: {level: {kind: orientation, target: ball, axes: gravity}}\n",
-         Loose(True, (0,), (), ())),
+         UnknownPlaces(True, (0,), (), ())),
         ("unknown", "unknown, orientation: unknown", SIX,
-         Loose(True, (0,), (0,), (0,))),
+         UnknownPlaces(True, (0,), (0,), (0,))),
     ],
 )  # fmt: skip
 def test_what_was_measured_in_a_known_frame_is_not_laid(tmp_path, base, tool, extra, loose):
-    assert Loose.of(arm(tmp_path, base, tool, extra)) == loose
+    assert UnknownPlaces.from_robot(arm(tmp_path, base, tool, extra)) == loose
 
 
 def test_an_unknown_orientation_of_the_tool_is_laid_too(tmp_path):

@@ -11,7 +11,7 @@ from function_robots import ROBOTS, by_name, exported, imported, near, poses_of_
 from small_robots import ARM_YAML, write_arm, write_parallelogram, write_pose_loop
 
 import calib
-from calib.core.robots.configurations import configured
+from calib.core.robots.configurations import solve_configurations
 from calib.core.robots.joint_errors import term_columns
 from calib.exporting.functions.c_text import c_name
 
@@ -86,7 +86,7 @@ def test_poses_are_those_of_the_engine_and_open_loops_are_no_numbers(cases, name
 def distance(case):
     """From a singularity of the loops, of each pose."""
     columns = term_columns(case.robot, case.q, case.context)
-    at = configured(case.robot, case.q, case.robot.close(case.q, columns=columns), columns)
+    at = solve_configurations(case.robot, case.q, case.robot.close(case.q, columns=columns), columns)
     known = np.isfinite(at.slope).all(axis=(1, 2))
     values = np.zeros(len(known))
     if known.any():
@@ -101,7 +101,7 @@ def distance(case):
 def test_the_jacobian_is_that_of_differences_of_the_engine(cases, name, language):
     case, step = cases(name), 1e-5
     some = np.flatnonzero(distance(case) >= 0.1)[:6]
-    q, context, truth = case.q[some], case.context.at(some), case.truth[0][some]
+    q, context, truth = case.q[some], case.context.select(some), case.truth[0][some]
     motion = case.of(language).jacobian(q, context)
     for j in range(q.shape[1]):
         moved = step * np.eye(q.shape[1])[j]
@@ -120,13 +120,13 @@ def test_commands_for_a_pose_lead_back_to_it(cases, name, language):
     some = np.flatnonzero(distance(case) >= 0.1)[:25]
     lower, upper = case.robot.urdf.limits(case.robot.joint_names)
     some = some[((case.q[some] >= lower) & (case.q[some] <= upper)).all(axis=1)]
-    goals, context = case.truth[0][some], case.context.at(some)
+    goals, context = case.truth[0][some], case.context.select(some)
     q = case.of(language).inverse(goals, near(case.robot, case.q[some]), context)
     result = np.isfinite(q).all(axis=1)
     assert np.array_equal(np.isnan(q).all(axis=1), ~result)
     assert result.mean() > 0.9
     assert ((q[result] >= lower) & (q[result] <= upper)).all()
-    there = poses_of_engine(case.robot, q[result], context.at(np.flatnonzero(result)))
+    there = poses_of_engine(case.robot, q[result], context.select(np.flatnonzero(result)))
     assert np.abs(there - goals[result]).max() < 2e-10
 
 
@@ -135,7 +135,7 @@ def test_what_is_found_from_home_is_found_from_every_start_and_nothing_else_is_t
     case, n = cases(name), 24
     lower, upper = case.robot.urdf.limits(case.robot.joint_names)
     some = np.flatnonzero(distance(case) >= 0.1)[:n]
-    goals, context = case.truth[0][some].copy(), case.context.at(some)
+    goals, context = case.truth[0][some].copy(), case.context.select(some)
     goals[0, 2, 3] += 10.0  # m: out of reach
     inverse, home = case.of(language).inverse, np.tile(case.robot.home, (n, 1))
     known = np.isfinite(inverse(goals, home, context)[:, 0])
@@ -148,7 +148,7 @@ def test_what_is_found_from_home_is_found_from_every_start_and_nothing_else_is_t
         assert told[known].all()
         assert not told[0]
         assert ((q[told] >= lower) & (q[told] <= upper)).all()
-        there = poses_of_engine(case.robot, q[told], context.at(np.flatnonzero(told)))
+        there = poses_of_engine(case.robot, q[told], context.select(np.flatnonzero(told)))
         assert np.abs(there - goals[told]).max() < 2e-10
 
 
@@ -160,7 +160,7 @@ def test_only_what_is_asked_for_must_be_met(cases, language):
     goals, start = case.truth[0][some].copy(), near(case.robot, case.q[some])
     goals[:, :3, :3] = np.eye(3)
     goals[:, 2, 3] += 0.3
-    functions, context = case.of(language), case.context.at(some)
+    functions, context = case.of(language), case.context.select(some)
     assert np.isnan(functions.inverse(goals, start, context)).all()
     q = functions.inverse(goals, start, context, use=(1, 1, 0, 0, 0, 0))
     reached = poses_of_engine(case.robot, q, context)[:, :2, 3]

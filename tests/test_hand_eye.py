@@ -15,9 +15,9 @@ from calib.photographs import starts
 from calib.photographs.estimation import estimate, solve
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
-from calib.photographs.left_out import left_out, rms
+from calib.photographs.left_out_images import rms, solve_without_each_image
 from calib.photographs.other_readings import other_readings
-from calib.photographs.scene import Placed, on_board, residuals, rows
+from calib.photographs.scene import HandEyePlacement, plane_errors_on_board, residuals, rows
 from calib.photographs.shared_errors import ErrorSizes
 
 
@@ -52,13 +52,13 @@ def test_camera_board_and_mount_are_found_without_any_guess(mount):
 def test_derivatives_agree_with_central_differences():
     for mount in ("tool", "base"):
         view = scene(3, mount, noise=0.5, shift=1e-3)
-        placed = Placed(CAMERA[mount], BOARD[mount], INTRINSICS, 1.01)
+        placed = HandEyePlacement(CAMERA[mount], BOARD[mount], INTRINSICS, 1.01)
         free, h = (0, 1, 2, 3, 4, 5), 1e-6
         _, by_unknown, by_error = rows(view, placed, free, scaled=True)
         for k in range(19):
             step = np.zeros(19)
             step[k] = h
-            ahead, back = (residuals(view, placed.moved(sign * step, free)) for sign in (1, -1))
+            ahead, back = (residuals(view, placed.step(sign * step, free)) for sign in (1, -1))
             assert np.allclose(by_unknown[:, :, k], (ahead - back) / (2 * h), atol=2e-3, rtol=1e-5)
         for k in range(6):
             twist = np.zeros(6)
@@ -70,7 +70,7 @@ def test_derivatives_agree_with_central_differences():
 
 def test_plain_least_squares_is_that_of_scipy():
     view = scene(7, "tool", noise=0.5, shift=5e-4, turn=5e-4)
-    begin = Placed(CAMERA["tool"], BOARD["tool"], INTRINSICS)
+    begin = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS)
     ours = estimate(view, begin, ())
 
     def errors(x):
@@ -85,19 +85,19 @@ def test_plain_least_squares_is_that_of_scipy():
 
 def test_an_image_left_out_is_predicted_by_a_fit_of_the_others():
     view = scene(6, "tool", noise=0.4, shift=5e-4)
-    whole = estimate(view, Placed(CAMERA["tool"], BOARD["tool"], INTRINSICS), ())
+    whole = estimate(view, HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS), ())
     others = np.arange(6) != 2
-    alone = estimate(view.only(others), whole.placed, ())
-    without = left_out(view, whole.placed, (), whole.weights)[2]
+    alone = estimate(view.select_images(others), whole.placed, ())
+    without = solve_without_each_image(view, whole.placed, (), whole.weights)[2]
     assert np.allclose(without.camera, alone.placed.camera, atol=1e-9)
 
 
 def test_millimetres_on_the_board_are_where_rays_meet_its_plane():
     view = scene(2, "tool", noise=0.0)
-    placed = Placed(CAMERA["tool"], BOARD["tool"], INTRINSICS)
-    assert np.max(np.abs(on_board(view, placed))) < 1e-9
+    placed = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS)
+    assert np.max(np.abs(plane_errors_on_board(view, placed))) < 1e-9
     moved = replace(view, body=view.body + np.array([1e-3, -2e-3, 0.0]))
-    assert np.allclose(on_board(moved, placed), [-1e-3, 2e-3], atol=1e-9)
+    assert np.allclose(plane_errors_on_board(moved, placed), [-1e-3, 2e-3], atol=1e-9)
 
 
 def test_the_lens_is_found_where_none_is_given_and_where_the_given_one_is_wrong():
@@ -338,7 +338,7 @@ def test_exported_files_hold_the_same_transform_in_the_direction_of_their_format
 
 
 def test_corners_that_are_off_go_by_themselves_and_are_no_doubt(clean, good):
-    assert not np.any(starts.points_off(clean, INTRINSICS, (0, 1, 2, 3, 4, 5)))
+    assert not np.any(starts.point_errors(clean, INTRINSICS, (0, 1, 2, 3, 4, 5)))
     off = {7: (6.0, 0.0), 11: (0.0, -5.0), 105: (-4.0, 4.0), 184: (9.0, 3.0)}  # two of them in one image
     pixels = clean.pixels.copy()
     pixels[list(off)] += list(off.values())

@@ -6,7 +6,7 @@ from hand_eye_set_ups import covered, drawn, frames
 from calib.photographs.arm_errors import arm_twists
 from calib.photographs.estimation import estimate
 from calib.photographs.intervals import intervals
-from calib.photographs.scene import Placed, linearised, rows
+from calib.photographs.scene import HandEyePlacement, linearise, rows
 from calib.photographs.shared_errors import ErrorSizes, criterion
 
 
@@ -48,8 +48,8 @@ def dense(case, placed, noise, twists):
 
 def test_the_criterion_is_the_restricted_likelihood_of_all_rows():
     case = scene(n=6, shift=3e-4, turn=3e-4)
-    placed, twists = Placed(CAMERA["tool"], BOARD["tool"], INTRINSICS), arm_twists(case.tool)
-    linear, ours, theirs = linearised(case, placed, ()).with_arm(twists), [], []
+    placed, twists = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS), arm_twists(case.tool)
+    linear, ours, theirs = linearise(case, placed, ()).with_arm(twists), [], []
     for noise in (ErrorSizes(0.2, 3e-4, 2e-4, 4e-4), ErrorSizes(0.3, 1e-4, 5e-4, 1e-4)):
         r, j, own, by_arm = dense(case, placed, noise, twists)
         whole = own + noise.arm**2 * by_arm @ by_arm.T
@@ -65,10 +65,10 @@ def test_the_criterion_is_the_restricted_likelihood_of_all_rows():
 @pytest.mark.parametrize("weights", [ErrorSizes(0.3), ErrorSizes(0.2, 4e-4, 2e-4)])
 def test_the_covariance_is_what_errors_of_each_size_do_to_the_estimate(weights, monkeypatch):
     case = scene(n=6, shift=3e-4, turn=3e-4)
-    placed, twists = Placed(CAMERA["tool"], BOARD["tool"], INTRINSICS), arm_twists(case.tool)
+    placed, twists = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS), arm_twists(case.tool)
     noise = ErrorSizes(0.25, 3e-4, 2e-4, 5e-4)
-    monkeypatch.setattr("calib.photographs.intervals.found_noise", lambda *_: noise)
-    arm, covariance, _ = intervals(linearised(case, placed, ()), twists, weights, noise, None, np.zeros(0))
+    monkeypatch.setattr("calib.photographs.intervals.find_noise", lambda *_: noise)
+    arm, covariance, _ = intervals(linearise(case, placed, ()), twists, weights, noise, None, np.zeros(0))
     _, j, own, by_arm = dense(case, placed, noise, twists)
     of_weights = dense(case, placed, weights, twists)[2]
     weighed = np.linalg.solve(of_weights, j)

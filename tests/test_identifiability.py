@@ -9,7 +9,7 @@ from small_robots import small_arm
 import calib
 from calib import fit
 from calib.core.base.parameter import Parameter
-from calib.core.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduced
+from calib.core.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduce_rows
 from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
 from calib.core.rows.candidates import assumed_sigma
@@ -78,10 +78,10 @@ def test_columns_that_nearly_depend_are_told_wherever_the_rank_is(tmp_path):
 
 def test_reduced_keeps_singular_values():
     matrix = random_matrix(50, 6, 5)
-    assert reduced(matrix).shape == (6, 6)
+    assert reduce_rows(matrix).shape == (6, 6)
     # QR is backward stable: a few units in the last place of the largest singular value
     np.testing.assert_allclose(
-        np.linalg.svd(reduced(matrix), compute_uv=False), np.linalg.svd(matrix, compute_uv=False), atol=1e-13
+        np.linalg.svd(reduce_rows(matrix), compute_uv=False), np.linalg.svd(matrix, compute_uv=False), atol=1e-13
     )
 
 

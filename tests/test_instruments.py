@@ -9,7 +9,7 @@ from small_robots import ARM_YAML, write_arm
 import calib
 from calib.core.instruments.kind import Readings
 from calib.core.rows.jacobian import linearise
-from calib.core.rows.observed import predicted_readings
+from calib.core.rows.observed import predict_readings
 
 FREE = """\
 parametrisation:
@@ -191,7 +191,7 @@ def in_setups(robot, q, setup, values, sigma=2e-5, seed=3):
     """What the tracker reads at these joint values while it stands where it does in each setup (n,)."""
     truth = robot.with_parameters(values)
     plan = Readings(np.arange(len(q)), np.array(setup), np.zeros((len(q), 3)), None, np.zeros((len(q), 0)))
-    predicted = predicted_readings(truth, truth.assemble(q), {"tip": plan})["tip"]
+    predicted = predict_readings(truth, truth.assemble(q), {"tip": plan})["tip"]
     exact = predicted.values + sigma * np.random.default_rng(seed).standard_normal((len(q), 3))
     return replace(calib.as_measurements(robot, q, exact), readings={"tip": replace(predicted, values=exact)})
 
@@ -249,7 +249,7 @@ def test_an_error_of_the_joints_that_a_visit_shares_is_found_and_widens_interval
         fit = calib.fit(robot, data)
         errors.append(fit.robot.values - truth.values)
         claimed.append(fit.statistics.std)
-        assert fit.statistics.shared.ratio > 1.1
+        assert fit.statistics.shared_scatter.ratio > 1.1
         white = fit.rows.jacobian  # by the noise as found, as if all rows were independent
         factor = fit.statistics.factors.values[0]
         narrow.append(factor * np.sqrt(np.diag(np.linalg.inv(white.T @ white))) * fit.unknowns.scales)

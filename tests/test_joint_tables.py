@@ -9,7 +9,7 @@ from small_robots import ARM_YAML, write_arm
 import calib
 from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.core.robots.terms.term import Context
-from calib.exporting.joint_tables import beside_tables, joint_table_files, joint_tables
+from calib.exporting.joint_tables import joint_table_files, joint_tables, lost_by_tables
 
 TERMS = """\
   - {joint: all, term: gain}
@@ -70,7 +70,7 @@ def test_the_tables_agree_with_the_engine_both_ways(robot, folder, commands):
 
 def test_the_csv_holds_the_same_numbers(robot, folder):
     rows = rows_of(folder)
-    assert beside_tables(robot) == []
+    assert lost_by_tables(robot) == []
     for table in joint_tables(robot):
         own = [row for row in rows if row["joint"] == table.joint]
         assert [float(row["commanded"]) for row in own] == table.commands.tolist()
@@ -100,7 +100,7 @@ def _values(robot):
 def test_what_depends_on_more_is_left_out_and_said_with_its_size(tmp_path, run_calib, robot):
     sizes = {"slide.backlash": -2e-4, "turn.drift": 1e-4, "wrist.by_turn": 3e-4}
     more = robot_with(tmp_path, TERMS + BEYOND).with_parameters(sizes)
-    left = beside_tables(more)
+    left = lost_by_tables(more)
     assert "slide: backlash is not in the table, because it depends on the direction of approach: 0.2 mm" in left[0]
     assert "turn: drift is not in the table, because it depends on time: 0.1 mrad per hour remains" in left[1]
     per_radian = "0.3 mrad per rad or m of it remains"

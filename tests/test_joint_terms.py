@@ -12,7 +12,7 @@ from calib.core.fitting.terms.candidate_terms import candidates
 from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.core.robots.terms.term import Context
 from calib.core.rows.jacobian import linearise
-from calib.core.rows.observed import observe, predicted_readings
+from calib.core.rows.observed import observe, predict_readings
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SHARED = Path(__file__).parents[2] / "shared" / "data"
@@ -86,7 +86,7 @@ def test_backlash_follows_the_direction_of_approach(five_bar):
     robot = five_bar.with_parameters({f"{name}.backlash": 1e-4})
     q = near_home(robot, 3, 3)
     approach = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 0.0]])
-    result = robot.assemble(q, context=Context.of(approach, {})).actuated
+    result = robot.assemble(q, context=Context.from_conditions(approach, {})).actuated
     assert np.allclose(result[:, 0] - q[:, 0], [1e-4, -1e-4, 0.0], rtol=0, atol=1e-15)
 
 
@@ -106,7 +106,7 @@ def test_a_temperature_counts_from_the_same_reference_in_every_file(tmp_path):
     robot = robot.with_parameters({f"{FIVE_BAR_JOINT}.temperature": 1e-4})
     q, approach = near_home(robot, 3, 5), np.zeros((3, 2))
     for rows in ([0, 1, 2], [1, 2]):  # a subset has another mean
-        context = Context.of(approach[rows], {"temperature": np.array([20.0, 23.0, np.nan])[rows]})
+        context = Context.from_conditions(approach[rows], {"temperature": np.array([20.0, 23.0, np.nan])[rows]})
         error = robot.assemble(q[rows], context=context).actuated[:, 0] - q[rows, 0]
         assert np.allclose(error, np.array([0.0, 3e-4, 0.0])[rows], rtol=0, atol=1e-15)
 
@@ -128,7 +128,7 @@ def test_derivatives_by_coefficients_agree_with_differences_through_the_loop(fiv
     values[five_bar.coefficients] = 1e-3 * rng.standard_normal(values[five_bar.coefficients].shape)
     robot = five_bar.with_parameters(values)
     q = near_home(robot, 7, 5)
-    context = Context.of(np.sign(rng.standard_normal(q.shape)), {})
+    context = Context.from_conditions(np.sign(rng.standard_normal(q.shape)), {})
 
     def positions(changed):
         moved = robot.with_parameters(changed)
@@ -146,7 +146,7 @@ def test_derivatives_by_coefficients_agree_with_differences_through_the_loop(fiv
 
 def test_readings_and_positions_have_the_same_derivatives(five_bar):
     configurations = five_bar.assemble(near_home(five_bar, 5, 6))
-    observed = observe(five_bar, configurations, predicted_readings(five_bar, configurations))
+    observed = observe(five_bar, configurations, predict_readings(five_bar, configurations))
     by_target = linearise(five_bar, configurations).jacobian[:, 0]
     assert np.allclose(next(iter(observed.values())).jacobian, by_target, rtol=0, atol=1e-12)
 

@@ -15,7 +15,7 @@ from small_robots import small_arm, write_parallelogram, write_pose_loop
 from test_kind_joint_reading import five_bar as five_bar_with_encoder
 
 import calib
-from calib.core.robots.acceleration import compiled, compiled_for, kernels
+from calib.core.robots.acceleration import compile_for, compile_kinematics, kernels
 from calib.core.robots.continuation import newton
 from calib.core.rows.jacobian import linearise, origin_jacobian
 from calib.core.rows.observed import observe
@@ -72,7 +72,7 @@ def test_closed_loops_are_those_of_the_reference(case):
     seed = robot.assemble(q).passive
     for start in (None, seed):
         expected = moved.assemble(q, start)
-        with compiled():
+        with compile_kinematics():
             assert kernels(moved.mechanism, len(q)) is not None
             assembled = moved.assemble(q, start)
         # loops are closed to 1e-12 m, and far from singular poses passive joints as well as that
@@ -85,7 +85,7 @@ def test_closed_loops_are_those_of_the_reference(case):
     where = moved.mechanism, robot.mode, expected.actuated, expected.passive
     if moved.passive_names:
         expected_slopes = newton(*where)[1:3]
-        with compiled():
+        with compile_kinematics():
             for slope, known in zip(newton(*where)[1:3], expected_slopes, strict=True):
                 assert np.allclose(slope, known, rtol=0, atol=20 * SAME)
 
@@ -96,21 +96,21 @@ def test_derivatives_are_those_of_the_reference(case):
     read = calib.simulate(moved, q, 0.0).readings
     plain, every = linearise(moved, there), origin_jacobian(moved.mechanism, there)[1]
     observed = observe(moved, there, read, joints=True)
-    with compiled():
+    with compile_kinematics():
         assert np.allclose(linearise(moved, there).positions, plain.positions, rtol=0, atol=SAME)
         assert np.allclose(linearise(moved, there).jacobian, plain.jacobian, rtol=SAME, atol=SAME)
         assert np.allclose(origin_jacobian(moved.mechanism, there)[1], every, rtol=SAME, atol=SAME)
         for name, item in observe(moved, there, read, joints=True).items():
             assert np.allclose(item.residuals, observed[name].residuals, rtol=0, atol=SAME)
             assert np.allclose(item.jacobian, observed[name].jacobian, rtol=SAME, atol=SAME)
-            assert np.allclose(item.by_joint, observed[name].by_joint, rtol=SAME, atol=SAME)
+            assert np.allclose(item.joint_derivative, observed[name].joint_derivative, rtol=SAME, atol=SAME)
 
 
 def test_poses_that_cannot_close_are_refused_alike():
     robot, q = example("five_bar")
     q = np.vstack([q, [[3.1, 0.05]]])  # both motors stretched away from each other
     expected = robot.close(q)
-    with compiled():
+    with compile_kinematics():
         result = robot.close(q)
     assert not expected.ok[-1]
     assert np.array_equal(result.ok, expected.ok)
@@ -140,7 +140,7 @@ def test_a_whole_fit_gives_the_same_numbers():
     robot = calib.load(EXAMPLES / "five_bar.yaml")
     data = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", robot)
     plain = calib.fit(robot, data)
-    with compiled():
+    with compile_kinematics():
         fast = calib.fit(robot, data)
     off = (fast.robot.values - plain.robot.values)[plain.free] / plain.statistics.std
     assert np.max(np.abs(off)) < 1e-6
@@ -149,7 +149,7 @@ def test_a_whole_fit_gives_the_same_numbers():
 
 def test_loops_of_directions_are_left_to_the_reference(tmp_path):
     robot = calib.load(write_pose_loop(tmp_path))
-    with compiled():
+    with compile_kinematics():
         assert kernels(robot.mechanism, 10) is None
 
 
@@ -157,7 +157,7 @@ def test_numba_is_loaded_only_where_it_is_asked_for():
     robot = calib.load(EXAMPLES / "five_bar.yaml")
     assert kernels(robot.mechanism, 100) is None
     assert kernels(robot.mechanism, 100_000) is not None
-    with compiled(False):
+    with compile_kinematics(False):
         assert kernels(robot.mechanism, 100_000) is None
     check = (
         "import sys, calib; robot = calib.load(sys.argv[1]); robot.assemble(robot.home); print('numba' in sys.modules)"
@@ -168,19 +168,19 @@ def test_numba_is_loaded_only_where_it_is_asked_for():
 
 def test_a_task_of_many_poses_is_worth_loading_it():
     robot = calib.load(EXAMPLES / "five_bar.yaml")
-    with compiled_for(300_000):
+    with compile_for(300_000):
         assert kernels(robot.mechanism, 10) is not None
-    with compiled_for(1000):
+    with compile_for(1000):
         assert kernels(robot.mechanism, 10) is None
-    with compiled(False), compiled_for(300_000):
+    with compile_kinematics(False), compile_for(300_000):
         assert kernels(robot.mechanism, 10) is None
 
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_fewer_poses_are_worth_it_if_an_earlier_program_has_compiled(monkeypatch, kept):
     mechanism = calib.load(EXAMPLES / "five_bar.yaml").mechanism
-    monkeypatch.setattr("calib.core.robots.kernels.kept", lambda: kept)
-    with compiled_for(20_000):
+    monkeypatch.setattr("calib.core.robots.kernels.is_compiled", lambda: kept)
+    with compile_for(20_000):
         assert (kernels(mechanism, 10) is not None) is kept
     assert (kernels(mechanism, 5000) is not None) is kept
     assert kernels(mechanism, 4000) is None
@@ -207,7 +207,7 @@ def test_the_same_poses_are_sampled_by_compiled_code():
     robot = calib.load(EXAMPLES / "five_bar.yaml")
     sampled = []
     for item in (True, False):
-        with compiled(item):
+        with compile_kinematics(item):
             sampled.append(robot.sample(200, seed=4))
     assert np.array_equal(*sampled)
 

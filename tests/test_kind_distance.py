@@ -8,7 +8,7 @@ from small_robots import ARM_YAML, write_arm
 
 import calib
 from calib.core.numerics.rigid import centre, centre_of_sphere, common_offset
-from calib.core.rows.observed import predicted_readings
+from calib.core.rows.observed import predict_readings
 from calib.core.rows.registration import register
 from medrue import robot_file
 
@@ -92,7 +92,7 @@ def test_the_fixed_point_of_a_planar_robot_stays_on_the_side_where_it_is_believe
         (tmp_path / "five_bar.yaml").write_text(yaml)
         robot = calib.load(tmp_path / "five_bar.yaml")
         q = robot.home + np.random.default_rng(5).uniform(-0.4, 0.4, (20, 2))
-        assert chain_error(robot, q[:4], predicted_readings(robot, robot.assemble(q[:4]))) <= 1e-6
+        assert chain_error(robot, q[:4], predict_readings(robot, robot.assemble(q[:4]))) <= 1e-6
         end = np.array([0.4, -0.3, 0.5 * side])
         distances = np.linalg.norm(robot.positions(q)[:, 0] - end, axis=1)
         placed = register(robot, calib.as_measurements(robot, q, {"wire": distances[:, None]}))

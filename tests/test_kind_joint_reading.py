@@ -8,9 +8,9 @@ from kind_checks import assert_covered, chain_error, coverage
 from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 
 import calib
-from calib.core.rows.observed import observe, predicted_readings
+from calib.core.rows.observed import observe, predict_readings
 from calib.core.rows.registration import register
-from viz.reading_errors import of_fit as readings_of_fit
+from viz.reading_errors import reading_errors_of_fit as readings_of_fit
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 TRUTH = {"right_motor.x": 0.1011, "left_elbow.x": 0.1993, "left_end.x": 0.3008, "right_elbow.x": 0.2004}
@@ -58,7 +58,7 @@ def test_a_passive_joint_is_read_as_the_law_of_cosines_says(tmp_path):
     robot = five_bar(tmp_path, "  other: {kind: joint_reading, joint: right_elbow, offset: 10 deg}\n")
     robot = robot.with_parameters(TRUTH | {"elbow.zero": 0.2})
     q = poses(robot, 20, 1)
-    read = predicted_readings(robot, robot.assemble(q))
+    read = predict_readings(robot, robot.assemble(q))
     expected = elbows(robot, q) + np.array([0.2, np.radians(10)])
     np.testing.assert_allclose(read["elbow"].values[:, 0], expected[:, 0], atol=1e-11)
     np.testing.assert_allclose(read["other"].values[:, 0], expected[:, 1], atol=1e-11)
@@ -71,9 +71,11 @@ def test_derivatives_through_the_loop_of_a_five_bar(tmp_path):
         "  pen: {kind: position}\n",
     ).with_parameters(TRUTH)
     q = poses(robot, 6, 2)
-    readings = predicted_readings(robot, robot.assemble(q))
+    readings = predict_readings(robot, robot.assemble(q))
     assert chain_error(robot, q, readings) <= 1e-6
-    by_joint = {name: item.by_joint for name, item in observe(robot, robot.assemble(q), readings, joints=True).items()}
+    by_joint = {
+        name: item.joint_derivative for name, item in observe(robot, robot.assemble(q), readings, joints=True).items()
+    }
     step = 1e-6
     for j in range(2):
         sides = [observe(robot, robot.assemble(q + sign * step * np.eye(2)[j]), readings) for sign in (1, -1)]
@@ -91,7 +93,7 @@ def test_a_follower_reads_what_its_leader_does(tmp_path):
         )
     )
     q = np.array([[0.6], [1.2], [2.0]])
-    read = predicted_readings(robot, robot.assemble(q))
+    read = predict_readings(robot, robot.assemble(q))
     np.testing.assert_allclose(read["c"].values, q, atol=1e-12)
     np.testing.assert_allclose(read["b"].values, -q, atol=1e-12)
 

@@ -7,7 +7,7 @@ from six_axis_arm import joints, write_six_axis
 
 import calib
 from calib.core.data.measurement_files import format_measurements, read_measurements
-from calib.core.instruments.hand_eye import fixed_poses
+from calib.core.instruments.hand_eye import solve_poses
 from calib.core.instruments.kind import View
 from calib.core.rows.registration import register
 
@@ -81,7 +81,7 @@ def test_both_ends_are_found_in_closed_form():
     looked = np.linalg.inv(first) @ links @ second
     for known in ((False, False), (True, False), (False, True)):
         now = (first if known[0] else np.eye(4), second if known[1] else np.eye(4))
-        result = fixed_poses(links, looked, now, known)
+        result = solve_poses(links, looked, now, known)
         np.testing.assert_allclose(result[0], first, atol=1e-12)
         np.testing.assert_allclose(result[1], second, atol=1e-12)
 

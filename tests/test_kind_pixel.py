@@ -12,10 +12,10 @@ from six_axis_arm import joints, write_six_axis
 
 import calib
 from calib.core.data.measurement_files import read_measurements
-from calib.core.instruments.camera import in_front, project, rays
+from calib.core.instruments.camera import is_in_front, project, rays
 from calib.core.instruments.kind import Readings, View
 from calib.core.rows.candidates import rows_of_poses
-from calib.core.rows.observed import predicted_readings
+from calib.core.rows.observed import predict_readings
 from calib.core.rows.registration import register
 
 _GOLDEN = (1 + 5**0.5) / 2
@@ -119,7 +119,7 @@ def test_points_behind_a_camera_have_finite_pixels_that_lead_back_to_its_front()
     falling = np.stack([np.full(50, 0.3), np.zeros(50), np.linspace(1.0, -1.0, 50)], axis=1)
     falling /= np.linalg.norm(falling, axis=1, keepdims=True)
     assert np.all(np.diff((project(falling, CAMERA)[0][:, 0] - 1000) / falling[:, 0]) > 0)
-    assert in_front(np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0]])).tolist() == [True, False, False]
+    assert is_in_front(np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0]])).tolist() == [True, False, False]
 
 
 def standing(robot, camera, body):
@@ -137,7 +137,7 @@ def test_a_camera_beside_the_robot_reads_what_opencv_says(arm):
     q = joints(12, 4)
     data = data_of(arm, q, photographs(arm, q, camera, body, most=2))
     there = standing(arm, camera, body)
-    predicted = predicted_readings(there, there.assemble(data.joints), data.readings)["eye"].values
+    predicted = predict_readings(there, there.assemble(data.joints), data.readings)["eye"].values
     np.testing.assert_allclose(predicted, data.readings["eye"].values, atol=1e-7)
 
 

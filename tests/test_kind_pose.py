@@ -69,7 +69,7 @@ def test_every_form_of_rotation_is_read_back(tmp_path, form):
     ("form", "sequence"), [("rpy", "xyz"), ("intrinsic_xyz", "XYZ"), ("intrinsic_zyx", "ZYX"), ("intrinsic_zyz", "ZYZ")]
 )
 def test_angles_mean_what_their_form_says(form, sequence):
-    instrument = Pose.of("t", PoseSection(kind="pose", rotation=form))
+    instrument = Pose.from_section("t", PoseSection(kind="pose", rotation=form))
     angles = np.array([[0.3, -0.4, 1.2]])
     # elementary rotations written out: fixed axes multiply from the left, moving ones from the right
     c, s = np.cos(angles[0]), np.sin(angles[0])

@@ -12,7 +12,7 @@ from test_kind_distance import FREE
 
 import calib
 from calib.core.data.measurement_files import format_measurements
-from calib.core.rows.observed import predicted_readings
+from calib.core.rows.observed import predict_readings
 from calib.core.rows.registration import register
 from calib.planning.pose_sampling import sample
 
@@ -318,7 +318,7 @@ def test_one_socket_does_not_see_the_scale_of_the_robot_and_a_bar_of_known_lengt
         }
     )
     poses = sample(robot, 60, np.random.default_rng(0))
-    gap = predicted_readings(grown, grown.assemble(poses.joints), poses.planned)["probe"].values
+    gap = predict_readings(grown, grown.assemble(poses.joints), poses.planned)["probe"].values
     assert np.max(np.abs(gap)) == (pytest.approx(0.0005, abs=1e-4) if seen else pytest.approx(0.0, abs=1e-9))
     run = run_calib("check", tmp_path / "arm.yaml", "--json", tmp_path / "check.json")
     assert run.code == 0, run.err

@@ -13,7 +13,7 @@ from test_kind_touch import EVERY as TOUCHED
 
 import calib
 from calib.core.instruments.kind import Readings, View
-from calib.core.rows.observed import predicted_readings
+from calib.core.rows.observed import predict_readings
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -91,7 +91,7 @@ def test_all_parameters_move_readings_of_every_kind_as_differences_say(tmp_path,
     robot, q = made(tmp_path)
     other = robot.with_parameters(robot.values + np.random.default_rng(2).normal(0, 1e-4, len(robot.values)))
     readings = {}
-    for name, read in predicted_readings(other, other.assemble(q)).items():
+    for name, read in predict_readings(other, other.assemble(q)).items():
         seen = np.flatnonzero(np.isfinite(read.values).all(axis=1))[:12]
         assert len(seen) > 1, name
         parts = (read.visits, read.pairs, read.values)
@@ -115,6 +115,8 @@ def test_a_kind_by_itself_has_exact_derivatives(instruments, name):
     view = View(Rotation.random(n, rng).as_matrix(), places)
     unknowns = np.array([unknown.nominal_si + 0.1 * unknown.sigma_si for unknown in instrument.unknowns])
     unknowns[~np.isfinite(unknowns)] = 0.02
-    values = instrument.moved(instrument.predict(view, unknowns, details), rng.normal(0, 0.1, (n, instrument.n_rows)))
+    values = instrument.with_errors(
+        instrument.predict(view, unknowns, details), rng.normal(0, 0.1, (n, instrument.n_rows))
+    )
     readings = Readings(np.arange(n), pairs, values, None, details)
     assert kind_error(instrument, view, unknowns, readings) <= 1e-6

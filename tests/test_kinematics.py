@@ -59,7 +59,9 @@ def test_twists_in_the_world_serve_every_frame_as_pinocchios_regressor_would(cas
     before = mechanism.twists_before(None)[left]  # of every origin twist
     origins, columns = np.nonzero(np.any(before != 0, axis=1))
     of_origins = np.zeros((len(joints), 6, before.shape[2]))
-    of_origins[:, :, columns] = kinematics.WorldTwists(swept.reduced, origins, before[origins, :, columns]).seen(swept)
+    of_origins[:, :, columns] = kinematics.WorldTwists(swept.reduced, origins, before[origins, :, columns]).in_world(
+        swept
+    )
     data = mechanism.model.createData()
     for k, q in enumerate(joints):
         pin.computeJointJacobians(mechanism.model, data, q)
@@ -70,7 +72,7 @@ def test_twists_in_the_world_serve_every_frame_as_pinocchios_regressor_would(cas
                 else np.zeros((6, 6 * mechanism.n_joints))
                 for frame in (pair.a, pair.b)
             ]
-            sign = np.repeat(mechanism.between(pair), 6)
+            sign = np.repeat(mechanism.direction_signs(pair), 6)
             assert np.allclose(of_origins[k] * sign, both[1] - both[0], rtol=0, atol=10 * ROUNDING)
 
 
@@ -79,7 +81,7 @@ def test_joints_of_other_branches_leave_the_model(tmp_path):
     mechanism = robot.mechanism
     joints = mechanism.all_joints(there.actuated, there.passive)
     swept = kinematics.sweep(mechanism, joints, mechanism.targets)
-    on_the_way = np.flatnonzero(mechanism.between(mechanism.targets[0]))
+    on_the_way = np.flatnonzero(mechanism.direction_signs(mechanism.targets[0]))
     assert list(swept.reduced.joints) == list(on_the_way)
     assert len(on_the_way) < mechanism.n_joints / 4
     assert swept.rotation.shape == (len(joints), len(on_the_way) + 1, 3, 3)

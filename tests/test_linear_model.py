@@ -14,7 +14,7 @@ GROUP = np.repeat([0, 1, -1], [20, 15, 5])
 def model():
     prior = Prior(np.array([True, False, True, True]), np.array([2, 3]), np.array([[1.0, 0.5], [0.5, 1.0]]))
     jacobian, residuals = RNG.normal(size=(40, 4)), RNG.normal(size=40)
-    return LinearModel(residuals, jacobian, prior, RNG.normal(size=4), RowGroups.of(GROUP, 2))
+    return LinearModel(residuals, jacobian, prior, RNG.normal(size=4), RowGroups.from_groups(GROUP, 2))
 
 
 def stacked(model, residuals):
@@ -32,14 +32,14 @@ def test_the_step_is_that_of_stacked_least_squares(model):
 
 def test_a_model_by_some_parameters_holds_the_others(model):
     some = np.array([True, True, False, True])
-    part = model.only(some)
+    part = model.select_parameters(some)
     assert part.cost == pytest.approx(np.sum(model.residuals**2) + np.sum(model.deviations[[0, 3]] ** 2))
     np.testing.assert_allclose(part.step(), stacked(part, part.residuals), rtol=1e-9)
 
 
 def test_a_block_left_out_moves_its_rows_to_where_the_others_have_them(model):
     block = np.arange(40) // 8
-    moved, decided = model.left_out(block).moved(model.residuals + model.jacobian @ model.step())
+    moved, decided = model.leave_out_blocks(block).shifts_without_block(model.residuals + model.jacobian @ model.step())
     assert decided.shape == (5,)
     for b in range(5):
         rest = block != b

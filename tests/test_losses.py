@@ -5,9 +5,9 @@ from scipy.stats import chi
 from calib.core.base.errors import InputError, NotIdentifiableError
 from calib.core.numerics.losses import (
     LOSSES,
-    checked_loss,
     constant,
     efficiency,
+    find_loss,
     median_length,
     robust_factors,
     scale_of,
@@ -120,4 +120,4 @@ def test_no_freedom_is_an_error():
 
 def test_an_unknown_loss_names_the_nearest():
     with pytest.raises(InputError, match="did you mean 'tukey'"):
-        checked_loss("tuckey")
+        find_loss("tuckey")

@@ -14,10 +14,10 @@ from six_axis_arm import FREE, NO_PRIORS, YAML, joints, six_axis_arm, write_six_
 from test_workers import Shared
 
 import calib
-from calib.core.base.workers import Workers, in_order
+from calib.core.base.workers import Workers, results_in_order
 from calib.core.fitting.settings import Settings
-from calib.studies.many_calibrations import Repeated
-from calib.studies.study_data import Drawn, Resampled
+from calib.studies.many_calibrations import RepeatedCalibration
+from calib.studies.study_data import DrawnData, ResampledDraws
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 2e-5
@@ -91,7 +91,9 @@ def test_a_draw_gives_the_numbers_of_a_separate_fit(case, loss, request):
     truth = bent(robot)
     data = [calib.simulate(truth, poses, SIGMA, seed) for seed in (1, 2)]
     settings = Settings(sigma=SIGMA, loss=loss)
-    result = Repeated(calib.fit(robot, data[0], sigma=SIGMA, loss=loss), settings).estimate(Drawn(truth, data[1]))
+    result = RepeatedCalibration(calib.fit(robot, data[0], sigma=SIGMA, loss=loss), settings).estimate(
+        DrawnData(truth, data[1])
+    )
     alone = calib.fit(robot, data[1], sigma=SIGMA, loss=loss)
     off = (result.values - alone.robot.values[alone.free]) / alone.statistics.std
     # both stop where the next step is below 1e-4 standard deviations; robust weights stand to a thousandth
@@ -127,7 +129,7 @@ def test_draws_give_all_the_numbers_of_separate_fits(instruments, tmp_path):
     exact = calib.simulate(truth, poses, 0.0)
     named = exact if several else replace(exact, names=tuple(str(k if k < 27 else (k - 27) % 4) for k in range(35)))
     data = [calib.simulate(truth, named, sigma, seed) for seed in range(4)]
-    repeated = Repeated(calib.fit(robot, data[0], sigma=sigma), Settings(sigma=sigma))
+    repeated = RepeatedCalibration(calib.fit(robot, data[0], sigma=sigma), Settings(sigma=sigma))
     off = np.zeros((len(poses), 3))
     if several:
         off[3, 0] = 1.2e-4
@@ -135,7 +137,7 @@ def test_draws_give_all_the_numbers_of_separate_fits(instruments, tmp_path):
         off[:4] = off[27:31] = off[31:] = 3e-4 * np.random.default_rng(0).standard_normal((4, 3))
     data.append(with_errors(data[0], name, off))
     for each in data:
-        made = repeated.estimate(Drawn(robot, each))
+        made = repeated.estimate(DrawnData(robot, each))
         alone = calib.fit(robot, each, sigma=sigma)
         statistics = alone.statistics
         assert np.max(np.abs(made.values - alone.robot.values[alone.free]) / statistics.std) < 1e-4
@@ -147,7 +149,7 @@ def test_draws_give_all_the_numbers_of_separate_fits(instruments, tmp_path):
         assert made.chi_square == pytest.approx(alone.chi_square.value, rel=1e-7)
         assert made.names_outliers == bool(alone.outliers)
     assert made.names_outliers == several
-    assert (statistics.shared is None) == several
+    assert (statistics.shared_scatter is None) == several
 
 
 def test_draws_of_which_more_is_to_be_found_give_the_numbers_of_fits(five_bar):
@@ -158,9 +160,9 @@ def test_draws_of_which_more_is_to_be_found_give_the_numbers_of_fits(five_bar):
     pen = quiet.readings["pen"]
     fewer = {key: np.delete(getattr(pen, key), 7, axis=0) for key in ("visits", "pairs", "values", "details")}
     missing = replace(quiet, readings={"pen": replace(pen, **fewer)})
-    repeated = Repeated(calib.fit(robot, quiet, sigma=SIGMA), Settings(sigma=SIGMA))
+    repeated = RepeatedCalibration(calib.fit(robot, quiet, sigma=SIGMA), Settings(sigma=SIGMA))
     for each in (quiet, loud, missing):
-        made = repeated.estimate(Drawn(robot, each))
+        made = repeated.estimate(DrawnData(robot, each))
         alone = calib.fit(robot, each, sigma=SIGMA)
         assert np.max(np.abs(made.values - alone.robot.values[alone.free]) / alone.statistics.std) < 1e-2
         assert made.std == pytest.approx(alone.statistics.std, rel=1e-2)  # noise is found to one percent
@@ -179,7 +181,7 @@ def test_numbers_do_not_depend_on_who_works(five_bar):
                 assert np.array_equal(getattr(shared.draws, name), getattr(alone.draws, name)), name
         resampled = [calib.study(robot, data, draws=6, resample=True, executor=item) for item in (None, processes)]
         assert np.array_equal(resampled[0].draws.values, resampled[1].draws.values)
-        assert np.all(resampled[0].draws.answered)
+        assert np.all(resampled[0].draws.has_answer)
     fewer = calib.study(robot, data, **given | {"draws": 3})
     assert fewer.draws.values == pytest.approx(alone.draws.values[:3], rel=1e-9)  # a draw has its own seed
 
@@ -265,7 +267,7 @@ def test_a_dask_cluster_does_the_draws(five_bar, alone, monkeypatch):
     ):
         studied = calib.study(robot, data, draws=6, executor=client.get_executor())
         folds = calib.fit(robot, data, folds=3, executor=client.get_executor()).folds
-        products = list(in_order(Shared(3), range(20), client.get_executor()))
+        products = list(results_in_order(Shared(3), range(20), client.get_executor()))
     assert products == [3 * k for k in range(20)]
     assert Shared.sent == 1
     assert np.array_equal(studied.draws.values, alone.draws.values)
@@ -358,7 +360,7 @@ def test_a_truth_that_the_model_leaves_out_shows_as_bias(five_bar):
 def test_draws_without_an_answer_are_counted_and_left_out(five_bar):
     robot, data = five_bar
     studied = calib.study(robot, data, draws=12, noise=sometimes_no_contact, seed=4)
-    lost = int(np.sum(~studied.draws.answered))
+    lost = int(np.sum(~studied.draws.has_answer))
     assert 0 < lost == len(studied.failures) < 12
     assert np.all(np.isfinite([parameter.spread for parameter in studied.parameters]))
     assert f"{lost} draws gave no answer: no contact" in str(studied)
@@ -441,8 +443,8 @@ def test_repeats_of_a_pose_are_drawn_together_and_a_pose_drawn_twice_is_two(arm)
     q = np.repeat(joints(40), 2, axis=0)
     measured = calib.simulate(bent(arm), q, SIGMA, 3)
     data = replace(measured, names=tuple(f"p{k // 2}" for k in range(80)))
-    source = Resampled(arm, data, arm.assemble(q).passive)
-    drawn = source.measured(np.random.SeedSequence(1)).data
+    source = ResampledDraws(arm, data, arm.assemble(q).passive)
+    drawn = source.draw(np.random.SeedSequence(1)).data
     assert len(drawn) == 80
     assert drawn.n_poses == 40
     said = [name.split(": ") for name in drawn.names]

@@ -6,7 +6,7 @@ import scipy
 
 from calib.core.numerics.mixed_model import MixedModel
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows
-from calib.core.numerics.size_search import drawn_sizes, information_by_size, likeliest_sizes
+from calib.core.numerics.size_search import draw_sizes, information_by_size, likeliest_sizes
 
 GROUPS = np.tile([0, 0, 1], 20)
 POSES = np.repeat(np.arange(20), 3)
@@ -62,20 +62,20 @@ def dense_cost(model, logs):
 
 
 def test_the_cost_differs_from_that_of_contrasts_by_a_constant(small):
-    model = MixedModel.of(small)
+    model = MixedModel.from_rows(small)
     others = [LOGS, LOGS + 0.5, LOGS * -2.0]
-    apart = [model.solved(logs).cost - dense_cost(model, logs) for logs in others]
+    apart = [model.solve(logs).cost - dense_cost(model, logs) for logs in others]
     np.testing.assert_allclose(apart, apart[0], atol=1e-8)
 
 
 def test_the_gradient_is_that_of_the_dense_likelihood(small):
-    model, step = MixedModel.of(small), 1e-5
+    model, step = MixedModel.from_rows(small), 1e-5
     slopes = [(dense_cost(model, LOGS + step * e) - dense_cost(model, LOGS - step * e)) / (2 * step) for e in np.eye(4)]
-    np.testing.assert_allclose(model.solved(LOGS).gradient, slopes, rtol=1e-6)
+    np.testing.assert_allclose(model.solve(LOGS).gradient, slopes, rtol=1e-6)
 
 
 def test_the_information_is_half_the_trace_of_dense_products(small):
-    model, step = MixedModel.of(small), 1e-5
+    model, step = MixedModel.from_rows(small), 1e-5
     _, covariance, away = contrasts(model, LOGS)
     inverse = away @ np.linalg.solve(covariance, away.T)
     moved = [
@@ -83,7 +83,7 @@ def test_the_information_is_half_the_trace_of_dense_products(small):
         for e in np.eye(4)
     ]
     dense = [[0.5 * np.trace(inverse @ one @ inverse @ two) for two in moved] for one in moved]
-    np.testing.assert_allclose(model.solved(LOGS).information, dense, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(model.solve(LOGS).information, dense, rtol=1e-5, atol=1e-8)
 
 
 def by_components(model, derivative):
@@ -93,8 +93,8 @@ def by_components(model, derivative):
 
 def test_coefficients_and_their_covariance_are_those_of_normal_numbers_given_the_rows(small):
     """By conditioning: prior covariance times columns, over W."""
-    model = MixedModel.of(small)
-    solved = model.solved(LOGS)
+    model = MixedModel.from_rows(small)
+    solved = model.solve(LOGS)
     _, covariance, away = contrasts(model, LOGS)
     prior = np.exp(2 * LOGS[0]) * (FAMILY == 0) + np.exp(2 * LOGS[1]) * (FAMILY == 1) + 1.0 * (FAMILY == KNOWN)
     felt = prior[:, None] * (away.T @ small.columns).T
@@ -108,13 +108,14 @@ def test_coefficients_and_their_covariance_are_those_of_normal_numbers_given_the
 
 
 def test_a_pose_that_is_left_out_is_predicted_by_a_solution_without_its_rows(small):
-    solved = MixedModel.of(small).solved(LOGS)
-    places, errors, covariance = list(solved.left_out())[3]
+    solved = MixedModel.from_rows(small).solve(LOGS)
+    places, errors, covariance = list(solved.left_out_errors())[3]
     others = np.setdiff1d(np.arange(60), places)
-    kept = MixedModel.of(
-        MixedRows(small.columns[others], small.values[others], FAMILY, GROUPS[others], small.stated, POSES[others],
+    kept = MixedModel.from_rows(
+        MixedRows(small.columns[others], small.values[others], FAMILY, GROUPS[others],
+                      small.has_stated_noise, POSES[others],
                   small.levers[others])
-    ).solved(LOGS)  # fmt: skip
+    ).solve(LOGS)  # fmt: skip
     expected = small.values[places] - small.columns[places] @ kept.coefficients
     np.testing.assert_allclose(errors, expected, rtol=1e-6)
     b = by_components(kept.model, small.columns[places])
@@ -126,15 +127,16 @@ def test_a_pose_that_is_left_out_is_predicted_by_a_solution_without_its_rows(sma
 
 
 def test_blocks_that_are_left_out_are_predicted_by_a_solution_without_their_rows(small):
-    solved, weight = MixedModel.of(small).solved(LOGS), np.array([2.0, 0.5])
+    solved, weight = MixedModel.from_rows(small).solve(LOGS), np.array([2.0, 0.5])
     block = np.arange(20) % 3
     squares = solved.left_out_squares(block[[small.pose[places[0]] for places in solved.model.poses]], weight)
     for k in range(3):
         there, others = np.flatnonzero(block[POSES] == k), np.flatnonzero(block[POSES] != k)
-        kept = MixedModel.of(
-            MixedRows(small.columns[others], small.values[others], FAMILY, GROUPS[others], small.stated, POSES[others],
+        kept = MixedModel.from_rows(
+            MixedRows(small.columns[others], small.values[others], FAMILY, GROUPS[others],
+                      small.has_stated_noise, POSES[others],
                       small.levers[others])
-        ).solved(LOGS)  # fmt: skip
+        ).solve(LOGS)  # fmt: skip
         errors = small.values[there] - small.columns[there] @ kept.coefficients
         assert squares[k] == pytest.approx(np.sum(weight[GROUPS[there]] * errors**2), rel=1e-6)
 
@@ -146,9 +148,9 @@ def test_what_a_block_alone_decides_is_no_error_of_it(small):
     squares = []
     for moved in (0.0, 7.0):
         values = small.values + np.where(POSES < 10, moved, 0.0)
-        solved = MixedModel.of(
-            MixedRows(columns, values, family, GROUPS * 0, small.stated[:1], POSES, none)
-        ).solved(LOGS[:3])  # fmt: skip
+        solved = MixedModel.from_rows(
+            MixedRows(columns, values, family, GROUPS * 0, small.has_stated_noise[:1], POSES, none)
+        ).solve(LOGS[:3])  # fmt: skip
         at = np.array([small.pose[places[0]] for places in solved.model.poses])
         squares.append(solved.left_out_squares((at >= 10).astype(int), np.ones(1)))
     np.testing.assert_allclose(squares[1], squares[0], rtol=1e-6)
@@ -156,8 +158,8 @@ def test_what_a_block_alone_decides_is_no_error_of_it(small):
 
 
 def test_a_model_without_a_family_is_that_of_size_zero(small):
-    model = MixedModel.of(small)
-    without, none = model.without(np.array([True, False])).solved(LOGS), model.solved(np.array([-20.0, *LOGS[1:]]))
+    model = MixedModel.from_rows(small)
+    without, none = model.without(np.array([True, False])).solve(LOGS), model.solve(np.array([-20.0, *LOGS[1:]]))
     assert without.cost == pytest.approx(none.cost, rel=1e-9)
     np.testing.assert_allclose(without.coefficients, none.coefficients, atol=1e-9)
 
@@ -173,7 +175,7 @@ def test_a_balanced_one_way_layout_has_the_sizes_of_its_mean_squares(monkeypatch
     table = rows.values.reshape(12, 6)
     within = np.sum((table - table.mean(axis=1, keepdims=True)) ** 2) / (12 * 5)
     between = 6 * np.var(table.mean(axis=1), ddof=1)
-    family, noise, _ = MixedModel.of(rows).sizes(likeliest_sizes(MixedModel.of(rows)).logs)
+    family, noise, _ = MixedModel.from_rows(rows).sizes(likeliest_sizes(MixedModel.from_rows(rows)).logs)
     assert noise[0] ** 2 == pytest.approx(within, rel=1e-4)
     assert family[0] ** 2 == pytest.approx((between - within) / 6, rel=1e-4)
 
@@ -182,10 +184,10 @@ def test_a_balanced_one_way_layout_has_the_sizes_of_its_mean_squares(monkeypatch
 def test_no_other_sizes_are_likelier(seed):
     """By the search of another package, from other starts, on an unbalanced layout."""
     rows = one_way([2, 9, 4, 7, 3, 8], np.random.default_rng(seed), between=0.5, within=0.4)
-    model = MixedModel.of(rows)
+    model = MixedModel.from_rows(rows)
 
     def cost(logs):
-        return model.solved(logs).cost + np.log1p(np.exp(2.0 * logs[0]))
+        return model.solve(logs).cost + np.log1p(np.exp(2.0 * logs[0]))
 
     found = likeliest_sizes(model)
     least = min(scipy.optimize.minimize(cost, start, method="Nelder-Mead").fun for start in ([-1, -1], [1, 0], [-3, 1]))
@@ -198,9 +200,9 @@ def test_a_family_that_is_not_there_gets_no_size():
     none = np.zeros((120, 0))
     family = np.array([0] * 5 + [FLAT] * 3)
     rows = MixedRows(columns, values, family, np.zeros(120, dtype=int), np.array([False]), np.arange(120), none)
-    found = likeliest_sizes(MixedModel.of(rows))
+    found = likeliest_sizes(MixedModel.from_rows(rows))
     assert np.exp(found.logs[0]) < 0.02
-    drawn = np.exp(drawn_sizes(found, 200, np.random.default_rng(0)))
+    drawn = np.exp(draw_sizes(found, 200, np.random.default_rng(0)))
     assert np.quantile(drawn[:, 0], 0.95) < 0.06  # 5 coefficients of 0.01 each could hide, not of 0.1
 
 
@@ -211,9 +213,9 @@ def test_components_that_rows_do_not_see_are_put_aside():
     columns = np.concatenate([one, one * (1 + 1e-9)], axis=1)
     none, n = np.zeros((40, 0)), np.arange(40)
     rows = MixedRows(columns, one[:, 0], np.zeros(2, dtype=int), np.zeros(40, dtype=int), np.array([True]), n, none)
-    assert MixedModel.of(rows).x.shape == (40, 1)
+    assert MixedModel.from_rows(rows).x.shape == (40, 1)
     length = np.sqrt(2.0) * np.linalg.norm(one)
-    assert [MixedModel.of(rows, factor * length).x.shape[1] for factor in (0.99, 1.01)] == [1, 0]
+    assert [MixedModel.from_rows(rows, factor * length).x.shape[1] for factor in (0.99, 1.01)] == [1, 0]
 
 
 def test_noise_and_scatter_are_told_apart_by_directions_that_joints_do_not_move():
@@ -226,7 +228,7 @@ def test_noise_and_scatter_are_told_apart_by_directions_that_joints_do_not_move(
         values = scatter + 0.4 * rng.standard_normal(300)
         pose, group = np.repeat(np.arange(100), 3), np.zeros(300, dtype=int)
         rows = MixedRows(np.ones((300, 1)), values, np.array([FLAT]), group, np.array([False]), pose, levers)
-        found.append(np.exp(likeliest_sizes(MixedModel.of(rows)).logs))
+        found.append(np.exp(likeliest_sizes(MixedModel.from_rows(rows)).logs))
     np.testing.assert_allclose(np.mean(found, axis=0), [0.4, 0.7], rtol=0.06)
 
 
@@ -242,10 +244,10 @@ def test_intervals_hold_over_sizes_that_are_drawn():
         cut = 45
         none, group = np.zeros((cut, 0)), np.zeros(cut, dtype=int)
         rows = MixedRows(columns[:cut], values[:cut], family, group, np.array([False]), np.arange(cut), none)
-        found = likeliest_sizes(MixedModel.of(rows))
+        found = likeliest_sizes(MixedModel.from_rows(rows))
         b, means, variances = by_components(found.model, columns[cut:]), [], []
-        for logs in drawn_sizes(found, 20, rng):
-            solved = found.model.solved(logs)
+        for logs in draw_sizes(found, 20, rng):
+            solved = found.model.solve(logs)
             means.append(b @ (solved.scale * solved.v))
             variances.append(np.sum(b @ solved.covariance * b, axis=1) + solved.model.sizes(logs)[1][0] ** 2)
         std = np.sqrt(np.mean(variances, axis=0) + np.var(means, axis=0))
@@ -255,6 +257,6 @@ def test_intervals_hold_over_sizes_that_are_drawn():
 
 def test_the_information_about_a_size_of_zero_is_finite():
     rows = one_way([5] * 8, np.random.default_rng(7), between=0.0, within=1.0)
-    found = likeliest_sizes(MixedModel.of(rows))
+    found = likeliest_sizes(MixedModel.from_rows(rows))
     known = information_by_size(found)
     assert np.all(np.linalg.eigvalsh(known) > 0.5)

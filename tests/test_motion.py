@@ -94,7 +94,7 @@ class _MuJoCo:
 def test_free_is_what_mujoco_finds_free(tmp_path):
     robot = calib.load(_write(tmp_path, _obstacles("0 mm") + "self_clearance: 0 mm\n"))
     q, checker = robot.sample(400, 3), _MuJoCo(_BOXES)
-    theirs, ours = np.array([checker.touches(row) for row in q]), ~check_poses(robot, q).free
+    theirs, ours = np.array([checker.touches(row) for row in q]), ~check_poses(robot, q).is_free
     assert 0.1 < theirs.mean() < 0.9
     assert np.mean(ours != theirs) <= 0.01  # 1 %: contacts by less than what both round
 
@@ -291,7 +291,7 @@ def test_the_commands_give_free_poses_and_say_what_was_left_out(tmp_path, run_ca
     checker = _MuJoCo(_BOXES)
     assert not any(checker.touches(q) for q in sampled.joints)
     every = robot.sample(120, 7)
-    blocked = ~check_poses(robot, every).free
+    blocked = ~check_poses(robot, every).is_free
     chosen = calib.select(robot, every, 20)
     assert not set(chosen.chosen.tolist()) & set(np.flatnonzero(blocked).tolist())
     assert 0 < chosen.after["O1"] <= chosen.unobstructed["O1"] * 1.01  # the exchange need not find the very best
@@ -435,7 +435,7 @@ def test_without_shapes_nothing_is_checked_and_that_is_said(tmp_path, run_calib)
     run = run_calib("sample", yaml, "-n", 3, "--out", tmp_path / "s.csv")
     assert "collisions are not checked: the robot file has no collision shapes" in run.err
     check = check_poses(calib.load(yaml), np.zeros((2, 6)))
-    assert check.free.all()
+    assert check.is_free.all()
     assert check.unchecked
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.commands.next_steps import after_fit
+from calib.core.commands.next_steps import advice_after_fit
 from calib.core.judging.reasons import Answer, Code, Verdict
-from calib.planning.next_steps import after_check, after_select
+from calib.planning.next_steps import advice_after_check, advice_after_select
 
 SMALLER_NOISE = Code.NOISE.says("", answer=Answer.STATE_NOISE)
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -61,18 +61,18 @@ def say(monkeypatch):
 )
 def test_the_first_reason_that_a_command_answers_says_which(fit, say, grade, codes, expected):
     say(grade, *codes)
-    meaning, following = after_fit(fit, "a.yaml", ("my data.csv",), "out", {}).splitlines()
+    meaning, following = advice_after_fit(fit, "a.yaml", ("my data.csv",), "out", {}).splitlines()
     assert grade in meaning
     assert following.startswith("Next: ")
     assert following.partition(": calib ")[2].startswith(expected.removeprefix("calib "))
-    unwritten = after_fit(fit, "a.yaml", ("my data.csv",), "out", {}, written=False)
+    unwritten = advice_after_fit(fit, "a.yaml", ("my data.csv",), "out", {}, written=False)
     assert ("with --out out, then" in unwritten) is ("--result out" in expected)
 
 
 def test_joint_terms_are_not_offered_where_poses_are_too_few_to_choose_them(robot, data, say):
     fit = calib.fit(robot, data[np.arange(15)])
     say("FAIL", "systematic")
-    assert after_fit(fit, "a.yaml", ("d.csv",), "out", {}).endswith(": calib check a.yaml d.csv")
+    assert advice_after_fit(fit, "a.yaml", ("d.csv",), "out", {}).endswith(": calib check a.yaml d.csv")
 
 
 def test_one_reading_that_is_off_leads_to_leaving_it_out_and_not_to_joint_terms(robot, data):
@@ -81,22 +81,22 @@ def test_one_reading_that_is_off_leads_to_leaving_it_out_and_not_to_joint_terms(
     read = calib.as_measurements(robot, data.joints, {"reflector": values})
     fit = calib.fit(robot, read)
     assert fit.outliers[0].pose == 17
-    assert "--exclude-outliers" in after_fit(fit, "a.yaml", ("d.csv",), "out", {})
+    assert "--exclude-outliers" in advice_after_fit(fit, "a.yaml", ("d.csv",), "out", {})
 
 
 def test_what_passed_on_other_poses_goes_on_to_be_used(robot, data, say):
     used, held = data.split(validation=0.25, seed=1)
     validated = calib.fit(robot, used, validation=held)
     say("PASS")
-    assert after_fit(validated, "a.yaml", ("d.csv",), "my out", {}).splitlines()[1] == (
+    assert advice_after_fit(validated, "a.yaml", ("d.csv",), "my out", {}).splitlines()[1] == (
         "Next: use my out/calibrated.urdf, or correct a program for the real robot: calib compensate 'my out'"
         " program.csv --out compensated.csv"
     )
-    assert "Next: fit again with --out out, then use out/calibrated.urdf" in after_fit(
+    assert "Next: fit again with --out out, then use out/calibrated.urdf" in advice_after_fit(
         validated, "a.yaml", ("d.csv",), "out", {}, written=False
     )
     say("PASS", "nothing_to_correct")
-    assert after_fit(validated, "a.yaml", ("d.csv",), "out", {}).endswith(": calib verify out measured.csv")
+    assert advice_after_fit(validated, "a.yaml", ("d.csv",), "out", {}).endswith(": calib verify out measured.csv")
 
 
 def test_a_printer_gets_the_settings_of_its_firmware(say, tmp_path, run_calib):
@@ -104,7 +104,7 @@ def test_a_printer_gets_the_settings_of_its_firmware(say, tmp_path, run_calib):
     printer = calib.load(tmp_path / "printer.yaml")
     fit = calib.fit(printer, tmp_path / "printer.csv", validation=tmp_path / "printer.csv")
     say("PASS")
-    assert after_fit(fit, "p.yaml", ("d.csv",), "out", {}).endswith(
+    assert advice_after_fit(fit, "p.yaml", ("d.csv",), "out", {}).endswith(
         ": calib export out --format klipper --out settings.cfg"
     )
 
@@ -113,16 +113,16 @@ def test_a_result_that_no_urdf_can_hold_is_used_by_the_whole_model(robot, data, 
     validated = calib.fit(robot, data, validation=0.25)
     monkeypatch.setattr("calib.core.judging.next_step.why_no_origins", lambda fit: "its joint terms matter")
     say("PASS")
-    assert ": calib compensate out program.csv --out" in after_fit(validated, "a.yaml", ("d.csv",), "out", {})
-    assert "urdf" not in after_fit(validated, "a.yaml", ("d.csv",), "out", {})
+    assert ": calib compensate out program.csv --out" in advice_after_fit(validated, "a.yaml", ("d.csv",), "out", {})
+    assert "urdf" not in advice_after_fit(validated, "a.yaml", ("d.csv",), "out", {})
 
 
 def test_a_check_leads_to_poses_to_measure_or_to_a_fit(robot, data):
     assessment = calib.check(robot, data)
-    assert "calib sample" in after_check(assessment, "a.yaml", data, (), {})
-    assert "calib fit a.yaml d.csv --validate 0.25" in after_check(assessment, "a.yaml", data, ("d.csv",), {})
+    assert "calib sample" in advice_after_check(assessment, "a.yaml", data, (), {})
+    assert "calib fit a.yaml d.csv --validate 0.25" in advice_after_check(assessment, "a.yaml", data, ("d.csv",), {})
     poses = calib.as_poses(robot, data.joints)
-    assert "calib select a.yaml d.csv --count 40" in after_check(assessment, "a.yaml", poses, ("d.csv",), {})
+    assert "calib select a.yaml d.csv --count 40" in advice_after_check(assessment, "a.yaml", poses, ("d.csv",), {})
 
 
 def test_what_is_offered_can_be_typed_as_it_stands(run_calib, tmp_path):
@@ -135,7 +135,7 @@ def test_what_is_offered_can_be_typed_as_it_stands(run_calib, tmp_path):
     last = again.out.splitlines()[-1]
     shutil.copy(data, tmp_path / "program.csv")
     assert run_calib(*shlex.split(last.partition(": calib ")[2]), cwd=tmp_path).code == 0
-    assert after_select("a.yaml", "b.csv", {}).endswith(
+    assert advice_after_select("a.yaml", "b.csv", {}).endswith(
         "calib watch a.yaml measured.csv --goal 0.1mm --candidates b.csv"
     )
 
@@ -159,25 +159,27 @@ def test_what_is_offered_has_the_options_that_were_typed(run_calib, tmp_path):
 def test_a_noise_that_the_next_step_is_to_change_is_not_typed_again(fit, say, monkeypatch):
     typed = {"--sigma-mm": ("0.3",), "--seed": ("3",), "--exclude-outliers": ()}
     monkeypatch.setattr("calib.core.judging.next_step.judge", lambda fit: Verdict("CHECK", (SMALLER_NOISE,)))
-    assert "0.3" not in after_fit(fit, "a.yaml", ("d.csv",), "out", typed)
+    assert "0.3" not in advice_after_fit(fit, "a.yaml", ("d.csv",), "out", typed)
     say("CHECK", "systematic")
-    assert after_fit(fit, "a.yaml", ("d.csv",), "out", typed).endswith(
+    assert advice_after_fit(fit, "a.yaml", ("d.csv",), "out", typed).endswith(
         " calib fit a.yaml d.csv --terms auto --sigma-mm 0.3 --seed 3 --exclude-outliers --out out-2"
     )
     say("CHECK", "at_bounds", "joint_never_moved")
-    assert after_fit(fit, "a.yaml", ("d.csv",), "out", typed).endswith(": calib check a.yaml d.csv --sigma-mm 0.3")
+    assert advice_after_fit(fit, "a.yaml", ("d.csv",), "out", typed).endswith(
+        ": calib check a.yaml d.csv --sigma-mm 0.3"
+    )
 
 
 def test_a_check_hands_on_what_the_next_command_knows(robot, data):
     typed = {"--sigma-mm": ("0.3",), "--seed": ("3",), "--task": ("my task.csv",)}
     assessment, poses = calib.check(robot, data), calib.as_poses(robot, data.joints)
-    assert " calib fit a.yaml d.csv --sigma-mm 0.3 --validate 0.25" in after_check(
+    assert " calib fit a.yaml d.csv --sigma-mm 0.3 --validate 0.25" in advice_after_check(
         assessment, "a.yaml", data, ("d.csv",), typed
     )
-    assert after_check(assessment, "a.yaml", poses, ("d.csv",), typed).endswith(
+    assert advice_after_check(assessment, "a.yaml", poses, ("d.csv",), typed).endswith(
         " calib select a.yaml d.csv --count 40 --sigma-mm 0.3 --task 'my task.csv' --out chosen.csv"
     )
-    assert after_select("a.yaml", "b.csv", typed).endswith("--candidates b.csv --sigma-mm 0.3")
+    assert advice_after_select("a.yaml", "b.csv", typed).endswith("--candidates b.csv --sigma-mm 0.3")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -196,7 +198,7 @@ def test_a_tracker_that_moved_half_way_is_not_answered_by_joint_terms(robot, dat
     first = moved.verdict.reasons[0]
     assert (first.grade, "or base had moved" in first.text) == ("CHECK", True)
     assert "describe setups" in first.text
-    assert "--terms" not in after_fit(moved, "a.yaml", ["b.csv"], "out", {})
+    assert "--terms" not in advice_after_fit(moved, "a.yaml", ["b.csv"], "out", {})
 
 
 def test_result_json_and_the_terminal_offer_the_same_fit(run_calib, tmp_path):

@@ -13,7 +13,7 @@ import pytest
 from calib.core.numerics.least_squares import minimise
 from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.statistics import found_factors, statistics
+from calib.core.numerics.statistics import find_factors, statistics
 
 
 def mgh09(b, x):
@@ -102,7 +102,7 @@ def test_certified_values_and_standard_deviations_come_out_to_six_digits(strd, n
     n = len(table)
     known, one_group = information(minimum.jacobian), np.zeros(len(y), dtype=np.intp)
     span = minimum.jacobian @ known.root
-    factors = found_factors(minimum.residuals, span, one_group, 1)
+    factors = find_factors(minimum.residuals, span, one_group, 1)
     uncertainty = statistics(span, one_group, known, factors, np.ones(n), Prior(np.zeros(n, dtype=bool)))
     np.testing.assert_allclose(minimum.x, table[:, 2], rtol=1e-6)
     np.testing.assert_allclose(uncertainty.std, table[:, 3], rtol=1e-6)

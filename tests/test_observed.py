@@ -10,7 +10,7 @@ from small_robots import ARM_YAML, write_arm, write_pose_loop
 import calib
 from calib.core.instruments.kind import Readings
 from calib.core.rows.jacobian import linearise
-from calib.core.rows.observed import observe, predicted_readings
+from calib.core.rows.observed import observe, predict_readings
 from medrue.workspace import target_workspace
 
 STEP = 1e-6
@@ -86,14 +86,14 @@ def test_derivatives_by_joints_are_those_of_central_differences(case):
         for name in readings:
             numeric = (ahead[name] - behind[name]) / (2 * STEP)
             np.testing.assert_allclose(
-                observed[name].by_joint[..., j], numeric, atol=2e-8, err_msg=robot.joint_names[j]
+                observed[name].joint_derivative[..., j], numeric, atol=2e-8, err_msg=robot.joint_names[j]
             )
 
 
 def test_residuals_are_predicted_minus_read_from_the_place_of_the_setup(case):
     robot, q, readings = case
     configurations = robot.assemble(q)
-    predicted = predicted_readings(robot, configurations, readings)
+    predicted = predict_readings(robot, configurations, readings)
     for name, item in observe(robot, configurations, readings).items():
         np.testing.assert_allclose(item.residuals, predicted[name].values - readings[name].values, atol=1e-14)
 
@@ -102,7 +102,7 @@ def test_in_every_setup_a_target_is_seen_from_where_the_tracker_then_stands(tmp_
     """Against plain matrices: the base and the tip of each setup are places of their own."""
     robot, q = arm(tmp_path)
     everywhere = Readings(np.repeat(np.arange(7), 3), np.tile([0, 1, 2], 7), np.zeros((21, 3)), None, np.zeros((21, 0)))
-    readings = predicted_readings(robot, robot.assemble(q), {"one": everywhere})["one"]
+    readings = predict_readings(robot, robot.assemble(q), {"one": everywhere})["one"]
     value = dict(zip((p.name for p in robot.parameters), robot.values, strict=True))
 
     def place(name):
@@ -123,7 +123,7 @@ def test_without_instruments_readings_are_the_positions_of_the_targets(tmp_path)
     robot = calib.load(write_arm(tmp_path, yaml))
     q = np.random.default_rng(1).uniform([-2, 0, -2], [2, 1, 2], (70, 3))  # more than one chunk
     configurations = robot.assemble(q)
-    predicted = predicted_readings(robot, configurations)
+    predicted = predict_readings(robot, configurations)
     assert list(predicted) == ["elbow", "tip"]
     stacked = np.stack([predicted[name].values for name in predicted], axis=1)
     np.testing.assert_allclose(stacked, robot.positions(q), atol=1e-15)

@@ -9,7 +9,7 @@ from small_robots import write_pose_loop
 
 import calib
 from calib.core.data.in_memory import as_measurements
-from calib.core.robots.closure import gap_text, open_by
+from calib.core.robots.closure import gap_text, loop_openings
 from calib.core.robots.loops import why_open
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
@@ -59,7 +59,7 @@ def test_a_gap_is_given_apart_in_length_and_angle():
         loops=(SimpleNamespace(rows=(0, 1, 5)), SimpleNamespace(rows=(2,))),
         is_metre_row=np.array([True, True, False, True]),
     )
-    lengths, angles = open_by(mechanism, np.array([[3e-3, -4e-3, -0.2, 1e-3]]))
+    lengths, angles = loop_openings(mechanism, np.array([[3e-3, -4e-3, -0.2, 1e-3]]))
     assert np.allclose(lengths, [[5e-3, 1e-3]])
     assert np.allclose(angles, [[0.2, 0.0]])
     assert gap_text(5e-3, 0.2) == "5.000 mm and 11.5 deg"

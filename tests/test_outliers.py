@@ -12,7 +12,7 @@ from calib.core.data.tables import read_table
 from calib.core.instruments.kind import Readings
 from calib.core.judging import findings
 from calib.core.numerics.losses import studentised
-from viz.reading_errors import of_fit
+from viz.reading_errors import reading_errors_of_fit
 
 SIGMA = 4e-5
 RNG = np.random.default_rng(11)
@@ -81,7 +81,7 @@ def test_a_row_that_was_not_read_says_nothing_about_its_reading():
 
 def test_leverages_add_up_to_the_effective_parameters(arm):
     fit = calib.fit(arm, with_errors(arm, [], 0.0))
-    assert 3 * np.sum(findings.studentised(fit).leverage) == pytest.approx(fit.statistics.effective_parameters)
+    assert 3 * np.sum(findings.studentise_errors(fit).leverage) == pytest.approx(fit.statistics.effective_parameters)
 
 
 @pytest.mark.parametrize("size", [5e-4, 5e-3])
@@ -192,7 +192,7 @@ def test_a_corner_goes_by_itself_and_an_image_that_is_off_as_a_whole(photographe
         (7, len(off["image"]))
     }
     kept = np.setdiff1d(np.arange(data.n_readings), [*alone, *off["image"]])
-    again = calib.fit(arm, data.of_readings({"eye": kept}))
+    again = calib.fit(arm, data.with_readings({"eye": kept}))
     np.testing.assert_array_equal(fit.robot.values, again.robot.values)
     words = " ".join(fit.report().split())
     assert f"Outliers left out ({data.n_readings - len(kept)} of {data.n_readings} readings)" in words
@@ -210,7 +210,7 @@ def test_a_folder_says_which_reading_of_a_photograph_is_off(photographed, tmp_pa
         point = int(data.readings["eye"].details[outlier.reading, 0])
         assert row["looked_at"] == f"p{point}"
         assert lines[row["row"]].split(",")[:4] == ["identification", row["pose"], "eye", f"p{point}"]
-    (own,), (told,) = of_fit(fit), of_fit(calib.load_result(tmp_path / "out").fit)
+    (own,), (told,) = reading_errors_of_fit(fit), reading_errors_of_fit(calib.load_result(tmp_path / "out").fit)
     assert own.outlier.sum() == len(fit.outliers) >= 3 + len(off["image"])
 
     def marked(table):

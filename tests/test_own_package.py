@@ -23,13 +23,13 @@ from calib.core.fitting.terms.candidate_terms import candidates
 from calib.core.instruments.kind import View
 from calib.core.instruments.kinds import KINDS
 from calib.core.judging.verdict import judge
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.description import schema_text
 from calib.core.robots.file_formats import formats_that_hold
-from calib.core.robots.held import Holds
 from calib.core.robots.terms.term import Context, Joint, JointTerm
-from calib.core.robots.terms.terms import TERMS, listed_terms
+from calib.core.robots.terms.terms import TERMS, parse_terms
 from calib.extend import check_kind, check_term
-from calib.planning.pose_sampling import seen_at
+from calib.planning.pose_sampling import visible_poses
 from viz.scene import other_errors
 
 ROOT = Path(__file__).parents[1]
@@ -103,7 +103,7 @@ SEEN = View(np.tile(np.eye(3), (3, 1, 1)), np.array([[2.0, 1.0, 0.5], [-1.0, 0.3
 
 
 def test_a_theodolite_keeps_what_a_kind_promises():
-    check_kind(KINDS["theodolite"].of("t", KINDS["theodolite"].section.model_validate(_entry())), SEEN)
+    check_kind(KINDS["theodolite"].from_section("t", KINDS["theodolite"].section.model_validate(_entry())), SEEN)
 
 
 def _slope_of_the_wrong_sign(kind, self, view, unknowns, readings):
@@ -322,7 +322,7 @@ def test_hysteresis_asks_no_joint_that_slides_or_came_from_one_side(lagging):
     refused = {term.term: term.refused for term in candidates(robot, one_side)}
     assert refused["hysteresis"] == refused["backlash"] == "no joint was approached from both sides"
     with pytest.raises(calib.DescriptionError, match="'slide': it repeats with the turn of a joint"):
-        robot.with_terms(listed_terms("slide=hysteresis"))
+        robot.with_terms(parse_terms("slide=hysteresis"))
 
 
 def test_a_term_by_name_that_the_measurements_cannot_show_is_told(lagging):
@@ -399,7 +399,7 @@ def test_terms_keep_what_a_term_promises(quick):
     q, joint = rng.uniform(-1, 1, (5, 3)), Joint("turn", "angle", ("turn", "slide", "wrist"))
     context = replace(Context.neutral(5, 3), approach=np.ones((5, 3)), others={"speed": rng.uniform(0.1, 1, 5)})
     for name in ("hysteresis", "lag", "gain"):
-        check_term(TERMS[name].of(joint, None, None), q, 0, context)
+        check_term(TERMS[name].from_section(joint, None, None), q, 0, context)
     still = type("Still", (TERMS["lag"],), {"columns": lambda self, q, j, context: np.ones((len(q), 1))})
     with pytest.raises(
         calib.ComputationError, match="Still: says that it depends on the speed, and columns are the same"
@@ -432,14 +432,14 @@ def test_poses_are_brought_to_where_a_kind_reads_something(tmp_path, monkeypatch
         file.write("instruments:\n  reflector: {kind: keyhole, target: reflector}\n")
     robot = calib.load(tmp_path / "arm.yaml")
     Keyhole.there = robot.positions(robot.sample(1, 0))[0, 0]
-    assert seen_at(robot, calib.sample(robot, 20, 1))["reflector"].sum() >= 15
+    assert visible_poses(robot, calib.sample(robot, 20, 1))["reflector"].sum() >= 15
     monkeypatch.setattr(Keyhole, "sights", lambda self, count, generator: None)
-    assert seen_at(robot, calib.sample(robot, 20, 1))["reflector"].sum() < 5
+    assert visible_poses(robot, calib.sample(robot, 20, 1))["reflector"].sum() < 5
 
 
 def test_a_term_that_nobody_installed_is_named_with_the_nearest_one():
     with pytest.raises(calib.InputError, match="no term 'histeresis'; did you mean 'hysteresis'"):
-        listed_terms("histeresis")
+        parse_terms("histeresis")
 
 
 def test_a_package_that_cannot_be_loaded_is_said_and_disturbs_nobody_else(tmp_path, monkeypatch, lagging):
@@ -450,7 +450,7 @@ def test_a_package_that_cannot_be_loaded_is_said_and_disturbs_nobody_else(tmp_pa
     assert "'wrong' (lab_calib:__name__): is not derived from JointTerm" in refused["wrong"]
     assert refused["gain"] == ""
     with pytest.raises(calib.DescriptionError, match="cannot be loaded"):
-        listed_terms("broken")
+        parse_terms("broken")
 
 
 def test_a_name_that_is_taken_is_refused(tmp_path, monkeypatch):
@@ -475,7 +475,7 @@ def test_classes_are_registered_in_python_too():
 
 
 def test_a_term_that_says_nothing_of_its_columns_is_named():
-    silent = type("Silent", (JointTerm,), {"of": classmethod(lambda cls, joint, section, sigma: cls())})
+    silent = type("Silent", (JointTerm,), {"from_section": classmethod(lambda cls, joint, section, sigma: cls())})
     with pytest.raises(NotImplementedError, match="Silent gives neither columns nor a formula"):
         silent.of(None, None, None).columns(np.zeros((1, 1)), 0, None)
     with pytest.raises(calib.DescriptionError, match=r"joint term 'silent' .*: defines neither columns nor formula"):
@@ -487,7 +487,7 @@ class Squeezed(JointTerm):
     """An error that grows with the square of the torque: no formula has that."""
 
     needs_torque = True
-    of = classmethod(lambda cls, joint, section, sigma: cls())
+    from_section = classmethod(lambda cls, joint, section, sigma: cls())
 
     def columns(self, q, j, context):
         return context.torque[:, [j]] ** 2
@@ -497,9 +497,9 @@ def test_a_term_of_the_torque_without_a_formula_has_its_own_derivative():
     rng = np.random.default_rng(0)
     torque, rate = 30 * rng.standard_normal((2, 8, 3))
     context = replace(Context.neutral(8, 3), torque=torque)
-    slope = Squeezed.of(None, None, None).by_torque(np.zeros((8, 3)), 1, context, rate)
+    slope = Squeezed.from_section(None, None, None).torque_derivative(np.zeros((8, 3)), 1, context, rate)
     np.testing.assert_allclose(slope[:, 0], 2 * torque[:, 1] * rate[:, 1], rtol=1e-6, atol=1e-6)  # rounding / 1e-4
-    none = Squeezed.of(None, None, None).by_torque(np.zeros((8, 3)), 1, context, np.zeros((8, 3)))
+    none = Squeezed.from_section(None, None, None).torque_derivative(np.zeros((8, 3)), 1, context, np.zeros((8, 3)))
     assert not np.any(none)
 
 
@@ -552,5 +552,5 @@ def test_positions_are_those_of_a_kind_that_calls_them_otherwise(tmp_path, run_c
 
 def test_functions_are_not_named_for_a_robot_with_a_term_that_has_no_formula(lagging):
     robot = lagging[0]
-    assert "numpy" in formats_that_hold(Holds.EVERYTHING, robot.with_terms(listed_terms("turn=backlash")))
-    assert formats_that_hold(Holds.EVERYTHING, robot.with_terms(listed_terms("turn=hysteresis"))) == []
+    assert "numpy" in formats_that_hold(Holds.EVERYTHING, robot.with_terms(parse_terms("turn=backlash")))
+    assert formats_that_hold(Holds.EVERYTHING, robot.with_terms(parse_terms("turn=hysteresis"))) == []

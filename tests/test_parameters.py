@@ -220,7 +220,7 @@ def install(tmp_path, monkeypatch):
             return factory
 
         entry = SimpleNamespace(name="mine", value="somewhere:Mine", load=loaded)
-        monkeypatch.setattr(calib.core.robots.parametrisation, "installed", lambda group: [entry])
+        monkeypatch.setattr(calib.core.robots.parametrisation, "list_entry_points", lambda group: [entry])
         yaml = ARM_YAML[: ARM_YAML.index("parametrisation:")] + "parametrisation: mine\n"
         return calib.load(write_arm(tmp_path, yaml))
 

@@ -8,16 +8,16 @@ from click.testing import CliRunner
 import calib
 from calib.cli import group
 from calib.core.base.errors import DataError, DescriptionError, InputError
-from calib.core.instruments.board import checked_board
+from calib.core.instruments.board import validate_board
 from calib.photographs.camera_files import read_camera
-from calib.photographs.commands.boards import given_board
+from calib.photographs.commands.boards import read_board_option
 from calib.photographs.estimation import turning
 from calib.photographs.tool_poses import read_tool_poses
 
 cv2 = pytest.importorskip("cv2")
 from calib.photographs.detection import detect  # noqa: E402
 from calib.photographs.images import shots  # noqa: E402
-from calib.photographs.opencv import decoded, read_image  # noqa: E402
+from calib.photographs.opencv import decode, read_image  # noqa: E402
 from calib.photographs.printing import Paper, page  # noqa: E402
 from calib.photographs.rendering import example  # noqa: E402
 
@@ -55,7 +55,7 @@ def last(board, *images):
 
 @pytest.mark.parametrize("kind", BOARDS)
 def test_points_are_found_where_the_homography_puts_them(kind):
-    board = given_board(BOARDS[kind])
+    board = read_board_option(BOARDS[kind])
     image, homography = seen(board)
     (result,) = last(board, image).images
     assert len(result.points) == len(board.points())
@@ -66,15 +66,15 @@ def test_points_are_found_where_the_homography_puts_them(kind):
 
 
 def test_the_older_layout_is_told_by_trying_both():
-    older = given_board(CHARUCO).model_copy(update={"legacy": True})
-    detection = last(given_board(CHARUCO), seen(older)[0])
+    older = read_board_option(CHARUCO).model_copy(update={"legacy": True})
+    detection = last(read_board_option(CHARUCO), seen(older)[0])
     assert detection.board.legacy is True
     assert detection.n_points == 35
 
 
 @pytest.mark.parametrize("board", ["chessboard:9x6:24.7mm", "charuco:7x5:30.3mm:22mm:DICT_5X5_100"])
 def test_a_printed_board_changes_colour_exactly_at_its_corners(board):
-    board = given_board(board)
+    board = read_board_option(board)
     paper, near = Paper(board), 1e-7
     corners = np.array(list(board.points().values()))[:, :2]
     around = [paper.black(corners + near * np.array(way)) for way in ((-1, -1), (1, -1), (-1, 1), (1, 1))]
@@ -121,7 +121,7 @@ def test_the_drawing_is_opencvs_own():
     from calib.photographs.detection import opencv_board
 
     for legacy in (False, True):
-        board = given_board("charuco:6x8:30mm:24mm:DICT_5X5_100").model_copy(update={"legacy": legacy})
+        board = read_board_option("charuco:6x8:30mm:24mm:DICT_5X5_100").model_copy(update={"legacy": legacy})
         own = opencv_board(board, legacy).generateImage((6 * 70, 8 * 70), marginSize=0)  # 8 px a cell
         assert np.mean(own != drawn(board, 0.03 / 70, 0.0)) < 1e-3
 
@@ -140,17 +140,17 @@ def test_the_drawing_is_opencvs_own():
     ],
 )
 def test_why_no_board_is_found_is_said(told, shown, words):
-    board = given_board(BOARDS.get(shown, CHARUCO))
+    board = read_board_option(BOARDS.get(shown, CHARUCO))
     image = seen(board)[0]
     if shown == "mirrored":
         image = np.ascontiguousarray(image[:, ::-1])
     if shown == "empty":
         image = np.full((300, 400), 127, np.uint8)
-    assert words in last(given_board(told), image).images[0].remark
+    assert words in last(read_board_option(told), image).images[0].remark
 
 
 def test_blur_and_strange_markers_are_said():
-    board = given_board(CHARUCO)
+    board = read_board_option(CHARUCO)
     blurred = cv2.GaussianBlur(seen(board)[0], (0, 0), 3.0)
     (result,) = last(board, blurred).images
     assert "blurred: edges are" in result.remark
@@ -178,13 +178,13 @@ def test_blur_and_strange_markers_are_said():
 )
 def test_bad_boards_are_one_line(content, words):
     with pytest.raises(DescriptionError) as error:
-        checked_board(content, "board.yaml")
+        validate_board(content, "board.yaml")
     assert words in str(error.value)
     assert str(error.value).startswith("board.yaml: ")
 
 
 def test_too_little_turned_and_points_that_no_image_shows_are_said(tmp_path):
-    board = given_board("charuco:5x6:30mm:22mm:DICT_5X5_100")
+    board = read_board_option("charuco:5x6:30mm:22mm:DICT_5X5_100")
     for k in range(4):
         flat = seen(board, np.array([[1.0, 0.0, 100.0 + 9 * k], [0.0, 1.0, 60.0], [2e-5, 0.0, 1.0]]))[0]
         cv2.imwrite(str(tmp_path / f"{k}.png"), flat)
@@ -196,9 +196,9 @@ def test_too_little_turned_and_points_that_no_image_shows_are_said(tmp_path):
 
 def test_simulated_photographs_show_all_of_a_board_without_markers():
     for text in (BOARDS["chessboard"], BOARDS["circles"]):
-        board = given_board(text)
+        board = read_board_option(text)
         shown = example(board, 3, np.random.default_rng(0))
-        images = [decoded(content, name) for name, content in shown.items() if name.endswith(".png")]
+        images = [decode(content, name) for name, content in shown.items() if name.endswith(".png")]
         assert all(len(image.points) == len(board.points()) for image in last(board, *images).images)
 
 
@@ -209,16 +209,16 @@ def test_bad_short_forms_are_one_line():
         ("nothing.yaml", "no such file"),
     ):
         with pytest.raises(InputError, match=words):
-            given_board(text)
+            read_board_option(text)
 
 
 def test_pages_to_print_have_the_true_size():
-    board = given_board(CHARUCO)
+    board = read_board_option(CHARUCO)
     svg = page(board, "svg", "a3").decode()
     assert 'width="297mm" height="420mm"' in svg
     assert page(board, "pdf", None).startswith(b"%PDF")
     with pytest.raises(InputError, match="take larger paper"):
-        page(given_board("chessboard:9x6:50mm"), "pdf", "a4")
+        page(read_board_option("chessboard:9x6:50mm"), "pdf", "a4")
 
 
 OPENCV = """%YAML:1.0
@@ -323,7 +323,7 @@ def test_bad_poses_are_one_line(tmp_path, text, words):
 
 
 def test_images_that_cannot_be_read_are_said_and_the_rest_goes_on(tmp_path):
-    board = given_board(CHARUCO)
+    board = read_board_option(CHARUCO)
     cv2.imwrite(str(tmp_path / "shot_2.png"), seen(board)[0])
     (tmp_path / "shot_10.png").write_bytes(b"no image")
     (tmp_path / "shot_1.png").write_bytes(b"")
@@ -421,7 +421,7 @@ def test_mistakes_of_options_are_one_line_and_nothing_is_written(tmp_path, run_c
 
 @pytest.mark.parametrize("turns", range(4))
 def test_a_square_grid_of_dots_begins_at_its_larger_dot(turns):
-    board = given_board("dots:7x5:20mm")
+    board = read_board_option("dots:7x5:20mm")
     image, homography = seen(board)
     turned = np.ascontiguousarray(np.rot90(image, turns))
     (result,) = last(board, turned).images
@@ -435,38 +435,38 @@ def test_a_square_grid_of_dots_begins_at_its_larger_dot(turns):
 
 
 def test_one_marker_alone_is_a_board():
-    board = given_board("aruco:1x1:80mm:10mm:DICT_4X4_50")
-    assert board == checked_board(
+    board = read_board_option("aruco:1x1:80mm:10mm:DICT_4X4_50")
+    assert board == validate_board(
         {"kind": "aruco", "columns": 1, "rows": 1, "marker": "80 mm", "gap": "10 mm", "dictionary": "DICT_4X4_50"}, "b"
     )
     (result,) = last(board, seen(board)[0]).images
     assert result.points == ("m0.0", "m0.1", "m0.2", "m0.3")
     with pytest.raises(DescriptionError, match="needs two or more columns"):
-        given_board("chessboard:1x6:20mm")
+        read_board_option("chessboard:1x6:20mm")
 
 
 def test_a_target_of_kalibr_is_counted_from_the_bottom(tmp_path):
     (tmp_path / "grid.yaml").write_text(
         "target_type: 'aprilgrid'\ntagCols: 4\ntagRows: 3\ntagSize: 0.04\ntagSpacing: 0.25\n"
     )
-    board = given_board(str(tmp_path / "grid.yaml"))
+    board = read_board_option(str(tmp_path / "grid.yaml"))
     assert (board.kind, board.columns, board.rows, board.marker, board.gap) == ("apriltag", 4, 3, 0.04, 0.01)
     assert np.allclose(board.points()["m0.0"], (0, 0.1, 0))  # the first tag lies in the last row
     assert np.allclose(board.points()["m8.0"], (0, 0, 0))
     image, _ = seen(board)
     assert len(last(board, image).images[0].points) == 48
-    (other,) = last(given_board("apriltag:4x3:40mm:10mm"), image).images
+    (other,) = last(read_board_option("apriltag:4x3:40mm:10mm"), image).images
     assert "its markers are counted from the bottom row; write first_row: bottom" in other.remark
     (tmp_path / "grid.yaml").write_text("target_type: 'circlegrid'\ntargetCols: 4\n")
     with pytest.raises(DescriptionError, match="is a target file of Kalibr, of which aprilgrid"):
-        given_board(str(tmp_path / "grid.yaml"))
+        read_board_option(str(tmp_path / "grid.yaml"))
 
 
 def test_pixels_may_have_their_unit(tmp_path):
-    from calib.photographs.commands.hand_eye import _detected_before
+    from calib.photographs.commands.hand_eye import _read_detected
 
-    board = given_board("aruco:1x1:80mm:0.1mm:DICT_4X4_50")
+    board = read_board_option("aruco:1x1:80mm:0.1mm:DICT_4X4_50")
     rows = "".join(f"a,m0.{k},{10 * k},{20 * k}\n" for k in range(4))
     (tmp_path / "d.csv").write_text(f"# image: 640 x 480 px\npose,point,camera_u [px],camera_v [px]\n{rows}")
-    (image,) = _detected_before(str(tmp_path / "d.csv"), board)
+    (image,) = _read_detected(str(tmp_path / "d.csv"), board)
     assert image.pixels.tolist() == [[0, 0], [10, 20], [20, 40], [30, 60]]

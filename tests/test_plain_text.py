@@ -1,7 +1,7 @@
 import pytest
 from rich.table import Table
 
-from calib.core.base.words import counted, distinct_names, listed, plain_text
+from calib.core.base.words import count_noun, distinct_names, listing, plain_text
 
 
 def test_brackets_and_colons_are_no_markup():
@@ -20,14 +20,14 @@ def test_lines_are_broken_only_if_asked_for():
 
 
 def test_numbers_have_the_right_noun():
-    assert counted(0, "pose") == "0 poses"
-    assert counted(1, "other minimum explains", "other minima explain") == "1 other minimum explains"
-    assert counted(2, "other minimum explains", "other minima explain") == "2 other minima explain"
+    assert count_noun(0, "pose") == "0 poses"
+    assert count_noun(1, "other minimum explains", "other minima explain") == "1 other minimum explains"
+    assert count_noun(2, "other minimum explains", "other minima explain") == "2 other minima explain"
 
 
 def test_long_lists_are_cut():
-    assert listed(["a", "b"], "; ") == "a; b"
-    assert listed(list("abcdefg")) == "a, b, c, d, e, and 2 more"
+    assert listing(["a", "b"], "; ") == "a; b"
+    assert listing(list("abcdefg")) == "a, b, c, d, e, and 2 more"
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_intervals_hold_what_is_true(amount):
 def test_what_parallel_axes_leave_open_is_named_and_the_rest_is_found():
     tool, seen = pairs(np.random.default_rng(5), about_z=True, shift=2e-4, turn=5e-4)
     result = solve_pairs(names(14), tool, seen)
-    assert not result.determined
+    assert not result.is_determined
     assert result.camera.open.tolist() == [False, False, True, False, False, False]
     assert result.marker.open.tolist() == result.camera.open.tolist()
     assert np.all(np.abs(result.camera.pose[:2, 3] - CAMERA["tool"][:2, 3]) < 1.5 * result.camera.half[:2])

@@ -10,9 +10,9 @@ from six_axis_arm import FREE, joints, measurements, noisy, six_axis_arm, write_
 
 import calib
 from calib.core.results.result_reading import load_result
-from calib.core.robots.terms.terms import listed_terms
+from calib.core.robots.terms.terms import parse_terms
 from calib.core.rows.candidates import rows_of_poses
-from calib.core.rows.prediction import PositionUncertainty, order_of_joints, other_combinations
+from calib.core.rows.prediction import PositionUncertainty, order_of_joints, recombined_joints
 
 SIGMA = 4e-5
 
@@ -92,13 +92,13 @@ KNOWN = "pose: known, xyz: [2, 0, 0]"
 def test_targets_read_from_unknown_places_only_do_not_count_beside_others(tmp_path, other, pose, place, left_out):
     text = TWO_TARGETS.replace("OTHER", other).replace("POSE", pose).replace("PLACE", place).replace(", }", "}")
     robot = calib.load(write_six_axis(tmp_path, text + FREE))
-    assert robot.left_out == left_out
+    assert robot.unreported_targets == left_out
     q = joints(5)
     rows = rows_of_poses(robot, robot.assemble(q), SIGMA).position_rows
     assert rows.shape[1] == 3 * (3 - len(left_out))  # nobody reads the tip, and it counts all the same
     covariance = np.zeros((5, 3, 3, 3))
     covariance[:, 0], covariance[:, 1:] = np.eye(3), 1e-6 * np.eye(3)
-    known = PositionUncertainty(robot.positions(q), covariance, 2.0, left_out=robot.left_out)
+    known = PositionUncertainty(robot.positions(q), covariance, 2.0, left_out=robot.unreported_targets)
     expected = 1e3 * np.sqrt(3) * (1e-3 if left_out else (1 + 2e-3) / 3)  # mm, by hand
     assert known.summary()["mean"] == pytest.approx(expected)
     assert ("body (known to 1.7e+03 mm)" in known.remark()) == bool(left_out)
@@ -155,11 +155,11 @@ def test_a_covariance_of_another_robot_is_refused(fit, tmp_path, medrue):
 
 def test_other_combinations_keep_the_values_of_each_joint_and_break_what_they_do_together():
     path = np.linspace(0.0, 1.0, 30)[:, None] + np.arange(6.0)  # all joints move as one
-    mixed = other_combinations(path, 100)
+    mixed = recombined_joints(path, 100)
     assert mixed.shape == path.shape
     np.testing.assert_array_equal(np.sort(mixed, axis=0), path)
     assert np.max(np.abs(np.corrcoef(mixed.T) - np.eye(6))) < 0.6
-    assert len(other_combinations(path, 10)) == 10
+    assert len(recombined_joints(path, 10)) == 10
 
 
 def test_other_combinations_do_not_depend_on_the_order_of_joints_and_the_signs_of_axes():
@@ -167,7 +167,7 @@ def test_other_combinations_do_not_depend_on_the_order_of_joints_and_the_signs_o
     for _ in range(20):
         q, order, signs = rng.uniform(-2, 2, (40, 6)), rng.permutation(6), rng.choice([-1.0, 1.0], 6)
         np.testing.assert_array_equal(
-            other_combinations(q[:, order] * signs, 15), other_combinations(q, 15)[:, order] * signs
+            recombined_joints(q[:, order] * signs, 15), recombined_joints(q, 15)[:, order] * signs
         )
         places, ways = order_of_joints(q)
         np.testing.assert_array_equal(order_of_joints(q[:, order] * signs)[0], places[order])
@@ -237,7 +237,7 @@ def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, re
     run = run_calib("predict", tmp_path / "arm.yaml", tmp_path / "q.csv", "--result", tmp_path / "out", "--out",
                     tmp_path / "p.csv")  # fmt: skip
     claim = fit.verdict.claim
-    told, there = claim.told, np.mean(fit.predict(q).distance ** 2)
+    told, there = claim.at_measured_poses, np.mean(fit.predict(q).distance ** 2)
     grown = np.sqrt(1 + max(there - claim.known**2, 0.0) / told.rms**2)
     here = fit.claim_at(q)
     assert (here.times, here.rms) == (pytest.approx(grown), pytest.approx(grown * told.rms))
@@ -251,7 +251,7 @@ def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, re
 @pytest.mark.amount(2, 6)
 def test_what_is_expected_at_further_poses_like_those_measured_is_what_is_claimed(tmp_path, amount):
     """Simulated, a curve of each joint from few poses: positions of poses that were used are known far better."""
-    robot, expected = six_axis_arm(tmp_path).with_terms(listed_terms("curve")), []
+    robot, expected = six_axis_arm(tmp_path).with_terms(parse_terms("curve")), []
     for seed in range(amount):
         rng = np.random.default_rng(seed)
         off = [0.0 if p.placement else p.sigma_si * rng.standard_normal() for p in robot.parameters]
@@ -273,7 +273,7 @@ def test_what_is_expected_beyond_the_poses_measured_is_nearer_the_truth(tmp_path
         fit = calib.fit(robot, measurements(robot, 0.3 * joints(60, seed), _read(true, 0.3 * joints(60, seed), rng)))
         q = joints(200, 50 + seed)
         error = np.sqrt(np.mean(np.sum((fit.robot.positions(q) - _read(true, q, rng)) ** 2, axis=2)))
-        claimed.append(error / fit.verdict.claim.told.rms)
+        claimed.append(error / fit.verdict.claim.at_measured_poses.rms)
         expected.append(error / fit.claim_at(q).rms)
     assert np.sqrt(np.mean(np.square(claimed))) > 1.5
     assert 0.75 < np.sqrt(np.mean(np.square(expected))) < 1.33

@@ -5,7 +5,7 @@ import pytest
 
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.prior_sizes import Products, found_with_families, variance_by_sizes
+from calib.core.numerics.prior_sizes import Products, find_noise_with_families, variance_by_sizes
 
 FAMILY = np.array([-1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 1])
 STEP = 1e-4
@@ -71,9 +71,9 @@ def test_intervals_of_families_that_are_hardly_seen_hold():
             jacobian,
             Prior(np.ones(36, dtype=bool)),
             np.zeros(36),
-            RowGroups.of(np.zeros(60, dtype=int), 1),
+            RowGroups.from_groups(np.zeros(60, dtype=int), 1),
         )
-        sizes = found_with_families(
+        sizes = find_noise_with_families(
             Products.of_model(model), model.prior, model.deviations, np.array([False]), family, np.ones(1)
         )[1][family]
         covariance = np.linalg.inv((jacobian * sizes).T @ (jacobian * sizes) + np.eye(36))

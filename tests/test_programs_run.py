@@ -72,7 +72,7 @@ def compensated(folder, files, table):
     values = [
         tuple(value + TURN for value in target.values)
         if target.rotation is None
-        else target.written(SHIFT * target.flange)
+        else target.numbers_of(SHIFT * target.flange)
         for target in program.targets
     ]
     lines = {left.line for left in program.left_out if left.path == program.sources[0].path}

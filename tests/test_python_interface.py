@@ -329,7 +329,7 @@ def test_python_says_what_the_command_line_says(robot, data, fit, tmp_path):
     fit.save(tmp_path / "result", pages=False)
     np.testing.assert_allclose(calib.load(tmp_path / "result").values, fit.robot.values, rtol=1e-14)  # through mm
     compared = calib.compare(fit, calib.fit(robot, again))
-    assert np.isfinite(compared.together[0])
+    assert np.isfinite(compared.joint_p_values[0])
     assert "fit 2" in str(compared)
     checked = fit.validation, fit.predict(candidates[:5]), reached
     for item in (assessment, chosen, compared, *checked):

@@ -19,7 +19,7 @@ from calib.core.robots import kinematics
 from calib.core.robots.robot import Robot
 from calib.quality import installation, operation, performance
 from calib.quality.command import protocol_document
-from calib.quality.documents import Document, Rows
+from calib.quality.documents import Document, DocumentRows
 from calib.quality.protocol import Check, Outcome, Phase, Protocol, done
 from calib.quality.sample_robots import sample_robots
 
@@ -61,7 +61,7 @@ def test_a_solver_that_ends_too_early_is_found(monkeypatch):
 
 
 def test_noise_that_is_found_too_small_is_found(monkeypatch):
-    changed_result(monkeypatch, operation, "statistics", lambda found: found.widened(0.999))
+    changed_result(monkeypatch, operation, "statistics", lambda found: found.widen(0.999))
     assert len(failures(regressions)) == 8
 
 
@@ -115,23 +115,23 @@ def test_derivatives_that_are_a_hundred_thousandth_too_large_are_found(monkeypat
 def test_a_verdict_that_finds_nothing_is_found(monkeypatch):
     monkeypatch.setattr(verdict, "_RULES", ())
     monkeypatch.setattr(verdict.rules_model, "claim_broken", lambda *_, **__: ())
-    assert failures(performance._wrong)
+    assert failures(performance._check_mistakes)
 
 
 def test_a_claim_that_is_too_small_is_found(monkeypatch):
     changed_result(monkeypatch, performance, "judge", lambda found: _claiming(found, 0.5))
-    assert failures(performance._simulated) == ["claim about a simulated robot"]
+    assert failures(performance._check_simulated) == ["claim about a simulated robot"]
 
 
 def _claiming(found, part):
-    told = replace(found.claim.told, rms=part * found.claim.told.rms)
+    told = replace(found.claim.at_measured_poses, rms=part * found.claim.at_measured_poses.rms)
     return replace(found, claim=replace(found.claim, told=told))
 
 
 def test_numbers_that_differ_in_the_last_bit_are_found(monkeypatch):
     found = iter((0.0, 1e-16))
     changed_result(monkeypatch, operation, "calibrate", lambda fit: _nudged(fit, next(found)))
-    assert failures(operation._repeated) == ["same numbers twice"]
+    assert failures(operation._check_repeats) == ["same numbers twice"]
 
 
 def _nudged(fit, by):
@@ -165,7 +165,7 @@ class Wheel:
 def test_a_file_that_is_not_as_its_wheel_lists_it_is_found(tmp_path, content, outcome):
     if content is not None:
         (tmp_path / "module.py").write_bytes(content)
-    (check,) = installation._sealed(Wheel(tmp_path, b"SIZE = 1\n"))
+    (check,) = installation._check_files(Wheel(tmp_path, b"SIZE = 1\n"))
     assert check.outcome.value == outcome
 
 
@@ -173,12 +173,12 @@ def test_a_hundred_changed_bytes_are_all_found(tmp_path):
     content, generator, found = bytes(range(256)), np.random.default_rng(1), 0
     for place in generator.integers(0, 256, 100):
         (tmp_path / "module.py").write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
-        found += next(installation._sealed(Wheel(tmp_path, content))).outcome is Outcome.FAIL
+        found += next(installation._check_files(Wheel(tmp_path, content))).outcome is Outcome.FAIL
     assert found == 100
 
 
 def test_packages_that_are_missing_or_too_old_are_found(tmp_path):
-    required = installation._required(Wheel(tmp_path, b""))
+    required = installation._requirements(Wheel(tmp_path, b""))
     assert [each.name for each in required] == ["numpy", "no-such-package"]
     assert next(installation._dependency(required[0])).outcome is Outcome.FAIL
     assert next(installation._dependency(Requirement("no-such-package>=1"))).found == "not installed"
@@ -204,7 +204,7 @@ def test_a_linear_algebra_library_of_another_package_computes_nothing_here(monke
 
 def test_work_that_ends_in_an_error_is_a_failed_check():
     def broken():
-        yield Check.of(Phase.OPERATION, "one", "", "", True)
+        yield Check.from_values(Phase.OPERATION, "one", "", "", True)
         raise ValueError("no such matrix")
 
     checks = list(done([(Phase.OPERATION, "two", broken)]))
@@ -213,7 +213,7 @@ def test_work_that_ends_in_an_error_is_a_failed_check():
 
 
 def test_the_protocol_says_how_many_failed():
-    checks = tuple(Check.of(Phase.OPERATION, "x", "<1", "2 & 3", passed) for passed in (True, False))
+    checks = tuple(Check.from_values(Phase.OPERATION, "x", "<1", "2 & 3", passed) for passed in (True, False))
     document = protocol_document(Protocol(checks, {"Python": "3"}, "2026-01-01", 1.0))
     assert document.answer == "FAIL: 1 of 2 checks failed"
     assert "&lt;1" in document.html()
@@ -222,5 +222,5 @@ def test_the_protocol_says_how_many_failed():
 
 def test_a_document_is_a_pdf():
     pytest.importorskip("fpdf")
-    rows = Rows("Table", ("a", "b"), (("Größe ±", "0" * 100),))
+    rows = DocumentRows("Table", ("a", "b"), (("Größe ±", "0" * 100),))
     assert Document("Title", "PASS", (rows,), ("Performed by",)).pdf().startswith(b"%PDF-")

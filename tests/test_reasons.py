@@ -48,7 +48,9 @@ def no_reasons(fit):
 )
 def test_a_rule_of_another_package_that_does_not_work_is_named(good, monkeypatch, value, said):
     other = EntryPoint("warmth", value, "calib.reasons")
-    monkeypatch.setattr("calib.core.judging.verdict.installed", lambda group: [other] if group == other.group else [])
+    monkeypatch.setattr(
+        "calib.core.judging.verdict.list_entry_points", lambda group: [other] if group == other.group else []
+    )
     with pytest.raises(calib.InputError, match=re.escape(said)) as result:
         judge(dataclasses.replace(good, seconds=0.0))
     assert str(result.value).startswith(f"reason 'warmth' of the verdict ({value}): ")

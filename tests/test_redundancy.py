@@ -21,8 +21,8 @@ import calib
 from calib.core.instruments.kind import Readings, View
 from calib.core.instruments.kinds import KINDS
 from calib.core.judging.verdict import judge
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import formats_that_hold
-from calib.core.robots.held import Holds
 from calib.core.robots.terms.term import Context, Joint
 from calib.core.robots.terms.terms import TERMS
 from calib.extend import check_kind, check_term
@@ -323,7 +323,7 @@ ENTRIES = {
 
 
 def kind(name):
-    return KINDS[name].of("it", KINDS[name].section.model_validate({"kind": name} | ENTRIES[name]))
+    return KINDS[name].from_section("it", KINDS[name].section.model_validate({"kind": name} | ENTRIES[name]))
 
 
 @pytest.mark.parametrize("name", ENTRIES)
@@ -342,11 +342,11 @@ def test_kinds_keep_what_they_promise(name):
 def test_the_nearest_hole_is_taken_where_none_is_stated_and_never_one_beyond_the_pattern():
     board, unknowns = kind("hole_pattern"), np.array([0.025])
     view = View(np.tile(np.eye(3), (3, 1, 1)), np.array([[0.049, 0.076, 0.001], [-0.02, 0.012, 0.0], [0.9, 0.0, 0.0]]))
-    _, _, details = board.looked_at({"it": ["?", "1/2", "?"]}, ["1", "2", "3"])
+    _, _, details = board.parse_texts({"it": ["?", "1/2", "?"]}, ["1", "2", "3"])
     off = board.predict(view, unknowns, details)
     assert off == pytest.approx(np.array([[-0.001, 0.001, 0.001], [-0.045, -0.038, 0.0], [0.175, 0.0, 0.0]]))
     with pytest.raises(calib.DataError, match="line 7, column 'it': '30/0' is none of the 30 x 30 holes"):
-        board.looked_at({"it": ["30/0"]}, ["line 7"])
+        board.parse_texts({"it": ["30/0"]}, ["line 7"])
 
 
 def test_a_wrong_nearest_hole_does_not_pass(tmp_path):
@@ -368,7 +368,7 @@ def test_play_has_a_memory():
     q = np.radians([0, 5, 4.5, 5, 0, 0.5, 1.0, 6.0])
     joint = Joint("elbow", "angle", ("elbow",))
     section = TERMS["play"].section.model_validate({"joint": "elbow", "term": "play", "travel": ["1 deg", "4 deg"]})
-    term = TERMS["play"].of(joint, section, None)
+    term = TERMS["play"].from_section(joint, section, None)
     states = term.states_by_order(q)
     assert states["play_elbow_1"] == pytest.approx([0, 1, 0.5, 1, -1, -0.5, 0, 1])
     context = replace(Context.neutral(8, 1), others=dict(states))

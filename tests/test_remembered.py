@@ -4,7 +4,7 @@ import pickle
 import threading
 from dataclasses import dataclass, replace
 
-from calib.core.base.remembered import remembered
+from calib.core.base.memoize import memoize
 
 COMPUTED = []
 
@@ -15,14 +15,14 @@ class Pair:
     second: int
 
 
-@remembered
+@memoize
 def total(pair):
     """The sum."""
     COMPUTED.append(pair)
     return [pair.first + pair.second]  # a new list each time, so that the same one shows
 
 
-@remembered
+@memoize
 def product(pair):
     return pair.first * pair.second
 
@@ -55,7 +55,7 @@ def test_equality_and_the_name_stay_what_they_were():
 def test_threads_that_ask_at_once_get_the_same_answer():
     both = threading.Barrier(2)
 
-    @remembered
+    @memoize
     def slow(pair):
         both.wait(10)  # neither goes on before both have begun
         return [pair.first]

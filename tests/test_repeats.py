@@ -7,7 +7,7 @@ from six_axis_arm import YAML, joints, six_axis_arm, write_six_axis
 import calib
 from calib.core.data.measurement_files import read_measurements
 from calib.core.fitting.error_sets import ErrorSet
-from calib.core.judging.repeatability import beyond_repeatability, repeatability, repeats
+from calib.core.judging.repeatability import pose_error_over_repeatability, repeatability, repeats
 from calib.core.results.result_content import to_dict
 
 HEADER = ",".join(["pose", *(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [mm]" for axis in "xyz")])
@@ -65,7 +65,7 @@ def test_without_repeats_there_is_no_table_and_no_repeatability(arm):
     assert repeats(errors) is None
     assert np.isnan(repeatability(errors)[0])
     assert repeatability(errors)[1] == 0
-    ratio, chance = beyond_repeatability(errors, 10)
+    ratio, chance = pose_error_over_repeatability(errors, 10)
     assert np.isnan(ratio)
     assert chance == 1.0
 
@@ -77,13 +77,13 @@ def test_the_means_of_poses_are_held_against_the_scatter_of_their_repeats(arm):
     ratios, chances = [], []
     for _ in range(200):
         noise = generator.normal(0, 0.05, (160, 3))
-        ratio, chance = beyond_repeatability(errors_of(arm, names, noise, noise), 0.0)
+        ratio, chance = pose_error_over_repeatability(errors_of(arm, names, noise, noise), 0.0)
         ratios.append(ratio**2)
         chances.append(chance)
     assert np.mean(ratios) == pytest.approx(1.0, rel=0.05)
     assert np.mean(np.array(chances) < 0.1) == pytest.approx(0.1, abs=0.07)
     shifted = noise + np.repeat(generator.normal(0, 0.05, (40, 3)), 4, axis=0)
-    ratio, chance = beyond_repeatability(errors_of(arm, names, shifted, shifted), 0.0)
+    ratio, chance = pose_error_over_repeatability(errors_of(arm, names, shifted, shifted), 0.0)
     assert ratio == pytest.approx(np.sqrt(1 + 4), rel=0.2)  # of a mean of four: 1/4 + 1 in place of 1/4
     assert chance < 1e-6
 
@@ -103,7 +103,7 @@ def test_repeats_weigh_and_the_noise_found_is_that_of_one_reading(arm, tmp_path)
     assert fit.sigma == pytest.approx(5e-5, rel=0.15)  # standard error 3 %
     assert repeatability(fit.identification)[0] == pytest.approx(5e-5, rel=0.1)
     assert fit.statistics.freedom == pytest.approx(3 * 180 - 26)
-    assert fit.statistics.shared is None
+    assert fit.statistics.shared_scatter is None
     assert (to_dict(fit)["n_poses"], to_dict(fit)["n_rows"], to_dict(fit)["n_readings"]) == (60, 180, 180)
     assert "repeatability" not in [reason.code for reason in fit.verdict.reasons]
 

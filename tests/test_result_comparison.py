@@ -67,8 +67,8 @@ def test_the_shifted_joint_is_a_real_difference_and_nothing_is_between_two_measu
     real = {difference.name: difference.real for difference in comparison.differences if any(difference.real)}
     assert real["joint_3.z"] == (False, True)
     assert not any(again for again, _ in real.values())
-    assert comparison.together[0] > 0.01
-    assert comparison.together[1] < 1e-6
+    assert comparison.joint_p_values[0] > 0.01
+    assert comparison.joint_p_values[1] < 1e-6
     row = next(difference for difference in comparison.differences if difference.name == "joint_3.z")
     assert row.rows[2]["value"] - row.rows[0]["value"] == pytest.approx(0.1, abs=0.03)  # 4 sigma of the difference
     pairs = {pair.names: pair for pair in comparison.pairs}
@@ -100,7 +100,7 @@ def test_a_failed_fit_is_not_tested(fits, tmp_path):
     shutil.copytree(fits / "again", tmp_path / "failed")
     with_verdict(tmp_path / "failed", "FAIL", "not to be used")
     comparison = calib.compare(fits / "before", tmp_path / "failed")
-    assert np.isnan(comparison.together[0])
+    assert np.isnan(comparison.joint_p_values[0])
     assert "FAIL" in comparison.report()
 
 

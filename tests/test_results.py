@@ -20,8 +20,8 @@ from calib.core.base.files import write_folder
 from calib.core.data.tables import read_table
 from calib.core.results.result_reading import load_result, read_content
 from calib.core.results.results import _covariance_table, save
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.description import description_yaml, read_description
-from calib.core.robots.held import Holds
 
 CONTRACT = ("version", "robot", "converged", "message", "seconds", "n_poses", "n_rows", "n_parameters", "rank",
             "redundant", "sigma", "observability", "parameters", "errors")  # fmt: skip

@@ -230,12 +230,12 @@ def photographs(q, shown, rng, *, joints=True, names=JOINTS):
 
 def test_of_a_bag_one_photograph_of_each_stop_comes_with_the_joints_of_that_moment(tmp_path, run_calib):
     pytest.importorskip("cv2")
-    from calib.photographs.commands.boards import given_board
+    from calib.photographs.commands.boards import read_board_option
     from calib.photographs.opencv import read_image
     from calib.photographs.rendering import example
 
     board, q = "charuco:5x7:30mm:22mm:DICT_5X5_100", np.random.default_rng(3).uniform(-1, 1, (2, 6))
-    for name, content in example(given_board(board), 1, np.random.default_rng(0)).items():
+    for name, content in example(read_board_option(board), 1, np.random.default_rng(0)).items():
         (tmp_path / name).write_bytes(content)
     shown = [read_image(tmp_path / "shot_01.png")] * 2
     generator = np.random.default_rng(1)

@@ -44,7 +44,7 @@ class Case:
         self.observed = observe(self.robot, self.configurations, self.data.readings)
 
     def rows(self, groups=None):
-        unknowns = Unknowns.of(self.robot)
+        unknowns = Unknowns.from_robot(self.robot)
         groups = self.whitening.start() if groups is None else np.array(groups)
         return self.whitening.rows(self.observed, groups, unknowns, unknowns.deviations(self.robot.values))
 
@@ -183,7 +183,7 @@ def test_weights_of_readings_are_weights_of_their_squares(tmp_path):
     weights = np.random.default_rng(3).uniform(0, 1, 60)
     rows = case.rows()
     by_row = np.repeat(weights, 3)
-    weighted = rows.weighted(weights)
+    weighted = rows.with_weights(weights)
     assert np.sum(weighted.residuals**2) == pytest.approx(by_row @ rows.residuals**2)
     np.testing.assert_allclose(
         weighted.jacobian.T @ weighted.jacobian,

@@ -33,17 +33,17 @@ def fitted(folder, yaml, n):
     off = robot.with_parameters(robot.values + 20 * sigma * np.random.default_rng(1).standard_normal(len(sigma)))
     data = calib.simulate(off, off.sample(n, seed=2), seed=3, **({} if "range" in yaml else {"sigma": 3e-5}))
     solved = minimum_of(off, Settings(), data).solved
-    return solved.problem, solved.at, solved.problem.rows(solved.at, solved.groups), solved.groups
+    return solved.problem, solved.evaluation, solved.problem.rows(solved.evaluation, solved.groups), solved.groups
 
 
 def expected(problem, at, rows, groups):
     """E e^2 of all pairs of directions, each by second differences of the residuals alone."""
-    root, unknowns = rows.known.root, problem.unknowns
-    shares, turned = prior_directions(rows.known, rows.prior)
+    root, unknowns = rows.posterior_information.root, problem.unknowns
+    shares, turned = prior_directions(rows.posterior_information, rows.prior)
     directions = root @ turned
 
     def residuals(step):
-        return problem.residuals(problem.evaluate(unknowns.moved(at.robot, rows.deviations + step), at), groups)
+        return problem.residuals(problem.evaluate(unknowns.robot_at(at.robot, rows.deviations + step), at), groups)
 
     def back(i, j):
         one, other = STEP * directions[:, i], STEP * directions[:, j]
@@ -64,7 +64,7 @@ def expected(problem, at, rows, groups):
 def test_squares_beyond_the_linear_model_are_those_of_second_differences(yaml, tmp_path):
     at = fitted(tmp_path, yaml, 16)
     squares = curvature.mean_square_beyond_linear(*at)
-    variances = np.sum(at[2].known.root ** 2, axis=1) * at[0].unknowns.scales ** 2
+    variances = np.sum(at[2].posterior_information.root ** 2, axis=1) * at[0].unknowns.scales ** 2
     assert np.max(squares) > 1e-13
     # differences are of one side; an interval does not feel a thousandth of its square
     assert np.all(np.abs(squares - expected(*at)) <= 1e-2 * squares + 1e-3 * variances)
@@ -75,5 +75,5 @@ def test_some_poses_tell_as_much_of_it_as_all(yaml, tmp_path, monkeypatch):
     at = fitted(tmp_path, yaml, 120)
     of_all = curvature.mean_square_beyond_linear(*at)
     monkeypatch.setattr(curvature, "_POSES", 40)
-    variances = np.sum(at[2].known.root ** 2, axis=1) * at[0].unknowns.scales ** 2
+    variances = np.sum(at[2].posterior_information.root ** 2, axis=1) * at[0].unknowns.scales ** 2
     assert np.all(np.abs(curvature.mean_square_beyond_linear(*at) - of_all) <= 1e-3 * (of_all + variances))

@@ -32,7 +32,8 @@ def test_no_subset_exceeds_the_bound(index, known):
         problem = made_up(seed, known=known)
         bound = relax(problem, index, mask_of(range(COUNT)), np.ones(N, dtype=bool)).log_bound
         best = max(
-            log_phi(problem, index, problem.gathered(mask_of(c).astype(float))) for c in combinations(range(N), COUNT)
+            log_phi(problem, index, problem.information_of(mask_of(c).astype(float)))
+            for c in combinations(range(N), COUNT)
         )
         assert best <= bound + 1e-12
         assert bound <= best + 0.3  # and it says something: a quarter of the index at most, on so few poses
@@ -45,7 +46,7 @@ def test_the_bound_holds_for_random_fractional_weights_too(index):
     for _ in range(300):
         weights = rng.dirichlet(np.ones(N)) * COUNT
         if weights.max() <= 1:
-            assert log_phi(problem, index, problem.gathered(weights)) <= bound + 1e-12
+            assert log_phi(problem, index, problem.information_of(weights)) <= bound + 1e-12
 
 
 @pytest.mark.parametrize("index", CERTIFIED)
@@ -56,7 +57,7 @@ def test_weights_are_feasible_and_attain_the_bound(index):
     assert relaxed.weights.max() <= 1
     assert relaxed.weights.sum() == pytest.approx(15, abs=1e-9)
     # it stops at a gap of 2e-5
-    assert relaxed.log_bound - log_phi(problem, index, problem.gathered(relaxed.weights)) < 3e-5
+    assert relaxed.log_bound - log_phi(problem, index, problem.information_of(relaxed.weights)) < 3e-5
 
 
 @pytest.mark.parametrize("index", CERTIFIED)
@@ -64,8 +65,8 @@ def test_phi_is_concave_along_random_lines(index):
     problem, rng = made_up(2), np.random.default_rng(1)
     for _ in range(50):
         a, b = rng.uniform(0, 1, (2, N))
-        ends = [np.exp(log_phi(problem, index, problem.gathered(w))) for w in (a, b)]
-        middle = np.exp(log_phi(problem, index, problem.gathered((a + b) / 2)))
+        ends = [np.exp(log_phi(problem, index, problem.information_of(w))) for w in (a, b)]
+        middle = np.exp(log_phi(problem, index, problem.information_of((a + b) / 2)))
         assert middle >= np.mean(ends) * (1 - 1e-12)
 
 
@@ -74,7 +75,7 @@ def test_phi_goes_with_the_index(index):
     problem = made_up(4)
     values = [
         (
-            log_phi(problem, index, problem.gathered(mask_of(c).astype(float))),
+            log_phi(problem, index, problem.information_of(mask_of(c).astype(float))),
             index_values(problem, mask_of(c), 1.0)[index],
         )
         for c in ([0, 1, 2, 3], [4, 5, 6, 7])
@@ -92,7 +93,7 @@ def test_candidates_that_may_not_be_chosen_do_not_lift_the_bound():
     relaxed = relax(problem, "O1", mask_of(np.flatnonzero(usable)[:COUNT]), usable)
     assert relaxed.weights[strongest].sum() == 0
     best = max(
-        log_phi(problem, "O1", problem.gathered(mask_of(c).astype(float)))
+        log_phi(problem, "O1", problem.information_of(mask_of(c).astype(float)))
         for c in combinations(np.flatnonzero(usable), COUNT)
     )
     assert best <= relaxed.log_bound + 1e-12
@@ -102,7 +103,9 @@ def test_choosing_everything_is_certainly_best():
     problem = made_up(6)
     everything = np.ones(N, dtype=bool)
     relaxed = relax(problem, "O1", everything, everything)
-    assert relaxed.efficiency(log_phi(problem, "O1", problem.gathered(np.ones(N)))) == pytest.approx(1.0, abs=1e-12)
+    assert relaxed.efficiency(log_phi(problem, "O1", problem.information_of(np.ones(N)))) == pytest.approx(
+        1.0, abs=1e-12
+    )
 
 
 def test_many_candidates_are_certified_by_few_unclear_ones():
@@ -110,4 +113,4 @@ def test_many_candidates_are_certified_by_few_unclear_ones():
     space = Spacing(np.zeros((3000, 3)), 0.0, np.ones(3000, dtype=bool))
     done = swap(exchange(problem, "O1", uniform_start(np.arange(3000), 60), space), space)
     relaxed = relax(problem, "O1", done.chosen, space.usable)
-    assert relaxed.efficiency(log_phi(problem, "O1", problem.gathered(done.chosen.astype(float)))) > 0.999
+    assert relaxed.efficiency(log_phi(problem, "O1", problem.information_of(done.chosen.astype(float)))) > 0.999

@@ -65,7 +65,7 @@ def test_the_best_move_is_the_best_of_all_tried_one_by_one(index, k, add):
         chosen[np.random.default_rng(seed).choice(N, 5, replace=False)] = True
         allowed = ~chosen if add else chosen
         allowed[np.flatnonzero(allowed)[0]] = False
-        result = scores(problem, index, chosen).best(allowed, add=add)
+        result = scores(problem, index, chosen).best_move(allowed, add=add)
         values = {}
         for j in np.flatnonzero(allowed):
             tried = chosen.copy()
@@ -86,11 +86,11 @@ def test_a_hundred_updates_do_not_drift(index):
     state = scores(problem, index, chosen)
     for _ in range(100):
         added, removed = rng.choice(np.flatnonzero(~chosen)), rng.choice(np.flatnonzero(chosen))
-        state = state.moved(int(added), add=True).moved(int(removed), add=False)
+        state = state.after_move(int(added), add=True).after_move(int(removed), add=False)
         chosen[added], chosen[removed] = True, False
     fresh = scores(problem, index, chosen)
     assert state.value == pytest.approx(fresh.value, rel=1e-9)
-    assert state.best(~chosen, add=True) == fresh.best(~chosen, add=True)
+    assert state.best_move(~chosen, add=True) == fresh.best_move(~chosen, add=True)
 
 
 @pytest.mark.parametrize("index", CHOICES)
@@ -140,7 +140,7 @@ def test_directions_that_no_candidate_sees_take_no_part():
     rows, _ = made_up()
     blind = np.concatenate([rows, rows[:, :, :1]], axis=2)  # two equal columns
     problem = build_problem(blind, task_rows=blind)
-    assert problem.known.rank.rank == D
+    assert problem.prior_information.rank.rank == D
     assert len(problem.strengths) == D
     elsewhere = np.zeros((1, 3, D + 1))
     elsewhere[0, 0, 0] = 1.0  # moves by one of the two only
@@ -158,7 +158,7 @@ def test_directions_that_only_priors_hold_are_eliminated_exactly(prior_columns):
     priors = 0.3 * np.eye(8)[list(prior_columns)]
     task = np.random.default_rng(8).standard_normal((4, 3, 8))
     problem = build_problem(mixed / 0.2, None, priors / 0.2, 0, task)
-    assert problem.known.rank.rank == D
+    assert problem.prior_information.rank.rank == D
     assert problem.rank.rank == 8
     logs = []
     for chosen in ([0, 1, 2], [5, 8, 9, 11], [3, 4, 10, 12, 13]):
@@ -175,7 +175,7 @@ def test_directions_that_only_priors_hold_are_eliminated_exactly(prior_columns):
 def test_all_candidates_together_are_the_identity():
     rows, task = made_up()
     problem = build_problem(rows[2:], rows[:2].reshape(-1, D), None, 2, task)
-    np.testing.assert_allclose(problem.gathered(np.ones(N - 2)), np.eye(D), atol=1e-12)
+    np.testing.assert_allclose(problem.information_of(np.ones(N - 2)), np.eye(D), atol=1e-12)
 
 
 def test_an_unknown_index_names_the_nearest():

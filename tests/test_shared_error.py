@@ -45,7 +45,7 @@ def test_diagonal_traces_and_determinant_are_those_of_the_dense_matrix(shared, d
 
 
 def test_what_joints_feel_of_rows_adds_up_over_each_block(shared):
-    felt = shared.felt(ROWS)
+    felt = shared.joint_errors(ROWS)
     expected = [COLUMNS[b == BLOCK].T @ ROWS[b == BLOCK] for b in np.unique(BLOCK)]
     np.testing.assert_allclose(felt, expected, atol=1e-12)
 

@@ -117,9 +117,9 @@ def test_the_same_seed_gives_the_same_starts():
 
 def test_a_solve_does_not_hang_on_what_was_solved_before(tmp_path):
     arm = six_axis_arm(tmp_path)
-    problem = Problem.of(arm, noisy(arm, joints(40), 4e-5, seed=1))
+    problem = Problem.from_data(arm, noisy(arm, joints(40), 4e-5, seed=1))
     placed, noise = place(problem), np.array([4e-5])
-    away = problem.unknowns.moved(placed.robot, np.linspace(-1.0, 1.0, len(problem.unknowns)))
+    away = problem.unknowns.robot_at(placed.robot, np.linspace(-1.0, 1.0, len(problem.unknowns)))
     first, _ = problem.solve(placed, noise)
     problem.solve(problem.evaluate(away), noise)
     again, _ = problem.solve(placed, noise)
@@ -134,7 +134,7 @@ def test_noise_sizes_and_offsets_that_are_found_belong_to_the_solution_and_not_t
     positions = arm.positions(joints(60))[:, 0] + rng.normal(0.0, 4e-4, (60, 3))
     read = positions[pose] + rng.normal(0.0, 4e-5, (len(pose), 3))
     data = calib.as_measurements(arm, joints(60)[pose], read, names=[f"p{k}" for k in pose])
-    problem = Problem.of(arm, data)
+    problem = Problem.from_data(arm, data)
     solved = solve_from(problem, place(problem), Settings())
     assert np.any(solved.problem.ratios > 1.0)  # offsets of ten times the noise
     assert not np.any(problem.ratios)

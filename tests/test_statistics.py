@@ -7,7 +7,7 @@ from scipy import stats
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.statistics import Factors, chi_square, effective_parameters, found_factors, statistics, status
+from calib.core.numerics.statistics import Factors, chi_square, effective_parameters, find_factors, statistics, status
 
 RNG = np.random.default_rng(7)
 
@@ -31,7 +31,7 @@ def of_line(x, y):
     rows = np.column_stack([np.ones_like(x), x])
     residuals = y - rows @ np.linalg.lstsq(rows, y, rcond=None)[0]
     known, groups = information(rows), np.zeros(len(x), dtype=np.intp)
-    factors = found_factors(residuals, rows @ known.root, groups, 1)
+    factors = find_factors(residuals, rows @ known.root, groups, 1)
     return statistics(
         rows @ known.root, groups, known, factors, np.ones(2), Prior(np.zeros(2, dtype=bool))
     ), factors.values[0]
@@ -109,7 +109,7 @@ def test_degrees_of_freedom_with_priors_make_the_found_noise_unbiased():
     known, groups = information(rows / sigma, Prior(has_prior).rows), np.zeros(12, dtype=np.intp)
     assert 2 < effective_parameters(known, Prior(has_prior)) < 6
     span = rows / sigma @ known.root
-    results = [found_factors(r / sigma, span, groups, 1) for r in residuals]
+    results = [find_factors(r / sigma, span, groups, 1) for r in residuals]
     assert results[0].freedom[0] == pytest.approx(12 - effective_parameters(known, Prior(has_prior)))
     variances = [(sigma * item.values[0]) ** 2 for item in results]
     assert np.mean(variances) == pytest.approx(sigma**2, rel=0.02)  # standard error 0.4 %
@@ -154,12 +154,12 @@ def test_groups_of_rows_have_noise_of_their_own():
     y = sigma * RNG.normal(size=(20000, 50))
     estimate = y @ np.linalg.pinv(rows).T
     known = information(rows)
-    results = [found_factors(r, rows @ known.root, groups, 2) for r in y - estimate @ rows.T]
+    results = [find_factors(r, rows @ known.root, groups, 2) for r in y - estimate @ rows.T]
     # a group's residuals are also off by what the other group's noise did to the parameters, so that the weights
     # 1 : 1 leave a bias where noise differs by so much; with the right weights there is none
     weighted = rows / sigma[:, None] @ information(rows / sigma[:, None]).root
     right = (y / sigma) @ np.linalg.pinv(rows / sigma[:, None]).T
-    factors = [found_factors(r / sigma, weighted, groups, 2) for r in y - right @ rows.T]
+    factors = [find_factors(r / sigma, weighted, groups, 2) for r in y - right @ rows.T]
     assert np.mean([factor.values**2 for factor in factors], axis=0) == pytest.approx([1.0, 1.0], rel=0.02)
     assert np.mean([item.values[1] for item in results]) > 3
     stated = Factors(np.array([1.0, 5.0]), np.array([36.0, 10.0]), np.array([1.0, 5.0]))
@@ -174,8 +174,8 @@ def test_rows_that_were_not_read_count_for_nothing():
     groups = np.zeros(20, dtype=np.intp)
     groups[gaps] = -1
     kept = groups >= 0
-    factors = found_factors(residuals, rows @ information(rows).root, groups, 1)
-    without = found_factors(residuals[kept], rows[kept] @ information(rows[kept]).root, groups[kept], 1)
+    factors = find_factors(residuals, rows @ information(rows).root, groups, 1)
+    without = find_factors(residuals[kept], rows[kept] @ information(rows[kept]).root, groups[kept], 1)
     assert factors.values[0] == pytest.approx(without.values[0], rel=1e-12)
     assert factors.freedom[0] == pytest.approx(15, rel=1e-12)
 
@@ -185,7 +185,7 @@ def test_without_a_degree_of_freedom_there_are_no_statistics(n_rows):
     rows, groups = np.eye(3)[:n_rows], np.zeros(n_rows, dtype=np.intp)
     span = rows @ information(rows).root
     with pytest.raises(NotIdentifiableError, match="too few to say how sure"):
-        found_factors(np.zeros(n_rows), span, groups, 1)
+        find_factors(np.zeros(n_rows), span, groups, 1)
 
 
 def test_chi_square_is_that_of_the_tables():

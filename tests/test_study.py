@@ -12,11 +12,11 @@ from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
 from calib.planning.selection import select
 from medrue import robot_file
-from medrue.draws import Calibrator, Outcome, PoseSet, Task, measurements, run
+from medrue.draws import Calibrator, DrawOutcome, DrawTask, PoseSet, measurements, run
 from medrue.paper_tables import PARAMETERS, error_table, table1
 from medrue.ranking import agreement, rank, ranking_table, standard_error
-from medrue.result_tables import Column, ResultTable
-from medrue.study import SIGMA, Study, StudySize, choose_sets, error_floors, summary, true_positions
+from medrue.result_tables import ResultTable, TableColumn
+from medrue.study import SIGMA, PaperStudy, StudySize, choose_sets, error_floors, summary, true_positions
 from medrue.study_tables import study_findings, study_tables
 from medrue.workspace import target_workspace
 
@@ -29,28 +29,28 @@ def robot() -> Robot:
 
 
 @pytest.fixture(scope="module")
-def task(robot: Robot) -> Task:
+def task(robot: Robot) -> DrawTask:
     """84 poses chosen by O1 and 84 uniform ones, measured on the robot of Table I."""
     joints = np.array(target_workspace().q)
     chosen = np.sort(select(robot, joints, 84, "O1", sigma=SIGMA).chosen)
     sets = (PoseSet("O1", chosen), PoseSet("uniform", np.arange(2, 420, 5)))
     truth = true_positions(joints, table1().actual)
-    return Task(robot, joints, truth, sets, SIGMA, tuple(np.random.SeedSequence(7).spawn(DRAWS)))
+    return DrawTask(robot, joints, truth, sets, SIGMA, tuple(np.random.SeedSequence(7).spawn(DRAWS)))
 
 
 @pytest.fixture(scope="module")
-def outcome(task: Task) -> Outcome:
+def outcome(task: DrawTask) -> DrawOutcome:
     return run([task], None, lambda done: None)[0]
 
 
-def test_without_noise_the_actual_parameters_come_back(task: Task) -> None:
+def test_without_noise_the_actual_parameters_come_back(task: DrawTask) -> None:
     for pose_set in task.sets:
         fitted = fit(task.robot, measurements(task.robot, task.joints, task.truth, pose_set.chosen), sigma=SIGMA)
         # 1e-9 mm or deg; rounding of the closures (1e-13 m) times the condition of the Jacobian (about 1500)
         assert np.abs(fitted.robot.values - table1().actual).max() < 1e-11
 
 
-def test_a_draw_ends_in_the_minimum_that_fit_finds(task: Task) -> None:
+def test_a_draw_ends_in_the_minimum_that_fit_finds(task: DrawTask) -> None:
     noisy = task.noisy(task.seeds[0])
     start = task.robot.with_parameters(table1().actual)
     calibrator = Calibrator(task, task.sets[0], start, start.assemble(task.joints).passive)
@@ -59,7 +59,7 @@ def test_a_draw_ends_in_the_minimum_that_fit_finds(task: Task) -> None:
     assert np.abs(difference / fitted.statistics.std).max() < 1e-3  # of a standard deviation
 
 
-def test_predicted_covariance_agrees_with_the_scatter_over_draws(task: Task, outcome: Outcome) -> None:
+def test_predicted_covariance_agrees_with_the_scatter_over_draws(task: DrawTask, outcome: DrawOutcome) -> None:
     """The Mahalanobis distances of all draws add up to a chi-square of 28 degrees of freedom each."""
     actual = task.robot.with_parameters(table1().actual)
     free = task.robot.is_free
@@ -71,30 +71,37 @@ def test_predicted_covariance_agrees_with_the_scatter_over_draws(task: Task, out
         assert abs(total - n) < 4 * np.sqrt(2 * n)
 
 
-def test_identification_reaches_the_floor_of_theory_and_does_not_fall_below(task: Task, outcome: Outcome) -> None:
+def test_identification_reaches_the_floor_of_theory_and_does_not_fall_below(
+    task: DrawTask, outcome: DrawOutcome
+) -> None:
     actual = task.robot.with_parameters(table1().actual)
     floors = error_floors(actual, task.joints, task.sets, SIGMA)
     for s, pose_set in enumerate(task.sets):
-        squares = np.mean(outcome.distances[:, s, pose_set.others(420)] ** 2, axis=1)
+        squares = np.mean(outcome.distances[:, s, pose_set.validation_indices(420)] ** 2, axis=1)
         assert abs(squares.mean() / floors[s] ** 2 - 1) < 4 * standard_error(squares) / floors[s] ** 2
 
 
-def test_poses_of_o1_beat_uniform_ones(task: Task, outcome: Outcome) -> None:
+def test_poses_of_o1_beat_uniform_ones(task: DrawTask, outcome: DrawOutcome) -> None:
     floors = error_floors(task.robot, task.joints, task.sets, SIGMA)
     assert floors[0] < 0.92 * floors[1]
-    largest = np.stack([outcome.distances[:, s, p.others(420)].max(axis=1) for s, p in enumerate(task.sets)], axis=1)
+    largest = np.stack(
+        [outcome.distances[:, s, p.validation_indices(420)].max(axis=1) for s, p in enumerate(task.sets)], axis=1
+    )
     ranking = rank(("O1", "uniform"), largest)
     assert ranking.names == ("O1", "uniform")
     assert ranking.steps[0, 1] > 3
-    assert ranking.sure() == "better by more than chance: O1 than uniform; every other difference may be chance"
+    assert (
+        ranking.sure_differences()
+        == "better by more than chance: O1 than uniform; every other difference may be chance"
+    )
 
 
 def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(
-    task: Task, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
+    task: DrawTask, outcome: DrawOutcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("medrue.draws.CHUNK", 2)
     monkeypatch.setattr("medrue.study.INDICES", ("O1",))
-    few = Task(task.robot, task.joints, task.truth, task.sets, task.sigma, task.seeds[:4])
+    few = DrawTask(task.robot, task.joints, task.truth, task.sets, task.sigma, task.seeds[:4])
     with Workers(2) as executor:
         _, sets = choose_sets(task.robot, task.joints, executor, lambda done: None)
         shared = run([few], executor, lambda done: None)[0]
@@ -105,22 +112,25 @@ def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(
 
 
 @pytest.fixture(scope="module")
-def small_study(task: Task, outcome: Outcome) -> Study:
+def small_study(task: DrawTask, outcome: DrawOutcome) -> PaperStudy:
     """A study of two pose sets, put together from the draws above."""
-    chosen, others = task.sets[0].chosen, measurements(task.robot, task.joints, task.truth, task.sets[0].others(420))
+    chosen, others = (
+        task.sets[0].chosen,
+        measurements(task.robot, task.joints, task.truth, task.sets[0].validation_indices(420)),
+    )
     exact = fit(task.robot, measurements(task.robot, task.joints, task.truth, chosen), validation=others, sigma=SIGMA)
     noisy = measurements(task.robot, task.joints, task.noisy(task.seeds[0]), chosen)
     single = fit(task.robot, noisy, validation=others, sigma=SIGMA)
     selections = {"O1": select(task.robot, task.joints, 84, "O1", sigma=SIGMA)}
     floors = error_floors(exact.robot, task.joints, task.sets, SIGMA)
-    halves = tuple(Outcome(outcome.values[k::2], outcome.distances[k::2]) for k in (0, 1))
+    halves = tuple(DrawOutcome(outcome.values[k::2], outcome.distances[k::2]) for k in (0, 1))
     size = StudySize(DRAWS, 2, DRAWS // 2)
-    return Study(
+    return PaperStudy(
         task.robot, task.joints, task.truth, selections, task.sets, exact, single, outcome, halves, floors, 7, size
     )
 
 
-def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study: Study) -> None:
+def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study: PaperStudy) -> None:
     tables = {table.name: table for table in study_tables(small_study)}
     assert set(tables) == {"table1", "table2", "ranking", "floor", "observability"}
     first = {column.header: column.values for column in tables["table1"].columns}
@@ -139,7 +149,7 @@ def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study: St
     assert "before: the nominal robot at the validation poses of O1" in tables["table2"].csv()
 
 
-def test_findings_say_what_the_numbers_say(small_study: Study) -> None:
+def test_findings_say_what_the_numbers_say(small_study: PaperStudy) -> None:
     text = " ".join(study_findings(small_study))
     assert "Without noise, 28 parameters come back" in text
     assert "better by more than chance: O1 than uniform" in text
@@ -148,12 +158,12 @@ def test_findings_say_what_the_numbers_say(small_study: Study) -> None:
     assert "nan" not in text
 
 
-def test_errors_before_are_those_of_the_nominal_robot(small_study: Study) -> None:
-    others = small_study.sets[0].others(420)
+def test_errors_before_are_those_of_the_nominal_robot(small_study: PaperStudy) -> None:
+    others = small_study.sets[0].validation_indices(420)
     nominal = true_positions(small_study.joints, table1().nominal)[others]
     errors = np.linalg.norm(nominal - small_study.truth[others], axis=1)
     expected = (errors.mean(), errors.max(), errors.std(ddof=1), np.sqrt(np.mean(errors**2)))
-    assert small_study.before() == pytest.approx(expected, rel=1e-9)
+    assert small_study.nominal_errors() == pytest.approx(expected, rel=1e-9)
 
 
 def test_rankings_tell_luck_from_difference() -> None:
@@ -162,7 +172,7 @@ def test_rankings_tell_luck_from_difference() -> None:
     errors = np.stack([common + 0.3, common, common + 1e-6 * generator.normal(size=50)], axis=1)
     ranking = rank(("worse", "good", "alike"), errors)
     assert ranking.names[2] == "worse"
-    assert ranking.sure() in (
+    assert ranking.sure_differences() in (
         "better by more than chance: good and alike than worse; every other difference may be chance",
         "better by more than chance: alike and good than worse; every other difference may be chance",
     )
@@ -180,9 +190,12 @@ def test_sets_that_are_like_their_neighbours_may_still_differ() -> None:
     draws = (draws - draws.mean(axis=0)) / draws.std(axis=0, ddof=1)  # exactly these means and deviations
     errors = draws + np.array([0.0, 0.55, 1.1])
     ranking = rank(("first", "middle", "last"), errors)
-    assert ranking.compared(0, 1) == ranking.compared(1, 2) == "open"
-    assert (ranking.compared(0, 2), ranking.compared(2, 0)) == ("better", "worse")
-    assert ranking.sure() == "better by more than chance: first than last; every other difference may be chance"
+    assert ranking.compare(0, 1) == ranking.compare(1, 2) == "open"
+    assert (ranking.compare(0, 2), ranking.compare(2, 0)) == ("better", "worse")
+    assert (
+        ranking.sure_differences()
+        == "better by more than chance: first than last; every other difference may be chance"
+    )
 
 
 def test_every_pair_is_tested_with_holms_correction() -> None:
@@ -206,7 +219,7 @@ def test_every_pair_is_tested_with_holms_correction() -> None:
 def test_a_long_list_of_worse_sets_is_named_by_its_first() -> None:
     noise = np.random.default_rng(2).normal(size=(40, 5)) * 1e-3
     ranking = rank(tuple("abcde"), noise + np.array([0.0, 0.0, 1.0, 2.0, 3.0]))
-    assert "than c and all after it" in ranking.sure()
+    assert "than c and all after it" in ranking.sure_differences()
     table = ranking_table({"mean error": ranking})
     rows = {str(row[0]): row for row in zip(*(column.values for column in table.columns), strict=True)}
     assert rows["mean error: c"][2:] == ("worse", "worse", "", "better", "better")
@@ -222,9 +235,11 @@ def test_summary_is_mean_max_std_and_rms() -> None:
 
 
 def test_tables_keep_all_digits_in_files_and_leave_unknown_cells_empty() -> None:
-    table = ResultTable("t", "title", (Column("name", ("a", "b")), Column("x [mm]", (1 / 3, None), 2)), ("note",))
+    table = ResultTable(
+        "t", "title", (TableColumn("name", ("a", "b")), TableColumn("x [mm]", (1 / 3, None), 2)), ("note",)
+    )
     assert table.csv() == "# title\n# note\nname,x [mm]\na,0.3333333333333333\nb,\n"
     assert table.text() == "name  x [mm]\na       0.33\nb"
     assert table.to_dict()["rows"] == [{"name": "a", "x [mm]": 1 / 3}, {"name": "b", "x [mm]": None}]
     with pytest.raises(ValueError, match="different lengths"):
-        ResultTable("t", "title", (Column("a", ("x",)), Column("b", ())))
+        ResultTable("t", "title", (TableColumn("a", ("x",)), TableColumn("b", ())))

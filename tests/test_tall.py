@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.core.numerics import tall as tall_matrices
-from calib.core.numerics.tall import Span, in_parts, squares_of_rows
+from calib.core.numerics.tall import Span, slices, squares_of_rows
 
 
 @pytest.fixture
@@ -20,16 +20,18 @@ def test_a_span_is_the_product_of_its_factors_and_what_stands_beside_it(matrix, 
     rng = np.random.default_rng(2)
     root, more = rng.standard_normal((4, 3)), rng.standard_normal((50, 2))
     whole = np.hstack([matrix @ root, more])
-    for span, same in ((Span(matrix, root), whole[:, :3]), (Span(matrix, root).beside(more), whole)):
+    for span, same in ((Span(matrix, root), whole[:, :3]), (Span(matrix, root).with_columns(more), whole)):
         assert span.shape == same.shape
         np.testing.assert_allclose(span[:], same, atol=1e-12)
         np.testing.assert_allclose(span[np.array([[3, 1], [4, 4]])], same[[[3, 1], [4, 4]]], atol=1e-12)
         for columns in (rng.standard_normal(same.shape[1]), rng.standard_normal((same.shape[1], 2))):
             np.testing.assert_allclose(span.times(columns), same @ columns, atol=1e-12)
         for columns in (rng.standard_normal(50), rng.standard_normal((50, 2))):
-            np.testing.assert_allclose(span.pulled(columns), same.T @ columns, atol=1e-12)
+            np.testing.assert_allclose(span.transposed_product(columns), same.T @ columns, atol=1e-12)
         np.testing.assert_allclose(squares_of_rows(span), np.sum(same**2, axis=1), rtol=1e-12)
-    np.testing.assert_allclose(Span(matrix, root).beside(more[:, :1]).beside(more[:, 1:])[:], whole, atol=1e-12)
+    np.testing.assert_allclose(
+        Span(matrix, root).with_columns(more[:, :1]).with_columns(more[:, 1:])[:], whole, atol=1e-12
+    )
 
 
 def test_what_a_span_keeps_is_not_sent_with_it(matrix):
@@ -41,5 +43,5 @@ def test_what_a_span_keeps_is_not_sent_with_it(matrix):
 
 
 def test_parts_hold_every_row_once():
-    assert [list(range(10))[part] for part in in_parts(10, 4)] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9]]
-    assert list(in_parts(0)) == []
+    assert [list(range(10))[part] for part in slices(10, 4)] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9]]
+    assert list(slices(0)) == []

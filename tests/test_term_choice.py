@@ -18,10 +18,10 @@ import calib
 from calib.core.base.threads import one_blas_thread
 from calib.core.data.pose_groups import boxes
 from calib.core.fitting.terms.candidate_terms import candidates
-from calib.core.fitting.terms.joint_curves import beyond_learned
+from calib.core.fitting.terms.joint_curves import is_beyond_learned
 from calib.core.fitting.validation import stretches
 from calib.core.robots.terms.coupling import CouplingSection
-from calib.core.robots.terms.terms import TERMS, listed_terms
+from calib.core.robots.terms.terms import TERMS, parse_terms
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 NOISE = 2e-5
@@ -42,7 +42,7 @@ def entries(robot, terms):
     chain = zip(robot.joint_names[1:], robot.joint_names, strict=False)
     pairs = [CouplingSection(joint=joint, term="coupling", driven_by=other) for joint, other in chain]
     listed = ",".join(term for term in terms if term != "coupling")
-    return (*(listed_terms(listed) if listed else ()), *(pairs if "coupling" in terms else ()))
+    return (*(parse_terms(listed) if listed else ()), *(pairs if "coupling" in terms else ()))
 
 
 def simulated(robot, terms, rng, n=60):
@@ -61,7 +61,7 @@ def _measured(robot, true, q, rng):
     data = calib.as_measurements(robot, q, np.zeros((len(q), 3)))
     context = {"time": 120.0 * np.arange(len(q)), "temperature": 20 + 3 * rng.random(len(q))}
     data = replace(data, context=context, approach=np.sign(rng.standard_normal(q.shape)))
-    seen = calib.core.rows.observed.predicted_readings(true, true.assemble(q, context=data.conditions))
+    seen = calib.core.rows.observed.predict_readings(true, true.assemble(q, context=data.conditions))
     readings = {
         name: replace(item, values=item.values + NOISE * rng.standard_normal(item.values.shape))
         for name, item in seen.items()
@@ -200,9 +200,9 @@ def test_without_stated_directions_backlash_is_reported_and_not_added():
     robot = example_arm(None)
     q = np.random.default_rng(9).uniform(-1.5, 1.5, (60, 6))
     data = calib.as_measurements(robot, q, np.zeros((60, 3)))
-    playing = robot.with_terms(listed_terms("joint_2=backlash")).with_parameters({"joint_2.backlash": 4e-4})
+    playing = robot.with_terms(parse_terms("joint_2=backlash")).with_parameters({"joint_2.backlash": 4e-4})
     seen = playing.assemble(q, context=data.conditions)
-    points = calib.core.rows.observed.predicted_readings(playing, seen)["reflector"].values
+    points = calib.core.rows.observed.predict_readings(playing, seen)["reflector"].values
     points = points + NOISE * np.random.default_rng(10).standard_normal(points.shape)
     fit = calib.fit(robot, calib.as_measurements(robot, q, points), terms="auto")
     told = next(trial for trial in fit.terms.tried if trial.term == "backlash")
@@ -219,7 +219,7 @@ def test_candidates_say_why_they_cannot_be_tried():
     assert refused["gain"] == refused["coupling"] == ""
     assert "drift" not in refused  # it changes from day to day, and must be named
     assert refused["compliance"] == "gravity loads no joint differently from pose to pose"
-    described = robot.with_terms(listed_terms("gain,left_motor=curve"))
+    described = robot.with_terms(parse_terms("gain,left_motor=curve"))
     by_name = {term.term: term for term in candidates(described, calib.as_measurements(robot, q, np.zeros((20, 3))))}
     assert by_name["gain"].refused == "the description has it already"
     assert [section.joint for section in by_name["curve"].sections] == ["right_motor"]
@@ -300,7 +300,7 @@ def test_poses_just_beyond_the_range_measured_are_no_reason_where_a_curve_is_sti
         for joints in (q, edge)
     )
     fit = calib.fit(robot, used, validation=other, terms="joint_2=curve")
-    assert np.all(beyond_learned(fit.robot, q, edge)[:, 1])
+    assert np.all(is_beyond_learned(fit.robot, q, edge)[:, 1])
     assert "beyond_curves" not in fit.verdict.to_dict()["codes"], fit.verdict
 
 
@@ -330,7 +330,7 @@ def test_a_result_with_terms_is_read_back_by_other_commands(curved, run_calib):
 def test_none_leaves_out_what_the_description_has(curved):
     robot, folder = curved
     data = calib.read_measurements(folder / "data.csv", robot)
-    fit = calib.fit(robot.with_terms(listed_terms("gain")), data, terms="none")
+    fit = calib.fit(robot.with_terms(parse_terms("gain")), data, terms="none")
     assert fit.robot.terms == ()
     assert np.array_equal(fit.robot.values, calib.fit(robot, data).robot.values)
 

@@ -20,16 +20,16 @@ from medrue.cli import group
 from medrue.closed_form import PASSIVE_JOINTS, forward, singularity_sines
 from medrue.closed_form_inverse import inverse
 from medrue.paper_tables import PARAMETERS, table1
-from medrue.study import SIGMA, StudySize, drawn_parameters
+from medrue.study import SIGMA, StudySize, draw_parameters
 from medrue.touch import TouchTask, touch_draw
 from medrue.touch_methods import (
     ARTEFACT,
     PUT_UP,
     Artefact,
-    ByEncoders,
-    ByTouch,
-    ByTracker,
+    EncoderMethod,
     Touches,
+    TouchMethod,
+    TrackerMethod,
     encoder_robot,
     possible_touches,
     touching_robot,
@@ -52,18 +52,18 @@ def touches() -> Touches:
 
 
 @pytest.fixture(scope="module")
-def by_touch(touches: Touches) -> ByTouch:
-    return ByTouch("touch", touching_robot(anywhere=False), touches, anywhere=False)
+def by_touch(touches: Touches) -> TouchMethod:
+    return TouchMethod("touch", touching_robot(anywhere=False), touches, anywhere=False)
 
 
 @pytest.fixture(scope="module")
-def by_touch_anywhere(touches: Touches) -> ByTouch:
-    return ByTouch("touch, artefact anywhere", touching_robot(anywhere=True), touches, anywhere=True)
+def by_touch_anywhere(touches: Touches) -> TouchMethod:
+    return TouchMethod("touch, artefact anywhere", touching_robot(anywhere=True), touches, anywhere=True)
 
 
 @pytest.fixture(scope="module")
-def by_encoders() -> ByEncoders:
-    return ByEncoders("encoders", encoder_robot(), np.array(target_workspace().q[::5]))
+def by_encoders() -> EncoderMethod:
+    return EncoderMethod("encoders", encoder_robot(), np.array(target_workspace().q[::5]))
 
 
 def slopes(outputs) -> np.ndarray:
@@ -99,7 +99,7 @@ def test_robots_within_the_papers_errors_reach_sockets_put_up_by_hand(robot: Rob
     """Three standard deviations of putting up, in 60 robots; a sine of 0 is singular."""
     result, generator = possible_touches(ARTEFACT), np.random.default_rng(5)
     for seed in range(60):
-        actual = drawn_parameters(robot, np.random.SeedSequence(seed))
+        actual = draw_parameters(robot, np.random.SeedSequence(seed))
         T = result.T_world_tool.copy()
         T[:, :3, 3] += 3 * PUT_UP[0] * generator.choice([-1.0, 1.0], 3)
         joints = inverse(T, actual)
@@ -107,7 +107,7 @@ def test_robots_within_the_papers_errors_reach_sockets_put_up_by_hand(robot: Rob
         assert singularity_sines(joints, actual).min() > 0.3
 
 
-def test_a_touch_misses_its_socket_by_the_noise_of_the_tracker(by_touch: ByTouch) -> None:
+def test_a_touch_misses_its_socket_by_the_noise_of_the_tracker(by_touch: TouchMethod) -> None:
     data = by_touch.measured(table1().actual, np.random.default_rng(3))
     there = forward(data.joints, table1().actual).p_world_tool - AXIS_START
     miss = (there - ARTEFACT.sockets[by_touch.touches.socket]) / SIGMA
@@ -116,7 +116,7 @@ def test_a_touch_misses_its_socket_by_the_noise_of_the_tracker(by_touch: ByTouch
 
 
 def test_without_noise_touch_gives_back_the_actual_parameters(
-    by_touch: ByTouch, monkeypatch: pytest.MonkeyPatch
+    by_touch: TouchMethod, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("medrue.touch_methods.SIGMA", 0.0)
     result = fit(by_touch.robot, by_touch.measured(table1().actual, np.random.default_rng(0))).robot
@@ -124,7 +124,7 @@ def test_without_noise_touch_gives_back_the_actual_parameters(
     assert np.abs(result.values - table1().actual).max() < 1e-9
 
 
-def test_touches_are_planned_as_positions_are(robot: Robot, by_touch: ByTouch) -> None:
+def test_touches_are_planned_as_positions_are(robot: Robot, by_touch: TouchMethod) -> None:
     data = by_touch.measured(table1().nominal, np.random.default_rng(1))
     touched = observe(by_touch.robot, by_touch.robot.assemble(data.joints), data.readings)["probe"]
     position = linearise(robot, robot.assemble(data.joints)).jacobian[:, 0]
@@ -132,7 +132,7 @@ def test_touches_are_planned_as_positions_are(robot: Robot, by_touch: ByTouch) -
 
 
 def test_ranks_are_those_of_the_closed_form(
-    by_touch: ByTouch, by_touch_anywhere: ByTouch, by_encoders: ByEncoders
+    by_touch: TouchMethod, by_touch_anywhere: TouchMethod, by_encoders: EncoderMethod
 ) -> None:
     q = by_touch.touches.joints
     points = forward(q, table1().nominal).p_world_tool - AXIS_START
@@ -152,7 +152,7 @@ def test_ranks_are_those_of_the_closed_form(
         assert len(seen.parameters) == matrix.shape[1]
 
 
-def test_encoders_do_not_see_base_and_tool_and_read_what_the_joints_are(by_encoders: ByEncoders) -> None:
+def test_encoders_do_not_see_base_and_tool_and_read_what_the_joints_are(by_encoders: EncoderMethod) -> None:
     blind = ("d31", "d32", "d5", "dq1", "xb", "yb", "zb", "phi_bx", "phi_by", "phi_bz", "xt", "yt", "zt")
     other = table1().actual + 0.01 * np.isin(PARAMETERS, blind)
     exact = forward(by_encoders.joints, table1().actual).passive
@@ -164,7 +164,7 @@ def test_encoders_do_not_see_base_and_tool_and_read_what_the_joints_are(by_encod
     assert off[6] == pytest.approx(SIGMA, rel=0.4)
 
 
-def test_a_socket_out_of_reach_is_an_error(by_touch: ByTouch) -> None:
+def test_a_socket_out_of_reach_is_an_error(by_touch: TouchMethod) -> None:
     actual = table1().actual.copy()
     actual[PARAMETERS.index("L11")] = 0.2
     with pytest.raises(ComputationError, match="does not reach one of the sockets"):
@@ -173,7 +173,7 @@ def test_a_socket_out_of_reach_is_an_error(by_touch: ByTouch) -> None:
 
 def test_the_same_seed_gives_the_same_errors(robot: Robot) -> None:
     joints = np.array(target_workspace().q[::5])
-    methods = (ByTracker("tracker", robot, joints),)
+    methods = (TrackerMethod("tracker", robot, joints),)
     first, again, other = (
         touch_draw(TouchTask(methods, joints[:40], table1().actual, np.random.SeedSequence(seed))) for seed in (1, 1, 2)
     )

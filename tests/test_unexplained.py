@@ -114,7 +114,7 @@ def test_a_robot_that_its_parameters_describe_is_hardly_less_certain(name):
     wider = []
     for fit, _ in results:
         q = fit.identification.data.joints
-        alone = replace(fit.uncertainty, joint_error=0.0).at(fit.robot, q)
+        alone = replace(fit.uncertainty, joint_error=0.0).predict(fit.robot, q)
         wider.append(fit.predict(q).distance.mean() / alone.distance.mean())
     assert np.median(wider) < 1.1
     assert 0.9 < np.mean([part for _, part in results]) < 0.995
@@ -126,7 +126,7 @@ def test_what_is_added_is_the_lever_of_each_joint():
     fit, _ = fitted(robot, "rough", 3)
     q = fit.identification.data.joints[:4]
     told = fit.predict(q)
-    alone = replace(fit.uncertainty, joint_error=0.0).at(fit.robot, q)
+    alone = replace(fit.uncertainty, joint_error=0.0).predict(fit.robot, q)
     step = 1e-6
     levers = np.stack(
         [(fit.robot.positions(q + step * e) - fit.robot.positions(q - step * e))[:, 0] / (2 * step) for e in np.eye(6)],

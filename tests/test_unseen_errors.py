@@ -8,9 +8,9 @@ from six_axis_arm import FREE, YAML, joints, noisy, six_axis_arm, write_six_axis
 
 import calib
 from calib.core.fitting.terms.candidate_terms import TermChoice
-from calib.core.fitting.unseen_errors import accuracy, left_out_one_by_one, limit95
+from calib.core.fitting.unseen_errors import accuracy, leave_one_out_errors, limit95
 from calib.core.judging.claim import claim_of
-from calib.core.robots.held import SeenAt
+from calib.core.robots.accuracy_of_files import PoseUse
 
 SIGMA = 4e-5
 
@@ -45,7 +45,7 @@ def test_what_the_model_of_all_terms_expects_is_claimed(arm):
         told = accuracy(sized)
         assert told.rms == pytest.approx(more * seen.rms, rel=1e-12)
         assert told.limit95 == pytest.approx(more * seen.limit95, rel=1e-12)
-        assert claim_of(sized).told.rms == told.rms
+        assert claim_of(sized).at_measured_poses.rms == told.rms
 
 
 @pytest.mark.parametrize("loss", ["none", "tukey"])
@@ -54,7 +54,7 @@ def test_poses_left_out_one_by_one_are_those_of_refits(arm, loss):
     q = joints(30)
     data = noisy(arm.with_parameters({"j2.x": 0.0502, "j3.rx": 4e-4}), q, SIGMA, 2)
     fit = calib.fit(arm, data, sigma=SIGMA, loss=loss)
-    told = left_out_one_by_one(fit).after["ball"]
+    told = leave_one_out_errors(fit).after["ball"]
     assert np.all(np.linalg.norm(told, axis=1) >= np.linalg.norm(fit.identification.after["ball"], axis=1) - 1e-9)
     if loss != "none":
         return  # a refit finds other weights
@@ -86,7 +86,7 @@ def test_readings_that_repeat_a_pose_are_left_out_together(arm):
     points = arm.positions(q) + SIGMA * np.random.default_rng(3).standard_normal((40, 1, 3))
     data = calib.as_measurements(arm, q, points, names)
     fit = calib.fit(arm, data, sigma=SIGMA)
-    told = left_out_one_by_one(fit).after["ball"]
+    told = leave_one_out_errors(fit).after["ball"]
     again = calib.fit(arm, data[np.arange(2, 40)], validation=data[[0, 1]], sigma=SIGMA)
     np.testing.assert_allclose(told[:2], again.validation.after["ball"], atol=2e-7, rtol=2e-3)
 
@@ -102,7 +102,7 @@ def test_a_pose_that_alone_decides_something_is_foretold_by_none(tmp_path):
     ]
     (tmp_path / "data.csv").write_text("\n".join(",".join(row) for row in [header, *rows]) + "\n")
     fit = calib.fit(arm, calib.read_measurements(tmp_path / "data.csv", arm))
-    foretold = left_out_one_by_one(fit)
+    foretold = leave_one_out_errors(fit)
     assert list(foretold.data.names) == [str(k + 1) for k in range(30) if k != 11]
     assert np.all(np.linalg.norm(foretold.after["ball"], axis=1) > 0)
     assert accuracy(fit).n_poses == 29
@@ -114,9 +114,9 @@ def test_the_poses_that_tell_most_are_taken(arm):
     with_validation = accuracy(calib.fit(arm, data, validation=held, folds=3))
     with_folds, alone = accuracy(calib.fit(arm, data, folds=3)), accuracy(calib.fit(arm, data))
     assert [item.poses for item in (with_validation, with_folds, alone)] == [
-        SeenAt.VALIDATION,
-        SeenAt.FOLDS,
-        SeenAt.ONE_BY_ONE,
+        PoseUse.VALIDATION,
+        PoseUse.FOLDS,
+        PoseUse.ONE_BY_ONE,
     ]
     assert [item.n_poses for item in (with_validation, with_folds, alone)] == [25, 60, 60]
     fit = calib.fit(arm, data, validation=held)

@@ -7,9 +7,9 @@ from six_axis_arm import joints, noisy, six_axis_arm
 import calib
 from calib.core.data.in_memory import measurements as from_readings
 from calib.core.data.in_memory import plain_readings
-from calib.core.data.pose_groups import apart, drawn_alike, pose_labels
+from calib.core.data.pose_groups import are_drawn_alike, is_apart, pose_labels
 from calib.core.fitting.validation import deal
-from calib.core.judging.claim import elsewhere, unlike_measured
+from calib.core.judging.claim import is_elsewhere, unlike_measured
 
 RNG = np.random.default_rng(0)
 
@@ -136,34 +136,34 @@ def test_before_is_with_base_and_target_placed_alone(tmp_path):
 
 def test_of_poses_drawn_like_those_used_one_in_twenty_lies_apart():
     used, others = joints(300), joints(4000, 1)
-    assert 0.03 < np.mean(apart(others, used)) < 0.08  # the limit is itself drawn: +- 0.013
-    assert np.mean(apart(others + 1.5 * np.eye(6)[0], used)) > 0.25
-    assert np.all(apart(others + 6.0 * np.eye(6)[0], used))
+    assert 0.03 < np.mean(is_apart(others, used)) < 0.08  # the limit is itself drawn: +- 0.013
+    assert np.mean(is_apart(others + 1.5 * np.eye(6)[0], used)) > 0.25
+    assert np.all(is_apart(others + 6.0 * np.eye(6)[0], used))
 
 
 def test_apart_is_beyond_the_nearest_other_pose_whatever_repeats_say():
     """Poses in steps of 0.1 along one joint, each read three times; a joint that never moved is another matter."""
     used = np.repeat(np.column_stack([0.1 * np.arange(30), np.full(30, 0.5)]), 3, axis=0)
     others = np.array([[0.55, 0.5], [2.98, 0.5], [3.05, 0.5], [0.5, 0.6]])
-    assert apart(others, used).tolist() == [False, False, True, True]
-    assert not np.any(apart(others, used[:54]))  # 18 poses
+    assert is_apart(others, used).tolist() == [False, False, True, True]
+    assert not np.any(is_apart(others, used[:54]))  # 18 poses
 
 
 def test_poses_drawn_as_those_used_are_told_from_poses_elsewhere_and_from_crowded_ones():
     rng = np.random.default_rng(3)
     used = rng.uniform(-1, 1, (200, 6))
-    alike = [drawn_alike(rng.uniform(-1, 1, (60, 6)), used) for _ in range(200)]
+    alike = [are_drawn_alike(rng.uniform(-1, 1, (60, 6)), used) for _ in range(200)]
     assert np.sum(alike) >= 197  # 0.1 % by chance
-    assert not drawn_alike(rng.uniform(0.8, 1.5, (60, 6)), used)
-    assert not drawn_alike(rng.uniform(0.0, 0.3, (60, 6)), used)
-    assert drawn_alike(used[:30], used)
-    assert drawn_alike(np.repeat(rng.uniform(-1, 1, (12, 6)), 30, axis=0), used)  # a repeat is no new pose
+    assert not are_drawn_alike(rng.uniform(0.8, 1.5, (60, 6)), used)
+    assert not are_drawn_alike(rng.uniform(0.0, 0.3, (60, 6)), used)
+    assert are_drawn_alike(used[:30], used)
+    assert are_drawn_alike(np.repeat(rng.uniform(-1, 1, (12, 6)), 30, axis=0), used)  # a repeat is no new pose
 
 
 def test_poses_of_a_setup_that_was_not_used_are_unlike_those_measured(arm):
     fit = calib.fit(arm, noisy(arm, joints(40), 1e-4, 1), validation=noisy(arm, joints(30, 5), 1e-4, 2))
-    assert np.array_equal(unlike_measured(fit), apart(joints(30, 5), joints(40)))
-    assert not elsewhere(unlike_measured(fit))
+    assert np.array_equal(unlike_measured(fit), is_apart(joints(30, 5), joints(40)))
+    assert not is_elsewhere(unlike_measured(fit))
     setups = np.zeros(40, dtype=int), np.where(np.arange(30) < 3, 0, 1)
     used, other = (
         replace(errors, data=replace(errors.data, setups=numbers))
@@ -171,4 +171,4 @@ def test_poses_of_a_setup_that_was_not_used_are_unlike_those_measured(arm):
     )
     moved = replace(fit, identification=used, validation=other)
     assert np.all(unlike_measured(moved)[3:])
-    assert elsewhere(unlike_measured(moved))
+    assert is_elsewhere(unlike_measured(moved))

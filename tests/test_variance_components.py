@@ -9,8 +9,8 @@ from scipy.optimize import minimize
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.prior_sizes import Products, found_with_families
-from calib.core.numerics.variance_components import found_components, found_scales
+from calib.core.numerics.prior_sizes import Products, find_noise_with_families
+from calib.core.numerics.variance_components import find_components, find_scales
 
 N_FREE = 4
 ONE, BOTH = np.array([True]), np.array([True, True])
@@ -28,7 +28,7 @@ def model_of(seed, *, priors=(), groups=(40, 30), noise=(0.5, 3.0), shared=(), v
     residuals = np.array(noise)[group] * rng.standard_normal(n) + np.sum(columns * errors[block], axis=1)
     has_prior = np.isin(np.arange(N_FREE), priors)
     deviations = np.where(has_prior, rng.standard_normal(N_FREE), 0.0)
-    model = LinearModel(residuals, jacobian, Prior(has_prior), deviations, RowGroups.of(group, len(groups)))
+    model = LinearModel(residuals, jacobian, Prior(has_prior), deviations, RowGroups.from_groups(group, len(groups)))
     return model, columns, block
 
 
@@ -71,7 +71,7 @@ def optimum(model, columns, block, *, start, n_shared=0, sought=BOTH):
 @pytest.mark.parametrize("seed", range(3))
 def test_scales_of_groups_are_where_the_restricted_likelihood_is_largest(seed, priors):
     model, columns, block = model_of(seed, priors=priors)
-    result = found_scales(model, np.array([1.0, 1.0]), BOTH)
+    result = find_scales(model, np.array([1.0, 1.0]), BOTH)
     scales, _, likelihood = optimum(model, columns, block, start=[1.0, 1.0])
     np.testing.assert_allclose(result.scales, scales, rtol=1e-3)
     assert result.log_likelihood == pytest.approx(likelihood, abs=1e-4)
@@ -79,14 +79,14 @@ def test_scales_of_groups_are_where_the_restricted_likelihood_is_largest(seed, p
 
 def test_the_start_does_not_matter():
     model, _, _ = model_of(1)
-    ends = [found_scales(model, np.array(start), BOTH).scales for start in ([1e-3, 1e-3], [1.0, 1.0], [50.0, 0.01])]
+    ends = [find_scales(model, np.array(start), BOTH).scales for start in ([1e-3, 1e-3], [1.0, 1.0], [50.0, 0.01])]
     np.testing.assert_allclose(ends[1:], ends[:1] * 2, rtol=1e-3)
 
 
 def test_scales_that_are_stated_stay():
     model, columns, block = model_of(4, noise=(0.5, 1.0))
     first = np.array([True, False])
-    result = found_scales(model, np.array([1.0, 1.0]), first)
+    result = find_scales(model, np.array([1.0, 1.0]), first)
     scales, _, _ = optimum(model, columns, block, start=[1.0], sought=first)
     assert result.scales[1] == 1.0
     assert result.scales[0] == pytest.approx(scales[0], rel=1e-3)
@@ -95,7 +95,7 @@ def test_scales_that_are_stated_stay():
 def test_one_group_without_priors_has_the_noise_of_the_textbook():
     model, _, _ = model_of(2, groups=(50,), noise=(0.7,))
     left = model.residuals - model.jacobian @ np.linalg.lstsq(model.jacobian, model.residuals, rcond=None)[0]
-    scales = found_scales(model, np.array([1.0]), ONE)
+    scales = find_scales(model, np.array([1.0]), ONE)
     assert scales.scales[0] == pytest.approx(np.sqrt(left @ left / 46), rel=1e-6)
 
 
@@ -105,11 +105,13 @@ def test_rows_that_were_not_read_take_no_part():
     group, jacobian = model.layout.group.copy(), model.jacobian.copy()
     residuals, seen = model.residuals.copy(), columns.copy()
     group[gaps], jacobian[gaps], residuals[gaps], seen[gaps] = -1, 0.0, 0.0, 0.0
-    with_gaps = replace(model, residuals=residuals, jacobian=jacobian, layout=RowGroups.of(group, 2))
+    with_gaps = replace(model, residuals=residuals, jacobian=jacobian, layout=RowGroups.from_groups(group, 2))
     kept = group >= 0
-    without = replace(model, residuals=residuals[kept], jacobian=jacobian[kept], layout=RowGroups.of(group[kept], 2))
-    components = found_components(with_gaps, np.ones(2), BOTH, seen, block)
-    other = found_components(without, np.ones(2), BOTH, seen[kept], block[kept])
+    without = replace(
+        model, residuals=residuals[kept], jacobian=jacobian[kept], layout=RowGroups.from_groups(group[kept], 2)
+    )
+    components = find_components(with_gaps, np.ones(2), BOTH, seen, block)
+    other = find_components(without, np.ones(2), BOTH, seen[kept], block[kept])
     np.testing.assert_allclose(components.scales, other.scales, rtol=1e-9)
     np.testing.assert_allclose(components.shared, other.shared, rtol=1e-6, atol=1e-9)
 
@@ -118,7 +120,7 @@ def test_rows_that_were_not_read_take_no_part():
 @pytest.mark.parametrize("seed", range(3))
 def test_shared_errors_are_where_the_restricted_likelihood_is_largest(seed, priors):
     model, columns, block = model_of(seed, priors=priors, noise=(0.5, 1.0), shared=(2.0, 1.0))
-    components = found_components(model, np.array([1.0, 1.0]), BOTH, columns, block)
+    components = find_components(model, np.array([1.0, 1.0]), BOTH, columns, block)
     scales, tau, likelihood = optimum(model, columns, block, start=[1.0, 1.0, 1.0, 1.0], n_shared=2)
     np.testing.assert_allclose(components.scales, scales, rtol=0.01)
     np.testing.assert_allclose(components.shared, tau, rtol=0.03)  # the iteration stops at changes below 1 %
@@ -129,20 +131,20 @@ def test_where_visits_share_nothing_nothing_is_found():
     results = []
     for seed in range(30):
         model, columns, block = model_of(seed, noise=(0.5, 1.0))
-        results.append(np.any(found_components(model, np.ones(2), BOTH, columns, block).shared > 0))
+        results.append(np.any(find_components(model, np.ones(2), BOTH, columns, block).shared > 0))
     assert not any(results)  # a chance of 1 in 1000 each
 
 
 def test_too_few_rows_for_any_noise_are_an_error():
     model, _, _ = model_of(2, groups=(4,), noise=(0.7,))
     with pytest.raises(NotIdentifiableError, match="too few to say how sure"):
-        found_scales(model, np.array([1.0]), ONE)
+        find_scales(model, np.array([1.0]), ONE)
 
 
 def test_data_without_noise_have_none():
     model, columns, block = model_of(5, noise=(0.0, 0.0))
     exact = replace(model, residuals=model.jacobian @ np.ones(N_FREE))
-    components = found_components(exact, np.array([1e-4, 1e-4]), BOTH, columns, block)
+    components = find_components(exact, np.array([1e-4, 1e-4]), BOTH, columns, block)
     assert np.all(components.scales < 1e-8)
     assert not np.any(components.shared > 0)
 
@@ -154,14 +156,14 @@ def with_families(seed):
     jacobian = rng.standard_normal((120, 14)) * np.array([1.0, 1.0, *[0.5] * 6, *[3.0] * 6])
     u = rng.standard_normal(14) * np.array([1.0, 1.0, 3.0, 0.2])[[0, 1, *[2] * 6, *[3] * 6]]
     residuals = 0.5 * rng.standard_normal(120) - jacobian @ u
-    one = RowGroups.of(np.zeros(120, dtype=np.intp), 1)
+    one = RowGroups.from_groups(np.zeros(120, dtype=np.intp), 1)
     return LinearModel(residuals, jacobian, Prior(family >= 0), np.zeros(14), one), family
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
     model, family = with_families(seed)
-    scales, sizes = found_with_families(
+    scales, sizes = find_noise_with_families(
         Products.of_model(model), model.prior, model.deviations, ONE, family, np.array([1.0])
     )
 
@@ -180,8 +182,8 @@ def test_a_family_that_is_not_seen_keeps_the_size_that_is_expected():
     model, family = with_families(3)
     unseen = replace(model, jacobian=model.jacobian * np.where(family == 1, 1e-9, 1.0))
     assert (
-        found_with_families(Products.of_model(unseen), unseen.prior, unseen.deviations, ONE, family, np.array([1.0]))[
-            1
-        ][1]
+        find_noise_with_families(
+            Products.of_model(unseen), unseen.prior, unseen.deviations, ONE, family, np.array([1.0])
+        )[1][1]
         == 1.0
     )

@@ -12,12 +12,12 @@ import calib
 from calib.core.data.measurements import with_points
 from calib.core.fitting.fitted import Convergence
 from calib.core.judging import findings
-from calib.core.judging.better_or_worse import _spread
+from calib.core.judging.better_or_worse import _margin_above_mean
 from calib.core.judging.blind_spots import unordered
 from calib.core.judging.effects import scale
 from calib.core.judging.next_step import next_step
 from calib.core.judging.rounded_joint_values import joint_steps, rounding
-from calib.core.judging.rules_reach import _given
+from calib.core.judging.rules_reach import _covariance_given
 
 SIGMA = 4e-5
 ALONE = "  - {origin: j6, components: [y, z], sigma: 2 mm}\n  - {origin: ball, components: [x, y, z], sigma: 2 mm}\n"
@@ -145,7 +145,7 @@ def test_worse_than_before_fails_also_where_the_fit_knows_little_of_these_poses(
     """Poses in a corner leave the rest of the space open: that they get worse there is no surprise, and harm."""
     corner = joints(40) * 0.05
     fit = calib.fit(arm, noisy(arm, corner, SIGMA, 1), validation=noisy(arm, joints(40, 5), SIGMA, 2))
-    known = fit.validation_uncertainty.located
+    known = fit.validation_uncertainty.reported_distance
     assert np.sqrt(np.mean(known**2)) > 0.5 * np.sqrt(3) * fit.validation.rms("after") / np.sqrt(3)
     verdict_reason = reason(fit, "worse_on_validation")
     assert verdict_reason.grade == fit.verdict.grade == "FAIL"
@@ -170,7 +170,7 @@ def test_a_robot_that_needs_no_correction_is_rarely_said_to_get_worse_also_where
     product = there.T @ there @ known
     expected = np.trace(product)
     mixed = np.maximum(1.0, np.minimum(before, after) / others) * expected
-    limits = expected + np.array([_spread(product, size, rows - parameters) for size in mixed])
+    limits = expected + np.array([_margin_above_mean(product, size, rows - parameters) for size in mixed])
     assert np.mean(after - before > limits) < 0.005
 
 
@@ -264,7 +264,7 @@ def test_a_pose_that_only_curves_follow_is_not_said_to_decide_itself(tmp_path):
     gears = robot.positions(q + 0.01 * np.sin(7 * q))
     data = measurements(robot, q, gears + SIGMA * np.random.default_rng(1).standard_normal(gears.shape))
     fit = calib.fit(robot, data, sigma=SIGMA)
-    assert np.max(findings.studentised(fit).largest_leverage) > 0.95
+    assert np.max(findings.studentise_errors(fit).largest_leverage) > 0.95
     assert "leverage" not in fit.verdict.to_dict()["codes"]
 
 
@@ -394,7 +394,7 @@ def test_joint_terms_that_the_poses_hardly_decide_are_told(prior_arm):
 def test_what_is_left_uncertain_if_some_were_known_is_the_inverse_of_their_information():
     root = np.random.default_rng(4).standard_normal((7, 7)) * 10.0 ** np.arange(-6, 1)[:, None]
     known = np.array([False, True, False, True, True, False, False])
-    result = _given(root @ root.T, known)
+    result = _covariance_given(root @ root.T, known)
     information = np.linalg.inv(root).T @ np.linalg.inv(root)
     expected = np.linalg.inv(information[np.ix_(~known, ~known)])
     size = np.sqrt(np.diag(expected))
@@ -403,4 +403,4 @@ def test_what_is_left_uncertain_if_some_were_known_is_the_inverse_of_their_infor
     )
     assert np.all(result[known] == 0)
     undetermined = np.diag([2.0, 0.0, 3.0])  # one that nothing moves
-    np.testing.assert_array_equal(_given(undetermined, np.array([False, True, False])), undetermined)
+    np.testing.assert_array_equal(_covariance_given(undetermined, np.array([False, True, False])), undetermined)

@@ -127,7 +127,7 @@ def test_a_drift_is_found_with_its_size(arm, name, size):
     changed = truth.with_parameters({**MOVED, name: value(truth, name) + size})
     acceptance = verify(fit, measured(changed, rng.uniform(-1.2, 1.2, (30, 6)), rng))
     assert acceptance.verdict == "drifted"
-    assert name in acceptance.alike
+    assert name in acceptance.like_before
     first = next(change for change in acceptance.changes if change.name == name)
     assert first.value == pytest.approx(size, abs=4 * first.std)
     assert abs(size) > 4 * first.std
@@ -138,7 +138,7 @@ def test_no_change_within_its_own_uncertainty_is_called_significant(arm):
     rng = np.random.default_rng(41)
     quiet = verify(fit, measured(truth.with_parameters(MOVED), rng.uniform(-1.2, 1.2, (8, 6)), rng))
     assert not any(change.significant for change in quiet.changes)
-    assert quiet.alike == ()
+    assert quiet.like_before == ()
     assert "; none is significant" in text_report(quiet, (), ())
     changed = truth.with_parameters({"joint_3.ry": value(truth, "joint_3.ry") + 4e-4})
     loud = verify(fit, measured(changed, rng.uniform(-1.2, 1.2, (30, 6)), rng))
@@ -156,7 +156,7 @@ def test_a_joint_zero_that_no_parameter_stands_for_is_found(arm):
     positions = truth.positions(off) + SIGMA * rng.standard_normal((30, 1, 3))
     acceptance = verify(fit, calib.as_measurements(truth, q, positions))
     assert acceptance.verdict == "drifted"
-    assert "zero of joint_5" in acceptance.alike
+    assert "zero of joint_5" in acceptance.like_before
 
 
 def test_several_changes_ask_for_a_new_calibration(arm):
@@ -224,7 +224,7 @@ def test_fewer_poses_are_needed_for_larger_changes(arm):
 
 def test_a_result_folder_promises_what_its_fit_did(arm, folder):
     robot, _, fit = arm
-    read, own = load_result(folder, robot).promise, Promise.of(fit)
+    read, own = load_result(folder, robot).promise, Promise.from_calibration(fit)
     assert np.allclose(read.covariance, own.covariance, rtol=1e-12)
     assert np.allclose(read.robot.values, own.robot.values, rtol=0, atol=1e-12)
     assert read.freedom == pytest.approx(own.freedom)
@@ -256,7 +256,7 @@ def test_an_unchanged_robot_has_not_drifted_at_poses_where_its_model_is_wrong(wo
         rng = np.random.default_rng(100 + seed)
         data = read(rng.uniform(*place, (40, 6)), rng)
         results.append(verify(fit, data))
-        by_noise = System.of(Promise.of(fit), data, same_setup=False).changes()[0].p_value
+        by_noise = System.from_promise(Promise.from_calibration(fit), data, same_setup=False).changes()[0].p_value
         assert (results[-1].verdict == "agrees") == (not results[-1].unlike)
         assert results[-1].unlike or by_noise >= 0.005
     assert {item.verdict for item in results} <= {"agrees", "unlike poses"}
@@ -279,12 +279,14 @@ def test_poses_of_the_calibration_settle_whether_the_robot_has_changed(worn, mov
         fit, read(rng.uniform(-0.2, 1.2, (40, 6)) if not moved else rng.uniform(-0.3, 0.2, (40, 6)), rng, moved)
     )
     assert unsure.verdict == "unlike poses"
-    assert 8 <= len(unsure.again) <= 32
+    assert 8 <= len(unsure.repeated_visits) <= 32
     names = list(fit.identification.data.names)
-    again = verify(fit, read(fit.identification.data.joints[[names.index(name) for name in unsure.again]], rng, moved))
+    again = verify(
+        fit, read(fit.identification.data.joints[[names.index(name) for name in unsure.repeated_visits]], rng, moved)
+    )
     assert again.verdict == verdict
     if moved:
-        assert "zero of joint_3" in again.alike
+        assert "zero of joint_3" in again.like_before
         zero = next(change for change in again.changes if change.name == "zero of joint_3")
         assert abs(zero.value - moved) < 4 * zero.std
 
@@ -296,7 +298,7 @@ def test_a_change_at_poses_like_those_measured_is_found_though_the_model_is_wron
     assert verify(fit, read(q, rng)).verdict == "agrees"
     changed = verify(fit, read(q, rng, 1e-3))
     assert (changed.verdict, changed.unlike) == ("drifted", False)
-    assert "zero of joint_3" in changed.alike
+    assert "zero of joint_3" in changed.like_before
     assert "95 %: " in text_report(changed, (), ())
     assert "To settle it, measure" in text_report(changed, (), ())
 
@@ -438,7 +440,7 @@ def test_wrong_input_is_refused_in_one_line(folder, tmp_path, text, options, mes
 @pytest.mark.parametrize("freedom", [0.2, 1.0])
 def test_a_calibration_with_hardly_a_degree_of_freedom_promises_nothing(arm, freedom):
     _, truth, fit = arm
-    promise, rng = replace(Promise.of(fit), freedom=freedom), np.random.default_rng(15)
+    promise, rng = replace(Promise.from_calibration(fit), freedom=freedom), np.random.default_rng(15)
     data = measured(truth, rng.uniform(-1.2, 1.2, (12, 6)), rng)
     for ask in (verify, visible_changes):
         if freedom < 1.0:

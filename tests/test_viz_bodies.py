@@ -41,7 +41,7 @@ def test_loops_are_closed_at_every_pose_and_exaggeration(posed):
     bodies, q, ghost, solid = posed
     for pose in range(len(q)):
         for factor in (0.0, 1.0, 10.0, 100.0):
-            matrices = bodies.exaggerated(solid, ghost, pose, factor)
+            matrices = bodies.exaggerate(solid, ghost, pose, factor)
             for first, second in LOOPS:
                 a, b = (matrices[bodies.names.index(name)][:3, 3] for name in (first, second))
                 # a planar loop leaves x to its bearings: the axes of the two robots differ by the base's rotation
@@ -54,7 +54,7 @@ def test_links_meet_at_every_joint_at_every_exaggeration(robots, posed):
     nominal = robots[0].nominal
     in_urdf = [not name.startswith("(") for name in bodies.names[1:]]
     for factor in (0.0, 1.0, 30.0):
-        matrices = bodies.exaggerated(solid, ghost, 3, factor)
+        matrices = bodies.exaggerate(solid, ghost, 3, factor)
         for i in np.flatnonzero(in_urdf & ~np.array(bodies.sliding)):  # a slide's own motion lies between
             parent = bodies.parents[i]
             on_parent = matrices[parent] @ np.append(nominal.model.jointPlacements[int(i) + 1].translation, 1.0)
@@ -66,8 +66,8 @@ def test_links_meet_at_every_joint_at_every_exaggeration(robots, posed):
 
 def test_no_exaggeration_is_the_solid_robot_and_one_is_the_ghost(posed):
     bodies, _, ghost, solid = posed
-    np.testing.assert_allclose(bodies.exaggerated(solid, ghost, 2, 0.0), bodies.matrices(solid, 2), atol=1e-15)
-    np.testing.assert_allclose(bodies.exaggerated(solid, ghost, 2, 1.0), bodies.matrices(ghost, 2), atol=1e-15)
+    np.testing.assert_allclose(bodies.exaggerate(solid, ghost, 2, 0.0), bodies.matrices(solid, 2), atol=1e-15)
+    np.testing.assert_allclose(bodies.exaggerate(solid, ghost, 2, 1.0), bodies.matrices(ghost, 2), atol=1e-15)
 
 
 def test_nominal_shapes_are_not_stretched(posed):

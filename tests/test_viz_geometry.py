@@ -8,7 +8,7 @@ import calib
 import medrue
 from viz.bodies import bodies_of, posed_robot
 from viz.geometry import read_shapes
-from viz.shapes import GREY, mesh, primitive, rotation_onto_z, thinned
+from viz.shapes import GREY, mesh, primitive, rotation_onto_z, thin
 
 URDF = """<robot name="arm">
  <material name="red"><color rgba="1 0 0 1"/></material>
@@ -192,8 +192,8 @@ def test_the_rotation_onto_a_direction_is_a_rotation():
 
 def test_thinning_keeps_the_outline_and_the_limit():
     ball = trimesh.creation.icosphere(subdivisions=5)
-    vertices, faces = thinned(ball.vertices, ball.faces, 3000)
+    vertices, faces = thin(ball.vertices, ball.faces, 3000)
     assert 200 < len(faces) <= 3000
     np.testing.assert_allclose(np.ptp(vertices, axis=0), [2, 2, 2], atol=0.1)  # a grid cell is about 0.06
-    same = thinned(ball.vertices, ball.faces, len(ball.faces))
+    same = thin(ball.vertices, ball.faces, len(ball.faces))
     assert same[1] is ball.faces

@@ -10,7 +10,7 @@ from viz_examples import five_bar_fit, measurements, medrue_fit, medrue_robot, s
 import calib
 from calib.core.base.errors import DataError, InputError
 from viz.inputs import gather
-from viz.judgement import of_result
+from viz.judgement import judgement_of_result
 
 ARM = """<robot name="arm"><link name="root"/><link name="l1"/><link name="l2"/><link name="tip"/>
  <joint name="a" type="revolute"><parent link="root"/><child link="l1"/><origin xyz="0 0 {height}"/><axis xyz="0 0 1"/>
@@ -105,9 +105,9 @@ def test_what_a_file_says_about_itself_is_shown_with_its_data(fit, tmp_path):
 
 def test_a_reason_has_its_own_grade_or_none_where_it_is_not_known():
     entry = {"grade": "FAIL", "reasons": ["a", "b"], "codes": ["x", "y"]}
-    assert of_result(entry).reasons == (("FAIL", "a"), ("", "b"))
-    assert of_result(entry | {"grade": "CHECK"}).reasons == (("CHECK", "a"), ("CHECK", "b"))
-    assert of_result(entry | {"grades": ["FAIL", "CHECK"]}).reasons == (("FAIL", "a"), ("CHECK", "b"))
+    assert judgement_of_result(entry).reasons == (("FAIL", "a"), ("", "b"))
+    assert judgement_of_result(entry | {"grade": "CHECK"}).reasons == (("CHECK", "a"), ("CHECK", "b"))
+    assert judgement_of_result(entry | {"grades": ["FAIL", "CHECK"]}).reasons == (("FAIL", "a"), ("CHECK", "b"))
 
 
 def test_a_folder_says_the_same_as_its_fit(fit, tmp_path):

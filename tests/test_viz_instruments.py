@@ -15,12 +15,12 @@ from calib.core.data.in_memory import as_poses, measurements
 from calib.core.instruments.kind import Column, Comparison, FrameInstrument, InstrumentSection, Part, Place, Readings
 from calib.core.instruments.kinds import KINDS
 from calib.core.instruments.noise import Noise, PartNoise
-from calib.core.rows.observed import predicted_readings
+from calib.core.rows.observed import predict_readings
 from viz.error_charts import error_charts
 from viz.inputs import gather
 from viz.instrument_shapes import instrument_shapes
 from viz.pose_sources import from_fit, from_measurements
-from viz.reading_errors import of_measurements, smallest_motion
+from viz.reading_errors import reading_errors_of_measurements, smallest_motion
 from viz.scene import build_scene, scene_of_fit
 from viz.scene_data import scene_data
 
@@ -172,7 +172,12 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     expected = tuple((off[state]["rms"], off[state]["max"]) for state in ("before", "after"))
     for shown in (scene, saved_scene):
         (other,) = shown.others
-        assert (other.of, other.part, other.unit, other.sets[0][0]) == ("ball", "distance", "mm", "identification")
+        assert (other.instrument, other.part, other.unit, other.sets[0][0]) == (
+            "ball",
+            "distance",
+            "mm",
+            "identification",
+        )
         np.testing.assert_allclose(other.sets[0][1:], expected, rtol=1e-9)
     assert content["others"][0]["sets"][0]["after"] == list(expected[1])
     alone = gather(robot, None, data).scene
@@ -245,7 +250,7 @@ def test_points_of_a_later_setup_are_shown_in_the_frame_of_the_first(tmp_path):
     moved = bent(robot).with_parameters({"base@second.x": 0.4, "base@second.rz": 0.5})
     q = np.vstack([joints(60), joints(60)])
     looks = Readings(np.arange(120), np.repeat([0, 1], 60), np.zeros((120, 0)), None, np.zeros((120, 0)))
-    read = predicted_readings(moved, moved.assemble(q), {"ball": looks, "second": looks})
+    read = predict_readings(moved, moved.assemble(q), {"ball": looks, "second": looks})
     fit = calib.fit(robot, measurements(as_poses(robot, q), read))
     table = from_fit(fit)
     assert set(table.targets) == {"ball", "second", "ball@second", "second@second"}
@@ -313,7 +318,7 @@ class Rope(FrameInstrument):
     hub: Place
 
     @classmethod
-    def of(cls, name, section):
+    def from_section(cls, name, section):
         return cls(name, section.target, Place(f"{name}_hub", "l0", (1.0, 0.5, 0.0)), noise=Noise((PartNoise(1e-4),)))
 
     def places(self):
@@ -356,12 +361,13 @@ def test_an_error_is_drawn_as_the_smallest_motion_that_explains_the_reading(tmp_
     looks = {name: Readings(np.arange(3), none, np.zeros((3, 0)), None, which) for name, which in touches.items()}
     looks |= {"wire": Readings(np.arange(3), none, np.zeros((3, 0)), None, np.zeros((3, 0)))}
     looks |= {"turned": looks["wire"], "eye": Readings(np.arange(3), none, np.zeros((3, 0)), None, np.ones((3, 1)))}
-    read = predicted_readings(actual, made, looks)
+    read = predict_readings(actual, made, looks)
     read |= {
         name: dataclasses.replace(looks[name], values=np.zeros((3, k))) for name, k in (("probe", 3), ("table", 1))
     }
     by_name = {
-        layer.part.name: layer for layer in of_measurements(measurements(as_poses(nominal, q), read), nominal, actual)
+        layer.part.name: layer
+        for layer in reading_errors_of_measurements(measurements(as_poses(nominal, q), read), nominal, actual)
     }
     ball, second = nominal.positions(q).transpose(1, 0, 2)
     sockets = np.array([[0.5, 0.4, 0.1], [0.5, 0.2, 0.1], [0.5, 0.4, 0.1]])

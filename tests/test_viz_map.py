@@ -6,7 +6,7 @@ from viz_examples import medrue_fit
 
 import calib
 from viz.inputs import gather
-from viz.poses import Calibrated
+from viz.poses import PredictingRobot
 from viz.scene import scene_of_fit
 from viz.scene_data import scene_data
 from viz.workspace_map import SEED, workspace_map
@@ -17,7 +17,7 @@ def arm():
     robot = calib.load("docs/examples/arm.yaml")
     fit = calib.fit(robot, calib.read_measurements("docs/examples/arm_simulated.csv", robot))
     table = scene_of_fit(fit).poses
-    return fit, table, workspace_map(Calibrated(fit.robot, fit.predict), fit.placed, table, 60)
+    return fit, table, workspace_map(PredictingRobot(fit.robot, fit.predict), fit.placed, table, 60)
 
 
 def test_error_and_uncertainty_are_those_of_the_engine(arm):

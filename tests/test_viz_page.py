@@ -24,7 +24,7 @@ from viz.poses import PoseTable
 from viz.scene import build_scene
 from viz.scene_data import certainty, point_pixels, ranges, scene_data, summary
 from viz.shapes import mesh
-from viz.viewer_page import Page, in_script, json_in_script, scene_page
+from viz.viewer_page import ViewerPage, json_in_script, scene_page, script_safe
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 
@@ -127,7 +127,7 @@ def test_a_saved_page_reads_back(tmp_path, scene):
 
 
 def test_a_notebook_shows_the_page_in_a_frame_of_its_own():
-    shown = Page('<p class="a">&</p>')._repr_html_()
+    shown = ViewerPage('<p class="a">&</p>')._repr_html_()
     assert 'srcdoc="&lt;p class=&quot;a&quot;&gt;&amp;&lt;/p&gt;"' in shown
 
 
@@ -172,7 +172,7 @@ def test_of_very_many_rows_the_page_holds_those_that_matter_and_says_so(scene, m
 
 
 def test_code_cannot_end_its_script():
-    assert in_script('a = "</script>"; b = "<!--";') == 'a = "<\\/script>"; b = "<\\!--";'
+    assert script_safe('a = "</script>"; b = "<!--";') == 'a = "<\\/script>"; b = "<\\!--";'
     text = json_in_script({"name": "</script>&\u2028"})
     assert not set("<>&\u2028") & set(text)
     assert json.loads(text) == {"name": "</script>&\u2028"}

@@ -7,10 +7,10 @@ import pytest
 
 from viz.plots import draw_course, draw_histogram, draw_normal, draw_residuals
 from viz.poses import PoseTable
-from viz.scene import Joint
-from viz.svg import new_figure, plain_ticks, styled, svg_file
+from viz.scene import ViewerJoint
+from viz.svg import new_figure, plain_ticks, svg_file, with_style
 
-JOINTS = (Joint("q1", "mm", 1e3), Joint("shoulder $a_1$ <b>", "deg", 180 / np.pi))
+JOINTS = (ViewerJoint("q1", "mm", 1e3), ViewerJoint("shoulder $a_1$ <b>", "deg", 180 / np.pi))
 
 
 def table(n=60, fitted=40, scale=1.0, place=None):
@@ -33,7 +33,7 @@ def table(n=60, fitted=40, scale=1.0, place=None):
     )
 
 
-@styled
+@with_style
 def drawn(draw, *arguments):
     figure, (axes,) = new_figure(1, 1, (8.9, 2.6))
     draw(axes, *arguments)

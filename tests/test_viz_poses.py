@@ -86,8 +86,8 @@ def test_outliers_that_were_left_out_stay_in_the_table():
 
 
 def test_residuals_over_an_unknown_sigma_are_unknown():
-    assert np.isnan(small(sigma=np.array([0.0, np.nan, 1e-3, 1e-3])).over_sigma()[:2]).all()
-    np.testing.assert_allclose(small().over_sigma(), 1.0)
+    assert np.isnan(small(sigma=np.array([0.0, np.nan, 1e-3, 1e-3])).normalised_residuals()[:2]).all()
+    np.testing.assert_allclose(small().normalised_residuals(), 1.0)
 
 
 def test_a_result_folder_gives_the_same_table(tmp_path):
@@ -127,7 +127,7 @@ def test_an_empty_table_has_the_robots_joints(robot):
 def test_a_mean_of_readings_is_surer_than_one_reading():
     table = small(readings=np.array([4, 4, 1, 1]), sigma=np.array([1e-3, 1e-3, 2e-3, 2e-3]))
     np.testing.assert_allclose(table.sigma_of_reading(), 2e-3)
-    np.testing.assert_allclose(table.over_sigma()[:, 0], [1.0, 1.0, 0.5, 0.5])
+    np.testing.assert_allclose(table.normalised_residuals()[:, 0], [1.0, 1.0, 0.5, 0.5])
 
 
 def test_poses_held_out_of_one_file_keep_their_places_in_it(robot):

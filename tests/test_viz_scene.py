@@ -11,7 +11,7 @@ import medrue
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from viz.decorations import decorations_of
-from viz.judgement import of_result
+from viz.judgement import judgement_of_result
 from viz.poses import PoseTable
 from viz.scene import build_scene, nice_factor
 
@@ -151,5 +151,5 @@ def test_no_enlarged_ghost_stands_beside_a_robot_that_needs_no_correction(code):
     nominal = calib.load(Path(__file__).parents[1] / "docs" / "examples" / "arm.yaml")
     moved = nominal.with_parameters({"joint_2.x": nominal.parameters["joint_2.x"].nominal_si + 1e-5})
     entry = {"grade": "CHECK", "reasons": ["why"], "grades": ["CHECK"], "codes": [code]}
-    scene = build_scene(nominal, moved, verdict=of_result(entry))
+    scene = build_scene(nominal, moved, verdict=judgement_of_result(entry))
     assert (scene.ghost_factor == 1.0) == (code == "nothing_to_correct")

@@ -212,23 +212,23 @@ def test_a_robot_read_by_distances_alone_is_watched_and_its_goal_met_where_posit
 def test_a_half_written_line_is_waited_for(robot, tmp_path):
     path = tmp_path / "growing.csv"
     file = GrowingFile(str(path), robot)
-    assert file.changed() is None
+    assert file.read_changes() is None
     path.write_text("".join(LINES[:HEADER]))
-    assert file.changed() is None
+    assert file.read_changes() is None
     path.write_text("".join(LINES[: HEADER + 3]) + LINES[HEADER + 3][:-4])
-    assert len(file.changed()) == 3
+    assert len(file.read_changes()) == 3
     path.write_text("".join(LINES[: HEADER + 3]) + LINES[HEADER + 3][:-1])
-    assert file.changed() is None
+    assert file.read_changes() is None
     path.write_text("".join(LINES[: HEADER + 4]))
-    assert len(file.changed()) == 4
-    assert file.changed() is None
+    assert len(file.read_changes()) == 4
+    assert file.read_changes() is None
 
 
 def test_rows_without_readings_are_waited_for_too(robot, tmp_path):
     path = tmp_path / "plan.csv"
     joints = LINES[HEADER].rsplit(",", 3)[0]
     path.write_text("".join(LINES[:HEADER]) + f"{joints},,,\n")
-    assert GrowingFile(str(path), robot).changed() is None
+    assert GrowingFile(str(path), robot).read_changes() is None
 
 
 def test_a_file_is_followed_until_the_goal_holds(run_calib, tmp_path):
@@ -302,17 +302,17 @@ def test_a_line_that_cannot_be_read_is_told_and_passed_over(robot, tmp_path):
     file = GrowingFile(str(path), robot)
     good, word = LINES[HEADER : HEADER + 5], LINES[HEADER + 5].replace(",", ",x", 1)
     path.write_text("".join([*LINES[:HEADER], *good[:3], "what\n", good[3]]))
-    assert file.changed().names == tuple(line.split(",")[0] for line in good[:4])
+    assert file.read_changes().names == tuple(line.split(",")[0] for line in good[:4])
     (said,) = file.remarks()
     assert said.startswith(f"{path}, line {HEADER + 4}: 1 cells for")
     assert said.endswith("; this line is skipped until it is corrected")
     with path.open("a") as stream:
         stream.write(word + good[4])
-    assert len(file.changed()) == 5
+    assert len(file.read_changes()) == 5
     (said,) = file.remarks()  # the first one is not told again
     assert said.startswith(f"{path}, line {HEADER + 6}, column 'joint_1': 'x")
     path.write_text(path.read_text().replace(word, word.replace(",x", ",", 1)))
-    assert len(file.changed()) == 6
+    assert len(file.read_changes()) == 6
     assert not file.remarks()
 
 
@@ -336,7 +336,7 @@ def test_a_pose_that_cannot_be_assembled_is_passed_over(tmp_path):
     path = tmp_path / "growing.csv"
     path.write_text("".join([*lines[: head + 2], ",".join(cells), *lines[head + 3 : head + 6]]))
     file = GrowingFile(str(path), five_bar)
-    assert len(file.changed()) == 5
+    assert len(file.read_changes()) == 5
     assert f"line {head + 3}" in file.remarks()[0]
 
 

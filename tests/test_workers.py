@@ -21,7 +21,7 @@ from child_programs import start
 from killed_workers import outcome
 
 from calib.core.base.errors import ComputationError
-from calib.core.base.workers import Workers, in_order
+from calib.core.base.workers import Workers, results_in_order
 
 PROGRAM = """
 import signal, sys, time
@@ -127,20 +127,20 @@ def unreadable(_: int) -> Unreadable:
 
 def test_results_come_in_the_order_of_the_items() -> None:
     items = [-3, 1, -2, 5]
-    assert list(in_order(abs, items, None)) == [3, 1, 2, 5]
+    assert list(results_in_order(abs, items, None)) == [3, 1, 2, 5]
     with Workers(1) as executor:
         assert executor is None
     with Workers(2) as executor:
-        assert list(in_order(abs, items, executor)) == [3, 1, 2, 5]
+        assert list(results_in_order(abs, items, executor)) == [3, 1, 2, 5]
     with ThreadPoolExecutor(2) as threads:
-        assert list(in_order(abs, items, threads)) == [3, 1, 2, 5]
+        assert list(results_in_order(abs, items, threads)) == [3, 1, 2, 5]
 
 
 def test_there_are_no_more_processes_than_pieces_of_work() -> None:
     with Workers(8, pieces=1) as executor:
         assert executor is None
     with Workers(8, pieces=2) as executor:
-        list(in_order(abs, [-1, -2, -3], executor))
+        list(results_in_order(abs, [-1, -2, -3], executor))
         assert len(multiprocessing.active_children()) == 2
     with ThreadPoolExecutor(1) as threads, Workers(threads, pieces=0) as executor:
         assert executor is threads
@@ -149,7 +149,9 @@ def test_there_are_no_more_processes_than_pieces_of_work() -> None:
 def test_progress_is_told_after_each_item_whoever_works() -> None:
     for executor in (None, Forgetful([-2])):
         told = list[tuple[int, int]]()
-        results = in_order(abs, [-1, -2, -3], executor, lambda done, total, told=told: told.append((done, total)))
+        results = results_in_order(
+            abs, [-1, -2, -3], executor, lambda done, total, told=told: told.append((done, total))
+        )
         assert next(results) == 1
         assert told == [(1, 3)]
         assert list(results) == [2, 3]
@@ -158,13 +160,13 @@ def test_progress_is_told_after_each_item_whoever_works() -> None:
 
 def test_what_is_lost_is_sent_again_and_what_is_done_is_kept() -> None:
     executor = Forgetful([-2, 5, 5])
-    assert list(in_order(abs, [-3, 1, -2, 5], executor)) == [3, 1, 2, 5]
+    assert list(results_in_order(abs, [-3, 1, -2, 5], executor)) == [3, 1, 2, 5]
     assert executor.sent == [-3, 1, -2, 5, -2, 5, 5]
 
 
 def test_few_of_many_pieces_are_with_the_executor_at_a_time() -> None:
     executor = Forgetful([-5])
-    results = in_order(abs, range(-5, 9995), executor)
+    results = results_in_order(abs, range(-5, 9995), executor)
     assert next(results) == 5
     assert len(executor.sent) < 1000
     assert list(results) == [abs(item) for item in range(-4, 9995)]
@@ -173,19 +175,19 @@ def test_few_of_many_pieces_are_with_the_executor_at_a_time() -> None:
 
 def test_work_that_is_lost_again_and_again_is_an_error() -> None:
     with pytest.raises(ComputationError, match=r"lost 3 times at the same work \(OSError: the"):
-        list(in_order(abs, [1], Forgetful([1, 1, 1])))
+        list(results_in_order(abs, [1], Forgetful([1, 1, 1])))
 
 
 def test_processes_that_die_are_replaced(tmp_path: Path) -> None:
     tasks = [(str(tmp_path), k) for k in range(6)]
     with Workers(2) as executor:
-        assert list(in_order(killed_once, tasks, executor)) == [0, 1, 4, 9, 16, 25]
-        assert list(in_order(abs, [-1], executor)) == [1]
+        assert list(results_in_order(killed_once, tasks, executor)) == [0, 1, 4, 9, 16, 25]
+        assert list(results_in_order(abs, [-1], executor)) == [1]
 
 
 def test_a_process_that_dies_half_way_through_its_answer_is_replaced(tmp_path: Path) -> None:
     with Workers(2) as executor:
-        answers = list(in_order(dies_half_way, [(str(tmp_path), k) for k in range(6)], executor))
+        answers = list(results_in_order(dies_half_way, [(str(tmp_path), k) for k in range(6)], executor))
     assert answers == [bytes([k] * 1000) for k in range(6)]
 
 
@@ -193,20 +195,20 @@ def test_work_or_an_answer_that_cannot_be_read_is_an_error_and_waits_for_nothing
     with Workers(2) as executor:
         for function, items in ((unreadable, [1, 2, 3]), (str, [Unreadable()] * 3)):
             with pytest.raises(ComputationError, match=r"lost 3 times.*no number"):
-                list(in_order(function, items, executor))
-        assert list(in_order(abs, [-1], executor)) == [1]
+                list(results_in_order(function, items, executor))
+        assert list(results_in_order(abs, [-1], executor)) == [1]
 
 
 def test_where_an_executor_breaks_with_its_worker_the_rest_is_done_here(tmp_path: Path) -> None:
     tasks = [(str(tmp_path), k) for k in range(6)]
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor:
-        assert list(in_order(killed_once, tasks, executor)) == [0, 1, 4, 9, 16, 25]
+        assert list(results_in_order(killed_once, tasks, executor)) == [0, 1, 4, 9, 16, 25]
 
 
 def test_an_error_in_the_work_reaches_the_caller_and_signals_are_as_before() -> None:
     handler = signal.getsignal(signal.SIGTERM)
     with Workers(2) as executor, pytest.raises(ValueError, match="math domain"):
-        list(in_order(math.sqrt, [1.0, -1.0], executor))
+        list(results_in_order(math.sqrt, [1.0, -1.0], executor))
     assert signal.getsignal(signal.SIGTERM) == handler
 
 
@@ -262,13 +264,13 @@ except KeyboardInterrupt:
 
 def test_work_that_was_left_half_way_does_not_mix_with_the_next() -> None:
     with Workers(2) as executor:
-        assert next(in_order(abs, [-1, -2, -3, -4], executor)) == 1
-        assert list(in_order(abs, [-5, -6, -7, -8], executor)) == [5, 6, 7, 8]
+        assert next(results_in_order(abs, [-1, -2, -3, -4], executor)) == 1
+        assert list(results_in_order(abs, [-5, -6, -7, -8], executor)) == [5, 6, 7, 8]
 
 
 def test_what_cannot_be_sent_is_an_error_and_waits_for_nothing() -> None:
     with Workers(2) as executor, pytest.raises(ComputationError, match=r"lost 3 times.*pickle"):
-        list(in_order(threading.Thread.join, [threading.current_thread()], executor))
+        list(results_in_order(threading.Thread.join, [threading.current_thread()], executor))
     with Workers(2) as executor:
         assert executor is not None
         left = executor.submit(time.sleep, 120.0)
@@ -311,15 +313,15 @@ def _unread(factor: int) -> None:
 def test_each_process_gets_what_the_work_shares_once(monkeypatch):
     monkeypatch.setattr(Shared, "sent", 0)
     with Workers(2) as executor:
-        assert list(in_order(Shared(3), range(50), executor)) == [3 * k for k in range(50)]
+        assert list(results_in_order(Shared(3), range(50), executor)) == [3 * k for k in range(50)]
         assert Shared.sent == 2
-        assert list(in_order(Shared(5), range(50), executor)) == [5 * k for k in range(50)]
+        assert list(results_in_order(Shared(5), range(50), executor)) == [5 * k for k in range(50)]
         assert Shared.sent == 4
 
 
 def test_a_process_that_could_not_read_a_function_does_not_use_the_one_before():
     with Workers(2) as executor:
-        assert list(in_order(Shared(3), range(6), executor)) == [0, 3, 6, 9, 12, 15]
+        assert list(results_in_order(Shared(3), range(6), executor)) == [0, 3, 6, 9, 12, 15]
         with pytest.raises(ComputationError, match="not here"):
-            list(in_order(Shared(7, unreadable=True), range(6), executor))
-        assert list(in_order(Shared(5), range(6), executor)) == [0, 5, 10, 15, 20, 25]
+            list(results_in_order(Shared(7, unreadable=True), range(6), executor))
+        assert list(results_in_order(Shared(5), range(6), executor)) == [0, 5, 10, 15, 20, 25]

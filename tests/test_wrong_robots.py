@@ -136,7 +136,7 @@ def passed(some):
         except CalibrationError:  # refused
             continue
         if verdict.grade == "PASS":
-            result.append((case, verdict.claim.told.rms))
+            result.append((case, verdict.claim.at_measured_poses.rms))
     return result
 
 
@@ -150,7 +150,7 @@ def _ur10e(run_calib):
 def test_robots_that_are_as_described_pass(name, stated):
     fit = fitted(Case(name, stated=stated))
     assert fit.verdict.grade == "PASS", fit.verdict
-    assert fit.verdict.claim.told.rms < 2.2 * SIGMA[name]  # sqrt(3), and what the fit adds
+    assert fit.verdict.claim.at_measured_poses.rms < 2.2 * SIGMA[name]  # sqrt(3), and what the fit adds
 
 
 @pytest.mark.amount(4, 60)
@@ -171,7 +171,7 @@ def test_a_scaled_joint_is_named_with_its_factor_where_origins_hide_it():
     """MedRUE's motor 2 turns 3 % less far than its values say: after the fit 0.2 mm are left, and new poses agree."""
     fit = fitted(Case("medrue", 1, 1.03, held_out=True))
     assert fit.verdict.claim.holds
-    assert fit.verdict.claim.told.rms < 0.3e-3
+    assert fit.verdict.claim.at_measured_poses.rms < 0.3e-3
     assert [reason.code for reason in fit.verdict.reasons if reason.grade != "PASS"] == ["joint_scaled"]
     factor = float(re.search(r"joint q2 ([\d.]+) times as far", str(fit.verdict))[1])
     assert factor == pytest.approx(1 / 1.03, abs=5e-3)

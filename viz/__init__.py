@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from calib import Fit, Measurements, Robot
     from viz.inputs import Result
     from viz.live import LiveViewer
-    from viz.viewer_page import Page
+    from viz.viewer_page import ViewerPage
 
 __all__ = ["PictureWarning", "page", "report", "show"]
 
@@ -53,7 +53,9 @@ def show(
     return viewer
 
 
-def page(robot: Robot, result: Result | None = None, *, data: Measurements | None = None, mapped: int = 0) -> Page:
+def page(
+    robot: Robot, result: Result | None = None, *, data: Measurements | None = None, mapped: int = 0
+) -> ViewerPage:
     """Return the viewer as one self-contained page, with the arguments of `show`."""
     from viz.inputs import gather
     from viz.viewer_page import scene_page
@@ -63,7 +65,7 @@ def page(robot: Robot, result: Result | None = None, *, data: Measurements | Non
     return scene_page(scene)
 
 
-def report(result: Fit, *, command: str = "") -> Page:
+def report(result: Fit, *, command: str = "") -> ViewerPage:
     """Return the report of a fit as one self-contained page.
 
     Args:

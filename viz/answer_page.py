@@ -15,7 +15,7 @@ from viz.charts import COLOURS, Chart, Charts, PageRows, axis, layer, panel
 from viz.page_parts import places
 from viz.report_page import command_line, printed_page
 from viz.result_charts import forest
-from viz.viewer_page import Page
+from viz.viewer_page import ViewerPage
 
 _SHOWN = 24  # changes
 _GRADES = {"agrees": "PASS", "unlike poses": "CHECK"}  # of what new measurements say; all else is FAIL
@@ -23,7 +23,7 @@ _GRADES = {"agrees": "PASS", "unlike poses": "CHECK"}  # of what new measurement
 
 def answer_page(
     subject: object, title: str, text: str, figures: Sequence[tuple[int, str]], *, created: datetime | None = None
-) -> Page:
+) -> ViewerPage:
     """Return the page of an answer.
 
     Args:
@@ -37,12 +37,12 @@ def answer_page(
         TypeError: It is none of these.
     """
     if isinstance(subject, HandEye):
-        charts = _of_images(subject)
+        charts = _image_charts(subject)
         grade = next((line.split()[-1] for line in text.splitlines() if line.startswith("Verdict:")), "CHECK")
     elif isinstance(subject, Detection):
         charts, grade = Charts({}), ""
     elif isinstance(subject, Acceptance):
-        charts, grade = _of_new_readings(subject), _GRADES.get(subject.verdict, "FAIL")
+        charts, grade = _new_reading_charts(subject), _GRADES.get(subject.verdict, "FAIL")
     else:
         raise TypeError(f"no page of {type(subject).__name__}")
     first, *rest = [part for part in text.splitlines() if part.strip()]
@@ -61,10 +61,10 @@ def answer_page(
     )
 
 
-def _of_images(result: HandEye) -> Charts:
+def _image_charts(result: HandEye) -> Charts:
     """How far off each image and each point is, and how alike images that were used and left out are."""
     scene = result.scene
-    used, left, board = (result.by_image(v) for v in (result.pixels, result.left.pixels, result.board))
+    used, left, board = (result.rms_by_image(v) for v in (result.pixels, result.left.pixels, result.board))
     texts = tuple(
         f"image {name}: {u:.2f} px RMS used, {o:.2f} px left out, {millimetres(b):.3f} mm on the board"
         for name, u, o, b in zip(scene.names, used, left, board, strict=True)
@@ -100,7 +100,7 @@ def _of_images(result: HandEye) -> Charts:
     return Charts(places(images=plots), rows)
 
 
-def _of_new_readings(acceptance: Acceptance) -> Charts:
+def _new_reading_charts(acceptance: Acceptance) -> Charts:
     """Errors of new readings, and the change of each parameter that they show."""
     errors, part = acceptance.errors, acceptance.errors.main_part
     scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]

@@ -87,7 +87,7 @@ def json_values(values: ArrayLike) -> Any:
 
 @dataclass(frozen=True)
 class PageRows:
-    """What the page knows of each row of its table.
+    """Data of the page for each row of its table.
 
     Attributes:
         texts: What hover says.

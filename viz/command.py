@@ -11,7 +11,7 @@ from types import FrameType
 import click
 
 from calib.core.base.errors import InputError
-from calib.core.commands.common import Output, folder_of_values, loaded, shared_options
+from calib.core.commands.common import Output, folder_of_values, load_robot, shared_options
 
 MAP_POSES = 1000
 """Poses of a map, if no number is given."""
@@ -62,7 +62,7 @@ def view(
 
     if html is not None and (port or no_browser):
         raise InputError("--html writes a file and starts no server: leave out --port and --no-browser")
-    model = loaded(robot, output)
+    model = load_robot(robot, output)
     if result is None and (result := folder_of_values(robot, None, None)) is not None:
         model = model.with_parameters([parameter.nominal_si for parameter in model.parameters])  # the robot before
     measurements = None if data is None else read_pose_files((data,), model)
@@ -81,10 +81,10 @@ def view(
         else:
             output.say(viewer.url)
             _open(viewer.url)
-        _until_stopped(output)
+        _wait_for_stop(output)
 
 
-def _until_stopped(output: Output) -> None:
+def _wait_for_stop(output: Output) -> None:
     """Wait for Ctrl-C or a request to terminate, then return so that the server is closed in order."""
     stop = threading.Event()
 

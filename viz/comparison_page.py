@@ -13,14 +13,14 @@ from viz.charts import MANY, Chart, Charts, axis, layer, panel
 from viz.page_parts import places
 from viz.report_page import printed_page
 from viz.result_charts import forest
-from viz.viewer_page import Page
+from viz.viewer_page import ViewerPage
 
 _SHOWN = 24  # parameters in the figure
 _REAL = ": a real difference"
 
 
 @dataclass(frozen=True)
-class Line:
+class ComparisonLine:
     """One parameter of the table: name, unit, what each result says of it, p-values, and which differences are real."""
 
     name: str
@@ -30,7 +30,7 @@ class Line:
     real: tuple[bool, ...]
 
 
-def comparison_page(comparison: ResultComparison, *, command: str = "", created: datetime | None = None) -> Page:
+def comparison_page(comparison: ResultComparison, *, command: str = "", created: datetime | None = None) -> ViewerPage:
     """Return the page of a comparison.
 
     Args:
@@ -38,7 +38,7 @@ def comparison_page(comparison: ResultComparison, *, command: str = "", created:
         command: Command line that made it.
         created: Time to print; now if not given.
     """
-    ranked = comparison.ranked()
+    ranked = comparison.rank_differences()
     rest = [difference for difference in comparison.differences if difference not in ranked]
     same_rows = errors_on_same_rows(comparison) if comparison.sizes else None
     charts = Charts(places(same_rows=same_rows, intervals=intervals(comparison, ranked)))
@@ -56,10 +56,12 @@ def comparison_page(comparison: ResultComparison, *, command: str = "", created:
     )
 
 
-def _line(difference: Difference) -> Line:
+def _line(difference: Difference) -> ComparisonLine:
     unit = next(str(row["unit"]) for row in difference.rows if row is not None)
     rows = tuple(None if row is None else {**row, **_half(row)} for row in difference.rows)
-    return Line(difference.name, unit, rows, ", ".join(map(p_text, difference.p_values)), (False, *difference.real))
+    return ComparisonLine(
+        difference.name, unit, rows, ", ".join(map(p_text, difference.p_values)), (False, *difference.real)
+    )
 
 
 def _half(row: dict[str, Any]) -> dict[str, float]:

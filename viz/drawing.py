@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import FloatArray
-from viz.scene import Scene
+from viz.scene import ViewerScene
 from viz.shapes import Shape
 
 Command = dict[str, Any]
@@ -29,12 +29,12 @@ def pack(command: Command) -> bytes:
     return packed
 
 
-def body_path(scene: Scene, body: int) -> str:
+def body_path(scene: ViewerScene, body: int) -> str:
     """Return the path component of a body; numbered, because link names may hold slashes."""
     return f"{body} {scene.bodies.names[body].replace('/', '_')}"
 
 
-def draw(scene: Scene) -> list[bytes]:
+def draw(scene: ViewerScene) -> list[bytes]:
     """Return the commands that draw the robot and its decorations."""
     upright = np.eye(4)
     upright[:3, :3] = scene.view.upright

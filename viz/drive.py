@@ -5,7 +5,7 @@ method at each (`templates/drive.js`, the same equations as `calib.core.robots.l
 close, a passive joint meets its limit, or the next step would pass a singularity, behind which another assembly mode
 begins.
 
-What joints of the calibrated robot do beside what they are told is a sum of functions of one motor each, but for what
+The errors of joints of the calibrated robot are a sum of functions of one motor each, but for what
 gravity bends. The page gets these as tables, and takes cubics between their numbers. Conditions are neutral, as for
 `Robot.positions` without a context: from neither side, at 20 degC, at the time 0.
 """
@@ -30,17 +30,17 @@ _NEGLIGIBLE = 1e-12  # error of a joint that needs no table [m or rad]
 
 @dataclass(frozen=True, eq=False)
 class ErrorTable:
-    """Error of one motor as a function of what one is told.
+    """Error of one motor as a function of one command.
 
     Attributes:
         joint: Number of the motor that is off.
-        by: Number of the motor whose command decides.
+        axis: Number of the motor whose command decides.
         low, step: Commands at which the errors stand, from the first on [m or rad].
         errors: (n,) [m or rad].
     """
 
     joint: int
-    by: int
+    axis: int
     low: float
     step: float
     errors: FloatArray
@@ -61,7 +61,7 @@ class Drive:
         home: Motors at home, (n_actuated,) [m or rad].
         targets: Name and body of each target.
         length: Characteristic length [m].
-        tables: What joints of the robot that is drawn solid do beside what they are told.
+        tables: Errors of the joints of the robot that is drawn solid.
         remarks: What the page cannot know of that, or leaves out.
         complete: Whether nothing is left out, so that positions are those of the robot.
     """
@@ -159,15 +159,15 @@ def _tables(robot: Robot, reach: FloatArray) -> tuple[ErrorTable, ...]:
 
 
 def _errors(robot: Robot, q: FloatArray) -> FloatArray:
-    """What motors are off when told q, without what gravity does, under neutral conditions, (n, n_actuated)."""
+    """Errors of motors at commands q, without gravity, under neutral conditions, (n, n_actuated)."""
     columns = columns_of_terms(robot.terms, robot.mechanism, q, Context.neutral(*q.shape))
     return actual_joints(robot, q, columns)[:, : q.shape[1]] - q
 
 
 def _remarks(robot: Robot) -> tuple[str, ...]:
-    """What the page says about joint terms that do not follow from the motors."""
+    """Remarks of the page on joint terms that do not follow from the motors."""
     torque = sorted({term.joint for term in robot.terms if term.needs_torque})
-    told = [f"Left out here: what gravity bends in {', '.join(torque)}."] if torque else []
+    remarks = [f"Left out here: what gravity bends in {', '.join(torque)}."] if torque else []
     conditions = {condition for term in robot.terms if not term.needs_torque for condition in term.depends_on}
     kinds = sorted(condition.words for condition in conditions - {Condition.ANOTHER_JOINT})
-    return (*told, f"Not known here, and taken as neutral: {', '.join(kinds)}.") if kinds else tuple(told)
+    return (*remarks, f"Not known here, and taken as neutral: {', '.join(kinds)}.") if kinds else tuple(remarks)

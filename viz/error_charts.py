@@ -16,7 +16,7 @@ from viz.charts import COLOURS, Chart, PageRows, axis, layer, panel
 from viz.poses import EXCLUDED, VALIDATION
 from viz.reading_errors import ReadingErrors
 from viz.remarks import tolerance
-from viz.scene import Joint, Scene
+from viz.scene import ViewerJoint, ViewerScene
 from viz.scene_data import colours, rows_of
 
 _MM = PER_SI["length"]["mm"]
@@ -25,7 +25,7 @@ _CELLS = 9  # along the longer side of a plane
 _PAIRED = 6  # joints whose ranges are drawn in pairs; of more, neighbours only
 
 
-def page_rows(scene: Scene) -> PageRows:
+def page_rows(scene: ViewerScene) -> PageRows:
     """Return what hover says of each row of the page, its pose and its mark."""
     texts, keys, marks = [], [], []
     for rows in rows_of(scene):
@@ -47,7 +47,7 @@ def page_rows(scene: Scene) -> PageRows:
     return PageRows(tuple(texts), tuple(numbers[key] for key in keys), tuple(marks))
 
 
-def error_charts(fit: Fit, scene: Scene) -> tuple[Chart, ...]:
+def error_charts(fit: Fit, scene: ViewerScene) -> tuple[Chart, ...]:
     """Return the plots of every part of readings."""
     charts: list[Chart] = []
     first = 0
@@ -55,11 +55,11 @@ def error_charts(fit: Fit, scene: Scene) -> tuple[Chart, ...]:
         of_part = _Part(rows, np.arange(first, first + len(rows)), scene.joints, tolerance(fit))
         first += len(rows)
         if len(rows):
-            charts += [of_part.distribution(), of_part.planes(), of_part.order(), of_part.by_joint()]
+            charts += [of_part.distribution(), of_part.planes(), of_part.order(), of_part.joint_charts()]
     return tuple(charts)
 
 
-def coverage(scene: Scene, fit: Fit) -> Chart | None:
+def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     """Return the poses in pairs of joints, within the limits of the joints; None where there are no pairs."""
     joints, first, values, rows = scene.joints, 0, [], []
     for part in rows_of(scene):
@@ -74,7 +74,7 @@ def coverage(scene: Scene, fit: Fit) -> Chart | None:
     _, one = np.unique(every, axis=0, return_index=True)  # a pose once
     limits = {joint.name: (joint.lower, joint.upper) for joint in fit.nominal.urdf.joints}
 
-    def along(k: int) -> Any:
+    def coverage_of(k: int) -> Any:
         joint, own = joints[k], joints[k].per_si * every[:, k]
         low, high = (joint.per_si * end for end in limits.get(joint.name, (-np.inf, np.inf)))
         reach = max(float(np.ptp(own)), 1e-3)
@@ -84,7 +84,7 @@ def coverage(scene: Scene, fit: Fit) -> Chart | None:
 
     panels = []
     for a, b in pairs:
-        (x, across), (y, up) = along(a), along(b)
+        (x, across), (y, up) = coverage_of(a), coverage_of(b)
         panels.append(panel(x, y, [layer("points", x=across, y=up, rows=number[one])], height=190))
     return Chart(
         "coverage",
@@ -96,7 +96,7 @@ def coverage(scene: Scene, fit: Fit) -> Chart | None:
     )
 
 
-def corrections(fit: Fit, joints: tuple[Joint, ...]) -> Chart | None:
+def corrections(fit: Fit, joints: tuple[ViewerJoint, ...]) -> Chart | None:
     """Return what the joint terms that were fitted add to each joint, at the poses measured; None without terms."""
     if not fit.robot.terms:
         return None
@@ -117,7 +117,7 @@ def corrections(fit: Fit, joints: tuple[Joint, ...]) -> Chart | None:
     return Chart("joint-errors", "Fitted errors of the joints", text, tuple(panels), 280) if panels else None
 
 
-def conditions(fit: Fit, scene: Scene) -> Chart | None:
+def conditions(fit: Fit, scene: ViewerScene) -> Chart | None:
     """Return temperature and time of the poses in the order of measurement, where the file has them."""
     data = fit.identification.data
     row_of: dict[str, int] = {}
@@ -142,13 +142,15 @@ def conditions(fit: Fit, scene: Scene) -> Chart | None:
 class _Part:
     """Plots of one part of readings; `numbers`: its rows in the page's table, (n,)."""
 
-    def __init__(self, rows: ReadingErrors, numbers: IntArray, joints: tuple[Joint, ...], asked: str) -> None:
+    def __init__(self, rows: ReadingErrors, numbers: IntArray, joints: tuple[ViewerJoint, ...], layout: str) -> None:
         self._rows, self._numbers, self._joints = rows, numbers, joints
         self._scale, self._unit = error_scale(rows.part.dimension), ERROR_UNIT[rows.part.dimension]
-        self._limit = self._scale * quantity(asked, "length", "tolerance") if asked and rows.part.is_position else None
+        self._limit = (
+            self._scale * quantity(layout, "length", "tolerance") if layout and rows.part.is_position else None
+        )
         self._sizes: dict[str, FloatArray] = {state: self._scale * rows.sizes(state) for state in STATES}
 
-    def _called(self, name: str, title: str) -> tuple[str, str]:
+    def _chart_name(self, name: str, title: str) -> tuple[str, str]:
         """Name and title of a chart; those of positions need not say of what they are."""
         if self._rows.part.is_position:
             return name, title
@@ -172,7 +174,7 @@ class _Part:
             extra = " The tolerance is the upright line."
         x = axis(f"error [{self._unit}]", log=True)
         return Chart(
-            *self._called("errors", "Error before and after"),
+            *self._chart_name("errors", "Error before and after"),
             "The share of errors that are smaller: the further to the left, the better. The scale is logarithmic."
             + extra,
             (panel(x, axis("smaller [%]", ends=[0, 101]), layers),),
@@ -205,7 +207,7 @@ class _Part:
                 panel(axis(f"{names[across]} [mm]"), axis(f"{names[up]} [mm]"), layers, title=view, equal=True)
             )
         return Chart(
-            *self._called("planes", "Errors over the workspace, after calibration"),
+            *self._chart_name("planes", "Errors over the workspace, after calibration"),
             f"From dark (0) to bright ({highest:.3g} {self._unit}; outliers beyond). A square is the mean of what was"
             " measured in it; where there is none, nothing was measured.",
             tuple(panels),
@@ -228,15 +230,15 @@ class _Part:
             )
         y = axis(f"error [{self._unit}]", log=True)
         return Chart(
-            *self._called("order", "Errors in the order of measurement"),
+            *self._chart_name("order", "Errors in the order of measurement"),
             "Steps or slopes show that something changed while measuring. Validation poses, and those left out,"
             " follow the others.",
             (panel(axis("reading"), y, layers, height=240),),
             600,
         )
 
-    def by_joint(self) -> Chart:
-        """What is left against each joint, with the local mean of each component."""
+    def joint_charts(self) -> Chart:
+        """Residuals against each joint, with the local mean of each component."""
         left, axes = self._scale * self._rows.residuals("after"), self._rows.part.axes
         usual = ~self._rows.outlier
         looks = list("xyz")
@@ -257,7 +259,7 @@ class _Part:
                 panel(axis(f"{joint.name} [{joint.unit}]"), axis(f"residual [{self._unit}]"), layers, height=240)
             )
         return Chart(
-            *self._called("by-joint", "What is left against each joint"),
+            *self._chart_name("by-joint", "What is left against each joint"),
             "Predicted minus measured, with its local mean: a line that bends away from zero is an error of that joint"
             " that no parameter describes.",
             tuple(panels),

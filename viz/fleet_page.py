@@ -9,12 +9,12 @@ from viz.charts import MANY, Chart, Charts
 from viz.page_parts import places
 from viz.report_page import printed_page
 from viz.result_charts import forest
-from viz.viewer_page import Page
+from viz.viewer_page import ViewerPage
 
 _SHOWN = 60  # parameters in the figure
 
 
-def fleet_page(fleet: Fleet, *, command: str = "") -> Page:
+def fleet_page(fleet: Fleet, *, command: str = "") -> ViewerPage:
     """Return the page of a fleet.
 
     Args:

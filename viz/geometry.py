@@ -13,11 +13,11 @@ import numpy as np
 from calib import Robot
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.robots.urdf.links import Link, find_mesh, read_links
-from calib.core.robots.urdf.links import Shape as Visual
+from calib.core.robots.urdf.links import LinkShape as Visual
 from viz.plain_links import PlainLinks
-from viz.shapes import GREY, Colour, Shape, mesh, primitive, thinned
+from viz.shapes import GREY, Colour, Shape, mesh, primitive, thin
 
 _MOST_FACES = 40_000  # of one mesh; more do not show on a screen and make the page slow
 
@@ -51,7 +51,7 @@ def read_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
         shapes = [shape for link in robot.urdf.links for shape in plain.shapes(link)]
     if missing:
         first, *others = missing
-        more = f", and {counted(len(others), 'more link')}: {', '.join(others)}" if others else ""
+        more = f", and {count_noun(len(others), 'more link')}: {', '.join(others)}" if others else ""
         notes.append(f"link '{first}': {missing[first]}{more}; drawn plainly, from joint to joint")
     return tuple(shapes), tuple(notes)
 
@@ -85,7 +85,7 @@ def _load_mesh(name: str, link: str, visual: Visual, origin: FloatArray, urdf_pa
         geometry = scene.geometry[key]
         if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
             continue
-        vertices, faces = thinned(np.asarray(geometry.vertices), np.asarray(geometry.faces), _MOST_FACES)
+        vertices, faces = thin(np.asarray(geometry.vertices), np.asarray(geometry.faces), _MOST_FACES)
         points = vertices @ T_file_part[:3, :3].T + T_file_part[:3, 3]
         colour = _own_colour(geometry.visual) if visual.colour is None else _colour(visual.colour)
         shapes.append(mesh(f"{name}.{part}", link, points * np.array(visual.size), faces, colour, origin))

@@ -14,19 +14,19 @@ from calib.core.robots.pose_check import check_poses
 from calib.core.rows.registration import register
 from calib.core.rows.whitening import Whitening
 from viz import reading_errors
-from viz.judgement import Judgement, of_result
-from viz.judgement import of_fit as judgement_of_fit
+from viz.judgement import Judgement, judgement_of_result
+from viz.judgement import judgement_of_fit as judgement_of_fit
 from viz.pose_sources import Sigmas, from_measurements, from_plan, noise
-from viz.poses import Calibrated
+from viz.poses import PredictingRobot
 from viz.remarks import remarks
-from viz.scene import Scene, build_scene, scene_of_fit
+from viz.scene import ViewerScene, build_scene, scene_of_fit
 from viz.workspace_map import workspace_map
 
 Result = Fit | str | Path
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class ShownScene:
     """A scene and the robots that it was made from.
 
     Attributes:
@@ -35,12 +35,12 @@ class Shown:
         ghost: The robot that is drawn as a ghost, or None.
     """
 
-    scene: Scene
+    scene: ViewerScene
     solid: Robot
     ghost: Robot | None
 
 
-def gather(robot: Robot, result: Result | None = None, data: Poses | None = None, mapped: int = 0) -> Shown:
+def gather(robot: Robot, result: Result | None = None, data: Poses | None = None, mapped: int = 0) -> ShownScene:
     """Return what to show.
 
     Args:
@@ -57,20 +57,20 @@ def gather(robot: Robot, result: Result | None = None, data: Poses | None = None
     if mapped and result is None:
         raise InputError("--map shows what a calibration knows: give its result with --result DIR")
     if data is not None and not isinstance(data, Measurements):
-        return _planned(robot, result, data)
+        return _planned_scene(robot, result, data)
     if isinstance(result, Fit):
         return _from_fit(robot, result, data, mapped)
     if result is not None:
         return _from_folder(robot, result, data, mapped)
     if data is not None:
-        placed = _placed(robot, data)
-        table = from_measurements(data, placed, None, _stated(robot, data))
-        readings = reading_errors.of_measurements(data, placed, None)
-        return Shown(build_scene(placed, None, table, readings, comments=remarks(data.comments)), placed, None)
-    return Shown(build_scene(robot), robot, None)
+        placed = _place_robot(robot, data)
+        table = from_measurements(data, placed, None, _stated_sigmas(robot, data))
+        readings = reading_errors.reading_errors_of_measurements(data, placed, None)
+        return ShownScene(build_scene(placed, None, table, readings, comments=remarks(data.comments)), placed, None)
+    return ShownScene(build_scene(robot), robot, None)
 
 
-def _planned(robot: Robot, result: Result | None, poses: Poses) -> Shown:
+def _planned_scene(robot: Robot, result: Result | None, poses: Poses) -> ShownScene:
     """Poses where nothing was read yet, with what hits there."""
     if isinstance(result, Fit):
         robot = result.robot
@@ -79,49 +79,58 @@ def _planned(robot: Robot, result: Result | None, poses: Poses) -> Shown:
     check = check_poses(robot, poses.joints)
     notes = [check.summary()] if check.n_blocked else []
     notes += [f"collisions are not checked: {check.unchecked}"] if check.unchecked else check.remarks
-    return Shown(build_scene(robot, None, from_plan(robot, poses, check.hits), notes=tuple(notes)), robot, None)
+    return ShownScene(build_scene(robot, None, from_plan(robot, poses, check.hits), notes=tuple(notes)), robot, None)
 
 
 def _from_fit(
     robot: Robot, fit: Fit, data: Measurements | None, mapped: int, judgement: Judgement | None = None
-) -> Shown:
+) -> ShownScene:
     if fit.nominal.urdf.source != robot.urdf.source:
         raise InputError(f"the result is of another robot than {robot.path}; give the robot that was fitted")
-    calibrated = Calibrated(fit.robot, fit.told_positions.at)
+    calibrated = PredictingRobot(fit.robot, fit.reported_uncertainty.predict)
     if data is None:
-        return Shown(_mapped(scene_of_fit(fit, judgement), calibrated, fit.placed, mapped), fit.robot, fit.placed)
+        return ShownScene(
+            _with_map(scene_of_fit(fit, judgement), calibrated, fit.placed, mapped), fit.robot, fit.placed
+        )
     table = from_measurements(data, fit.placed, calibrated, noise(fit))
-    said, told = remarks(data.comments), fit.told_positions.notes
-    readings = reading_errors.of_measurements(data, fit.placed, fit.robot)
+    comments, notes = remarks(data.comments), fit.reported_uncertainty.notes
+    readings = reading_errors.reading_errors_of_measurements(data, fit.placed, fit.robot)
     judgement = judgement or judgement_of_fit(fit)
-    scene = build_scene(fit.placed, fit.robot, table, readings, verdict=judgement, told=told, comments=said)
-    return Shown(_mapped(scene, calibrated, fit.placed, mapped), fit.robot, fit.placed)
+    scene = build_scene(
+        fit.placed, fit.robot, table, readings, verdict=judgement, uncertainty_notes=notes, comments=comments
+    )
+    return ShownScene(_with_map(scene, calibrated, fit.placed, mapped), fit.robot, fit.placed)
 
 
-def _mapped(scene: Scene, calibrated: Calibrated, nominal: Robot, count: int) -> Scene:
+def _with_map(scene: ViewerScene, calibrated: PredictingRobot, nominal: Robot, count: int) -> ViewerScene:
     return replace(scene, map=workspace_map(calibrated, nominal, scene.poses, count)) if count else scene
 
 
-def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, mapped: int) -> Shown:
+def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, mapped: int) -> ShownScene:
     """A failed result is shown, too: to look at it is how one finds out why; its verdict is shown with it."""
     result = load_result(folder, robot, failed_too=True)
-    judgement = of_result(result.content["verdict"], result.content.get("next", ""))
+    judgement = judgement_of_result(result.content["verdict"], result.content.get("next", ""))
     if not isinstance(result, EarlierResult):
         return _from_fit(result.nominal, result.fit, data, mapped, judgement)
-    told = result.told_positions
-    calibrated, placed = Calibrated(result.robot, told.at), robot if data is None else _placed(robot, data)
-    table = None if data is None else from_measurements(data, placed, calibrated, _stated(robot, data))
-    readings = () if data is None else reading_errors.of_measurements(data, placed, result.robot)
+    uncertainty = result.reported_uncertainty
+    calibrated, placed = (
+        PredictingRobot(result.robot, uncertainty.predict),
+        robot if data is None else _place_robot(robot, data),
+    )
+    table = None if data is None else from_measurements(data, placed, calibrated, _stated_sigmas(robot, data))
+    readings = () if data is None else reading_errors.reading_errors_of_measurements(data, placed, result.robot)
     notes = (
         ()
         if data is not None
         else ("not shown: readings, which results of this earlier version do not hold; fit again",)
     )
-    scene = build_scene(placed, result.robot, table, readings, verdict=judgement, notes=notes, told=told.notes)
-    return Shown(_mapped(scene, calibrated, placed, mapped), result.robot, placed)
+    scene = build_scene(
+        placed, result.robot, table, readings, verdict=judgement, notes=notes, uncertainty_notes=uncertainty.notes
+    )
+    return ShownScene(_with_map(scene, calibrated, placed, mapped), result.robot, placed)
 
 
-def _placed(robot: Robot, data: Measurements) -> Robot:
+def _place_robot(robot: Robot, data: Measurements) -> Robot:
     """Return the robot before calibration: an unknown base and unknown targets as measurements show them."""
     description = robot.description
     unknown = description.base.pose == "unknown" or any(
@@ -131,7 +140,7 @@ def _placed(robot: Robot, data: Measurements) -> Robot:
     return register(robot, data) if unknown else robot
 
 
-def _stated(robot: Robot, data: Measurements) -> Sigmas:
+def _stated_sigmas(robot: Robot, data: Measurements) -> Sigmas:
     """Return the noise of measured points that the description or the measurements state."""
     stated = {
         group.name: group.typical for group in Whitening(robot, data).groups if group.stated and group.part.is_position

@@ -92,7 +92,7 @@ def _(touch: Touch, size: float) -> list[Shape]:
     inside = np.array(touch.points_of_artefact or [(0.0, 0.0, 0.0)] * len(touch.touched))
     for k, (name, point) in enumerate(zip(touch.touched, inside, strict=True)):
         body = _body(touch.own[0 if touch.points_of_artefact else k].name)
-        T, label = _at(point), f"{touch.name}/{name}"
+        T, label = _translation(point), f"{touch.name}/{name}"
         if touch.surface == "socket":
             shapes.append(primitive(label, body, "sphere", (1.3 * ball,), T, _CLEAR))
         elif touch.surface == "plane":
@@ -114,25 +114,27 @@ def _(camera: Pixel, size: float) -> list[Shape]:
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=float)
     rim = depth * np.column_stack([(corners[:, 0] - cx) / fx, (corners[:, 1] - cy) / fy, np.ones(4)])
     edges = [(np.zeros(3), corner) for corner in rim] + list(zip(rim, np.roll(rim, -1, axis=0), strict=True))
-    shapes = [primitive(f"{camera.name}/camera", body, "box", (0.05 * size,) * 3, _at([0, 0, -0.025 * size]), DARK)]
+    shapes = [
+        primitive(f"{camera.name}/camera", body, "box", (0.05 * size,) * 3, _translation([0, 0, -0.025 * size]), DARK)
+    ]
     for k, (start, end) in enumerate(edges):
         shapes += _rod(f"{camera.name}/edge{k}", body, start, end, thin, _BRASS)
-    return [*shapes, *_seen(camera, size)]
+    return [*shapes, *_seen_shapes(camera, size)]
 
 
-def _seen(camera: Pixel, size: float) -> list[Shape]:
+def _seen_shapes(camera: Pixel, size: float) -> list[Shape]:
     """The board that a camera sees, with a dark patch at each point; or points alone, as balls."""
     points, body = np.array(list(camera.points_of_body.values())), _body(camera.target)
     if camera.board is None:
         return [
-            primitive(f"{camera.target}/{name}", body, "sphere", (0.01 * size,), _at(point), _BRASS)
+            primitive(f"{camera.target}/{name}", body, "sphere", (0.01 * size,), _translation(point), _BRASS)
             for name, point in list(camera.points_of_body.items())[:_POINTS]
         ]
     side = camera.board.smallest
     low, high = points.min(axis=0) - side, points.max(axis=0) + side
     thick = 0.05 * side
     middle = [*(low + high)[:2] / 2, thick]  # z points into the paper
-    plate = primitive(f"{camera.target}/board", body, "box", (*(high - low)[:2], thick), _at(middle), _PAPER)
+    plate = primitive(f"{camera.target}/board", body, "box", (*(high - low)[:2], thick), _translation(middle), _PAPER)
     patch = 0.25 * side * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     corners = (points[:_POINTS, None] + patch + [0.0, 0.0, -thick]).reshape(-1, 3)
     first, quad = 4 * np.arange(len(corners) // 4)[:, None], np.array([[0, 1, 2], [0, 2, 3]])
@@ -144,7 +146,7 @@ def _ball(target: str, radius: float) -> Shape:
     return primitive(f"{target}/ball", _body(target), "sphere", (radius,), np.eye(4), _CLEAR)
 
 
-def _at(point: object) -> FloatArray:
+def _translation(point: object) -> FloatArray:
     T = np.eye(4)
     T[:3, 3] = np.asarray(point, dtype=float)
     return T
@@ -155,6 +157,6 @@ def _rod(name: str, body: str | None, start: FloatArray, end: FloatArray, radius
     length = float(np.linalg.norm(end - start))
     if length <= 1e-9:
         return []
-    T = _at((start + end) / 2)
+    T = _translation((start + end) / 2)
     T[:3, :3] = rotation_onto_z((end - start) / length)
     return [primitive(name, body, "cylinder", (radius, length), T, colour)]

@@ -33,14 +33,14 @@ class Judgement:
         return {"grade": self.grade, "reasons": reasons, "next": self.following}
 
 
-def of_fit(fit: Fit) -> Judgement:
+def judgement_of_fit(fit: Fit) -> Judgement:
     """Return the verdict of a fit."""
     verdict = judge(fit)
     reasons = tuple((reason.grade, reason.text) for reason in verdict.reasons)
     return Judgement(verdict.grade, reasons, verdict.nothing_to_correct, str(next_step(fit)))
 
 
-def of_result(entry: dict[str, Any], following: str = "") -> Judgement:
+def judgement_of_result(entry: dict[str, Any], following: str = "") -> Judgement:
     """Return the verdict of a `result.json`.
 
     Without grades of its own, a reason has the verdict's where that is certain: a CHECK has nothing worse, and a FAIL

@@ -17,7 +17,7 @@ from calib.core.base.errors import DataError
 from calib.core.base.units import millimetres
 from calib.core.robots.configurations import joint_vector
 from viz.bodies import posed_robot
-from viz.inputs import Shown, gather
+from viz.inputs import ShownScene, gather
 from viz.server import PageServer
 from viz.viewer_page import scene_page
 
@@ -42,7 +42,7 @@ class LiveViewer:
         InputError: The port is taken.
     """
 
-    def __init__(self, shown: Shown, port: int = 0) -> None:
+    def __init__(self, shown: ShownScene, port: int = 0) -> None:
         self._shown = shown
         self._history: list[tuple[float | None, ...]] = []  # poses, predicted and unseen error, their 95 % ends [mm]
         self._fit: Fit | None = None
@@ -56,7 +56,7 @@ class LiveViewer:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know about the picture, such as missing meshes."""
+        """Remarks on the picture, such as missing meshes."""
         return self._shown.scene.notes
 
     def show_pose(self, index: int) -> None:
@@ -102,44 +102,44 @@ class LiveViewer:
         content = {**moved, "joints": joints[0].tolist(), "targets": targets, "predicted": predicted}
         self._server.send("joints", json.dumps(content), keep="pose")
 
-    def show(self, told: Progress) -> None:
+    def show(self, progress: Progress) -> None:
         """Show what is known after the poses measured so far, in the measuring cockpit above the picture.
 
         Stop or go, the next pose and the errors come at once; then the fit, in place of what was shown, and the robots
         at the next pose; at the first one of the table where there is none.
         """
-        self._server.send("told", json.dumps(self._cockpit(told), allow_nan=False), keep="told")
-        if told.fit is not None:
-            self._shown = gather(told.fit.nominal, told.fit)
+        self._server.send("told", json.dumps(self._cockpit(progress), allow_nan=False), keep="told")
+        if progress.fit is not None:
+            self._shown = gather(progress.fit.nominal, progress.fit)
         self._server.forget("pose")
         self._server.replace(scene_page(self._shown.scene, live=True).html)
-        if told.next_pose is not None and not told.stop:
-            self.display(told.next_pose.joints)
+        if progress.next_pose is not None and not progress.stop:
+            self.display(progress.next_pose.joints)
 
-    def _cockpit(self, told: Progress) -> dict[str, object]:
-        """What the page's script reads: the state, its words, the states before it, and how long the rest takes."""
-        self.remember(told)
-        self._pace = [*self._pace[1 - _PACE :], (time.monotonic(), told.n_poses)]
+    def _cockpit(self, progress: Progress) -> dict[str, object]:
+        """Data for the script of the page: the state, its words, earlier states, and the remaining time."""
+        self.remember(progress)
+        self._pace = [*self._pace[1 - _PACE :], (time.monotonic(), progress.n_poses)]
         (start, first), (end, last) = self._pace[0], self._pace[-1]
-        left, each = told.poses_left, (end - start) / (last - first) if last > first else None
-        return told.to_dict() | {
-            "words": "\n".join((*told.error_lines(), *self._changed(told.fit))),
+        left, each = progress.poses_left, (end - start) / (last - first) if last > first else None
+        return progress.to_dict() | {
+            "words": "\n".join((*progress.error_lines(), *self._change_lines(progress.fit))),
             "history": self._history,
             "seconds_left": None if left is None or each is None else left * each,
         }
 
-    def remember(self, told: Progress) -> None:
+    def remember(self, progress: Progress) -> None:
         """Keep what was known after some poses: the curve towards the goal shows it."""
-        errors = (told.predicted, told.unseen)
+        errors = (progress.predicted, progress.unseen)
         ends = [end for error in errors for end in (error.low95, error.high95)]
         known = [millimetres(one) if math.isfinite(one) else None for one in (*(e.value for e in errors), *ends)]
-        if self._history and told.n_poses <= (self._history[-1][0] or 0):  # lines were taken back
-            self._history = [row for row in self._history if (row[0] or 0) < told.n_poses]
+        if self._history and progress.n_poses <= (self._history[-1][0] or 0):  # lines were taken back
+            self._history = [row for row in self._history if (row[0] or 0) < progress.n_poses]
             self._pace = []
-        self._history.append((told.n_poses, *known))
+        self._history.append((progress.n_poses, *known))
 
-    def _changed(self, fit: Fit | None) -> list[str]:
-        """What the last pose changed: the parameter that moved furthest, counted in its standard deviation."""
+    def _change_lines(self, fit: Fit | None) -> list[str]:
+        """Lines on the last pose: the parameter that moved furthest, in its standard deviation."""
         before, self._fit = self._fit, fit
         if fit is None or before is None or before.free_names != fit.free_names:
             return []

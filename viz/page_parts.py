@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from viz.charts import Chart, Charts
-from viz.viewer_page import digest_of_script, in_script, viewer_scripts
+from viz.viewer_page import digest_of_script, script_safe, viewer_scripts
 
 _BOKEH = ("bokeh", "bokeh-api")
 
@@ -27,7 +27,7 @@ def chart_parts(charts: Charts, viewer: str = "") -> dict[str, Any]:
         charts: The plots.
         viewer: The viewer's page, to stand in a frame of this one; none if empty.
     """
-    script = in_script((files("viz") / "templates" / "charts.js").read_text(encoding="utf-8"))
+    script = script_safe((files("viz") / "templates" / "charts.js").read_text(encoding="utf-8"))
     libraries = [] if not any(charts.by_place.values()) else [(name, *_library(name)) for name in _BOKEH]
     digests = [digest_of_script(script), *(digest for _, _, digest in libraries)]
     if viewer:  # a frame's page needs the leave of the page around it, too

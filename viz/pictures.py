@@ -1,6 +1,6 @@
 """What `calib` finds under the entry point group `calib.pictures`: a command, the pages of a fit, figures.
 
-Nothing is imported before it is asked for, so that `calib --help` stays quick.
+Nothing is imported before its first use, so that `calib --help` stays quick.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def plots(fit: Fit) -> FitPlots:
 
 
 def live(robot: Robot) -> LiveViewer:
-    """Return a live page that shows a robot until it is told more."""
+    """Return a live page that shows a robot until it gets more."""
     from viz.inputs import gather
     from viz.live import LiveViewer
 

@@ -50,7 +50,7 @@ class PlainLinks:
     def body(self, link: str) -> list[Shape]:
         """Return the body of a link between its anchors; nothing where it has only one."""
         anchors = self._anchors(link)
-        moved_by = self._moved_by.get(link)
+        moved_by = self._moving_joints.get(link)
         passive = moved_by is not None and moved_by.name in self.robot.mechanism.passive
         radius = self._radius * (_THIN if passive else 1.0)
         if len(anchors) < 2:
@@ -65,7 +65,7 @@ class PlainLinks:
         return [mesh(f"{link}/body", link, points, faces)]
 
     @cached_property
-    def _moved_by(self) -> dict[str, Any]:
+    def _moving_joints(self) -> dict[str, Any]:
         """The joint that carries each link, by the link's name."""
         return {joint.child: joint for joint in self.robot.urdf.joints}
 
@@ -90,7 +90,7 @@ class PlainLinks:
         """Links between passive joints that slide and turn at one place."""
         return frozenset(
             joint.parent
-            for run in map(self._run, self._moved_by)
+            for run in map(self._run, self._moving_joints)
             if _floats(run, self.robot.mechanism.passive)
             for joint in run[1:]
         )
@@ -98,20 +98,20 @@ class PlainLinks:
     def _run(self, link: str) -> list[Any]:
         """The moving joints at one place that end with the one that moves a link, from base to tip."""
         run: list[Any] = []
-        while link in self._moved_by and self._moved_by[link].type != "fixed":
-            joint = self._moved_by[link]
+        while link in self._moving_joints and self._moving_joints[link].type != "fixed":
+            joint = self._moving_joints[link]
             run.insert(0, joint)
-            if np.linalg.norm(joint.xyz) > self._same or len(self._carries[joint.parent]) > 1:
+            if np.linalg.norm(joint.xyz) > self._largest_difference or len(self._carries[joint.parent]) > 1:
                 break
             link = joint.parent
         return run
 
     @property
-    def _same(self) -> float:
+    def _largest_difference(self) -> float:
         return _SAME * float(self.robot.mechanism.length)
 
     @cached_property
-    def _closed_on(self) -> dict[str, list[str]]:
+    def _closing_links(self) -> dict[str, list[str]]:
         """On which links loops close, and how: `ball`, or `drum` where the link still turns about one axis."""
         mechanism = self.robot.mechanism
         links: dict[int, str] = {}
@@ -130,25 +130,27 @@ class PlainLinks:
         """Where joints and loops hold a link, in its frame, (n, 3) [m]."""
         points: list[FloatArray] = []
         run = self._run(link)
-        if link in self._moved_by and (link in self._closed_on or not _floats(run, self.robot.mechanism.passive)):
+        if link in self._moving_joints and (
+            link in self._closing_links or not _floats(run, self.robot.mechanism.passive)
+        ):
             points.append(np.zeros(3))
         for joint in self._carries.get(link, []):
             if _floats(self._longest_run(joint), self.robot.mechanism.passive):
                 continue
             points.append(np.array(joint.xyz, dtype=float))
             if joint.type == "prismatic":  # the sleeve
-                points.append(points[-1] + 0.5 * self._out(joint, in_parent=True))
-        if link in self._moved_by and self._moved_by[link].type == "prismatic" and points:
-            points.append(-self._out(self._moved_by[link], in_parent=False))
-        if link not in self._moved_by and len(points) < 2:  # an arm stands on its root link's origin
+                points.append(points[-1] + 0.5 * self._prismatic_offset(joint, in_parent=True))
+        if link in self._moving_joints and self._moving_joints[link].type == "prismatic" and points:
+            points.append(-self._prismatic_offset(self._moving_joints[link], in_parent=False))
+        if link not in self._moving_joints and len(points) < 2:  # an arm stands on its root link's origin
             points.append(np.zeros(3))
         kept: list[FloatArray] = []
         for point in points:
-            if all(np.linalg.norm(point - other) > self._same for other in kept):
+            if all(np.linalg.norm(point - other) > self._largest_difference for other in kept):
                 kept.append(point)
         return np.array(kept).reshape(-1, 3)
 
-    def _out(self, joint: Any, *, in_parent: bool) -> FloatArray:
+    def _prismatic_offset(self, joint: Any, *, in_parent: bool) -> FloatArray:
         """How far a prismatic joint is out at home, (3,) [m]: in the frame of its parent, or of its own link."""
         import pinocchio as pin
 
@@ -161,7 +163,7 @@ class PlainLinks:
         link = joint.child
         while len(self._carries.get(link, [])) == 1:
             following = self._carries[link][0]
-            if following.type == "fixed" or np.linalg.norm(following.xyz) > self._same:
+            if following.type == "fixed" or np.linalg.norm(following.xyz) > self._largest_difference:
                 break
             link = following.child
         return self._run(link)
@@ -172,14 +174,14 @@ class PlainLinks:
         length = float(self.robot.mechanism.length)
         gaps = [float(np.linalg.norm(joint.xyz)) for joint in self.robot.urdf.joints]
         gaps += [abs(self._home.get(joint.name, 0.0)) for joint in self.robot.urdf.joints if joint.type == "prismatic"]
-        known = [gap for gap in gaps if gap > 10 * self._same]
+        known = [gap for gap in gaps if gap > 10 * self._largest_difference]
         return _RADIUS * float(np.median(known)) if known else _RADIUS * length
 
     def _joint(self, link: str) -> list[Shape]:
         """The joint that moves a link, and an end where nothing follows."""
         radius, run = self._radius, self._run(link)
         if not run:
-            end = link in self._moved_by and link not in self._carries and link not in self._closed_on
+            end = link in self._moving_joints and link not in self._carries and link not in self._closing_links
             return [primitive(f"{link}/end", link, "box", (1.6 * radius,) * 3, np.eye(4), DARK)] if end else []
         joint = run[-1]
         if _floats(run, self.robot.mechanism.passive):
@@ -187,7 +189,7 @@ class PlainLinks:
         along = np.eye(4)
         along[:3, :3] = rotation_onto_z(np.array(joint.axis, dtype=float))
         if joint.type == "prismatic":
-            along[:3, 3] = -self._out(joint, in_parent=False) * 0.5
+            along[:3, 3] = -self._prismatic_offset(joint, in_parent=False) * 0.5
             box = (2.4 * radius, 2.4 * radius, 3.2 * radius)
             return [primitive(f"{link}/sleeve", link, "box", box, along, DARK)]
         turning = [other for other in self._longest_run(run[0]) if other.type in _TURNING]
@@ -199,7 +201,7 @@ class PlainLinks:
     def _closures(self, link: str) -> list[Shape]:
         """The joints at which loops close on a link."""
         shapes = []
-        for number, kind in enumerate(self._closed_on.get(link, [])):
+        for number, kind in enumerate(self._closing_links.get(link, [])):
             name = f"{link}/closure{number}"
             if kind == "ball":
                 shapes.append(primitive(name, link, "sphere", (1.6 * self._radius,), np.eye(4), DARK))
@@ -215,7 +217,7 @@ class PlainLinks:
         for number, joint in enumerate(self._carries.get(link, [])):
             point = np.array(joint.xyz, dtype=float)
             reached = [np.all(box.min(axis=0) <= point) and np.all(point <= box.max(axis=0)) for box in boxes]
-            if joint.type != "fixed" and not any(reached) and np.linalg.norm(point) > self._same:
+            if joint.type != "fixed" and not any(reached) and np.linalg.norm(point) > self._largest_difference:
                 shapes += _capsule(f"{link}/gap{number}", link, np.zeros(3), point, self._radius, drawn[0].colour)
         return shapes
 

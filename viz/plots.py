@@ -10,7 +10,7 @@ import scipy
 from calib.core.base.arrays import BoolArray
 from calib.core.base.units import PER_SI
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable
-from viz.scene import Joint
+from viz.scene import ViewerJoint
 from viz.svg import AXES, STATES, plain_ticks
 
 _MM = PER_SI["length"]["mm"]
@@ -43,7 +43,7 @@ def draw_histogram(axes: Any, table: PoseTable) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
 
 
-def draw_residuals(axes: Any, table: PoseTable, joint: Joint, number: int) -> None:
+def draw_residuals(axes: Any, table: PoseTable, joint: ViewerJoint, number: int) -> None:
     """Draw residuals after calibration against an actuated joint, of which this is the number."""
     values = joint.per_si * table.joints[:, number]
     for order, (name, component) in enumerate(zip(AXES, (_MM * table.error("after")).T, strict=True)):
@@ -112,7 +112,7 @@ def draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
 def draw_normal(axes: Any, table: PoseTable) -> None:
     """Draw sorted residuals over sigma against normal quantiles."""
     chosen = np.array([group == IDENTIFICATION for group in table.group], dtype=bool)
-    ratio = table.over_sigma()[chosen if np.any(chosen) else slice(None)]
+    ratio = table.normalised_residuals()[chosen if np.any(chosen) else slice(None)]
     reach = 1.0
     for (name, (colour, marker)), values in zip(AXES.items(), ratio.T, strict=True):
         known = np.sort(values[np.isfinite(values)])

@@ -19,7 +19,7 @@ from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.outliers import Outlier, numbers_by_instrument
 from calib.core.instruments.kind import FrameInstrument, Instrument
 from calib.core.judging import findings
-from calib.core.rows.observed import predicted_readings
+from calib.core.rows.observed import predict_readings
 from calib.core.rows.prediction import PositionUncertainty
 from viz.poses import (
     COLLIDES,
@@ -28,9 +28,9 @@ from viz.poses import (
     MEASURED,
     PLANNED,
     VALIDATION,
-    Calibrated,
     PoseTable,
-    averaged,
+    PredictingRobot,
+    average_poses,
 )
 
 Sigmas = Mapping[str, float]
@@ -63,31 +63,37 @@ class _Set:
 
 def from_fit(fit: Fit) -> PoseTable:
     """Return the poses of a fit, identification first, outliers that were left out last."""
-    sets = [of_errors(fit, IDENTIFICATION, fit.identification, fit.identification_uncertainty, findings.outliers(fit))]
+    sets = [
+        pose_table_of_errors(
+            fit, IDENTIFICATION, fit.identification, fit.identification_uncertainty, findings.outliers(fit)
+        )
+    ]
     if fit.validation is not None:
         sets.append(
-            of_errors(fit, VALIDATION, fit.validation, fit.validation_uncertainty, findings.validation_outliers(fit))
+            pose_table_of_errors(
+                fit, VALIDATION, fit.validation, fit.validation_uncertainty, findings.validation_outliers(fit)
+            )
         )
-    calibrated = Calibrated(fit.robot, fit.told_positions.at)
-    sets += _left_out(findings.excluded_errors(fit), fit.identification, fit.placed, calibrated, noise(fit))
-    if fit.validation is not None and not _measured_together(fit.identification.data, fit.validation.data):
+    calibrated = PredictingRobot(fit.robot, fit.reported_uncertainty.predict)
+    sets += _left_out_table(findings.excluded_errors(fit), fit.identification, fit.placed, calibrated, noise(fit))
+    if fit.validation is not None and not _are_of_one_file(fit.identification.data, fit.validation.data):
         names = (IDENTIFICATION, VALIDATION, IDENTIFICATION)  # left out: of those to identify with
         sets = [
             replace(table, series=tuple(f"{path} ({name})" for path in table.series))
             for table, name in zip(sets, names, strict=False)
         ]
-    return averaged(sets[0].followed_by(sets[1:]))
+    return average_poses(sets[0].followed_by(sets[1:]))
 
 
-def _left_out(
-    errors: ErrorSet | None, used: ErrorSet, placed: Robot, calibrated: Calibrated, sigmas: Sigmas
+def _left_out_table(
+    errors: ErrorSet | None, used: ErrorSet, placed: Robot, calibrated: PredictingRobot, sigmas: Sigmas
 ) -> list[PoseTable]:
     """The points that were left out of a fit; where no instrument measures any, the visits left out as a whole."""
     if errors is None:
         return []
     data = errors.data
     if any(_measures_points(instrument) for instrument in placed.instruments):
-        data = data.of_readings(
+        data = data.with_readings(
             {
                 name: np.arange(len(own))
                 for name, own in data.readings.items()
@@ -100,11 +106,11 @@ def _left_out(
         data = data.subset(np.flatnonzero(whole))
     if not len(data):
         return []
-    table = _judged(EXCLUDED, data, placed, calibrated, sigmas)
+    table = _unjudged_table(EXCLUDED, data, placed, calibrated, sigmas)
     return [replace(table, outlier=np.ones(len(table), dtype=bool))]
 
 
-def of_errors(
+def pose_table_of_errors(
     fit: Fit,
     group: str,
     errors: ErrorSet,
@@ -126,7 +132,9 @@ def of_errors(
     return _rows(_Set(group, errors.data, fit.placed, before, after, predictions, noise(fit), marked))
 
 
-def from_measurements(data: Measurements, nominal: Robot, calibrated: Calibrated | None, sigmas: Sigmas) -> PoseTable:
+def from_measurements(
+    data: Measurements, nominal: Robot, calibrated: PredictingRobot | None, sigmas: Sigmas
+) -> PoseTable:
     """Return measurements with what a robot predicts for them.
 
     Args:
@@ -138,7 +146,7 @@ def from_measurements(data: Measurements, nominal: Robot, calibrated: Calibrated
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
     """
-    return averaged(_judged(MEASURED, data, nominal, calibrated, sigmas))
+    return average_poses(_unjudged_table(MEASURED, data, nominal, calibrated, sigmas))
 
 
 def from_plan(robot: Robot, poses: Poses, hits: tuple[str, ...]) -> PoseTable:
@@ -194,24 +202,26 @@ def _position_errors(errors: ErrorSet, state: str) -> dict[str, FloatArray]:
     }
 
 
-def _judged(group: str, data: Measurements, placed: Robot, calibrated: Calibrated | None, sigmas: Sigmas) -> PoseTable:
+def _unjudged_table(
+    group: str, data: Measurements, placed: Robot, calibrated: PredictingRobot | None, sigmas: Sigmas
+) -> PoseTable:
     """Rows of measurements that no fit has judged."""
-    before = _points_off(placed, data)
+    before = _point_errors(placed, data)
     if calibrated is None:
         unknown = {name: np.full_like(errors, np.nan) for name, errors in before.items()}
         return _rows(_Set(group, data, placed, before, unknown, None, sigmas))
-    after, predictions = _points_off(calibrated.robot, data), calibrated.predict(data.joints, data.conditions)
+    after, predictions = _point_errors(calibrated.robot, data), calibrated.predict(data.joints, data.conditions)
     return _rows(_Set(group, data, placed, before, after, predictions, sigmas))
 
 
-def _points_off(robot: Robot, data: Measurements) -> dict[str, FloatArray]:
+def _point_errors(robot: Robot, data: Measurements) -> dict[str, FloatArray]:
     """Predicted minus measured points of each instrument that measures points, (n, 3) [m]."""
     points_read = {
         name: readings for name, readings in data.readings.items() if _measures_points(robot.instrument(name))
     }
     if not points_read:
         return {}
-    predicted = predicted_readings(robot, robot.assemble(data.joints, labels=data.labels), points_read)
+    predicted = predict_readings(robot, robot.assemble(data.joints, labels=data.labels), points_read)
     off: dict[str, FloatArray] = {}
     for name, readings in points_read.items():
         instrument = robot.instrument(name)
@@ -228,7 +238,7 @@ def _measures_points(instrument: Instrument) -> bool:
     return any(part.is_position for part in instrument.parts)
 
 
-def _measured_together(first: Measurements, second: Measurements) -> bool:
+def _are_of_one_file(first: Measurements, second: Measurements) -> bool:
     """Whether two sets are parts of one file, so that their places are of one order."""
     return first.path == second.path and not np.intersect1d(first.places, second.places).size
 
@@ -259,7 +269,7 @@ def _rows_of(source: _Set, instrument: Instrument) -> tuple[PoseTable, IntArray]
     for number, setup in enumerate(source.placed.description.setups):
         rows = np.flatnonzero(pairs == number)
         if number > 0 and len(rows):
-            R, p = _in_first_setup(source.placed, instrument, number)
+            R, p = _transform_to_first_setup(source.placed, instrument, number)
             measured[rows] = measured[rows] @ R.T + p
             before[rows], after[rows] = before[rows] @ R.T, after[rows] @ R.T
             for row in rows:
@@ -276,12 +286,12 @@ def _rows_of(source: _Set, instrument: Instrument) -> tuple[PoseTable, IntArray]
         spread=spread,
         outlier=np.isin(complete, source.outliers.get(instrument.name, ())),
         targets=tuple(names),
-        **_whence(source, visits),
+        **_origin_columns(source, visits),
     )
     return table, visits
 
 
-def _in_first_setup(robot: Robot, instrument: Instrument, setup: int) -> tuple[FloatArray, FloatArray]:
+def _transform_to_first_setup(robot: Robot, instrument: Instrument, setup: int) -> tuple[FloatArray, FloatArray]:
     """Rotation (3, 3) and origin (3,) [m] of the measurement frame of a setup, in that of the first."""
     first, later = robot.pairs(instrument)[0], robot.pairs(instrument)[setup]
     names = robot.mechanism.origin_names
@@ -304,11 +314,11 @@ def _predictions(source: _Set) -> PoseTable:
         spread=unknown if source.predictions is None else source.predictions.std.reshape(-1, 3),
         outlier=np.array([visit in marked for visit in map(int, visits)], dtype=bool),
         targets=targets * len(data),
-        **_whence(source, visits),
+        **_origin_columns(source, visits),
     )
 
 
-def _whence(source: _Set, visits: IntArray) -> dict[str, Any]:
+def _origin_columns(source: _Set, visits: IntArray) -> dict[str, Any]:
     """Where the rows of these visits (n,) come from."""
     n = len(visits)
     return {

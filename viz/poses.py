@@ -21,7 +21,7 @@ _MOST_ROWS = 20_000  # in one page, about 9 MB; more cannot be told apart on a s
 
 
 @dataclass(frozen=True, eq=False)
-class Calibrated:
+class PredictingRobot:
     """A calibrated robot and how sure its positions are.
 
     Attributes:
@@ -113,7 +113,7 @@ class PoseTable(RowTable):
         sigma: FloatArray = self.sigma * np.sqrt(self.readings)
         return sigma
 
-    def over_sigma(self) -> FloatArray:
+    def normalised_residuals(self) -> FloatArray:
         """Return the residuals after calibration, which are of means, divided by the sigma of these means, (n, 3).
 
         NaN where sigma is zero or unknown.
@@ -142,21 +142,21 @@ def spread_rows(outlier: BoolArray, sizes: list[FloatArray]) -> IntArray:
     for lengths in sizes:
         first[np.argsort(-np.nan_to_num(lengths, nan=-1.0), kind="stable")[:WORST]] = True
     matter, others = np.flatnonzero(first), np.flatnonzero(~first)
-    matter = _spread(matter, min(len(matter), _MOST_ROWS // 2))
-    return np.union1d(matter, _spread(others, min(len(others), _MOST_ROWS - len(matter)))).astype(np.intp)
+    matter = _evenly_spread(matter, min(len(matter), _MOST_ROWS // 2))
+    return np.union1d(matter, _evenly_spread(others, min(len(others), _MOST_ROWS - len(matter)))).astype(np.intp)
 
 
-def _spread(rows: IntArray, count: int) -> IntArray:
+def _evenly_spread(rows: IntArray, count: int) -> IntArray:
     """`count` of some rows (n,), evenly spread."""
     return rows[np.arange(count) * len(rows) // max(count, 1)]
 
 
-def averaged(table: PoseTable) -> PoseTable:
+def average_poses(table: PoseTable) -> PoseTable:
     """Return one row for each point of a pose: the mean of its readings, which the rows of `table` are.
 
     Places are counted anew, so that repeats leave no gaps between the poses.
     """
-    numbers = _numbered(zip(table.series, table.group, table.labels, table.targets, strict=True))
+    numbers = _number_keys(zip(table.series, table.group, table.labels, table.targets, strict=True))
     _, first, count = np.unique(numbers, return_index=True, return_counts=True)
 
     def mean(values: FloatArray) -> FloatArray:
@@ -181,7 +181,7 @@ def averaged(table: PoseTable) -> PoseTable:
     )
 
 
-def _numbered(keys: Iterable[Hashable]) -> IntArray:
+def _number_keys(keys: Iterable[Hashable]) -> IntArray:
     """A number for each key, the same for equal ones, counted as they first appear."""
     numbers: dict[Hashable, int] = {}
     return np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.intp)
@@ -189,10 +189,10 @@ def _numbered(keys: Iterable[Hashable]) -> IntArray:
 
 def _places(table: PoseTable) -> IntArray:
     """The place of the pose of each row among the poses of its series: where it was first measured counts."""
-    pose = _numbered(zip(table.series, table.labels, strict=True))
+    pose = _number_keys(zip(table.series, table.labels, strict=True))
     first = np.full(int(pose.max(initial=-1)) + 1, np.iinfo(np.intp).max)
     np.minimum.at(first, pose, table.place)
-    series = np.array(_numbered(table.series))
+    series = np.array(_number_keys(table.series))
     result = np.zeros(len(table), dtype=np.intp)
     for number in np.unique(series):
         rows = series == number

@@ -30,7 +30,7 @@ from calib.core.judging import findings
 from calib.core.numerics import linalg
 from calib.core.robots import kinematics
 from calib.core.robots.mechanism import RelativeFrame
-from calib.core.rows.observed import seen_by
+from calib.core.rows.observed import views_of_instruments
 from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, RowTable, spread_rows
 
 
@@ -84,8 +84,8 @@ class ReadingErrors(RowTable):
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen(ReadOnlyArrays):
-    """What an instrument's readings are about, of one robot.
+class _SeenReadings(ReadOnlyArrays):
+    """Frames and joints that the readings of an instrument depend on, for one robot.
 
     Attributes:
         points: The point that each tells about, (n, 3) [m].
@@ -100,7 +100,7 @@ class _Seen(ReadOnlyArrays):
     by_motion: FloatArray
 
 
-def of_fit(fit: Fit) -> tuple[ReadingErrors, ...]:
+def reading_errors_of_fit(fit: Fit) -> tuple[ReadingErrors, ...]:
     """Return the errors of all readings of a fit that are no positions, part by part."""
     tables = []
     sets = [(IDENTIFICATION, fit.identification, fit.rows, findings.outliers(fit))]
@@ -108,15 +108,17 @@ def of_fit(fit: Fit) -> tuple[ReadingErrors, ...]:
         sets.append((VALIDATION, fit.validation, fit.validation_rows, findings.validation_outliers(fit)))
     for group, errors, rows, outliers in sets:
         marked = numbers_by_instrument([outlier.reading for outlier in outliers], rows.layout)
-        tables += _of_set(group, errors, fit.placed, fit.robot, marked)
+        tables += _tables_of_set(group, errors, fit.placed, fit.robot, marked)
     left_out = findings.excluded_errors(fit)
     if left_out is not None:
         marked = {name: np.arange(len(readings)) for name, readings in left_out.data.readings.items()}
-        tables += _of_set(EXCLUDED, left_out, fit.placed, fit.robot, marked)
-    return _together(tables)
+        tables += _tables_of_set(EXCLUDED, left_out, fit.placed, fit.robot, marked)
+    return _join_tables(tables)
 
 
-def of_measurements(data: Measurements, nominal: Robot, calibrated: Robot | None) -> tuple[ReadingErrors, ...]:
+def reading_errors_of_measurements(
+    data: Measurements, nominal: Robot, calibrated: Robot | None
+) -> tuple[ReadingErrors, ...]:
     """Return the errors of all readings that are no positions, part by part, by what robots predict.
 
     Args:
@@ -127,24 +129,26 @@ def of_measurements(data: Measurements, nominal: Robot, calibrated: Robot | None
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
     """
-    others = {name for name in data.readings if _others(nominal, name)}
+    others = {name for name in data.readings if _other_parts(nominal, name)}
     if not others:
         return ()
     data = replace(data, readings={name: data.readings[name] for name in others})
-    before = {name: seen.residuals for name, seen in _seen(nominal, data).items()}
-    after = before if calibrated is None else {k: seen.residuals for k, seen in _seen(calibrated, data).items()}
+    before = {name: seen.residuals for name, seen in _seen_readings(nominal, data).items()}
+    after = (
+        before if calibrated is None else {k: seen.residuals for k, seen in _seen_readings(calibrated, data).items()}
+    )
     if calibrated is None:
         after = {name: np.full_like(residuals, np.nan) for name, residuals in before.items()}
     errors = ErrorSet(data, nominal.instruments, before, after, np.full(len(data), np.nan))
-    return _together(_of_set(MEASURED, errors, nominal, calibrated, {}))
+    return _join_tables(_tables_of_set(MEASURED, errors, nominal, calibrated, {}))
 
 
-def _others(robot: Robot, name: str) -> list[Part]:
+def _other_parts(robot: Robot, name: str) -> list[Part]:
     """The parts of an instrument that are no positions."""
     return [part for part in robot.instrument(name).parts if not part.is_position]
 
 
-def _together(tables: list[ReadingErrors]) -> tuple[ReadingErrors, ...]:
+def _join_tables(tables: list[ReadingErrors]) -> tuple[ReadingErrors, ...]:
     """One table for each part; rows in the order of the sets."""
     by_part: dict[object, list[ReadingErrors]] = {}
     for table in tables:
@@ -152,7 +156,7 @@ def _together(tables: list[ReadingErrors]) -> tuple[ReadingErrors, ...]:
     return tuple(first.followed_by(others) for first, *others in by_part.values())
 
 
-def _of_set(
+def _tables_of_set(
     group: str, errors: ErrorSet, placed: Robot, calibrated: Robot | None, outliers: Mapping[str, IntArray]
 ) -> list[ReadingErrors]:
     """The errors of one set of readings, by instrument and part, pose by pose."""
@@ -161,9 +165,9 @@ def _of_set(
     if not names:
         return []
     data = replace(data, readings={name: data.readings[name] for name in data.readings if name in names})
-    seen = {"before": _seen(placed, data)}
+    seen = {"before": _seen_readings(placed, data)}
     if calibrated is not None:
-        seen["after"] = _seen(calibrated, data)
+        seen["after"] = _seen_readings(calibrated, data)
     tables = []
     for instrument, part, rows in errors.parts():
         if part.is_position:
@@ -176,7 +180,7 @@ def _of_set(
             motion, turns = smallest_motion(about.by_motion[:, rows], residuals[state])
             arrows[state] = np.einsum("nij,nj->ni", about.axes, motion)
         state = "before" if calibrated is None else "after"
-        told = instrument.texts(readings.pairs, readings.details)
+        texts = instrument.texts(readings.pairs, readings.details)
         outlier = np.zeros(len(readings), dtype=bool)
         outlier[outliers.get(instrument.name, [])] = True
         table = ReadingErrors(
@@ -191,8 +195,8 @@ def _of_set(
             group=(group,) * len(readings),
             outlier=outlier,
             labels=tuple(data.names[visit] for visit in readings.visits),
-            targets=tuple(" ".join((instrument.name, *words)) for words in zip(*told.values(), strict=True))
-            if told
+            targets=tuple(" ".join((instrument.name, *words)) for words in zip(*texts.values(), strict=True))
+            if texts
             else (instrument.name,) * len(readings),
         )
         tables.append(table.subset(np.argsort(data.pose_numbers[readings.visits], kind="stable")))
@@ -219,11 +223,11 @@ def smallest_motion(by_motion: FloatArray, residuals: FloatArray) -> tuple[Float
     return result, bool(turns)
 
 
-def _seen(robot: Robot, data: Measurements) -> dict[str, _Seen]:
-    """What the readings of each instrument are about, by its name."""
+def _seen_readings(robot: Robot, data: Measurements) -> dict[str, _SeenReadings]:
+    """Frames and joints that readings depend on, by name of the instrument."""
     configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
     mechanism, base = robot.mechanism, robot.mechanism.targets[0].a
-    views, result = seen_by(robot, configurations, data.readings), {}
+    views, result = views_of_instruments(robot, configurations, data.readings), {}
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     for name, readings in data.readings.items():
         instrument, seen = robot.instrument(name), views[name]
@@ -246,7 +250,7 @@ def _seen(robot: Robot, data: Measurements) -> dict[str, _Seen]:
             poses = _poses(robot, joints, base, index + 1)[readings.visits]
             by_motion = compared.by_joint[:, :, None] * mechanism.axes[index]
         points = np.einsum("nij,nj->ni", poses[:, :3, :3], points) + poses[:, :3, 3]
-        result[name] = _Seen(points, poses[:, :3, :3], compared.residuals, by_motion)
+        result[name] = _SeenReadings(points, poses[:, :3, :3], compared.residuals, by_motion)
     return result
 
 

@@ -70,29 +70,29 @@ def fit_remarks(fit: Fit, *, beside_record: bool = False) -> Remarks:
 
 def record(fit: Fit) -> list[tuple[str, str]]:
     """Return under which conditions was measured, as far as the files say so: what, and what they say of it."""
-    said = {key: _said(fit, key) for key in _RECORD}
-    said[_TEMPERATURE] = said[_TEMPERATURE] or _temperatures(fit)
-    return [(key.capitalize(), "; ".join(values)) for key, values in said.items() if values]
+    stated = {key: _stated_texts(fit, key) for key in _RECORD}
+    stated[_TEMPERATURE] = stated[_TEMPERATURE] or _temperatures(fit)
+    return [(key.capitalize(), "; ".join(values)) for key, values in stated.items() if values]
 
 
 def signatures(fit: Fit) -> list[str]:
     """Return what is to be signed, a line for each."""
-    lines = [part.strip() for text in _said(fit, _SIGNATURES) for part in text.split(";")]
+    lines = [part.strip() for text in _stated_texts(fit, _SIGNATURES) for part in text.split(";")]
     return list(dict.fromkeys(line for line in lines if line))
 
 
 def tolerance(fit: Fit) -> str:
-    """Return which tolerance was asked, in the words of the files; empty where they ask none, or several."""
-    said = _said(fit, _TOLERANCE)
-    return said[0] if len(said) == 1 else ""
+    """Return the required tolerance, in the words of the files; empty where they have none, or several."""
+    stated = _stated_texts(fit, _TOLERANCE)
+    return stated[0] if len(stated) == 1 else ""
 
 
 def _files(fit: Fit) -> list[Measurements]:
     return [errors.data for errors in (fit.identification, fit.validation) if errors is not None]
 
 
-def _said(fit: Fit, key: str) -> list[str]:
-    """What the files say of a key, each text once."""
+def _stated_texts(fit: Fit, key: str) -> list[str]:
+    """Texts of the files under a key, each once."""
     texts = [conditions(data.comments, _KEYS).get(key, "") for data in _files(fit)]
     return [text for text in dict.fromkeys(texts) if text]
 

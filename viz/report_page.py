@@ -38,10 +38,10 @@ from viz.page_parts import chart_parts, places
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks, record, signatures
 from viz.report_tables import Headline, extent, tolerance_of, worst
-from viz.result_charts import parameters, waterfall, worth
-from viz.scene import Scene, scene_of_fit
-from viz.scene_data import in_space
-from viz.viewer_page import Page, scene_page, templates
+from viz.result_charts import file_worth_chart, parameters, waterfall
+from viz.scene import ViewerScene, scene_of_fit
+from viz.scene_data import mean_distances
+from viz.viewer_page import ViewerPage, scene_page, templates
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -52,7 +52,7 @@ _FIRST = ("errors", "order")  # plots beside the robot in space: of the first pa
 
 
 @dataclass(frozen=True)
-class Source:
+class ReportSource:
     """A file that went into the result, and its SHA-256 (or why there is none)."""
 
     role: str
@@ -67,8 +67,8 @@ def report_page(
     created: datetime | None = None,
     viewer: str = "",
     logo: str = "",
-    scene: Scene | None = None,
-) -> Page:
+    scene: ViewerScene | None = None,
+) -> ViewerPage:
     """Return the report of a fit.
 
     Args:
@@ -101,7 +101,7 @@ def report_page(
         advice="" if budget is None else budget["advice"],
         worst=worst(fit),
         extent=extent(table),
-        measured_in=measured_in(fit.nominal),
+        measured_in=frame_name(fit.nominal),
         remarks=fit_remarks(fit, beside_record=True),
         record=record(fit),
         signatures=signatures(fit),
@@ -116,7 +116,7 @@ def report_page(
         outliers=outlier_grid(fit),
         reach=position_uncertainty_table(fit),
         reach_of="identification" if fit.validation is None else "validation",
-        counted=f"{fit.uncertainty.counted}{fit.identification_uncertainty.remark()}",
+        counted=f"{fit.uncertainty.coverage_sentence}{fit.identification_uncertainty.remark()}",
         sources=sources(fit),
         versions=versions(),
         viewer=viewer,
@@ -125,7 +125,7 @@ def report_page(
 
 def printed_page(
     template: str, charts: Charts, command: str, created: datetime | None = None, frame: str = "", **content: object
-) -> Page:
+) -> ViewerPage:
     """Return a page to look at and to print.
 
     Args:
@@ -138,12 +138,14 @@ def printed_page(
     """
     when = created if created is not None else datetime.now(UTC)
     about = {"program": PROGRAM, "command": command, "created": when.strftime("%Y-%m-%d %H:%M UTC")}
-    return Page(page_environment().get_template(template).render(**about, **chart_parts(charts, frame), **content))
+    return ViewerPage(
+        page_environment().get_template(template).render(**about, **chart_parts(charts, frame), **content)
+    )
 
 
-def _charts(fit: Fit, scene: Scene | None) -> Charts:
+def _charts(fit: Fit, scene: ViewerScene | None) -> Charts:
     """All plots of a report."""
-    plots = places(parameters=parameters(fit), budget=waterfall(fit), worth=worth(fit))
+    plots = places(parameters=parameters(fit), budget=waterfall(fit), worth=file_worth_chart(fit))
     if scene is None or not scene.n_rows:
         return Charts(plots)
     return Charts(
@@ -160,19 +162,19 @@ def _charts(fit: Fit, scene: Scene | None) -> Charts:
 
 
 def _following(fit: Fit, command: str) -> str:
-    """What to do next, with the files of the command line that made the fit where it names all of them."""
+    """The next step, with the files of the command line that made the fit where it names all of them."""
     following, words = next_step(fit), shlex.split(command)
     folder = next((words[k + 1] for k, word in enumerate(words[:-1]) if word in ("--out", "-o")), "")
     data = fit.identification.data.path
     if not folder or not {fit.nominal.path, data} <= set(words):
         return str(following)
-    return following.typed(fit.nominal.path, [data], folder, {})
+    return following.with_file_names(fit.nominal.path, [data], folder, {})
 
 
-def _space(scene: Scene | None, part: str) -> list[float] | None:
+def _space(scene: ViewerScene | None, part: str) -> list[float] | None:
     """RMS distance [mm] before and after of points that one instrument sees in another unit; None where none does."""
     alike = [] if scene is None else [other for other in scene.others if other.part == part]
-    return in_space(scene, alike[0]) if scene is not None and len(alike) == 1 else None
+    return mean_distances(scene, alike[0]) if scene is not None and len(alike) == 1 else None
 
 
 def page_environment() -> Environment:
@@ -183,18 +185,18 @@ def page_environment() -> Environment:
     return environment
 
 
-def measured_in(robot: Robot) -> str:
+def frame_name(robot: Robot) -> str:
     """Return what the frame of measured coordinates is called: by a link's name only where it is that link's frame."""
     base = robot.description.base
     is_link = base.pose == "known" and not np.any([base.xyz, base.rpy])
     return base.frame if is_link else "the measurement frame"
 
 
-def sources(fit: Fit) -> list[Source]:
+def sources(fit: Fit) -> list[ReportSource]:
     """Return the files that went into the fit, with their hashes; the URDF's is of what was read."""
     result = [_source("Robot description", fit.nominal.path)]
     if fit.nominal.urdf.path != fit.nominal.path:
-        result.append(Source("URDF", fit.nominal.urdf.path, hashlib.sha256(fit.nominal.urdf.source).hexdigest()))
+        result.append(ReportSource("URDF", fit.nominal.urdf.path, hashlib.sha256(fit.nominal.urdf.source).hexdigest()))
     result.append(_source("Measurements to identify with", fit.identification.data.path))
     if fit.validation is not None:
         same = fit.validation.data.path == fit.identification.data.path
@@ -207,11 +209,11 @@ def sources(fit: Fit) -> list[Source]:
     return result
 
 
-def _source(role: str, path: str) -> Source:
+def _source(role: str, path: str) -> ReportSource:
     try:
-        return Source(role, path, hashlib.sha256(Path(path).read_bytes()).hexdigest())
+        return ReportSource(role, path, hashlib.sha256(Path(path).read_bytes()).hexdigest())
     except OSError:
-        return Source(role, path or "not from a file", "no file to hash")
+        return ReportSource(role, path or "not from a file", "no file to hash")
 
 
 def versions() -> list[tuple[str, str]]:

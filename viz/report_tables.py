@@ -13,9 +13,9 @@ from calib.core.base.units import ERROR_UNIT, error_scale, quantity
 from calib.core.fitting.error_sets import STATES, ErrorSet, error_table
 from calib.core.instruments.kind import Part
 from calib.core.judging.verdict import judge
-from calib.core.results.sections.accuracy import judged_by
-from viz.pose_sources import of_errors
-from viz.poses import IDENTIFICATION, VALIDATION, PoseTable, averaged
+from calib.core.results.sections.accuracy import judging_errors
+from viz.pose_sources import pose_table_of_errors
+from viz.poses import IDENTIFICATION, VALIDATION, PoseTable, average_poses
 from viz.remarks import tolerance
 
 
@@ -33,7 +33,7 @@ class Headline:
     @staticmethod
     def of(fit: Fit) -> Headline:
         """Return that of the main part."""
-        group, errors = judged_by(fit)
+        group, errors = judging_errors(fit)
         part = errors.main_part
         before, after = (error_table(errors.errors(state, part.name), part) for state in STATES)
         return Headline(part, ERROR_UNIT[part.dimension], group, errors.data.n_poses, before, after)
@@ -41,7 +41,7 @@ class Headline:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Whether the robot keeps what was asked of it: the tolerance, the answer, its grade, and what says so."""
+    """Whether the robot keeps its tolerance: the tolerance, the answer, its grade, and what says so."""
 
     text: str
     answer: str
@@ -50,7 +50,7 @@ class Tolerance:
 
 
 def tolerance_of(fit: Fit) -> Tolerance | None:
-    """Return whether 95 of 100 errors at poses like those measured stay below the tolerance that was asked, if any.
+    """Return whether 95 of 100 errors at poses like those measured stay below the required tolerance, if any.
 
     Of positions, by what the calibration claims; where that does not hold, nothing does.
     """
@@ -59,21 +59,24 @@ def tolerance_of(fit: Fit) -> Tolerance | None:
         return None
     limit = quantity(text, "length", "tolerance")  # reading the file has checked it
     claim = judge(fit).claim
-    if claim is None or not claim.told.is_position or not np.isfinite(claim.told.limit95):
+    if claim is None or not claim.at_measured_poses.is_position or not np.isfinite(claim.at_measured_poses.limit95):
         return Tolerance(text, "not judged", "CHECK", "These measurements do not tell how far positions are off.")
-    within = f"95 of 100 positions are within {claim.told.shown(claim.told.limit95)}, {claim.region}"
+    within = (
+        f"95 of 100 positions are within {claim.at_measured_poses.in_unit(claim.at_measured_poses.limit95)},"
+        f" {claim.region}"
+    )
     if not claim.holds:
         return Tolerance(text, "not met", "FAIL", f"Poses that were not used are further off than claimed ({within}).")
-    met = claim.told.limit95 <= limit
+    met = claim.at_measured_poses.limit95 <= limit
     return Tolerance(text, "met" if met else "not met", "PASS" if met else "FAIL", f"{within}.")
 
 
 def worst(fit: Fit) -> str:
     """Return where the robot is still worst: the pose with the largest error after calibration, and its place."""
-    errors = judged_by(fit)[1]
+    errors = judging_errors(fit)[1]
     if not errors.main_part.is_position:
         return _worst_reading(errors)
-    table = averaged(of_errors(fit, IDENTIFICATION, errors))
+    table = average_poses(pose_table_of_errors(fit, IDENTIFICATION, errors))
     row = int(np.nanargmax(np.linalg.norm(table.error("after"), axis=1)))
     shown = error_scale("length") * table.measured[row]
     place = ", ".join(f"{axis} {value:.0f}" for axis, value in zip("xyz", shown, strict=True))

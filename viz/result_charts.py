@@ -115,7 +115,7 @@ def waterfall(fit: Fit) -> Chart | None:
     )
 
 
-def worth(fit: Fit) -> Chart | None:
+def file_worth_chart(fit: Fit) -> Chart | None:
     """Return how far off each kind of file is: RMS and 95 % limit."""
     grid = files_grid(fit)
     if grid is None:

@@ -12,7 +12,7 @@ import scipy
 from calib import Fit, Robot
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.units import DISPLAY_UNIT, PER_SI
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.fitting.error_sets import STATES
 from calib.core.results.sections.noise import instrument_blocks
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
@@ -21,11 +21,11 @@ from viz.drive import Drive, drive_of
 from viz.geometry import read_shapes
 from viz.instrument_shapes import instrument_shapes, wires
 from viz.judgement import Judgement
-from viz.judgement import of_fit as judgement_of_fit
+from viz.judgement import judgement_of_fit as judgement_of_fit
 from viz.pose_sources import from_fit
 from viz.poses import PoseTable, empty, rows_shown
 from viz.reading_errors import ReadingErrors
-from viz.reading_errors import of_fit as readings_of_fit
+from viz.reading_errors import reading_errors_of_fit as readings_of_fit
 from viz.remarks import NO_REMARKS, Remarks, fit_remarks
 from viz.shapes import Shape
 from viz.surroundings import surrounding_shapes
@@ -40,7 +40,7 @@ _TURN, _RISE = 0.65, 0.33  # first camera: from beside the points and from above
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class SceneView:
     """A first look at the scene. Its frame has the measurement frame's origin, but stands upright like the root link.
 
     Attributes:
@@ -74,13 +74,13 @@ class OtherErrors:
     sets: tuple[tuple[str, tuple[float, float], tuple[float, float]], ...]
 
     @property
-    def of(self) -> str:
+    def instrument(self) -> str:
         """The instrument; of several how many, such as `3 instruments`."""
-        return self.instruments[0] if len(self.instruments) == 1 else counted(len(self.instruments), "instrument")
+        return self.instruments[0] if len(self.instruments) == 1 else count_noun(len(self.instruments), "instrument")
 
 
 @dataclass(frozen=True)
-class Joint:
+class ViewerJoint:
     """How the panel names an actuated joint: its name, unit, and how many of the unit make one SI unit."""
 
     name: str
@@ -89,7 +89,7 @@ class Joint:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class ViewerScene:
     """Everything a viewer shows. Lengths in m, angles in rad, points in the measurement frame.
 
     Attributes:
@@ -111,15 +111,15 @@ class Scene:
         view: First camera.
         drive: How the robot is moved by hand.
         notes: What the user should know about the picture, and is warned of.
-        told: What its numbers are, where they could be mistaken for others.
+        uncertainty_notes: Sentences on the frame of its numbers, where they could be mistaken for others.
         remarks: What the measurement files say about themselves.
         verdict: Verdict on the fit, if there is one.
-        map: What is known over the workspace, if that was asked for.
+        map: What is known over the workspace, if requested.
         others: Errors of what is read beside positions, each in its unit.
     """
 
     title: str
-    joints: tuple[Joint, ...]
+    joints: tuple[ViewerJoint, ...]
     shapes: tuple[Shape, ...]
     decorations: tuple[Shape, ...]
     bodies: Bodies
@@ -132,10 +132,10 @@ class Scene:
     n_readings: int
     vector_factors: tuple[dict[str, float], ...]
     ghost_factor: float
-    view: View
+    view: SceneView
     drive: Drive
     notes: tuple[str, ...]
-    told: tuple[str, ...]
+    uncertainty_notes: tuple[str, ...]
     remarks: Remarks
     verdict: Judgement | None = None
     map: WorkspaceMap | None = None
@@ -160,12 +160,21 @@ class Scene:
         return (len(self.poses) if self.shows_poses else 0) + sum(map(len, self.readings))
 
 
-def scene_of_fit(fit: Fit, judgement: Judgement | None = None) -> Scene:
+def scene_of_fit(fit: Fit, judgement: Judgement | None = None) -> ViewerScene:
     """Return the scene of a fit, with a verdict that is known, or its own."""
-    verdict, told = judgement or judgement_of_fit(fit), fit.told_positions.notes
-    said, others = fit_remarks(fit), other_errors(fit.nominal, instrument_blocks(fit), fit.errors)
+    verdict, notes = judgement or judgement_of_fit(fit), fit.reported_uncertainty.notes
+    comments, others = fit_remarks(fit), other_errors(fit.nominal, instrument_blocks(fit), fit.errors)
     table, readings = from_fit(fit), readings_of_fit(fit)
-    return build_scene(fit.placed, fit.robot, table, readings, verdict=verdict, told=told, comments=said, others=others)
+    return build_scene(
+        fit.placed,
+        fit.robot,
+        table,
+        readings,
+        verdict=verdict,
+        uncertainty_notes=notes,
+        comments=comments,
+        others=others,
+    )
 
 
 def build_scene(
@@ -176,10 +185,10 @@ def build_scene(
     *,
     verdict: Judgement | None = None,
     notes: tuple[str, ...] = (),
-    told: tuple[str, ...] = (),
+    uncertainty_notes: tuple[str, ...] = (),
     comments: Remarks = NO_REMARKS,
     others: tuple[OtherErrors, ...] = (),
-) -> Scene:
+) -> ViewerScene:
     """Return the scene of a robot and its poses.
 
     Args:
@@ -189,7 +198,7 @@ def build_scene(
         readings: Errors of readings that are no positions.
         verdict: Verdict on the fit.
         notes: What to warn of beside what the URDF's shapes give reason to.
-        told: What numbers are.
+        uncertainty_notes: Sentences on the frame of the numbers.
         comments: What the measurement files say about themselves.
         others: Errors of what is read beside positions.
 
@@ -199,7 +208,7 @@ def build_scene(
     table = empty(nominal) if poses is None else poses
     rows = rows_shown(table)
     kept = tuple(errors.subset(errors.rows_shown()) for errors in readings)
-    shown, pose_of_row = _shown(table.joints[rows] if len(table) else nominal.home[None, :], kept)
+    shown, pose_of_row = _shown_joints(table.joints[rows] if len(table) else nominal.home[None, :], kept)
     solid_robot = nominal if calibrated is None else calibrated
     bodies = bodies_of(solid_robot)
     solid = posed_robot(solid_robot, bodies, shown)
@@ -226,8 +235,8 @@ def build_scene(
     longest = _LONGEST_TIP * size
     tips = np.concatenate([_tips(*drawn, factor, longest) for drawn, factor in zip(every, factors, strict=True)])
     around = np.concatenate([view.outline, tips @ view.upright.T])
-    moved = float("nan") if ghost is None else _moved(bodies, solid, ghost)
-    return Scene(
+    moved = float("nan") if ghost is None else _typical_motion(bodies, solid, ghost)
+    return ViewerScene(
         nominal.name,
         joints_of(nominal),
         shapes,
@@ -245,7 +254,7 @@ def build_scene(
         replace(view, outline=_outline(around, *_box(around))),
         drive_of(solid_robot, bodies, shown),
         (*notes, *shape_notes),
-        told,
+        uncertainty_notes,
         comments,
         verdict,
         others=others,
@@ -287,11 +296,11 @@ def _sizes(errors: Mapping[str, Any]) -> tuple[tuple[str, tuple[float, float], t
     return tuple((name, ends(off["before"]), ends(off["after"])) for name, off in errors.items())
 
 
-def joints_of(robot: Robot) -> tuple[Joint, ...]:
+def joints_of(robot: Robot) -> tuple[ViewerJoint, ...]:
     """Return how the actuated joints of a robot are named and counted."""
     dimensions = robot.mechanism.dimensions
     return tuple(
-        Joint(name, DISPLAY_UNIT[dimensions[name]], PER_SI[dimensions[name]][DISPLAY_UNIT[dimensions[name]]])
+        ViewerJoint(name, DISPLAY_UNIT[dimensions[name]], PER_SI[dimensions[name]][DISPLAY_UNIT[dimensions[name]]])
         for name in robot.joint_names
     )
 
@@ -305,7 +314,7 @@ def nice_factor(typical: float, longest: float) -> float:
     return float(max(step * decade for step in _NICE if step * decade <= ratio * (1 + 1e-9)))
 
 
-def _moved(bodies: Bodies, solid: PosedRobot, ghost: PosedRobot) -> float:
+def _typical_motion(bodies: Bodies, solid: PosedRobot, ghost: PosedRobot) -> float:
     """Return how far apart the links of two robots typically are: median over poses of the farthest link [m]."""
     some = slice(None, None, max(1, len(solid.values) // 20))
     difference = (bodies.poses(ghost, some) - bodies.poses(solid, some))[..., :3, 3]
@@ -320,7 +329,7 @@ def _typical(vectors: FloatArray) -> float:
     return float(np.median(known)) if len(known) else float("nan")
 
 
-def _shown(joints: FloatArray, readings: tuple[ReadingErrors, ...]) -> tuple[FloatArray, tuple[IntArray, ...]]:
+def _shown_joints(joints: FloatArray, readings: tuple[ReadingErrors, ...]) -> tuple[FloatArray, tuple[IntArray, ...]]:
     """Joints to pose the robots in, (n, n_actuated): those of points first; and which of them each reading is of."""
     numbers: dict[bytes, int] = {}
     for number, row in enumerate(joints):
@@ -351,7 +360,7 @@ def _tips(places: FloatArray, arrows: dict[str, FloatArray], factors: dict[str, 
 
 def _view(
     bodies: Bodies, solid: PosedRobot, shapes: tuple[Shape, ...], decorations: tuple[Shape, ...], table: PoseTable
-) -> View:
+) -> SceneView:
     """Look from the side where the points are, from slightly above, so that they stand before the robot."""
     R = bodies.poses(solid, 0)[0, :3, :3].T
     number = {name: body for body, name in enumerate(bodies.names)}
@@ -371,7 +380,9 @@ def _view(
         if np.linalg.norm(away) > 1e-3 * np.linalg.norm(high - low):
             forward = np.append(away / np.linalg.norm(away), 0.0)
     turned = np.cos(_TURN) * forward + np.sin(_TURN) * np.cross([0.0, 0.0, 1.0], forward)
-    return View(R, low, high, _outline(everything, low, high), np.append(np.cos(_RISE) * turned[:2], np.sin(_RISE)))
+    return SceneView(
+        R, low, high, _outline(everything, low, high), np.append(np.cos(_RISE) * turned[:2], np.sin(_RISE))
+    )
 
 
 def _outline(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

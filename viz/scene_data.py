@@ -18,7 +18,7 @@ from viz.bodies import Bodies, PosedRobot
 from viz.drawing import body_path, draw
 from viz.poses import COLLIDES, EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, PLANNED, VALIDATION, WORST
 from viz.reading_errors import ReadingErrors
-from viz.scene import OtherErrors, Scene, nice_factor
+from viz.scene import OtherErrors, ViewerScene, nice_factor
 from viz.workspace_map import WorkspaceMap
 
 _COLOURS = "viridis"  # even in lightness, and told apart with any colour vision
@@ -36,7 +36,7 @@ _EXACT = 1e-12  # [SI]: smallest range of colours, where nothing is wrong anywhe
 _MOST_AXES = 3  # of a part of readings
 
 
-def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
+def scene_data(scene: ViewerScene, *, live: bool = False) -> dict[str, Any]:
     """Return the scene as the page's script reads it; arrays as base64, unknown numbers as NaN inside these."""
     bodies, table, shown = scene.bodies, scene.poses, scene.shown
     n_kept, n = sum(map(len, scene.readings)), scene.n_readings
@@ -44,7 +44,12 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
     return {
         "title": scene.title,
         "live": live,
-        "notes": [*scene.told, *scene.notes, *_of_left_out(len(shown), len(table)), *_of_left_out(n_kept, n)],
+        "notes": [
+            *scene.uncertainty_notes,
+            *scene.notes,
+            *_left_out_notes(len(shown), len(table)),
+            *_left_out_notes(n_kept, n),
+        ],
         "remarks": scene.remarks.to_dict(),
         "verdict": None if scene.verdict is None else scene.verdict.to_dict(),
         "groups": [{"name": name, "short": _SHORT[name], "mark": _MARKS[name]} for name in GROUPS],
@@ -53,8 +58,8 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
         "bodies": _bodies(scene.bodies),
         "body_paths": [body_path(scene, body) for body in range(len(bodies.names))],
         "frames": [{"body": body, "name": bodies.names[body]} for body in names],
-        "solid": _posed(scene.solid),
-        "ghost": None if scene.ghost is None else _posed(scene.ghost),
+        "solid": _posed_data(scene.solid),
+        "ghost": None if scene.ghost is None else _posed_data(scene.ghost),
         "drive": scene.drive.to_dict(),
         "commands": [base64.b64encode(command).decode() for command in draw(scene)],
         "n_decorations": len(scene.decorations),
@@ -70,14 +75,14 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
         "summary": summary(scene),
         "others": [
             {
-                "of": other.of,
+                "of": other.instrument,
                 "several": len(other.instruments) > 1,
                 "part": other.part,
                 "unit": other.unit,
                 "sets": [
                     {"group": name, "before": list(before), "after": list(after)} for name, before, after in other.sets
                 ],
-                "space": in_space(scene, other),
+                "space": mean_distances(scene, other),
             }
             for other in scene.others
         ],
@@ -99,7 +104,7 @@ def _bodies(bodies: Bodies) -> dict[str, Any]:
     }
 
 
-def summary(scene: Scene) -> list[dict[str, Any]]:
+def summary(scene: ViewerScene) -> list[dict[str, Any]]:
     """Return count, root mean square and largest error [mm] of each group, before and after calibration where known."""
     rows = []
     group = np.array(scene.poses.group)
@@ -116,7 +121,7 @@ def summary(scene: Scene) -> list[dict[str, Any]]:
     return rows
 
 
-def certainty(scene: Scene) -> dict[str, Any]:
+def certainty(scene: ViewerScene) -> dict[str, Any]:
     """Return how sure the numbers are [mm]; None where not known.
 
     Returns:
@@ -170,7 +175,7 @@ def colours() -> NDArray[np.uint8]:
     return table
 
 
-def point_radius(scene: Scene) -> float:
+def point_radius(scene: ViewerScene) -> float:
     """Return a radius [m] at which points are easy to see and rarely hide each other."""
     size = float(np.linalg.norm(scene.view.high - scene.view.low))
     anchors = np.concatenate([rows.anchors for rows in rows_of(scene)])
@@ -187,7 +192,7 @@ def point_pixels(count: int) -> float:
     return float(np.clip(_POINT_PIXELS[1] * np.sqrt(_FEW_POINTS / max(count, 1)), *_POINT_PIXELS))
 
 
-def _places(scene: Scene) -> FloatArray:
+def _places(scene: ViewerScene) -> FloatArray:
     """Where each point stands: measured, or else as well predicted as known."""
     table = scene.poses
     predicted = np.where(np.isfinite(table.after), table.after, table.before)
@@ -195,7 +200,7 @@ def _places(scene: Scene) -> FloatArray:
     return places
 
 
-def _of_left_out(shown: int, n: int) -> list[str]:
+def _left_out_notes(shown: int, n: int) -> list[str]:
     if shown == n:
         return []
     return [
@@ -204,7 +209,7 @@ def _of_left_out(shown: int, n: int) -> list[str]:
     ]
 
 
-def rows_of(scene: Scene) -> list[ReadingErrors]:
+def rows_of(scene: ViewerScene) -> list[ReadingErrors]:
     """The rows that the page has, part by part: points first, as the readings that they are."""
     if not scene.shows_poses:
         return list(scene.readings)
@@ -217,8 +222,8 @@ def rows_of(scene: Scene) -> list[ReadingErrors]:
     return [points, *scene.readings]
 
 
-def _parts(scene: Scene) -> list[dict[str, Any]]:
-    """What the page shows errors of: names, units, ends of the colours in these units, first enlargements."""
+def _parts(scene: ViewerScene) -> list[dict[str, Any]]:
+    """Parts whose errors the page shows: names, units, colour limits in these units, first enlargements."""
     factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
     parts = []
     for rows, enlargements in zip(rows_of(scene), factors, strict=True):
@@ -241,7 +246,7 @@ def _parts(scene: Scene) -> list[dict[str, Any]]:
     return parts
 
 
-def in_space(scene: Scene, other: OtherErrors) -> list[float] | None:
+def mean_distances(scene: ViewerScene, other: OtherErrors) -> list[float] | None:
     """Return the RMS distance [mm] of points before and after, of readings that see points and have another unit.
 
     Those of the validation are counted if there are any; None for other readings.
@@ -263,7 +268,7 @@ def in_space(scene: Scene, other: OtherErrors) -> list[float] | None:
     return None
 
 
-def _table(scene: Scene) -> dict[str, Any]:
+def _table(scene: ViewerScene) -> dict[str, Any]:
     """All rows of the page, points first. Arrows in m, or in rad of turns.
 
     Of readings that are no positions there are sizes and components of errors, too, in the unit of their part; those of
@@ -313,7 +318,7 @@ def _components(errors: ReadingErrors, state: str) -> FloatArray:
     return components
 
 
-def _map(scene: Scene, known: WorkspaceMap) -> dict[str, Any]:
+def _map(scene: ViewerScene, known: WorkspaceMap) -> dict[str, Any]:
     """The map; how many times its ellipsoids are enlarged at first is such that typical ones can be seen."""
     size = float(np.linalg.norm(scene.view.high - scene.view.low))
     longest = np.linalg.norm(known.half_axes, axis=1).max(axis=1, initial=0.0)
@@ -339,7 +344,7 @@ def _span(values: FloatArray) -> list[float]:
     return [float(known.min()), max(float(known.max()), _EXACT)] if len(known) else [0.0, _EXACT]
 
 
-def _posed(robot: PosedRobot) -> dict[str, Any]:
+def _posed_data(robot: PosedRobot) -> dict[str, Any]:
     return {
         "placements": robot.placements[:, :3].reshape(-1, 12).tolist(),
         "stretches": robot.stretches[:, :3].reshape(-1, 12).tolist(),

@@ -13,7 +13,7 @@ from calib.core.base.units import PER_SI
 from calib.planning.assessment import Assessment
 from calib.planning.selection import Selection
 from calib.planning.selection_problem import TASK
-from viz.svg import BLUE, GREY, ORANGE, new_figure, plain_ticks, styled, svg_file
+from viz.svg import BLUE, GREY, ORANGE, new_figure, plain_ticks, svg_file, with_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,7 +22,7 @@ _MM = PER_SI["length"]["mm"]
 _MARKS = ("-", "--", ":", "-.")
 
 
-@styled
+@with_style
 def assessment_figures(assessment: Assessment) -> dict[str, bytes]:
     """Return singular values with the gap, correlations, and predicted accuracy against number of poses."""
     return {
@@ -32,7 +32,7 @@ def assessment_figures(assessment: Assessment) -> dict[str, bytes]:
     }
 
 
-@styled
+@with_style
 def selection_figures(selection: Selection) -> dict[str, bytes]:
     """Return the index over the exchanges."""
     return {"index.svg": svg_file(index_history(selection))}
@@ -63,7 +63,7 @@ def correlations(assessment: Assessment) -> Figure:
     size = max(4.0, 0.17 * len(names) + 1.8)
     figure, (axes,) = new_figure(1, 1, (size + 0.8, size))
     figure.set_layout_engine("constrained")  # for the bar of colours
-    image = axes.imshow(assessment.known.correlations(), cmap="RdBu_r", vmin=-1, vmax=1)
+    image = axes.imshow(assessment.posterior_information.correlations(), cmap="RdBu_r", vmin=-1, vmax=1)
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
     axes.set_yticks(range(len(names)), names, fontsize=7)
     axes.grid(visible=False)

@@ -111,7 +111,7 @@ def mesh(
     )
 
 
-def thinned(vertices: FloatArray, faces: IntArray, most: int) -> tuple[FloatArray, IntArray]:
+def thin(vertices: FloatArray, faces: IntArray, most: int) -> tuple[FloatArray, IntArray]:
     """Return a mesh with at most `most` faces: vertices that share a cell of a grid, as fine as fits, become one.
 
     Args:

@@ -48,21 +48,21 @@ def _shape(name: str, body: str, section: ShapeSection, colour: Colour, plane: f
     T = rigid(section.xyz, section.rpy).homogeneous
     if isinstance(section, ObstacleSection) and section.plane:
         thick = plane / 500
-        return primitive(name, body, "box", (plane, plane, thick), T @ _lowered(thick / 2), colour)
+        return primitive(name, body, "box", (plane, plane, thick), T @ _lower(thick / 2), colour)
     if section.kind == "mesh":
-        return replace(_loaded(name, body, section), T_body_shape=T, colour=colour)
+        return replace(_load_shape(name, body, section), T_body_shape=T, colour=colour)
     size = getattr(section, section.kind)
     kind = cast(Literal["box", "cylinder", "sphere"], section.kind)
     return primitive(name, body, kind, size if isinstance(size, tuple) else (size,), T, colour)
 
 
-def _lowered(depth: float) -> Any:
+def _lower(depth: float) -> Any:
     T = np.eye(4)
     T[2, 3] = -depth
     return T
 
 
-def _loaded(name: str, body: str, section: ShapeSection) -> Shape:
+def _load_shape(name: str, body: str, section: ShapeSection) -> Shape:
     import trimesh
 
     try:

@@ -44,7 +44,7 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-def styled(draw: Callable[_Arguments, _Drawn]) -> Callable[_Arguments, _Drawn]:
+def with_style(draw: Callable[_Arguments, _Drawn]) -> Callable[_Arguments, _Drawn]:
     """Draw and write with our style, and put matplotlib's settings back afterwards."""
 
     @functools.wraps(draw)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from calib.core.base.files import write_file
 from calib.core.base.version import VERSION
-from viz.scene import Scene
+from viz.scene import ViewerScene
 from viz.scene_data import scene_data
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ _SCRIPTS = (
 
 
 @dataclass(frozen=True)
-class Page:
+class ViewerPage:
     """A finished page.
 
     Attributes:
@@ -93,10 +93,10 @@ def viewer_scripts() -> tuple[str, str]:
     """Return the scripts of a viewer's page: meshcat's, and its own."""
     folder = files("viz") / "templates"
     scripts = "\n".join((folder / name).read_text(encoding="utf-8").replace('"use strict";\n', "") for name in _SCRIPTS)
-    return in_script(meshcat_script()[0]), in_script('"use strict";\n' + scripts)
+    return script_safe(meshcat_script()[0]), script_safe('"use strict";\n' + scripts)
 
 
-def scene_page(scene: Scene, *, live: bool = False, report: str = "", embedded: bool = False) -> Page:
+def scene_page(scene: ViewerScene, *, live: bool = False, report: str = "", embedded: bool = False) -> ViewerPage:
     """Return the viewer page of a scene.
 
     Args:
@@ -124,7 +124,7 @@ def scene_page(scene: Scene, *, live: bool = False, report: str = "", embedded: 
             scene=json_in_script(scene_data(scene, live=live)),
         )
     )
-    return Page(text)
+    return ViewerPage(text)
 
 
 def meshcat_script() -> tuple[str, str]:
@@ -138,7 +138,7 @@ def meshcat_script() -> tuple[str, str]:
     )
 
 
-def in_script(code: str) -> str:
+def script_safe(code: str) -> str:
     """Return code that cannot end the script element that holds it, with line ends as browsers read them."""
     return code.replace("\r\n", "\n").replace("\r", "\n").replace("</script", "<\\/script").replace("<!--", "<\\!--")
 

@@ -20,7 +20,7 @@ import scipy
 from calib import Robot
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.numerics import linalg
-from viz.poses import Calibrated, PoseTable
+from viz.poses import PoseTable, PredictingRobot
 
 SEED = 1
 _ELLIPSOIDS = 40  # at most: more hide the robot
@@ -30,7 +30,7 @@ _FLAT = 0.01  # a hull whose extent along an axis is a smaller part of its large
 
 @dataclass(frozen=True, eq=False)
 class WorkspaceMap(ReadOnlyArrays):
-    """What is known over the workspace. Positions are in the measurement frame.
+    """Errors and uncertainty over the workspace. Positions are in the measurement frame.
 
     Attributes:
         places: Predicted positions, (n, 3) [m].
@@ -51,7 +51,7 @@ class WorkspaceMap(ReadOnlyArrays):
     half_axes: FloatArray
 
 
-def workspace_map(calibrated: Calibrated, nominal: Robot, table: PoseTable, count: int) -> WorkspaceMap:
+def workspace_map(calibrated: PredictingRobot, nominal: Robot, table: PoseTable, count: int) -> WorkspaceMap:
     """Return what is known over the workspace.
 
     Args:
@@ -68,20 +68,20 @@ def workspace_map(calibrated: Calibrated, nominal: Robot, table: PoseTable, coun
     if measured_too:
         q = np.concatenate([q, robot.sample(measured_too, SEED, within=table.joints)])
     known = calibrated.predict(q)
-    located = known.positions[:, robot.located]
+    located = known.positions[:, robot.reported_targets]
     before = np.full_like(located, np.nan)
     closes = nominal.close(q).ok
     if np.any(closes):
-        before[closes] = nominal.positions(q[closes])[:, robot.located]
+        before[closes] = nominal.positions(q[closes])[:, robot.reported_targets]
     places = located.reshape(-1, 3)
     measured = table.measured[np.isfinite(table.measured).all(axis=1)]
-    inside, edges = _within_hull(measured, places)
+    inside, edges = _are_within_hull(measured, places)
     low, high = (end(table.joints, axis=0) for end in (np.min, np.max)) if len(table) else (np.inf, -np.inf)
     centres, half_axes = _ellipsoids(calibrated, table)
     return WorkspaceMap(
         places,
         np.linalg.norm(before - located, axis=2).ravel(),
-        known.located.ravel(),
+        known.reported_distance.ravel(),
         inside & np.repeat(np.all((q >= low) & (q <= high), axis=1), located.shape[1]),
         edges,
         centres,
@@ -89,7 +89,7 @@ def workspace_map(calibrated: Calibrated, nominal: Robot, table: PoseTable, coun
     )
 
 
-def _within_hull(points: FloatArray, places: FloatArray) -> tuple[BoolArray, FloatArray]:
+def _are_within_hull(points: FloatArray, places: FloatArray) -> tuple[BoolArray, FloatArray]:
     """Which places (m, 3) lie in the hull of points (n, 3), or in their outline where these lie in a plane; its edges.
 
     Returns:
@@ -112,7 +112,7 @@ def _within_hull(points: FloatArray, places: FloatArray) -> tuple[BoolArray, Flo
     return hull.find_simplex((places - middle) @ axes.T) >= 0, points[np.unique(pairs, axis=0)]
 
 
-def _ellipsoids(calibrated: Calibrated, table: PoseTable) -> tuple[FloatArray, FloatArray]:
+def _ellipsoids(calibrated: PredictingRobot, table: PoseTable) -> tuple[FloatArray, FloatArray]:
     """Centres (m, 3) and half axes as columns (m, 3, 3) at poses spread over the table."""
     if not len(table):
         return np.zeros((0, 3)), np.zeros((0, 3, 3))

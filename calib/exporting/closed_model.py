@@ -25,7 +25,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import urdf_of_origins
 from calib.core.robots.urdf.links import possible_inertia, read_links
 from calib.core.robots.urdf.text import HELD_TYPES, UrdfText, parse_urdf
-from calib.core.robots.urdf.writing import quoted
+from calib.core.robots.urdf.writing import quote_attribute
 from calib.exporting.gap import Gap, free_joints, loop_gaps, require_small
 
 _FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6
@@ -68,7 +68,7 @@ class ClosedModel:
     """A robot for a simulator.
 
     Attributes:
-        urdf: Calibrated URDF, with free joints added where they were asked for.
+        urdf: Calibrated URDF, with free joints added where requested.
         home: Value of every moving joint in an assembled configuration [m or rad].
         actuated: Joints with a motor.
         inertia: Inertia that each motor feels at home, loops closed, the other motors at rest [kg or kg m^2].
@@ -133,7 +133,7 @@ def home_values(robot: Robot) -> dict[str, float]:
 def link_poses(urdf: UrdfText, values: dict[str, float]) -> dict[str, pin.SE3]:
     """Return the pose of every link in the root link; joints that `values` does not name are at zero."""
     poses = {urdf.root: pin.SE3.Identity()}
-    for joint in urdf.outwards:
+    for joint in urdf.joints_from_root:
         motion = joint_motion(joint.type, joint.axis, values.get(joint.name, 0.0))
         poses[joint.child] = poses[joint.parent] * rigid(joint.xyz, joint.rpy) * motion
     return poses
@@ -215,11 +215,11 @@ def _free_joint(name: str, parent: str, axis: str, slides: bool) -> str:
     kind = "prismatic" if slides else "continuous"
     limit = f'lower="-{_SLIDE_LIMIT}" upper="{_SLIDE_LIMIT}" ' if slides else ""
     vector = " ".join("1" if axis == other else "0" for other in "xyz")
-    child = quoted(f"{name}_link")
+    child = quote_attribute(f"{name}_link")
     moments = " ".join(f'i{a}{b}="{_FREE_INERTIA if a == b else 0}"' for a, b in ("xx", "xy", "xz", "yy", "yz", "zz"))
     return (
-        f'  <joint name={quoted(name)} type="{kind}">\n'
-        f"    <parent link={quoted(parent)}/>\n    <child link={child}/>\n"
+        f'  <joint name={quote_attribute(name)} type="{kind}">\n'
+        f"    <parent link={quote_attribute(parent)}/>\n    <child link={child}/>\n"
         f'    <axis xyz="{vector}"/>\n    <limit {limit}effort="0" velocity="10"/>\n  </joint>\n'
         f"  <link name={child}>\n"
         f'    <inertial><mass value="{_FREE_MASS}"/><inertia {moments}/></inertial>\n  </link>'

@@ -10,9 +10,9 @@ import click
 from calib.core.base.units import millimetres
 from calib.core.commands.common import (
     Output,
+    failure_lines,
     folder_of_values,
-    loaded,
-    said_of_failure,
+    load_robot,
     shared_options,
     values_options,
     with_values,
@@ -80,10 +80,10 @@ def command(
 ) -> None:
     """Write ROBOT (YAML description, URDF or result folder), nominal or calibrated, for other programs."""
     file_format = file_format or format_of(out)
-    model = with_values(loaded(robot, output), parameters, result)
+    model = with_values(load_robot(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
     lines = _origin_of_values(parameters, result) if provenance or file_format in LANGUAGES else None
-    if failed := said_of_failure(output, result, out):
+    if failed := failure_lines(output, result, out):
         lines = [*(lines or []), *failed]
     notes: list[str] = []
     relative = _relative_meshes(model.urdf)  # before anything is written: it may refuse a broken shape

@@ -17,12 +17,12 @@ import yaml
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
-from calib.core.base.words import listed
+from calib.core.base.words import listing
 from calib.core.data.dh_files import format_dh
 from calib.core.data.table_writing import format_table
 from calib.core.results.urdf import comment, numbers, provenance_lines, source_lines
-from calib.core.robots.file_formats import FormatFile, compared
-from calib.core.robots.held import Holds
+from calib.core.robots.accuracy_of_files import Holds
+from calib.core.robots.file_formats import FormatFile, error_comparison
 from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.denavit_hartenberg import Convention, DhRow, Kind, dh_table
 from calib.exporting.joint_zeros import joint_zeros
@@ -93,13 +93,13 @@ def _chain_text(robot: Robot, chain: SerialChain) -> str:
     held = f"holds the {len(chain.joints)} joints from {chain.base} to {chain.tip}"
     missing = [name for name in robot.joint_names if name not in [joint.name for joint in chain.joints]]
     if missing:
-        held += f", not {listed(missing)} beside them"
+        held += f", not {listing(missing)} beside them"
     return held + _terms_text(robot)
 
 
 def _terms_text(robot: Robot) -> str:
     joints = list(dict.fromkeys(term.joint for term in robot.terms))
-    return f", no joint terms (of {listed(joints)})" if joints else ""
+    return f", no joint terms (of {listing(joints)})" if joints else ""
 
 
 def _tool_text(chain: SerialChain) -> str:
@@ -210,11 +210,11 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     if known is None:
         q, where = judging_poses(robot)
         zeros = joint_zeros(robot, q, fitted=_FITTED)
-        left, before = (Remainder.of(distances, where) for distances in (zeros.left, zeros.before))
+        left, before = (Remainder.from_distances(distances, where) for distances in (zeros.left, zeros.before))
         reached = f"{left.text()}; the nominal model without them has {millimetres(before.rms):.4g} mm RMS"
         signs, offsets = zeros.signs, zeros.offsets
     else:
-        left, reached = None, compared(robot, Holds.ZEROS)
+        left, reached = None, error_comparison(robot, Holds.ZEROS)
         signs, offsets = known.signs, known.offsets
     statement = f"holds one zero and a sign for each joint{anew}: {reached}"
     lines = [

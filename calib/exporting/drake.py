@@ -16,7 +16,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.results.urdf import comment, numbers, provenance_lines, with_inserted
 from calib.core.robots.urdf.links import element_tree
 from calib.core.robots.urdf.text import parse_urdf
-from calib.core.robots.urdf.writing import quoted
+from calib.core.robots.urdf.writing import quote_attribute
 from calib.exporting.closed_model import ClosedModel, Marker, Tie, servo_gains, tie_lines
 
 NAMESPACE = "http://drake.mit.edu"
@@ -50,8 +50,8 @@ def _points(tie: Tie) -> list[FloatArray]:
 def _ball(tie: Tie, point: FloatArray) -> str:
     on_b = tie.placement.act(point)
     return (
-        f"  <drake:ball_constraint>\n    <drake:ball_constraint_body_A name={quoted(tie.a)}/>\n"
-        f"    <drake:ball_constraint_body_B name={quoted(tie.b)}/>\n"
+        f"  <drake:ball_constraint>\n    <drake:ball_constraint_body_A name={quote_attribute(tie.a)}/>\n"
+        f"    <drake:ball_constraint_body_B name={quote_attribute(tie.b)}/>\n"
         f'    <drake:ball_constraint_p_AP value="{numbers(point)}"/>\n'
         f'    <drake:ball_constraint_p_BQ value="{numbers(on_b)}"/>\n  </drake:ball_constraint>'
     )
@@ -60,7 +60,7 @@ def _ball(tie: Tie, point: FloatArray) -> str:
 def _frame(marker: Marker) -> str:
     rpy = pin.rpy.matrixToRpy(marker.placement.rotation)
     return (
-        f"  <frame name={quoted(marker.name)} link={quoted(marker.link)}"
+        f"  <frame name={quote_attribute(marker.name)} link={quote_attribute(marker.link)}"
         f' xyz="{numbers(marker.placement.translation)}" rpy="{numbers(rpy)}"/>'
     )
 
@@ -79,10 +79,10 @@ def _transmissions(model: ClosedModel) -> list[str]:
 def _transmission(name: str, inertia: float) -> str:
     stiffness, damping = servo_gains(inertia)
     return (
-        f"  <transmission name={quoted(name + '_transmission')}>\n"
+        f"  <transmission name={quote_attribute(name + '_transmission')}>\n"
         "    <type>transmission_interface/SimpleTransmission</type>\n"
-        f"    <joint name={quoted(name)}/>\n"
-        f"    <actuator name={quoted(name)}>"
+        f"    <joint name={quote_attribute(name)}/>\n"
+        f"    <actuator name={quote_attribute(name)}>"
         f'<drake:controller_gains p="{stiffness!r}" d="{damping!r}"/></actuator>\n'
         "  </transmission>"
     )

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import Format, FormatFile
-from calib.core.robots.held import Holds
 from calib.core.robots.robot import Robot
 from calib.exporting.functions.languages import COMMENTS, LANGUAGES, why_none
 

@@ -8,15 +8,15 @@ from pathlib import Path
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.files import check_file, check_folder, write_files, write_folder
 from calib.core.results.urdf import urdf_bytes, with_mesh_prefix
-from calib.core.robots.file_formats import formats, held_of, loses, robot_for, said_of
-from calib.core.robots.held import Holds
+from calib.core.robots.accuracy_of_files import Holds
+from calib.core.robots.file_formats import formats, held_of, loses, remarks_on_file, robot_for
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.exporting.closed_model import closed_model
 from calib.exporting.drake import drake_bytes
 from calib.exporting.functions.languages import LANGUAGES, function_file
 from calib.exporting.gap import Gap, loop_gaps
-from calib.exporting.joint_tables import beside_tables, joint_table_files, require_own_terms
+from calib.exporting.joint_tables import joint_table_files, lost_by_tables, require_own_terms
 from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 
@@ -49,7 +49,7 @@ def export(
     """Write a robot with its current values for another program.
 
     The file gets the best robot that its format holds: if it has no place for joint terms, the robot that a fit found
-    to be best without them (`calib.core.robots.held`).
+    to be best without them (`calib.core.robots.accuracy_of_files`).
 
     Args:
         robot: The robot.
@@ -102,10 +102,10 @@ def export(
     for file in {urdf, path}:
         check_file(file, inputs=sources, force=force)
     holds = held_of(robot, format)
-    held, said = robot_for(robot, format, force=force), said_of(robot, holds)
-    lines: list[str] | None = [*said, *(provenance or ())]
+    held, remarks = robot_for(robot, format, force=force), remarks_on_file(robot, holds)
+    lines: list[str] | None = [*remarks, *(provenance or ())]
     if loses(robot, holds):
-        for line in said:
+        for line in remarks:
             note(line)
     elif provenance is None and format in _UNTOUCHED:
         lines = None
@@ -121,10 +121,10 @@ def _write_tables(
 ) -> None:
     check_folder(path, force=force)
     require_own_terms(robot)
-    held, said = robot_for(robot, JOINT_TABLES, force=force), said_of(robot, Holds.TABLES)
-    left = beside_tables(robot)
-    files = joint_table_files(held, [*said, *left, *provenance])
-    for line in [*(said if loses(robot, Holds.TABLES) else ()), *left]:
+    held, remarks = robot_for(robot, JOINT_TABLES, force=force), remarks_on_file(robot, Holds.TABLES)
+    left = lost_by_tables(robot)
+    files = joint_table_files(held, [*remarks, *left, *provenance])
+    for line in [*(remarks if loses(robot, Holds.TABLES) else ()), *left]:
         note(line)
     write_folder(path, files, inputs=(robot.urdf.path, robot.path), force=force)
 

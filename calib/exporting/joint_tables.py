@@ -8,8 +8,8 @@ is known.
 
 Only errors that depend on the joint's own command fit into a table. What else the model has (backlash, compliance,
 bending, drift) is left out, and said with its size. The tables, and the joint origins that go with them, are then those
-that a fit found to be best without it (`calib.core.robots.held`); the URDF with these origins lies beside the tables.
-Tables and the origins of another file do not go together.
+that a fit found to be best without it (`calib.core.robots.accuracy_of_files`); the URDF with these origins lies beside
+the tables. Tables and the origins of another file do not go together.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import InputError
 from calib.core.base.units import Dimension, quantity_text
-from calib.core.base.words import listed
+from calib.core.base.words import listing
 from calib.core.data.table_writing import format_table
 from calib.core.results.urdf import urdf_bytes
-from calib.core.robots.held import Holds
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.joint_errors import actual_joints, columns_of_terms
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import without_terms
@@ -79,13 +79,13 @@ def require_own_terms(robot: Robot) -> None:
         )
 
 
-def beside_tables(robot: Robot) -> list[str]:
+def lost_by_tables(robot: Robot) -> list[str]:
     """Return what of a robot no table can hold, with its size, one line each."""
     left, start = [], robot.coefficients.start
     for term in robot.terms:
         indices = slice(start, start := start + len(term.parameters))
         if not Holds.TABLES.keeps(term):
-            left.append(_left_out(robot, indices, term))
+            left.append(_remark_on_rest(robot, indices, term))
     return left
 
 
@@ -114,11 +114,11 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
     return JointTable(joint, dimension, commands, actual(commands))
 
 
-def _left_out(robot: Robot, indices: slice, term: JointTerm) -> str:
+def _remark_on_rest(robot: Robot, indices: slice, term: JointTerm) -> str:
     """Say what of a joint's error is not in its table."""
     dimension = robot.mechanism.dimensions[term.joint]
     size = quantity_text(float(np.max(np.abs(robot.values[indices]))), dimension)
-    depends_on = listed([condition.words for condition in term.depends_on])
+    depends_on = listing([condition.words for condition in term.depends_on])
     remainder = f"{size} {term.per}".rstrip()
     return f"{term.joint}: {term.cause} is not in the table, because it depends on {depends_on}: {remainder} remains"
 
@@ -134,7 +134,7 @@ def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, byte
         InputError: See `joint_tables`.
     """
     tables = joint_tables(robot)
-    said = [f"joint correction tables of {robot.name} ({robot.path}); linear between the rows", *lines]
+    header = [f"joint correction tables of {robot.name} ({robot.path}); linear between the rows", *lines]
     columns: list[tuple[str, Sequence[object]]] = [
         ("joint", [table.joint for table in tables for _ in table.commands]),
         ("unit", [_SI[table.dimension] for table in tables for _ in table.commands]),
@@ -142,6 +142,6 @@ def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, byte
         ("actual", [float(value) for table in tables for value in table.actual]),
     ]
     return {
-        "joint_tables.csv": format_table(columns, said).encode(),
+        "joint_tables.csv": format_table(columns, header).encode(),
         "joint_tables.urdf": urdf_bytes(robot, ["joint origins that go with joint_tables.csv", *lines]),
     }

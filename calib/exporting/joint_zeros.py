@@ -20,7 +20,7 @@ from calib.core.data.measurements import Measurements
 from calib.core.fitting.fit import fit_data
 from calib.core.fitting.settings import Settings
 from calib.core.instruments.position import Position, PositionSection
-from calib.core.robots.held import Holds
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import without_terms
@@ -58,8 +58,8 @@ def joint_zeros(robot: Robot, q: FloatArray, *, fitted: float = 1.0) -> JointZer
     positions = robot.positions(q)
     actual = actual_joints(robot, q, term_columns(robot, q))[:, : q.shape[1]]
     signs = np.where(np.sum((q - q.mean(axis=0)) * (actual - actual.mean(axis=0)), axis=0) < 0, -1.0, 1.0)
-    reading = tuple(Position.of(name, PositionSection(kind="position")) for name in robot.target_names)
-    plain = replace(without_terms(robot, Holds.ZEROS).at_nominal(), instruments=reading)
+    reading = tuple(Position.from_section(name, PositionSection(kind="position")) for name in robot.target_names)
+    plain = replace(without_terms(robot, Holds.ZEROS).with_nominal_values(), instruments=reading)
     some = np.flatnonzero(plain.close(signs * q).ok)[: int(np.ceil(fitted * len(q)))]
     found = fit_data(with_zeros(plain), Settings(sigma=_EXACT), _read(plain, signs * q[some], positions[some])).robot
     offsets = found.values[found.coefficients]

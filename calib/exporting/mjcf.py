@@ -31,7 +31,7 @@ from calib.core.robots.mechanism import rigid
 from calib.core.robots.urdf.links import Inertial, Link, possible_inertia, read_links
 from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint
 from calib.exporting.closed_model import ClosedModel, joint_motion, servo_gains, tie_lines
-from calib.exporting.mjcf_shapes import Shapes, add_surroundings, placed
+from calib.exporting.mjcf_shapes import MjcfShapes, add_surroundings, pose_attributes
 
 TIE_SOFTNESS = {"solref": "-1000000 -1000", "solimp": "0.999 0.999 0.001 0.5 2"}
 """MuJoCo's softness of the ties: stiffness [1/s^2] and damping [1/s] per effective mass, and impedance (1 is rigid)."""
@@ -80,7 +80,7 @@ class _Writer:
         self.model = model
         self.links = read_links(model.urdf)
         self.remarks: list[str] = []
-        self.shapes = Shapes(model.robot.urdf.path, path)
+        self.shapes = MjcfShapes(model.robot.urdf.path, path)
         self.children: dict[str, list[UrdfJoint]] = {link: [] for link in model.urdf.links}
         for joint in model.urdf.joints:
             self.children[joint.parent].append(joint)
@@ -129,7 +129,7 @@ class _Writer:
         self.shapes.add(element, link, [np.asarray(joint.xyz, dtype=float) for joint in self.children[name]])
         for marker in self.model.markers:
             if marker.link == name:
-                body = SubElement(element, "body", {"name": marker.name, **placed(marker.placement)})
+                body = SubElement(element, "body", {"name": marker.name, **pose_attributes(marker.placement)})
                 SubElement(body, "site", name=f"{marker.name}_site", size="0.005")
         for joint in self.children[name]:
             self._body(element, joint)
@@ -138,7 +138,7 @@ class _Writer:
         moving = joint.type not in HELD_TYPES
         value = self.model.home[joint.name] if moving else 0.0
         placement = rigid(joint.xyz, joint.rpy) * joint_motion(joint.type, joint.axis, value)
-        body = SubElement(parent, "body", {"name": joint.child, **placed(placement)})
+        body = SubElement(parent, "body", {"name": joint.child, **pose_attributes(placement)})
         if moving:
             attributes = {
                 "name": joint.name,
@@ -192,8 +192,8 @@ class _Writer:
         pairs = {
             tuple(sorted((link, other)))
             for tie in self.model.ties
-            for link in self._welded(tie.a)
-            for other in self._welded(tie.b)
+            for link in self._fixed_links(tie.a)
+            for other in self._fixed_links(tie.b)
             if link != other
         }
         for link, other in sorted(pairs):
@@ -214,7 +214,7 @@ class _Writer:
     def _body_name(self, link: str) -> str:
         return WORLD if link == "world" else link
 
-    def _welded(self, name: str) -> set[str]:
+    def _fixed_links(self, name: str) -> set[str]:
         """Links that are fixed to a link, itself included."""
         welded, waiting = {name}, [name]
         held = [joint for joint in self.model.urdf.joints if joint.type in HELD_TYPES]

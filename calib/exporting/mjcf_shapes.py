@@ -17,14 +17,14 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.results.urdf import numbers
-from calib.core.robots.urdf.links import Link, Shape, find_mesh
+from calib.core.robots.urdf.links import Link, LinkShape, find_mesh
 
 _MAX_FACES = 200_000  # of a binary STL file, MuJoCo's limit
 _GREY = (0.6, 0.6, 0.6, 1.0)
 _ROD = 0.06  # radius of a rod over its length
 
 
-class Shapes:
+class MjcfShapes:
     """Writes geoms and collects the mesh files that they need.
 
     Args:
@@ -69,12 +69,12 @@ class Shapes:
                 where = {"fromto": numbers((0.0, 0.0, 0.0, *end)), "size": numbers([_ROD * length])}
                 SubElement(body, "geom", {"type": "capsule", **where, "rgba": numbers(_GREY), "mass": "0", **role})
 
-    def _geom(self, body: Element, shape: Shape, role: dict[str, str]) -> bool:
+    def _geom(self, body: Element, shape: LinkShape, role: dict[str, str]) -> bool:
         """Add one shape; return whether it could be read."""
         if shape.kind != "mesh" and min(shape.size) <= 0:
             self.remarks.append(f"{shape.kind} of size zero at {body.get('name')} left out; MuJoCo refuses it")
             return True
-        common = {**placed(shape.placement), "mass": "0", **role}  # a link weighs what its <inertial> says
+        common = {**pose_attributes(shape.placement), "mass": "0", **role}  # a link weighs what its <inertial> says
         if shape.kind == "mesh":
             parts = self._files_of(shape)
             for file, own_colour in parts:
@@ -91,7 +91,7 @@ class Shapes:
         SubElement(body, "geom", {"type": shape.kind, "size": size, **colour, **common})
         return True
 
-    def _files_of(self, shape: Shape) -> list[tuple[Path, tuple[float, ...]]]:
+    def _files_of(self, shape: LinkShape) -> list[tuple[Path, tuple[float, ...]]]:
         """Files that MuJoCo can read for a mesh, and the colours that they bring; without any, a remark says why."""
         path = find_mesh(shape.file, self.urdf_path)
         if path is None:
@@ -181,7 +181,7 @@ def add_surroundings(world: Element, points: FloatArray) -> None:
     SubElement(world, "geom", {"name": "floor", **floor})
 
 
-def placed(placement: pin.SE3) -> dict[str, str]:
+def pose_attributes(placement: pin.SE3) -> dict[str, str]:
     """Return `pos` and `quat` of a pose; each is left out where it is zero."""
     result = {}
     if np.any(placement.translation):

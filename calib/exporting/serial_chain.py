@@ -61,7 +61,7 @@ def serial_chain(robot: Robot, mechanism: Mechanism) -> SerialChain:
     tip = link_of(robot.urdf, description.targets[target.name].frame)
     joints: list[UrdfJoint] = []
     links = [pin.SE3.Identity()]
-    for joint in _way(robot.urdf, base, tip):
+    for joint in _joint_path(robot.urdf, base, tip):
         index = mechanism.origin_names.index(joint.name)
         links[-1] = links[-1] * mechanism.placement(joint.name)
         if joint.name in robot.joint_names:
@@ -79,7 +79,7 @@ def serial_chain(robot: Robot, mechanism: Mechanism) -> SerialChain:
     return SerialChain(base, tip, tuple(joints), tuple(links), mechanism.model.jointPlacements[target.b].copy())
 
 
-def _way(urdf: UrdfText, base: str, tip: str) -> list[UrdfJoint]:
+def _joint_path(urdf: UrdfText, base: str, tip: str) -> list[UrdfJoint]:
     parent = {joint.child: joint for joint in urdf.joints}
     way: list[UrdfJoint] = []
     link = tip
@@ -96,7 +96,7 @@ def _way(urdf: UrdfText, base: str, tip: str) -> list[UrdfJoint]:
 
 @dataclass(frozen=True)
 class Remainder:
-    """What a format leaves of a robot's accuracy.
+    """Errors that remain in a format.
 
     Attributes:
         rms, largest: Distance of the target [m].
@@ -112,7 +112,7 @@ class Remainder:
     where: str
 
     @classmethod
-    def of(cls, distances: FloatArray, where: str, angle: float = np.nan) -> Remainder:
+    def from_distances(cls, distances: FloatArray, where: str, angle: float = np.nan) -> Remainder:
         """Return what is left, from the distances of targets (n_poses, ...) [m]."""
         rms, largest = float(np.sqrt(np.mean(distances**2))), float(np.max(distances))
         return cls(rms, largest, angle, len(distances), where)
@@ -165,4 +165,4 @@ def remainder(robot: Robot, chain: SerialChain, forward: Callable[[FloatArray], 
     distance = np.linalg.norm(((T_format - T_robot) @ point)[:, :3], axis=1)
     turned = np.linalg.norm(T_format[:, :3, :3] - T_robot[:, :3, :3], axis=(1, 2)) / np.sqrt(8)  # sin(angle / 2)
     angle = float(np.max(2 * np.arcsin(np.minimum(turned, 1.0))))
-    return Remainder.of(distance, where, angle)
+    return Remainder.from_distances(distance, where, angle)

@@ -37,7 +37,7 @@ def calibrated_description(robot: Robot, urdf_name: str) -> Description:
         listed = dict.fromkeys((*mechanism.actuated, *mechanism.passive, *description.home))
         changes["home"] = {name: moving[name] for name in listed}
     base = mechanism.targets[0].a
-    if _moved(robot, base):
+    if _has_moved(robot, base):
         placement = mechanism.model.jointPlacements[base].inverse()  # the description has the link in the base
         rpy = tuple(float(angle) for angle in pin.rpy.matrixToRpy(placement.rotation))
         changes["base"] = description.base.model_copy(
@@ -46,7 +46,7 @@ def calibrated_description(robot: Robot, urdf_name: str) -> Description:
     targets = {}
     for target in mechanism.targets:
         targets[target.name] = description.targets[target.name]
-        if _moved(robot, target.b):
+        if _has_moved(robot, target.b):
             point = mechanism.model.jointPlacements[target.b].translation
             place = tuple(float(value) for value in point)
             targets[target.name] = targets[target.name].model_copy(update={"xyz": place})
@@ -80,7 +80,7 @@ def toolbox_yaml(robot: Robot, urdf_name: str, provenance: Sequence[str] = ()) -
     return (header + text).encode("utf-8")
 
 
-def _moved(robot: Robot, index: int) -> bool:
+def _has_moved(robot: Robot, index: int) -> bool:
     before, after = robot.nominal.model.jointPlacements[index], robot.mechanism.model.jointPlacements[index]
     return not np.array_equal(before.homogeneous, after.homogeneous)
 

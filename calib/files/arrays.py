@@ -33,7 +33,7 @@ def numpy_columns(file: SomeFile) -> dict[str, Sequence[object]]:
 def mat5_columns(file: SomeFile) -> dict[str, Sequence[object]]:
     """Return the columns of a MATLAB file of version 5; for errors see `numpy_columns`."""
     try:
-        return _columns(file, _unfolded(scipy.io.loadmat(io.BytesIO(_content(file)), simplify_cells=True)))
+        return _columns(file, _flatten(scipy.io.loadmat(io.BytesIO(_content(file)), simplify_cells=True)))
     except (ValueError, OSError, TypeError, NotImplementedError) as error:
         raise _unreadable(file, error) from None
 
@@ -58,11 +58,11 @@ def mat73_columns(file: SomeFile) -> dict[str, Sequence[object]]:
         raise _unreadable(file, error) from None
 
 
-def _unfolded(arrays: Mapping[str, Any], start: str = "") -> dict[str, Any]:
+def _flatten(arrays: Mapping[str, Any], start: str = "") -> dict[str, Any]:
     """Arrays in structures, by names with what they are in."""
     result: dict[str, Any] = {}
     for name, value in arrays.items():
-        result |= _unfolded(value, f"{start}{name}_") if isinstance(value, dict) else {f"{start}{name}": value}
+        result |= _flatten(value, f"{start}{name}_") if isinstance(value, dict) else {f"{start}{name}": value}
     return result
 
 
@@ -92,11 +92,11 @@ def _columns(file: SomeFile, arrays: Mapping[str, Any]) -> dict[str, Sequence[ob
         if array.ndim == 3 and array.shape[2] == most:
             array = np.moveaxis(array, 2, 0)
         if array.shape[0] == most:
-            columns |= _named(name, array)
+            columns |= _name_columns(name, array)
     return columns
 
 
-def _named(name: str, array: np.ndarray) -> dict[str, Sequence[object]]:
+def _name_columns(name: str, array: np.ndarray) -> dict[str, Sequence[object]]:
     """Columns of one array, (n, ...)."""
     if array.ndim == 1:
         return {name: array.tolist()}

@@ -47,14 +47,14 @@ def _numbers(cells: Sequence[str]) -> int:
     return sum(bool(_NUMBER.fullmatch(cell)) for cell in cells)
 
 
-def _joined(cells: Sequence[str]) -> str:
+def _join_cells(cells: Sequence[str]) -> str:
     """A line of a table: with semicolons where cells have commas."""
     mark = ";" if any("," in cell for cell in cells) else ","
     return mark.join(cells)
 
 
 def _comment(line: str) -> str | None:
-    """What a comment says; None: it is none."""
+    """Text of a comment; None if the line is no comment."""
     mark = next((mark for mark in _MARKS if line.lstrip().startswith(mark)), None)
     return None if mark is None else line.lstrip()[len(mark) :].strip()
 
@@ -74,10 +74,10 @@ def _header_in_comment(file: SomeFile) -> tuple[int, list[str]] | None:
     if _numbers(cells_of(lines[row])) < n - 4:
         return None
     for k in range(row - 1, -1, -1):
-        said = _comment(lines[k])
-        if not said:
+        comment = _comment(lines[k])
+        if not comment:
             continue
-        cells = cells_of(said)
+        cells = cells_of(comment)
         named = len(cells) >= 2 and not _numbers(cells) and n - 2 <= len(cells) <= n
         return (k, cells) if named and all(cells) and len(cells) > n / 2 else None
     return None
@@ -109,8 +109,8 @@ def commented_header_lines(file: SomeFile) -> list[str]:
     return [
         mark.join(names)
         if k == header
-        else f"# {said}"
-        if (said := _comment(line)) is not None
+        else f"# {comment}"
+        if (comment := _comment(line)) is not None
         else mark.join(cells_of(line))
         for k, line in enumerate(lines)
     ]
@@ -154,7 +154,7 @@ def numbered_lines(file: SomeFile) -> list[str]:
     """Return the lines below a header of numbers from 1."""
     rows = [line for line in file.lines if line.strip() and _comment(line) is None]
     width = len(cells_of(rows[0])) if rows else 0
-    return [",".join(str(k + 1) for k in range(width)), *(_joined(cells_of(row)) for row in rows)]
+    return [",".join(str(k + 1) for k in range(width)), *(_join_cells(cells_of(row)) for row in rows)]
 
 
 def _axes_line(file: SomeFile) -> int | None:
@@ -198,7 +198,7 @@ def _with_header(lines: Sequence[str], first: int, header: Sequence[str]) -> lis
     for line in lines[first:]:
         cells = cells_of(line)
         whole = len(cells) == width and _numbers(cells) > 0
-        rows.append(_joined(cells) if whole else f"# {line}" if line.strip() else "")
+        rows.append(_join_cells(cells) if whole else f"# {line}" if line.strip() else "")
     return [*(f"# {line}" for line in lines[: first - 1]), ",".join(header), *rows]
 
 

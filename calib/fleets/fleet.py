@@ -14,7 +14,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArra
 from calib.core.base.errors import DataError, InputError, nearest
 from calib.core.base.files import write_files
 from calib.core.base.parameter import Parameter
-from calib.core.base.words import as_data, counted, distinct_names, listed, plain_text, text_table
+from calib.core.base.words import as_data, count_noun, distinct_names, listing, plain_text, text_table
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.results.comparing_results import geometry
 from calib.core.results.loaded_result import LoadedResult
@@ -23,7 +23,7 @@ from calib.core.robots.description import description_yaml
 from calib.core.robots.fleet_prior import FleetSection
 from calib.core.robots.robot import Robot
 from calib.fleets.hierarchy import Hierarchy, Likeness, learn_without_odd
-from calib.fleets.shared_parameters import section_of, shared_parameters, told_of, without_fleet
+from calib.fleets.shared_parameters import evidence_of_fit, section_of, shared_parameters, without_fleet
 from calib.fleets.ur_files import is_calibration, result_of_calibration
 
 _WIDTH = 118
@@ -63,13 +63,13 @@ class Member:
     p_value: float
     unlike: tuple[tuple[str, float], ...]
 
-    def said(self) -> str:
+    def sentence(self) -> str:
         """Say whether it is like the others."""
         if np.isnan(self.p_value):
             return "not tested"
         if not self.odd:
             return "like the others"
-        words = listed([f"{name} ({away:+.0f} sigma)" for name, away in self.unlike[:_NAMED]])
+        words = listing([f"{name} ({away:+.0f} sigma)" for name, away in self.unlike[:_NAMED]])
         return f"UNLIKE the others: {words or 'in many parameters a little'}"
 
 
@@ -104,7 +104,7 @@ class Fleet(ReadOnlyArrays):
 
     def __repr__(self) -> str:
         odd = [member.name for member in self.members if member.odd]
-        ending = f"; unlike the others: {listed(odd)}" if odd else ""
+        ending = f"; unlike the others: {listing(odd)}" if odd else ""
         return f"<fleet of {len(self.members)} robots '{self.robot.name}', {len(self.parameters)} parameters{ending}>"
 
     def __str__(self) -> str:
@@ -126,8 +126,8 @@ class Fleet(ReadOnlyArrays):
         for member in (self.members[k] for k in some):
             off = "-" if np.isnan(member.together) else f"{member.together:.2f}"
             chance = "-" if np.isnan(member.p_value) else f"{member.p_value:.2g}"
-            robots.add_row(member.name, member.verdict, str(member.n_poses), off, chance, member.said())
-        others = _hidden(len(self.members) - len(some), "robot", "are more like the others")
+            robots.add_row(member.name, member.verdict, str(member.n_poses), off, chance, member.sentence())
+        others = _hidden_count_lines(len(self.members) - len(some), "robot", "are more like the others")
         heads = ("parameter", "unit", "expected +-", "mean - nominal", "+-", "spread", "robots showing it")
         table, away = text_table(heads, ("parameter", "unit"), plain=True), self.mean - self.nominal
         shown = range(len(away)) if verbose else _first(-np.abs(away) / self.mean_std)
@@ -135,17 +135,17 @@ class Fleet(ReadOnlyArrays):
             parameter, numbers = self.parameters[k], (away[k], self.mean_std[k], self.spread[k])
             cells = [f"{round(float(number) * parameter.per_si, 4) + 0.0:.4f}" for number in numbers]
             table.add_row(parameter.name, parameter.unit, f"{parameter.sigma:.4g}", *cells, f"{self.shown[k]:.1f}")
-        less = _hidden(len(away) - len(shown), "parameter", "differ less clearly from nominal")
-        said = ("\n" + self.conclusion(), *self.notes)
-        return plain_text([robots, *others, "", table, *less, *said], _WIDTH, wrap=True)
+        less = _hidden_count_lines(len(away) - len(shown), "parameter", "differ less clearly from nominal")
+        ending = ("\n" + self.conclusion(), *self.notes)
+        return plain_text([robots, *others, "", table, *less, *ending], _WIDTH, wrap=True)
 
     def conclusion(self) -> str:
         """Return in a sentence what was learned."""
         odd = [member.name for member in self.members if member.odd]
         spread = np.median(self.spread / np.array([p.sigma_si for p in self.parameters]))
-        left = f" Left out as unlike the others: {listed(odd)}." if odd else ""
+        left = f" Left out as unlike the others: {listing(odd)}." if odd else ""
         return (
-            f"{counted(len(self.members) - len(odd), 'robot')} show what to expect of the next one: parameters"
+            f"{count_noun(len(self.members) - len(odd), 'robot')} show what to expect of the next one: parameters"
             f" differ from robot to robot by {spread:.2g} times what the description expects (median).{left}"
         )
 
@@ -198,8 +198,8 @@ def _first(order: FloatArray, always: BoolArray | Literal[False] = False) -> lis
     return [int(k) for k in np.flatnonzero((rank < _SCREEN) | always)]
 
 
-def _hidden(count: int, noun: str, why: str) -> list[str]:
-    return [f"{counted(count, f'more {noun}')} {why}: --verbose prints them"] if count else []
+def _hidden_count_lines(count: int, noun: str, why: str) -> list[str]:
+    return [f"{count_noun(count, f'more {noun}')} {why}: --verbose prints them"] if count else []
 
 
 def urdf_beside(path: Path | str) -> Path:
@@ -223,7 +223,7 @@ def fleet(*results: Path | str) -> Fleet:
         ComputationError: A result failed, and was not forced.
     """
     if len(results) < 2:
-        raise InputError(f"{counted(len(results), 'result')} given; give those of two or more robots of one model")
+        raise InputError(f"{count_noun(len(results), 'result')} given; give those of two or more robots of one model")
     if len({Path(result).resolve() for result in results}) < len(results):
         raise InputError("a result folder is given twice; give each robot once")
     if not any(is_calibration(result) for result in results):
@@ -259,17 +259,17 @@ def _as_folder(result: Path | str, folder: Path) -> Path:
 def _fleet(folders: Sequence[Path]) -> Fleet:
     loaded = [load_result(folder) for folder in folders]
     robots = [result.robot for result in loaded]
-    shared = _shared(robots, folders)
+    shared = _shared_parameters(robots, folders)
     _require_different(loaded)
-    told = []
+    evidence = []
     for result in loaded:
         known, freedom = result.uncertainty, float(result.content["degrees_of_freedom"])
-        told.append(told_of(result.robot, known.free, known.covariance, freedom, shared))
-    learned, odd, compared = learn_without_odd(told, _kinds(robots[0], shared))
+        evidence.append(evidence_of_fit(result.robot, known.free, known.covariance, freedom, shared))
+    learned, odd, compared = learn_without_odd(evidence, _kinds(robots[0], shared))
     like = [result for k, result in enumerate(loaded) if k not in odd]
-    section = section_of(learned, len(like), shared, _confirmed(like))
+    section = section_of(learned, len(like), shared, _confirmed_freedom(like))
     scales, nominal = np.array([p.sigma_si for p in shared]), np.array([p.nominal_si for p in shared])
-    values, stds = _of_each(loaded, learned, odd, shared)
+    values, stds = _values_of_each(loaded, learned, odd, shared)
     return Fleet(
         _with_fleet(robots[0], section),
         tuple(
@@ -288,8 +288,8 @@ def _fleet(folders: Sequence[Path]) -> Fleet:
     )
 
 
-def _shared(robots: Sequence[Robot], folders: Sequence[Path]) -> tuple[Parameter, ...]:
-    """What the robots share; an error where they are not of one model, or were not fitted alike."""
+def _shared_parameters(robots: Sequence[Robot], folders: Sequence[Path]) -> tuple[Parameter, ...]:
+    """Shared parameters of the robots; an error where they are not of one model, or were not fitted alike."""
     first = shared_parameters(robots[0])
     names = [p.name for p in first]
     if not names:
@@ -318,7 +318,7 @@ def _require_different(results: Sequence[LoadedResult]) -> None:
         for other in range(k):
             if readings & used[other]:
                 raise DataError(
-                    f"{results[k].path}: used {counted(len(readings & used[other]), 'reading')} of"
+                    f"{results[k].path}: used {count_noun(len(readings & used[other]), 'reading')} of"
                     f" {results[other].path}: both are of one robot; give each robot once"
                 )
 
@@ -340,11 +340,11 @@ def _term(parameter: Parameter) -> str:
 
 
 def _with_fleet(robot: Robot, section: FleetSection) -> Robot:
-    bare = without_fleet(robot).at_nominal()
+    bare = without_fleet(robot).with_nominal_values()
     return replace(bare, files={}, description=bare.description.model_copy(update={"fleet": section}))
 
 
-def _of_each(
+def _values_of_each(
     results: Sequence[LoadedResult],
     learned: Hierarchy,
     odd: Sequence[int],
@@ -384,7 +384,7 @@ def _member(
     return Member(name, folder, grade, n_poses, odd, compared.together, compared.p_value(), named)
 
 
-def _confirmed(results: Sequence[LoadedResult]) -> float:
+def _confirmed_freedom(results: Sequence[LoadedResult]) -> float:
     """With how many degrees of freedom results confirm the noise that is stated; 0 where they contradict it."""
     contents = [result.content for result in results]
     stated = [content for content in contents if content.get("sigma_stated") and content["sigma"] is not None]
@@ -402,7 +402,7 @@ def _notes(folders: Sequence[Path], results: Sequence[LoadedResult], odd: Sequen
     for grade, why in _UNPROVEN.items():
         names = [name for name, verdict in grades if verdict == grade]
         if names:
-            notes.append(f"Verdict {grade}: {listed(names)}; {why}")
+            notes.append(f"Verdict {grade}: {listing(names)}; {why}")
     if len(folders) - len(odd) < 5:
         notes.append("Spreads of fewer than five robots are uncertain, so the prior of the next robot is wide.")
     if len(folders) == 2:

@@ -34,7 +34,7 @@ So one wrong result changes nothing, and does not hide behind the spread that it
 
 When it fails. Half of the results wrong; two results alone, of which none can be told to be unlike; spreads that go
 together (all links of a robot longer): they are counted as independent, and combinations of them as narrower than they
-are; spreads of a kind that differ tenfold, told by three results: in one fleet of ten an honest one is called unlike.
+are; spreads of a kind that differ tenfold, from three results: in one fleet of ten an honest one is called unlike.
 
 Reference: patterson1971; gelman2006 for the weight of spreads that few things tell.
 """
@@ -61,8 +61,8 @@ _SHOWN = 0.1  # part of what is expected of a parameter, given the others, that 
 
 
 @dataclass(frozen=True, eq=False)
-class Told(ReadOnlyArrays):
-    """What one result tells of its parameters, scaled.
+class FleetEvidence(ReadOnlyArrays):
+    """Estimate of scaled parameters by the data of one result alone.
 
     Attributes:
         precision: H, (n, n).
@@ -121,7 +121,9 @@ class Likeness(ReadOnlyArrays):
         return float(min(1.0, len(chances) * min(chances))) if chances else np.nan
 
 
-def told_by(covariance: FloatArray, u: FloatArray, prior: FloatArray, mean: FloatArray, freedom: float) -> Told:
+def evidence_of_data(
+    covariance: FloatArray, u: FloatArray, prior: FloatArray, mean: FloatArray, freedom: float
+) -> FleetEvidence:
     """Return what the data alone say of parameters, from an estimate that had a prior: C^-1 less the prior.
 
     Args:
@@ -136,10 +138,10 @@ def told_by(covariance: FloatArray, u: FloatArray, prior: FloatArray, mean: Floa
     kept = axes[:, sizes > _NOTHING]
     shrunk = max(freedom - 2.0, 1.0) / max(freedom, 3.0)
     pull = kept @ (kept.T @ (inverse @ u - prior @ mean))
-    return Told(shrunk * (kept * sizes[sizes > _NOTHING]) @ kept.T, shrunk * pull)
+    return FleetEvidence(shrunk * (kept * sizes[sizes > _NOTHING]) @ kept.T, shrunk * pull)
 
 
-def learn(results: Sequence[Told], kinds: IntArray, start: FloatArray | None = None) -> Hierarchy:
+def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray | None = None) -> Hierarchy:
     """Learn mean and spread; see the module docstring.
 
     Args:
@@ -150,10 +152,10 @@ def learn(results: Sequence[Told], kinds: IntArray, start: FloatArray | None = N
     n, n_kinds = len(kinds), int(np.max(kinds)) + 1
     variance = np.full(n, 0.1) if start is None else start.copy()
     members = [kinds == kind for kind in range(n_kinds)]
-    mean, covariance, estimates, spreads = _given(results, variance)
+    mean, covariance, estimates, spreads = _estimate_given_variance(results, variance)
     seen: FloatArray = np.zeros(n)
     for _ in range(_ROUNDS):
-        mean, covariance, estimates, spreads = _given(results, variance)
+        mean, covariance, estimates, spreads = _estimate_given_variance(results, variance)
         seen = np.sum(np.maximum(1.0 - spreads / variance, 0.0), axis=0)
         squares = np.sum(estimates**2, axis=0)
         typical = np.empty(n)
@@ -175,7 +177,9 @@ def learn(results: Sequence[Told], kinds: IntArray, start: FloatArray | None = N
     )
 
 
-def _given(results: Sequence[Told], variance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _estimate_given_variance(
+    results: Sequence[FleetEvidence], variance: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """m, V, and of each result d_i and the diagonal of C_i, given the variances t^2."""
     n = len(variance)
     inner = [_inner(result, variance) for result in results]
@@ -192,19 +196,19 @@ def _given(results: Sequence[Told], variance: FloatArray) -> tuple[FloatArray, F
     return mean, covariance, estimates, spreads
 
 
-def _inner(result: Told, variance: FloatArray) -> FloatArray:
+def _inner(result: FleetEvidence, variance: FloatArray) -> FloatArray:
     """A of the module docstring, (n, n)."""
     return np.asarray(np.linalg.inv(result.precision + np.diag(1.0 / variance)))
 
 
-def _with_mean(result: Told, variance: FloatArray, covariance: FloatArray) -> FloatArray:
+def _with_mean(result: FleetEvidence, variance: FloatArray, covariance: FloatArray) -> FloatArray:
     """Variance of m + d_i given the variances t^2, (n,)."""
     inner = _inner(result, variance)
     left = inner / variance  # I - A H
     return np.asarray(np.diag(inner) + np.sum((left @ covariance) * left, axis=1))
 
 
-def likeness(result: Told, mean: FloatArray, expected: FloatArray, freedom: FloatArray) -> Likeness:
+def likeness(result: FleetEvidence, mean: FloatArray, expected: FloatArray, freedom: FloatArray) -> Likeness:
     """Compare a result with what others, learned without it, lead to expect.
 
     Args:
@@ -235,12 +239,12 @@ def likeness(result: Told, mean: FloatArray, expected: FloatArray, freedom: Floa
     return Likeness(distances, p_values, float(np.sqrt(together)), chance)
 
 
-def _compared(result: Told, others: Hierarchy) -> Likeness:
+def _compare(result: FleetEvidence, others: Hierarchy) -> Likeness:
     return likeness(result, others.mean, np.diag(others.variance) + others.covariance, others.freedom)
 
 
 def learn_without_odd(
-    results: Sequence[Told], kinds: IntArray
+    results: Sequence[FleetEvidence], kinds: IntArray
 ) -> tuple[Hierarchy, tuple[int, ...], tuple[Likeness | None, ...]]:
     """Learn from all results that are not unlike the others.
 
@@ -260,7 +264,7 @@ def learn_without_odd(
         compared: list[Likeness | None] = []
         for i in indices:
             rest = [results[k] for k in kept if k != i]
-            compared.append(_compared(results[i], learn(rest, kinds, start)) if len(rest) > 1 else None)
+            compared.append(_compare(results[i], learn(rest, kinds, start)) if len(rest) > 1 else None)
         p = np.array([np.nan if likeness is None else likeness.p_value() for likeness in compared])
         p[odd] = np.nan
         worst = int(np.nanargmin(p)) if np.any(np.isfinite(p)) else -1

@@ -20,7 +20,7 @@ from calib.core.numerics import linalg
 from calib.core.robots.fleet_prior import FleetParameter, FleetSection
 from calib.core.robots.robot import Robot
 from calib.core.rows.unknowns import Unknowns
-from calib.fleets.hierarchy import Hierarchy, Told, told_by
+from calib.fleets.hierarchy import FleetEvidence, Hierarchy, evidence_of_data
 
 _SMALL = 1e-3  # variance of the mean along a combination, over that of the spread, that is not worth a column
 
@@ -43,7 +43,9 @@ def shared_parameters(robot: Robot) -> tuple[Parameter, ...]:
     )
 
 
-def told_of(robot: Robot, free: BoolArray, covariance: FloatArray, freedom: float, shared: Sequence[Parameter]) -> Told:
+def evidence_of_fit(
+    robot: Robot, free: BoolArray, covariance: FloatArray, freedom: float, shared: Sequence[Parameter]
+) -> FleetEvidence:
     """Return what the data of a fit tell, scaled by the sigmas of `shared`.
 
     Args:
@@ -53,18 +55,20 @@ def told_of(robot: Robot, free: BoolArray, covariance: FloatArray, freedom: floa
         freedom: Degrees of freedom of the noise.
         shared: Which parameters.
     """
-    unknowns = Unknowns.of(robot, free)
+    unknowns = Unknowns.from_robot(robot, free)
     index = np.array([unknowns.names.index(p.name) for p in shared], dtype=np.intp)
     scales, nominal = _scales(shared)
-    prior, mean = unknowns.prior.only(index), (unknowns.expected[index] - nominal) / scales
+    prior, mean = unknowns.prior.select(index), (unknowns.expected[index] - nominal) / scales
     factor = scales / unknowns.scales[index]
-    precision = factor[:, None] * prior.added_to(np.zeros((len(index), len(index)))) * factor
+    precision = factor[:, None] * prior.add_to(np.zeros((len(index), len(index)))) * factor
     values = robot.values[[index_of(robot.parameters, p.name) for p in shared]]
     block = covariance[np.ix_(index, index)] / scales[:, None] / scales
-    return told_by(block, (values - nominal) / scales, precision, mean, freedom)
+    return evidence_of_data(block, (values - nominal) / scales, precision, mean, freedom)
 
 
-def expected_by(fleet: FleetSection, robot: Robot, shared: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
+def expectation_of_fleet(
+    fleet: FleetSection, robot: Robot, shared: Sequence[Parameter]
+) -> tuple[FloatArray, FloatArray]:
     """Return what a fleet leads to expect of parameters that it knows: mean (n,) and covariance (n, n), scaled."""
     scales, nominal = _scales(shared)
     parameters = fleet.expected(shared, robot.path)
@@ -88,16 +92,16 @@ def section_of(
         noise_freedom=noise_freedom,
         parameters={
             p.name: FleetParameter(
-                offset=_rounded(learned.mean[k] * scales[k], 12),
+                offset=_round(learned.mean[k] * scales[k], 12),
                 spread=float(f"{spread[k] * scales[k]:.6g}"),
-                unsure=tuple(_rounded(number, 6) for number in unsure[k]),
+                unsure=tuple(_round(number, 6) for number in unsure[k]),
             )
             for k, p in enumerate(shared)
         },
     )
 
 
-def _rounded(number: float, digits: int) -> float:
+def _round(number: float, digits: int) -> float:
     return round(float(number), digits) + 0.0  # no -0.0
 
 

@@ -38,7 +38,7 @@ _SURE = 0.99  # part of the draws in which the claim holds
 
 @dataclass(frozen=True, eq=False)
 class Agreement(ReadOnlyArrays):
-    """What residuals say.
+    """Agreement of robot and pairs, by the residuals.
 
     Attributes:
         ratio: Sum of squares over the largest of all draws: at most 1 where rounding explains them.
@@ -88,14 +88,14 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
     residuals = fit.rows.residuals * scale[:, 0]
     residuals = residuals - jacobian @ (C[:, len(C) - more.shape[1] :] @ (more.T @ residuals))
     all_r = np.vstack([e - d @ jacobian.T, residuals]).reshape(_DRAWS + 1, n, 6)
-    predicted = _by_the_others(jacobian, C, all_r)
+    predicted = _leave_one_out_residuals(jacobian, C, all_r)
     lengths = np.linalg.norm(predicted, axis=2)
     sums = np.stack([np.sum(all_r**2, axis=(1, 2)), np.sum(lengths**2, axis=1)])
     whiten = whitening.flatten({name: np.tile(np.eye(6), (n, 1, 1))}).reshape(n, 6, 6)
     left_out = np.linalg.solve(whiten, predicted[-1][..., None])[:, :3, 0]
     moved = np.linalg.norm(np.einsum("vik,dvk->dvi", rounding[:, :3], w), axis=2)
     size = _ALLOWANCE * float(np.sqrt(max(1.0, sums[0, -1] / np.mean(sums[0, :-1]))))
-    errors = _elsewhere(fit, d[:, : fit.rows.jacobian.shape[1]])
+    errors = _error_elsewhere(fit, d[:, : fit.rows.jacobian.shape[1]])
     return Agreement(
         float(np.max(sums[:, -1] / np.max(sums[:, :-1], axis=1))),
         lengths[-1] / np.max(lengths[:-1]),
@@ -107,14 +107,14 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
     )
 
 
-def _by_the_others(jacobian: FloatArray, C: FloatArray, r: FloatArray) -> FloatArray:
+def _leave_one_out_residuals(jacobian: FloatArray, C: FloatArray, r: FloatArray) -> FloatArray:
     """Return r' of the module docstring, (n_draws, n_pairs, 6), of r (n_draws, n_pairs, 6) or (n_draws, 6 n)."""
     blocks = jacobian.reshape(-1, 6, jacobian.shape[1])
     others = linalg.pinv(np.eye(6) - blocks @ C @ blocks.swapaxes(1, 2), rcond=1e-9)
     return np.asarray(np.einsum("vij,dvj->dvi", others, r.reshape(len(r), -1, 6)))
 
 
-def _elsewhere(fit: Fit, d: FloatArray) -> tuple[float, float]:
+def _error_elsewhere(fit: Fit, d: FloatArray) -> tuple[float, float]:
     """Distance [m] and turn [rad] at 95 % of other poses, in nearly all draws of scaled parameter errors."""
     robot, index, scales = fit.robot, fit.unknowns.index, fit.unknowns.scales
     rows = linearise(robot, robot.assemble(other_poses(robot)), turns=True).jacobian[:, 0][..., index] * scales

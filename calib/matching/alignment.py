@@ -58,7 +58,7 @@ def align(robot: FloatArray, printed: FloatArray) -> Alignment:
     """
     kept = np.ones(len(robot), dtype=bool)
     for _ in range(_ROUNDS):
-        base, tool = _aligned(robot[kept], printed[kept])
+        base, tool = _align(robot[kept], printed[kept])
         misses = distances(base @ robot @ tool, printed)
         near = misses <= max(_FAR * float(np.median(misses)), _LEAST)
         if np.array_equal(near, kept) or 3 * np.sum(near) < 2 * len(near):
@@ -89,7 +89,7 @@ def distances(poses: FloatArray, others: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(away + ARM**2 * turned))
 
 
-def _aligned(robot: FloatArray, printed: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _align(robot: FloatArray, printed: FloatArray) -> tuple[FloatArray, FloatArray]:
     N, R = robot[:, :3, :3], printed[:, :3, :3]
     turned = linalg.svd(_product(N, R))[2][0].reshape(3, 3)
     sign = 1.0 if np.linalg.det(turned) >= 0 else -1.0

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import click
 
 from calib.core.base.errors import ComputationError, InputError
-from calib.core.commands.common import Output, loaded, shared_options
+from calib.core.commands.common import Output, load_robot, shared_options
 from calib.matching.match import match
 from calib.matching.result import FILES
 
@@ -59,7 +59,7 @@ def command(
     (A, B, C), FANUC (W, P, R), Stäubli and others; what they mean is found and printed. ROBOT is the stock URDF, a
     robot description, or a calibration of Universal Robots (YAML).
     """
-    model = loaded(robot, output)
+    model = load_robot(robot, output)
     output.check(folders=(out,), names=("match.json", *FILES.values()))
     with output.working("matching"):
         result = match(

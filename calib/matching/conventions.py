@@ -42,8 +42,8 @@ class Convention:
 
     def __str__(self) -> str:
         axes = f"angles about {'moving' if self.form.isupper() else 'fixed'} axes" if len(self.form) == 3 else ""
-        said = ", ".join(filter(None, (axes, self.makers)))
-        return f"{self.form} ({said})" if said else self.form
+        description = ", ".join(filter(None, (axes, self.makers)))
+        return f"{self.form} ({description})" if description else self.form
 
 
 _SEQUENCES = sorted({a + b + c for a, b in permutations("XYZ", 2) for c in "XYZ" if c != b})

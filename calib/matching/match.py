@@ -21,12 +21,12 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.units import millimetres
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.matching.alignment import distances
 from calib.matching.pairs import Pairs, read_pairs
-from calib.matching.readings import Candidate, alike_error, candidates, nominal_poses
+from calib.matching.readings import PlacedInterpretation, alike_error, candidates, nominal_poses
 from calib.matching.result import Match
 from calib.matching.twin_fit import TwinFit
 
@@ -69,11 +69,11 @@ def match(
         raise InputError(f"{nominal.path}: has loops; a controller's pairs are matched to chains of joints")
     read = read_pairs(pairs, nominal.joint_names)
     if len(read) < _LEAST:
-        raise DataError(f"{pairs}: {counted(len(read), 'pair')}; at least {_LEAST} are needed, and 30 are good")
+        raise DataError(f"{pairs}: {count_noun(len(read), 'pair')}; at least {_LEAST} are needed, and 30 are good")
     remarks = [f"{_MOST} of {len(read)} pairs are used, evenly over the file"] * (len(read) > _MOST)
     read = read.evenly(_MOST)
-    fits = [_begun(nominal, read, one, tool, base, seed) for one in candidates(nominal, read)]
-    fit = _decided(fits, read) if len(fits) > 1 else fits[0]
+    fits = [_first_fit(nominal, read, one, tool, base, seed) for one in candidates(nominal, read)]
+    fit = _best_fit(fits, read) if len(fits) > 1 else fits[0]
     remarks += fit.candidate.reading.mistakes(read)
     if not fit.agreed.to_the_digits and fit.tool is not None:
         free = replace(fit, tool=None)
@@ -88,10 +88,10 @@ def match(
     return Match(fit.fit, fit.candidate, read, fit.agreed, gone, places, tuple(remarks), tried)
 
 
-def _begun(
+def _first_fit(
     robot: Robot,
     pairs: Pairs,
-    candidate: Candidate,
+    candidate: PlacedInterpretation,
     tool: Sequence[float] | None,
     base: Sequence[float] | None,
     seed: int,
@@ -100,7 +100,7 @@ def _begun(
     aligned, places = candidate.aligned, []
     for what, given, found in (("tool", tool, aligned.tool), ("base", base, aligned.base)):
         pose = None if given is None else _pose(given, what, pairs, candidate)
-        if pose is not None and _beyond(pose, found, _ELSEWHERE):
+        if pose is not None and _is_beyond_limits(pose, found, _ELSEWHERE):
             raise DataError(
                 f"{pairs.path}: the poses are of another {what} than the one stated: {_place(found)}, and not"
                 f" {_place(pose)}"
@@ -110,14 +110,14 @@ def _begun(
     return TwinFit(robot, pairs, candidate, places[0], places[1], kept, seed)
 
 
-def _decided(fits: list[TwinFit], pairs: Pairs) -> TwinFit:
+def _best_fit(fits: list[TwinFit], pairs: Pairs) -> TwinFit:
     """The reading that fits best; an error where another one fits alike, and no header says which."""
     best = min(fit.agreed.left_out for fit in fits)
     alike = [fit for fit in fits if fit.agreed.left_out <= _ALIKE * best]
-    said = [fit for fit in alike if not fit.candidate.reading.mistakes(pairs)]
-    if len(alike) > 1 and (len(said) != 1 or not pairs.words):
+    without_mistakes = [fit for fit in alike if not fit.candidate.reading.mistakes(pairs)]
+    if len(alike) > 1 and (len(without_mistakes) != 1 or not pairs.words):
         raise alike_error(pairs, [fit.candidate.reading for fit in alike])
-    return said[0] if len(alike) > 1 else alike[0]
+    return without_mistakes[0] if len(alike) > 1 else alike[0]
 
 
 def _without_others(fit: TwinFit) -> TwinFit:
@@ -135,39 +135,39 @@ def _without_others(fit: TwinFit) -> TwinFit:
 def _places(fit: TwinFit, stated: tuple[bool, bool]) -> tuple[str, str]:
     """Where base and tool are, in words."""
     description, name = fit.robot.description, fit.robot.target_names[0]
-    said = []
+    texts = []
     for what, frame, known, given, place in (
         ("base", description.base.frame, fit.base, stated[0], "base"),
         ("tool", description.targets[name].frame, fit.tool, stated[1], name),
     ):
         if known is None:
-            T = fit.found(place)
-            said.append(f"{what}: the controller's differs from {frame}: {_place(T)} (found; not in the URDF)")
+            T = fit.found_place(place)
+            texts.append(f"{what}: the controller's differs from {frame}: {_place(T)} (found; not in the URDF)")
         elif given:
-            said.append(f"{what}: as stated")
+            texts.append(f"{what}: as stated")
         else:
             turned = "" if np.allclose(known, np.eye(4)) else f", turned: {_place(known)}"
-            said.append(f"{what}: the controller's is that of {frame}{turned}")
-    return said[0], said[1]
+            texts.append(f"{what}: the controller's is that of {frame}{turned}")
+    return texts[0], texts[1]
 
 
 def _stock_misses(fit: TwinFit) -> FloatArray:
     """How far all pairs are from the nominal robot with base and tool, (n,) [m]."""
     reading, aligned = fit.candidate.reading, fit.candidate.aligned
-    joints, positions, rotations = reading.paired(fit.pairs)
+    joints, positions, rotations = reading.select_pairs(fit.pairs)
     robot = aligned.base @ nominal_poses(fit.robot, reading.joints(joints)) @ aligned.tool
     return distances(robot, reading.poses(positions, rotations))
 
 
-def _pose(given: Sequence[float], what: str, pairs: Pairs, candidate: Candidate) -> FloatArray:
+def _pose(given: Sequence[float], what: str, pairs: Pairs, candidate: PlacedInterpretation) -> FloatArray:
     width = 3 + pairs.rotations.shape[1]
     if len(given) != width or not np.all(np.isfinite(given)):
-        raise InputError(f"{what}: {counted(width, 'number')}, as the file writes a pose, not {len(given)}")
+        raise InputError(f"{what}: {count_noun(width, 'number')}, as the file writes a pose, not {len(given)}")
     numbers = np.array(given, dtype=float)[None]
     return replace(candidate.reading, direction="direct").poses(numbers[:, :3], numbers[:, 3:])[0]
 
 
-def _beyond(pose: FloatArray, other: FloatArray, limits: tuple[float, float]) -> bool:
+def _is_beyond_limits(pose: FloatArray, other: FloatArray, limits: tuple[float, float]) -> bool:
     turn = scipy.spatial.transform.Rotation.from_matrix(pose[:3, :3].T @ other[:3, :3]).magnitude()
     return bool(np.linalg.norm(pose[:3, 3] - other[:3, 3]) > limits[0] or turn > limits[1])
 
@@ -178,7 +178,7 @@ def _frame_near(found: FloatArray) -> FloatArray | None:
     nearest = quarters[np.argmax(np.einsum("kij,ij->k", quarters, found[:3, :3]))]
     frame = np.eye(4)
     frame[:3, :3] = np.round(nearest)
-    return None if _beyond(frame, found, _NEAR) else frame
+    return None if _is_beyond_limits(frame, found, _NEAR) else frame
 
 
 def _place(pose: FloatArray) -> str:

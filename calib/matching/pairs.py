@@ -17,7 +17,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError
 from calib.core.base.files import read_text
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.data.layouts import is_comment
 from calib.core.data.tables import Table, read_table
 from calib.core.judging.rounded_joint_values import usual_step
@@ -86,7 +86,8 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
         n = len(joint_names)
         if len(names) - n - 3 not in _WIDTHS:
             raise DataError(
-                f"{path}: {counted(n, 'joint value')}, x, y, z and a rotation of 3, 4 or 9 numbers are needed in each"
+                f"{path}: {count_noun(n, 'joint value')}, x, y, z and a rotation of 3, 4 or 9 numbers are needed in"
+                f" each"
                 f" row; name the columns, such as {joint_names[0]}, x, rx, qw, or leave out all others"
                 f" (found: {', '.join(table.names)})"
             )

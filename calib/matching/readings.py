@@ -24,7 +24,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.units import PER_SI, millimetres
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.data.in_memory import as_measurements
 from calib.core.fitting.column_maps import likely_maps
 from calib.core.robots.robot import Robot
@@ -51,7 +51,7 @@ _DIRECTIONS = {
 
 @dataclass(frozen=True, eq=False)
 class Twist:
-    """What is not as in most files.
+    """A deviation from the usual meaning of a file.
 
     Attributes:
         words: It; empty for nothing.
@@ -72,7 +72,7 @@ _NONE = Twist()
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class Interpretation:
     """One meaning of the numbers.
 
     Attributes:
@@ -106,7 +106,7 @@ class Reading:
             T[:, :3, :3] = T[:, :3, :3].swapaxes(1, 2)
         return np.linalg.inv(T) if self.direction == "inverse" else T
 
-    def paired(self, pairs: Pairs) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def select_pairs(self, pairs: Pairs) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return joint values (n, n_joints) and the numbers of positions and rotations that belong to them (n, k) each.
 
         All in the units of the file.
@@ -132,9 +132,11 @@ class Reading:
 
     def mistakes(self, pairs: Pairs) -> list[str]:
         """Return in what the file is not as its header, or as most files are."""
-        said = zip(("joint values", "positions", "rotations"), pairs.units,
+        columns = zip(("joint values", "positions", "rotations"), pairs.units,
                    (self.joint_unit, self.length_unit, self.angle_unit), strict=True)  # fmt: skip
-        found = [f"{what} are in {unit}, not in {stated}" for what, stated, unit in said if stated not in (None, unit)]
+        found = [
+            f"{what} are in {unit}, not in {stated}" for what, stated, unit in columns if stated not in (None, unit)
+        ]
         meant = HEADERS.get(pairs.words)
         if meant and meant != self.convention.form:
             found.append(f"the columns {pairs.words} are not {meant}, but {self.convention.form}")
@@ -143,14 +145,14 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class PlacedInterpretation:
     """A reading with the base and tool that it needs."""
 
-    reading: Reading
+    reading: Interpretation
     aligned: Alignment
 
 
-def candidates(robot: Robot, pairs: Pairs) -> list[Candidate]:
+def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     """Return the readings that fit the nominal robot, the best first; several where only a fit can tell them apart.
 
     Args:
@@ -161,19 +163,20 @@ def candidates(robot: Robot, pairs: Pairs) -> list[Candidate]:
         DataError: None fits, or two fit alike; see `alike_error`.
     """
     usual = _likeliest(robot, pairs, [_NONE], _DIRECTIONS)
-    tried = [_placed(robot, pairs, reading) for reading in usual]
+    tried = [_place(robot, pairs, reading) for reading in usual]
     points = nominal_poses(robot, usual[0].joints(pairs.joints))[:, :3, 3]
     spread = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
     if spread < _STILL:
         raise DataError(
-            f"{pairs.path}: the tool moves by {millimetres(spread):.1f} mm only (RMS, {counted(len(pairs), 'pair')});"
+            f"{pairs.path}: the tool moves by {millimetres(spread):.1f} mm only (RMS,"
+            f" {count_noun(len(pairs), 'pair')});"
             " add pairs in which all joints turn far"
         )
     limit = _FIT * spread
-    for readings in _twisted(robot, pairs, usual):
+    for readings in _single_twists(robot, pairs, usual):
         if min(tried, key=_miss).aligned.miss <= limit:
             break
-        tried += [_placed(robot, pairs, reading) for reading in readings]
+        tried += [_place(robot, pairs, reading) for reading in readings]
     best = min(tried, key=_miss)
     if best.aligned.miss > limit:
         raise DataError(
@@ -181,19 +184,19 @@ def candidates(robot: Robot, pairs: Pairs) -> list[Candidate]:
             f" ({best.reading.words()}) leaves {millimetres(best.aligned.miss):.0f} mm; is it this robot, with one"
             " tool and one base in all rows, the joint values of one row with its pose?"
         )
-    alike: list[Candidate] = []
+    alike: list[PlacedInterpretation] = []
     for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), _miss(one))):
         near = one.aligned.miss < min(_ALIKE * best.aligned.miss, limit)
-        if near and not any(_same(pairs, one.reading, other.reading) for other in alike):
+        if near and not any(_are_same(pairs, one.reading, other.reading) for other in alike):
             alike.append(one)
     if len(alike) > _MOST:
         raise alike_error(pairs, [one.reading for one in alike])
     return alike
 
 
-def alike_error(pairs: Pairs, readings: Sequence[Reading]) -> DataError:
+def alike_error(pairs: Pairs, readings: Sequence[Interpretation]) -> DataError:
     """Return what to raise where several readings fit alike."""
-    words = listed([reading.words() for reading in readings], " | ", shown=_MOST)
+    words = listing([reading.words() for reading in readings], " | ", shown=_MOST)
     return DataError(
         f"{pairs.path}: these readings of the columns fit alike: {words}; write units and the maker's words into the"
         " header (qw, W P R, A B C, [deg]), or add pairs in which the tool is turned more"
@@ -205,35 +208,37 @@ def nominal_poses(robot: Robot, joints: FloatArray) -> FloatArray:
     return robot.forward(joints, robot.description.targets[robot.target_names[0]].frame)
 
 
-def _miss(candidate: Candidate) -> float:
+def _miss(candidate: PlacedInterpretation) -> float:
     return candidate.aligned.miss
 
 
-def _same(pairs: Pairs, one: Reading, other: Reading) -> bool:
+def _are_same(pairs: Pairs, one: Interpretation, other: Interpretation) -> bool:
     """Whether two readings mean the same joint values and poses in this file."""
-    (q, *pose), (q_other, *pose_other) = one.paired(pairs), other.paired(pairs)
+    (q, *pose), (q_other, *pose_other) = one.select_pairs(pairs), other.select_pairs(pairs)
     if len(q) != len(q_other) or not np.allclose(one.joints(q), other.joints(q_other), atol=_SAME):
         return False
     return bool(np.allclose(one.poses(*pose), other.poses(*pose_other), atol=_SAME))
 
 
-def _placed(robot: Robot, pairs: Pairs, reading: Reading) -> Candidate:
-    joints, positions, rotations = reading.paired(pairs)
-    return Candidate(reading, align(nominal_poses(robot, reading.joints(joints)), reading.poses(positions, rotations)))
+def _place(robot: Robot, pairs: Pairs, reading: Interpretation) -> PlacedInterpretation:
+    joints, positions, rotations = reading.select_pairs(pairs)
+    return PlacedInterpretation(
+        reading, align(nominal_poses(robot, reading.joints(joints)), reading.poses(positions, rotations))
+    )
 
 
 def _likeliest(
     robot: Robot, pairs: Pairs, twists: Sequence[Twist], directions: Iterable[str] = ("direct",)
-) -> list[Reading]:
+) -> list[Interpretation]:
     """The readings whose rotations agree best with the robot's, which takes no tool and no base.
 
     Some of each joint unit and direction: small turns are proportional, in whatever unit.
     """
-    ranked: list[tuple[float, Reading]] = []
+    ranked: list[tuple[float, Interpretation]] = []
     for start, direction in product(_plain(robot, pairs), directions):
         group = []
         for twist in twists:
-            joints, positions, rotations = replace(start, twist=twist).paired(pairs)
+            joints, positions, rotations = replace(start, twist=twist).select_pairs(pairs)
             robots = nominal_poses(robot, replace(start, twist=twist).joints(joints))[:, :3, :3]
             for convention, unit in product(CONVENTIONS, ("deg", "rad")):
                 if convention.width == rotations.shape[1] and (convention.has_angles or unit == "rad"):
@@ -243,7 +248,7 @@ def _likeliest(
     return [reading for _, reading in sorted(ranked, key=lambda entry: entry[0])]
 
 
-def _plain(robot: Robot, pairs: Pairs) -> list[Reading]:
+def _plain(robot: Robot, pairs: Pairs) -> list[Interpretation]:
     """A reading for each unit that joint values may have, positions in the unit that suits the robot's size."""
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
     points = robot.forward(robot.sample(50, 0), robot.target_names[0])[:, :3, 3]
@@ -255,11 +260,11 @@ def _plain(robot: Robot, pairs: Pairs) -> list[Reading]:
     readings = []
     for unit in ("deg",) if large else ("deg", "rad"):
         scales = {"angle": 1 / PER_SI["angle"][unit], "length": 1 / PER_SI["length"][length]}
-        readings.append(Reading(first, unit, length, "rad", np.array([scales[each] for each in dimensions])))
+        readings.append(Interpretation(first, unit, length, "rad", np.array([scales[each] for each in dimensions])))
     return readings
 
 
-def _twisted(robot: Robot, pairs: Pairs, usual: Sequence[Reading]) -> Iterator[Iterable[Reading]]:
+def _single_twists(robot: Robot, pairs: Pairs, usual: Sequence[Interpretation]) -> Iterator[Iterable[Interpretation]]:
     """Readings with one twist of a kind after the other."""
     names, n = robot.joint_names, len(robot.joint_names)
     coupled = []
@@ -269,11 +274,13 @@ def _twisted(robot: Robot, pairs: Pairs, usual: Sequence[Reading]) -> Iterator[I
         why = f"counts {names[2]} from the horizontal (as FANUC does): the robot's is its number {word} {names[1]}"
         coupled.append(Twist(f"the controller {why}", A))
     yield _likeliest(robot, pairs, coupled)
-    said = {shift: f"{counted(abs(shift), 'row')} {'below' if shift > 0 else 'above'}" for shift in _SHIFTS}
-    shifted = [Twist(f"joint values stand {said[k]} their poses", shift=k) for k in _SHIFTS if len(pairs) > 3 + abs(k)]
+    descriptions = {shift: f"{count_noun(abs(shift), 'row')} {'below' if shift > 0 else 'above'}" for shift in _SHIFTS}
+    shifted = [
+        Twist(f"joint values stand {descriptions[k]} their poses", shift=k) for k in _SHIFTS if len(pairs) > 3 + abs(k)
+    ]
     yield _likeliest(robot, pairs, shifted)
     direct = [each for each in usual[:_MIRRORED] if each.direction == "direct"]
-    yield (replace(each, twist=twist) for twist in _mirrored() for each in direct)
+    yield (replace(each, twist=twist) for twist in _mirror_twists() for each in direct)
     for one in _plain(robot, pairs):
         positions = one.poses(pairs.positions, pairs.rotations)[:, :3, 3]
         mapped = []
@@ -283,7 +290,7 @@ def _twisted(robot: Robot, pairs: Pairs, usual: Sequence[Reading]) -> Iterator[I
         yield [each for each in _likeliest(robot, pairs, mapped) if each.joint_unit == one.joint_unit]
 
 
-def _mirrored() -> Iterator[Twist]:
+def _mirror_twists() -> Iterator[Twist]:
     for axes, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         if (axes, signs) != ((0, 1, 2), (1.0, 1.0, 1.0)):
             columns = ", ".join(f"{'-' * (sign < 0)}{'xyz'[k]}" for k, sign in zip(axes, signs, strict=True))

@@ -9,13 +9,13 @@ from typing import Any, Literal
 
 from calib.core.base.files import write_files
 from calib.core.base.units import error_scale, millimetres
-from calib.core.base.words import as_data, counted, plain_text
+from calib.core.base.words import as_data, count_noun, plain_text
 from calib.core.judging.verdict import JudgedFit
 from calib.core.results.results import save
 from calib.core.robots.file_formats import formats, robot_for
 from calib.matching.agreement import Agreement
 from calib.matching.pairs import Pairs
-from calib.matching.readings import Candidate
+from calib.matching.readings import PlacedInterpretation
 
 FILES = {"dh": "dh.csv", "mdh": "mdh.csv", "xacro": "origins.xacro", "ur-kinematics": "default_kinematics.yaml"}
 """What is written beside the URDF, by the format."""
@@ -39,7 +39,7 @@ class Match:
     """
 
     fit: JudgedFit
-    candidate: Candidate
+    candidate: PlacedInterpretation
     pairs: Pairs
     agreed: Agreement
     left_out: tuple[tuple[str, float], ...]
@@ -66,10 +66,12 @@ class Match:
                 f" {self._terms_tried()}"
             )
         elsewhere = f"{_mm(agreed.claim)} and {_mrad(agreed.turn_claim)} at 95 % of all poses"
-        said = f"agrees to {_mm(agreed.rms)} (RMS), which is what the file's digits allow; elsewhere within {elsewhere}"
+        sentence = (
+            f"agrees to {_mm(agreed.rms)} (RMS), which is what the file's digits allow; elsewhere within {elsewhere}"
+        )
         if agreed.claim > _OF_DIGITS * agreed.allowed:
-            return f"{said}: these pairs leave some joints open; add pairs in which all joints turn far"
-        return said
+            return f"{sentence}: these pairs leave some joints open; add pairs in which all joints turn far"
+        return sentence
 
     def _terms_tried(self) -> str:
         if self.terms is None:
@@ -85,7 +87,7 @@ class Match:
         """Return the result as text."""
         before = self.candidate.aligned
         lines = [
-            f"{counted(len(self.pairs), 'pair')} of {self.pairs.path}: {self.candidate.reading.words()}",
+            f"{count_noun(len(self.pairs), 'pair')} of {self.pairs.path}: {self.candidate.reading.words()}",
             *(f"note: {remark}" for remark in self.remarks),
             *self.places,
             f"stock model: {_mm(before.miss)} off (RMS, base and tool placed as well as possible)",

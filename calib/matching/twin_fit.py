@@ -16,14 +16,14 @@ from calib.core.data.measurements import Measurements
 from calib.core.fitting.settings import Settings
 from calib.core.instruments.kind import Readings
 from calib.core.judging.verdict import JudgedFit
-from calib.core.robots.description import checked_description
+from calib.core.robots.description import validate_description
 from calib.core.robots.loading import build
 from calib.core.robots.parametrisation import default_sections
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
 from calib.matching.agreement import Agreement, agreement
 from calib.matching.pairs import Pairs
-from calib.matching.readings import Candidate
+from calib.matching.readings import PlacedInterpretation
 from calib.matching.unexplained import explanation
 
 _CONTROLLER = "controller"  # the instrument that stands for it
@@ -43,7 +43,7 @@ class TwinFit:
 
     robot: Robot
     pairs: Pairs
-    candidate: Candidate
+    candidate: PlacedInterpretation
     tool: FloatArray | None
     base: FloatArray | None
     kept: tuple[int, ...]
@@ -51,27 +51,27 @@ class TwinFit:
 
     @cached_property
     def _data(self) -> tuple[Measurements, FloatArray]:
-        return self._measured(self._model())
+        return self._measurements(self._model())
 
     @cached_property
     def fit(self) -> JudgedFit:
         """The fit of joint origins."""
-        return self._fitted(self._data[0].joints)
+        return self._fit(self._data[0].joints)
 
     @cached_property
     def agreed(self) -> Agreement:
-        """What the fit is worth."""
+        """Agreement that the fit reaches."""
         return agreement(self.fit, _CONTROLLER, self._data[1], self.seed)
 
     def explanation(self) -> tuple[str, Agreement]:
         """Return what the controller knows beside joint origins, in words, and what that leaves."""
         data, rounding = self._data
-        return explanation(self.fit, self._fitted, data.joints, _CONTROLLER, rounding, self.seed)
+        return explanation(self.fit, self._fit, data.joints, _CONTROLLER, rounding, self.seed)
 
-    def _fitted(self, joints: FloatArray) -> JudgedFit:
+    def _fit(self, joints: FloatArray) -> JudgedFit:
         return calibrate(self._model(), replace(self._data[0], joints=joints), None, Settings(terms=None))
 
-    def found(self, place: str) -> FloatArray:
+    def found_place(self, place: str) -> FloatArray:
         """Return where a fit that did not know them has the target of this name, or the base, (4, 4) [m]."""
         fit = self.fit
         mechanism = fit.robot.mechanism
@@ -105,7 +105,7 @@ class TwinFit:
             "instruments": {_CONTROLLER: {"kind": "pose", "target": name}},
             "parametrisation": default_sections(),
         }
-        model = build(checked_description(content, robot.urdf.path), robot.urdf, robot.urdf.path)
+        model = build(validate_description(content, robot.urdf.path), robot.urdf, robot.urdf.path)
         parent = {joint.child: joint for joint in robot.urdf.joints}
         behind, link = [], target.frame
         while link in parent and parent[link].name not in robot.joint_names:
@@ -113,15 +113,15 @@ class TwinFit:
             link = parent[link].parent
         return model.fix([p.name for p in model.parameters if p.name.rpartition(".")[0] in behind])
 
-    def _measured(self, model: Robot) -> tuple[Measurements, FloatArray]:
+    def _measurements(self, model: Robot) -> tuple[Measurements, FloatArray]:
         """The pairs that are kept, with the covariance of rounding, and what each rounded number does, (n, 6, k)."""
         reading, pairs = self.candidate.reading, self.pairs
         kept = np.array(self.kept)
-        joints, positions, rotations = (array[kept] for array in reading.paired(pairs))
+        joints, positions, rotations = (array[kept] for array in reading.select_pairs(pairs))
         q, T = reading.joints(joints), reading.poses(positions, rotations)
         n, n_joints = q.shape
         steps = reading.steps(pairs)
-        by_joint = linearise(model, model.assemble(q), turns=True, joints=True).by_joint
+        by_joint = linearise(model, model.assemble(q), turns=True, joints=True).joint_derivative
         assert by_joint is not None
         columns = [
             np.einsum("vij,vj->vi", by_joint[:, 0], reading.joints(joints + steps[j] * np.eye(n_joints)[j]) - q)

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
@@ -39,7 +39,7 @@ _SEEN = 1e-6  # part of a column beyond what joint origins take up, below which 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """What may move joints: in words, and phi, (n_pairs, n_joints, n_coefficients)."""
+    """A possible joint error: in words, and phi, (n_pairs, n_joints, n_coefficients)."""
 
     words: str
     phi: FloatArray
@@ -56,7 +56,7 @@ def explanation(
         q: Those of the pairs, (n_pairs, n_joints).
         name, rounding, seed: As for `calib.matching.agreement.agreement`.
     """
-    by_joint = linearise(fit.robot, fit.robot.assemble(q), turns=True, joints=True).by_joint
+    by_joint = linearise(fit.robot, fit.robot.assemble(q), turns=True, joints=True).joint_derivative
     assert by_joint is not None
     tried = [
         (each, fit.whitening.flatten({name: np.einsum("vij,vjc->vic", by_joint[:, 0], each.phi)}))
@@ -66,7 +66,7 @@ def explanation(
     agreed = agreement(fit, name, rounding, seed)
     while tried and len(words) < _MOST and not agreed.to_the_digits:
         basis = linalg.orth(np.hstack([_rows(fit)[0], added]), _SEEN)
-        spans = [_beyond(basis, G) for _, G in tried]
+        spans = [_basis_complement(basis, G) for _, G in tried]
         rest = _rows(fit)[1] - basis @ (basis.T @ _rows(fit)[1])
         left = [rest - span @ (span.T @ rest) for span in spans]
         best = int(np.argmin([_criterion(rows, span.shape[1]) for rows, span in zip(left, spans, strict=True)]))
@@ -79,7 +79,7 @@ def explanation(
             moved = moved - phi @ linalg.lstsq(np.hstack([J, added]), r, _SEEN)[J.shape[1] :]
             fit = again(moved)
         agreed = agreement(fit, name, rounding, seed, more=added)
-    return listed(words, " and "), agreed
+    return listing(words, " and "), agreed
 
 
 def _rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
@@ -97,7 +97,7 @@ def hypotheses(robot: Robot, q: FloatArray) -> Iterator[Hypothesis]:
         moves |= {f"coupling of {joint} by {other}": q[:, [k]] for k, other in enumerate(names) if k != j}
         for waves in _WAVES if robot.mechanism.dimensions[joint] == "angle" else ():
             turned = np.stack([np.sin(waves * q[:, j]), np.cos(waves * q[:, j])], axis=1)
-            moves[f"gear of {joint} ({counted(waves, 'wave')} a turn)"] = turned
+            moves[f"gear of {joint} ({count_noun(waves, 'wave')} a turn)"] = turned
         for words, phi in moves.items():
             yield Hypothesis(words, np.einsum("j,nc->njc", np.eye(len(names))[j], phi))
 
@@ -107,7 +107,7 @@ def _links(robot: Robot) -> list[str]:
     return [*sorted(moved), robot.description.targets[robot.target_names[0]].frame]
 
 
-def _beyond(basis: FloatArray, G: FloatArray) -> FloatArray:
+def _basis_complement(basis: FloatArray, G: FloatArray) -> FloatArray:
     """Orthonormal columns of what G (n_rows, c) spans beyond a basis."""
     G = G / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
     left, values, _ = linalg.svd(G - basis @ (basis.T @ G), full_matrices=False)

@@ -18,34 +18,34 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError, DescriptionError, nearest
 from calib.core.base.files import read_text
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.links import element_tree
-from calib.motion.scene import Scene, all_shapes, moving_between
-from calib.motion.shapes import moved_frames
+from calib.motion.scene import CollisionScene, all_shapes, moving_between
+from calib.motion.shapes import is_moved_frame
 
 _SAMPLES = 400
 _ALWAYS = 0.95  # of the samples
 _SHOWN = 6
 
 
-def build_scene(robot: Robot) -> Scene:
+def build_scene(robot: Robot) -> CollisionScene:
     """Return the scene of a robot, with the pairs that count.
 
     Raises:
         DescriptionError: A mesh is missing, an SRDF is of another robot, or an obstacle surrounds the robot.
     """
     scene = all_shapes(robot)
-    disabled = _disabled(robot)
+    disabled = _disabled_pairs(robot)
     bodies, pairs = scene.bodies, np.array(scene.pairs, dtype=np.intp).reshape(-1, 2)
     names = [frozenset((bodies[a].name, bodies[b].name)) for a, b in pairs]
-    given = np.array([bodies[a].given or bodies[b].given for a, b in pairs], dtype=bool)
+    given = np.array([bodies[a].is_described or bodies[b].is_described for a, b in pairs], dtype=bool)
     count = np.array([name not in disabled for name in names], dtype=bool) & (given | ~_adjacent(scene))
     scene = scene.with_pairs(tuple(pair for pair, kept in zip(scene.pairs, count, strict=True) if kept))
-    return _told_apart(scene)
+    return _without_permanent_contacts(scene)
 
 
-def _adjacent(scene: Scene) -> BoolArray:
+def _adjacent(scene: CollisionScene) -> BoolArray:
     """Pairs of links that a joint or a loop connects, (n_pairs,)."""
     robot = scene.robot
     frames = np.array([(scene.bodies[a].joint, scene.bodies[b].joint) for a, b in scene.pairs], dtype=np.intp)
@@ -58,13 +58,13 @@ def _adjacent(scene: Scene) -> BoolArray:
     return result
 
 
-def _told_apart(scene: Scene) -> Scene:
+def _without_permanent_contacts(scene: CollisionScene) -> CollisionScene:
     """The scene without pairs that touch at home or nearly always."""
     if not scene.pairs:
         return scene
     touching = scene.distances(scene.configurations(_samples(scene.robot))[0])
     names = [scene.name(k) for k in range(len(scene.pairs))]
-    given = np.array([scene.bodies[a].given or scene.bodies[b].given for a, b in scene.pairs], dtype=bool)
+    given = np.array([scene.bodies[a].is_described or scene.bodies[b].is_described for a, b in scene.pairs], dtype=bool)
     order = np.array([sorted(set(names)).index(name) for name in names])
     hit = np.stack([np.any(touching[:, order == k] <= 0, axis=1) for k in range(order.max() + 1)], axis=1)[:, order]
     always = np.mean(hit, axis=0) >= _ALWAYS
@@ -73,7 +73,7 @@ def _told_apart(scene: Scene) -> Scene:
     for reason, out in (("touch at home", home & ~always), ("touch at nearly all poses", always)):
         left_out = list(dict.fromkeys(np.array(names)[out]))
         if left_out:
-            more = f" and {counted(len(left_out) - _SHOWN, 'further pair')}" if len(left_out) > _SHOWN else ""
+            more = f" and {count_noun(len(left_out) - _SHOWN, 'further pair')}" if len(left_out) > _SHOWN else ""
             scene = scene.with_pairs(
                 scene.pairs, f"not checked, as they {reason}: {', '.join(left_out[:_SHOWN])}{more}"
             )
@@ -81,11 +81,11 @@ def _told_apart(scene: Scene) -> Scene:
     return scene.with_pairs(tuple(pair for pair, stays in zip(scene.pairs, kept, strict=True) if stays))
 
 
-def _require_room(scene: Scene, touching: FloatArray, always: BoolArray) -> None:
+def _require_room(scene: CollisionScene, touching: FloatArray, always: BoolArray) -> None:
     """Raise `DescriptionError` if an obstacle touches a link, not counting clearance, wherever that is."""
     for k in np.flatnonzero(always & (np.max(touching + scene.margins, axis=0) <= 0)):
         for body in (scene.bodies[place] for place in scene.pairs[k]):
-            if body.given and not moved_frames(scene.robot)[body.joint]:
+            if body.is_described and not is_moved_frame(scene.robot)[body.joint]:
                 raise DescriptionError(
                     f"{scene.robot.path}: obstacle '{body.name}' is in the robot at every pose ({scene.name(int(k))});"
                     " check its frame, xyz and size"
@@ -100,7 +100,7 @@ def _samples(robot: Robot) -> FloatArray:
         return robot.home[None]
 
 
-def _disabled(robot: Robot) -> set[frozenset[str]]:
+def _disabled_pairs(robot: Robot) -> set[frozenset[str]]:
     """Pairs of links that an SRDF of this robot disables."""
     pairs: set[frozenset[str]] = set()
     for path in _srdf_files(robot):

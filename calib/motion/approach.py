@@ -17,8 +17,8 @@ from calib.core.instruments.touch import Touch
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
 from calib.core.rows.candidates import configurations_at
-from calib.core.rows.observed import predicted_readings
-from calib.core.rows.simulate import MET, at_contact
+from calib.core.rows.observed import predict_readings
+from calib.core.rows.simulate import MET, touching_configurations
 
 _OFF = 0.05  # how far from contact a touch is approached straight [m]
 
@@ -42,11 +42,11 @@ def approaches(robot: Robot, poses: Poses) -> FloatArray:
         looks = poses.planned[touch.name]
         looks = looks.subset(np.flatnonzero(closed.ok[looks.visits]))
         at = replace(looks, visits=np.searchsorted(good, looks.visits))
-        offset = predicted_readings(beside, configurations, {touch.name: at})[touch.name].values
+        offset = predict_readings(beside, configurations, {touch.name: at})[touch.name].values
         sides = offset if touch.surface == "sphere" else np.tile([0.0, 0.0, 1.0], (len(offset), 1))
         sides = sides / np.maximum(np.linalg.norm(sides, axis=1, keepdims=True), MET)
         off[touch.name] = Readings(looks.visits, looks.pairs, offset + _OFF * sides, None, looks.details)
         touched[looks.visits] = True
-    commands, misses = at_contact(beside, poses, off)
+    commands, misses = touching_configurations(beside, poses, off)
     there = np.where((misses < MET)[:, None], commands, np.nan)
     return np.where(touched[:, None], there, poses.joints)

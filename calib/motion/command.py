@@ -12,12 +12,12 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.files import write_folder
 from calib.core.base.units import PER_SI, millimetres
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import (
     Output,
     different_poses,
-    loaded,
-    placed,
+    load_robot,
+    place_by_files,
     shared_options,
     values_options,
     with_values,
@@ -115,17 +115,17 @@ def command(
             "--format fanuc needs --third-joint, and no other does: j3, or j2+j3 where the robot file counts its third"
             " joint from link 2 (descriptions of ROS-Industrial: j2+j3)"
         )
-    model = with_values(loaded(robot, output), parameters, result)
+    model = with_values(load_robot(robot, output), parameters, result)
     visits = different_poses(read_pose_files((poses,), model))
     spare = None if candidates is None else different_poses(read_pose_files((candidates,), model))
-    model = placed(model, visits)
+    model = place_by_files(model, visits)
     number = None if output_number < 0 else output_number
     motion = Motion(name, speed / 100, 2.5 * speed / 100, dwell, reading, number, third_joint or THIRD_JOINT[0])
     written = languages or ("csv",)
     files = {language: ("route" if language == "csv" else name) + LANGUAGES[language].suffix for language in written}
     files.setdefault("csv", "route.csv")
     output.check(folders=(out,), names=(*files.values(), _READINGS))
-    with output.working(f"finding ways to {counted(len(visits), 'pose')}") as progress:
+    with output.working(f"finding ways to {count_noun(len(visits), 'pose')}") as progress:
         route = plan_route(model, visits, start=_start(start, model), candidates=spare, seed=seed, progress=progress)
     content = {file: write_program(route, language, motion).encode() for language, file in files.items()}
     write_folder(out, content | {_READINGS: table_to_fill_in(route).encode()}, force=output.force)
@@ -141,7 +141,7 @@ def _start(path: str | None, robot: Robot) -> FloatArray | None:
         return None
     poses = read_poses(path, robot)
     if len(poses) != 1:
-        raise InputError(f"{path}: has {counted(len(poses), 'row')}; --start needs the one where the robot stands")
+        raise InputError(f"{path}: has {count_noun(len(poses), 'row')}; --start needs the one where the robot stands")
     joints: FloatArray = poses.joints[0]
     return joints
 
@@ -151,17 +151,17 @@ def _report(route: Route) -> str:
     around = sum(len(stop.corners) > 0 for stop in route.stops)
     travel = PER_SI["angle"]["deg"] * float(np.sum(np.max(np.abs(np.diff(corners, axis=0)), axis=1)))
     lines = [
-        f"{counted(len(route.stops), 'stop')}; {around} reached around what is in the way; travel {travel:.0f} deg"
+        f"{count_noun(len(route.stops), 'stop')}; {around} reached around what is in the way; travel {travel:.0f} deg"
     ]
-    nearest = min(route.stops, key=lambda stop: min(stop.clearance, stop.on_the_way))
-    least = min(nearest.clearance, nearest.on_the_way)
+    nearest = min(route.stops, key=lambda stop: min(stop.clearance, stop.poses_passed))
+    least = min(nearest.clearance, nearest.poses_passed)
     if np.isfinite(least):
         lines.append(f"Smallest clearance {millimetres(least):.1f} mm, at stop {nearest.name} or on the way there")
     if route.left_out:
-        named = listed([f"{name} ({why})" for name, why in route.left_out.items()], shown=8)
-        lines.append(f"Left out, {counted(len(route.left_out), 'pose')}: {named}")
+        named = listing([f"{name} ({why})" for name, why in route.left_out.items()], shown=8)
+        lines.append(f"Left out, {count_noun(len(route.left_out), 'pose')}: {named}")
     if route.replaced:
-        lines.append(f"In their place: {listed(route.replaced, shown=8)}")
+        lines.append(f"In their place: {listing(route.replaced, shown=8)}")
     lines += [f"Note: {remark}" for remark in route.remarks]
     return "\n".join(lines)
 
@@ -178,7 +178,7 @@ def _data(route: Route) -> dict[str, object]:
                 "corners": stop.corners.tolist(),
                 "clearance_mm": millimetres(stop.clearance),
                 "pair": stop.pair,
-                "clearance_on_the_way_mm": millimetres(stop.on_the_way),
+                "clearance_on_the_way_mm": millimetres(stop.poses_passed),
             }
             for stop in route.stops
         ],

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.motion.scene import Scene
+from calib.motion.scene import CollisionScene
 
 _FINEST = 1e-4  # by which pairs come nearer on a piece that is not cut again [m]
 _FIRST_PIECES = 8  # with loops
@@ -25,8 +25,8 @@ _BENDS = 2.0
 
 
 @dataclass(frozen=True)
-class Move:
-    """What a straight move is worth.
+class StraightMove:
+    """Verdict on a straight move.
 
     Attributes:
         hit: The pair that hits first in order of looking, or "".
@@ -39,33 +39,33 @@ class Move:
     tightest: str
 
 
-def check_move(scene: Scene, start: FloatArray, end: FloatArray) -> Move:
+def check_move(scene: CollisionScene, start: FloatArray, end: FloatArray) -> StraightMove:
     """Check the straight move between two commands, (n_actuated,) [m or rad] each, whose ends are free."""
     n = _FIRST_PIECES if scene.robot.mechanism.loops else 1
     parts = np.linspace(0.0, 1.0, n + 1)
     ends, ok = scene.configurations(start + parts[:, None] * (end - start))
     if not np.all(ok):
-        return Move("loops that do not close", 0.0, "")
+        return StraightMove("loops that do not close", 0.0, "")
     reach = scene.reach(1.1 * np.max(np.abs(ends), axis=0))
     pieces = _Pieces(parts[:-1], parts[1:], ends[:-1], ends[1:], np.ones((n, len(scene.pairs)), dtype=bool))
     least, tightest = np.inf, ""
     while len(pieces):
         middles, ok = scene.configurations(start + pieces.middle[:, None] * (end - start))
         if not np.all(ok):
-            return Move("loops that do not close", 0.0, "")
+            return StraightMove("loops that do not close", 0.0, "")
         nearer = pieces.excursions(middles, scene) @ reach.T - scene.margins / 2
         apart = scene.distances(middles, pieces.pairs, thorough=False)
         place = np.unravel_index(np.argmin(apart + scene.margins), apart.shape) if apart.size else ()
         if apart.size and apart[place] + scene.margins[place[1]] < least:
             least, tightest = float(apart[place] + scene.margins[place[1]]), scene.name(int(place[1]))
         if np.any(apart <= 0):
-            return Move(scene.name(int(np.argmin(np.min(apart, axis=0)))), least, tightest)
+            return StraightMove(scene.name(int(np.argmin(np.min(apart, axis=0)))), least, tightest)
         unproven = pieces.pairs & (apart <= nearer)
         too_short = unproven & (nearer + scene.margins / 2 < _FINEST)
         if np.any(too_short):
-            return Move(scene.name(int(np.flatnonzero(np.any(too_short, axis=0))[0])), least, tightest)
-        pieces = pieces.cut(middles, unproven)
-    return Move("", least, tightest)
+            return StraightMove(scene.name(int(np.flatnonzero(np.any(too_short, axis=0))[0])), least, tightest)
+        pieces = pieces.halve(middles, unproven)
+    return StraightMove("", least, tightest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,13 +87,13 @@ class _Pieces:
         result: FloatArray = (self.first + self.last) / 2
         return result
 
-    def excursions(self, middles: FloatArray, scene: Scene) -> FloatArray:
+    def excursions(self, middles: FloatArray, scene: CollisionScene) -> FloatArray:
         """How far joints move on a piece from its middle at most, (n, n_joints) [m or rad]."""
         moved: FloatArray = np.maximum(np.abs(self.at_first - middles), np.abs(self.at_last - middles))
         passive = np.any(scene.robot.mechanism.select_passive != 0, axis=1)
         return np.where(passive, _BENDS, 1.0) * moved
 
-    def cut(self, middles: FloatArray, unproven: BoolArray) -> _Pieces:
+    def halve(self, middles: FloatArray, unproven: BoolArray) -> _Pieces:
         """Return the halves of those on which something is not proven."""
         open_ = np.any(unproven, axis=1)
         middle, at_middle = self.middle[open_], middles[open_]

@@ -1,4 +1,4 @@
-"""OMPL's RRT-Connect between two commands, where whole moves are asked about; an extra, loaded only where it is needed.
+"""OMPL's RRT-Connect between two commands, where whole moves are checked; an extra, loaded only where it is needed.
 
 OMPL draws its random numbers from one seed for each process, so a command gives the same ways each time.
 """
@@ -33,16 +33,16 @@ def _let_go() -> None:
     gc.collect()
 
 
-class Proven(base.MotionValidator):  # type: ignore[misc]
+class ProvenMotions(base.MotionValidator):  # type: ignore[misc]
     """Asks whether a whole move is free."""
 
     def __init__(self, information: Any, is_free: Callable[[FloatArray, FloatArray], bool], n: int) -> None:
         super().__init__(information)
-        self._is_free, self._n, self.asked = is_free, n, 0
+        self._is_free, self._n, self.n_checked = is_free, n, 0
 
     def checkMotion(self, one: Any, other: Any, *_: Any) -> bool:  # noqa: N802
         """Whether the move between two states is free."""
-        self.asked += 1
+        self.n_checked += 1
         return self._is_free(_numbers(one, self._n), _numbers(other, self._n))
 
 
@@ -52,7 +52,7 @@ def search(
     limits: FloatArray,
     is_free: Callable[[FloatArray], bool],
     is_free_move: Callable[[FloatArray, FloatArray], bool],
-    most_asked: int,
+    most_checks: int,
 ) -> FloatArray | None:
     """Return the corners of a free way, both ends included, (n, n_actuated); None: none was found.
 
@@ -61,7 +61,7 @@ def search(
         limits: Of the joints, (n_actuated, 2).
         is_free: Whether a command is free.
         is_free_move: Whether the straight move between two is.
-        most_asked: Moves that may be asked about.
+        most_checks: Moves that may be checked.
     """
     n = len(start)
     space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)
@@ -71,7 +71,7 @@ def search(
     space.setBounds(bounds)
     information = base.SpaceInformation(space)
     information.setStateValidityChecker(lambda state: is_free(_numbers(state, n)))
-    validator = Proven(information, is_free_move, n)
+    validator = ProvenMotions(information, is_free_move, n)
     information.setMotionValidator(validator)
     information.setup()
     problem, ends = base.ProblemDefinition(information), (space.allocState(), space.allocState())
@@ -83,7 +83,7 @@ def search(
     planner.setRange(_STEP * float(np.sqrt(n)))
     planner.setProblemDefinition(problem)
     planner.setup()
-    solved = planner.solve(base.PlannerTerminationCondition(lambda: validator.asked >= most_asked))
+    solved = planner.solve(base.PlannerTerminationCondition(lambda: validator.n_checked >= most_checks))
     if not solved or not problem.hasExactSolution():
         return None
     path = problem.getSolutionPath()

@@ -20,10 +20,10 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.version import DISTRIBUTION
-from calib.motion.moves import Move, check_move
-from calib.motion.scene import Scene
+from calib.motion.moves import StraightMove, check_move
+from calib.motion.scene import CollisionScene
 
-_MOST_ASKED = 150  # times that OMPL may ask for a move
+_MOST_CHECKS = 150  # times that OMPL may ask for a move
 _SHORTCUTS = 20
 _NEAREST = 25  # moves of each node of the roadmap
 _TRIED = 100  # ways on it that are checked
@@ -44,11 +44,11 @@ class Planner:
         here: The node at which the robot is.
     """
 
-    scene: Scene
+    scene: CollisionScene
     nodes: FloatArray
     limits: FloatArray
     seed: int
-    known: dict[bytes, Move] = field(default_factory=dict)
+    known: dict[bytes, StraightMove] = field(default_factory=dict)
     here: int = 0
 
     def __post_init__(self) -> None:
@@ -72,14 +72,14 @@ class Planner:
         self.__post_init__()
         return first
 
-    def move(self, start: FloatArray, end: FloatArray) -> Move:
+    def move(self, start: FloatArray, end: FloatArray) -> StraightMove:
         """Return what the straight move between two commands, (n_actuated,) each, is worth, both ways alike."""
         key = b"".join(sorted((start.tobytes(), end.tobytes())))
         if key not in self.known:
             self.known[key] = check_move(self.scene, start, end)
         return self.known[key]
 
-    def way(self, start: int, end: int, *, searched: bool = True) -> FloatArray | None:
+    def free_path(self, start: int, end: int, *, searched: bool = True) -> FloatArray | None:
         """Return the corners of a free way between two nodes, both included, (n, n_actuated); None: none found.
 
         Args:
@@ -91,10 +91,10 @@ class Planner:
         """
         if self._is_free(start, end):
             return self.nodes[[start, end]]
-        found = self._on_roadmap(start, end)
+        found = self._roadmap_path(start, end)
         if found is None and searched:
-            found = self._searched(start, end)
-        return None if found is None else self._shortened(found)
+            found = self._find_path(start, end)
+        return None if found is None else self._shorten(found)
 
     def _is_free(self, a: int, b: int) -> bool:
         """Whether the move between two nodes is; the roadmap remembers it."""
@@ -107,7 +107,7 @@ class Planner:
         self._free[a, b] = self._free[b, a] = free
         self._lengths[a, b] = self._lengths[b, a] = _KNOWN * length if free else 0.0
 
-    def _on_roadmap(self, start: int, end: int) -> FloatArray | None:
+    def _roadmap_path(self, start: int, end: int) -> FloatArray | None:
         """The shortest way along the nodes whose moves are free."""
         for _ in range(_TRIED):
             length, before = scipy.sparse.csgraph.dijkstra(self._lengths, indices=start, return_predecessors=True)
@@ -120,7 +120,7 @@ class Planner:
                 return self.nodes[way[::-1]]
         return None
 
-    def _searched(self, start: int, end: int) -> FloatArray | None:
+    def _find_path(self, start: int, end: int) -> FloatArray | None:
         try:
             from calib.motion.ompl_search import search
         except ImportError:
@@ -138,22 +138,22 @@ class Planner:
             self.limits,
             lambda q: not self.scene.hits(q[None])[0],
             lambda one, other: not self.move(one, other).hit,
-            _MOST_ASKED,
+            _MOST_CHECKS,
         )
-        before = self.nodes[[start]] if near == start else self._on_roadmap(start, near)
+        before = self.nodes[[start]] if near == start else self._roadmap_path(start, near)
         return None if found is None or before is None else np.vstack([before[:-1], found])
 
-    def _shortened(self, corners: FloatArray) -> FloatArray:
+    def _shorten(self, corners: FloatArray) -> FloatArray:
         """A way with fewer corners, and shorter ones."""
         generator = np.random.default_rng(self.seed)
-        corners = self._straightened(corners)
+        corners = self._straighten(corners)
         for _ in range(_SHORTCUTS if len(corners) > 2 else 0):
-            cut = self._cut_off(corners, generator)
+            cut = self._cut_corner(corners, generator)
             if cut is not None:
-                corners = self._straightened(cut)
+                corners = self._straighten(cut)
         return corners
 
-    def _straightened(self, corners: FloatArray) -> FloatArray:
+    def _straighten(self, corners: FloatArray) -> FloatArray:
         """The way without the corners that it can pass by, from the farthest on."""
         kept = [0]
         while kept[-1] < len(corners) - 1:
@@ -162,7 +162,7 @@ class Planner:
             kept.append(next((k for k in ahead if not self.move(corners[here], corners[k]).hit), here + 1))
         return corners[kept]
 
-    def _cut_off(self, corners: FloatArray, generator: np.random.Generator) -> FloatArray | None:
+    def _cut_corner(self, corners: FloatArray, generator: np.random.Generator) -> FloatArray | None:
         """The way past a corner, from somewhere before it to somewhere behind; None where that is blocked."""
         if len(corners) < 3:
             return None

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, UrdfError
-from calib.core.base.remembered import remembered
+from calib.core.base.memoize import memoize
 from calib.core.robots.pose_check import PoseCheck
 from calib.core.robots.robot import Robot
 from calib.core.robots.surroundings import UNCHECKED
@@ -36,9 +36,9 @@ def why_unchecked(robot: Robot) -> str:
     return f"mesh '{missing[0]}' of {robot.urdf.path} is not there" if missing else ""
 
 
-@remembered
+@memoize
 def surroundings(robot: Robot) -> Sight:
-    """Return the scene of a robot with its lines of sight, asked for or not.
+    """Return the scene of a robot with its lines of sight, requested or not.
 
     Raises:
         DescriptionError: A mesh is missing, an SRDF is of another robot, or an obstacle surrounds the robot.
@@ -65,7 +65,7 @@ def what_hits(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
     hits = np.array(sight.scene.hits(joints), dtype=object)
     free = np.flatnonzero(hits == "")
     if sight.lines and len(free):
-        hits[free] = sight.hidden(sight.scene.configurations(joints[free])[0])
+        hits[free] = sight.hidden_targets(sight.scene.configurations(joints[free])[0])
     return tuple(hits)
 
 

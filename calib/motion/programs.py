@@ -134,7 +134,7 @@ def write_program(route: Route, language: str, motion: Motion) -> str:
 
 
 def _question(route: Route, start: FloatArray | None = None) -> str:
-    """What is asked before anything moves, in letters that every controller shows.
+    """Question to the operator before anything moves, in letters that every controller shows.
 
     Args:
         route: The route.
@@ -155,7 +155,9 @@ def _remark(stop: Stop) -> str:
     """Pose name and clearance of a stop."""
     if not np.isfinite(stop.clearance):
         return f"pose {_plain(stop.name)}"
-    at_stop, on_the_way = (int(millimetres(value)) for value in (stop.clearance, min(stop.clearance, stop.on_the_way)))
+    at_stop, on_the_way = (
+        int(millimetres(value)) for value in (stop.clearance, min(stop.clearance, stop.poses_passed))
+    )
     clearance = f"clearance {at_stop} mm ({_plain(stop.pair)}), on the way {on_the_way} mm"
     return f"pose {_plain(stop.name)}, {clearance}"
 

@@ -16,14 +16,14 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import ComputationError, DataError, InputError
 from calib.core.base.registry import brought
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.base.workers import Progress
 from calib.core.data.measurements import Poses
 from calib.core.robots.robot import Robot
 from calib.motion.approach import approaches
 from calib.motion.planner import Planner
 from calib.motion.poses import surroundings, what_hits
-from calib.motion.scene import Scene
+from calib.motion.scene import CollisionScene
 
 _NODES = 150  # poses of the roadmap beside the stops
 _ROUNDS = 4  # in which the next best are tried
@@ -42,7 +42,7 @@ class Stop(ReadOnlyArrays):
         corners: Of the way from the stop before, without both ends, (n, n_actuated).
         clearance: Smallest distance of any pair at the stop [m].
         pair: Which pair that is.
-        on_the_way: Smallest distance on the way there [m].
+        poses_passed: Smallest distance on the way there [m].
     """
 
     name: str
@@ -50,7 +50,7 @@ class Stop(ReadOnlyArrays):
     corners: FloatArray
     clearance: float
     pair: str
-    on_the_way: float
+    poses_passed: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def plan_route(
     scene = surroundings(robot).scene
     if hit := scene.hits(start[None])[0]:
         raise InputError(f"{robot.path}: the robot collides where it starts ({hit}); give another start (--start FILE)")
-    planner = Planner(scene, np.vstack([start, _more(robot, scene, seed)]), robot.joint_limits, seed)
+    planner = Planner(scene, np.vstack([start, _more_free_poses(robot, scene, seed)]), robot.joint_limits, seed)
     stops, left_out = _visit(planner, start, poses, progress)
     replaced: list[Stop] = []
     candidates = poses.subset(np.zeros(0, dtype=np.intp)) if candidates is None else candidates
@@ -121,16 +121,16 @@ def plan_route(
         tried |= set(best.names)
         replaced += _visit(planner, (stops + replaced)[-1].joints, best, progress)[0]
     if not stops:
-        reasons = listed([f"{name}: {why}" for name, why in left_out.items()], "; ", 3)
-        raise ComputationError(f"none of {counted(len(poses), 'pose')} can be visited ({reasons})")
+        reasons = listing([f"{name}: {why}" for name, why in left_out.items()], "; ", 3)
+        raise ComputationError(f"none of {count_noun(len(poses), 'pose')} can be visited ({reasons})")
     names = tuple(stop.name for stop in replaced)
     given = dict(zip((*candidates.names, *poses.names), (*candidates.joints, *poses.joints), strict=True))
     round_ = [stop.name for stop in (*stops, *replaced) if np.any(stop.joints != given[stop.name])]
-    said = (f"the same pose by joints a whole turn from those given: {listed(round_, shown=8)}",) if round_ else ()
-    return Route(robot, start, (*stops, *replaced), left_out, names, scene.remarks + said)
+    notes = (f"the same pose by joints a whole turn from those given: {listing(round_, shown=8)}",) if round_ else ()
+    return Route(robot, start, (*stops, *replaced), left_out, names, scene.remarks + notes)
 
 
-def _blocked(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
+def _why_blocked(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
     """Why poses cannot be visited, "" where they may be."""
     low, high = robot.joint_limits.T
     outside = np.any((joints < low - 1e-9) | (joints > high + 1e-9), axis=1)
@@ -138,13 +138,13 @@ def _blocked(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
     return tuple("outside the joint limits" if out else hit for out, hit in zip(outside, hits, strict=True))
 
 
-def _more(robot: Robot, scene: Scene, seed: int) -> FloatArray:
+def _more_free_poses(robot: Robot, scene: CollisionScene, seed: int) -> FloatArray:
     """Further free poses, turned round to be near home, (n, n_actuated)."""
     try:
         q = robot.sample(_NODES, seed)
     except DataError:
         return np.zeros((0, len(robot.joint_names)))
-    for turned in _turned(robot, robot.home, q)[:1]:
+    for turned in _turned_by_full_turns(robot, robot.home, q)[:1]:
         nearer = np.sum(np.abs(turned - robot.home), axis=1) < np.sum(np.abs(q - robot.home), axis=1)
         q = np.where(nearer[:, None], turned, q)
     return q[[not hit for hit in scene.hits(q)]]
@@ -158,9 +158,9 @@ def _visit(
     A pose that no known way reaches is tried with joints turned all the way round, and then searched for.
     """
     stops: list[Stop] = []
-    why = list(_blocked(planner.scene.robot, poses.joints))
+    why = list(_why_blocked(planner.scene.robot, poses.joints))
     left = np.flatnonzero(np.array(why) == "")
-    tries = [poses.joints, *_turned(planner.scene.robot, planner.nodes[0], poses.joints), poses.joints]
+    tries = [poses.joints, *_turned_by_full_turns(planner.scene.robot, planner.nodes[0], poses.joints), poses.joints]
     for number, joints in enumerate(tries):
         usable = left[np.all(np.isfinite(joints[left]), axis=1)]
         if not len(usable):
@@ -176,7 +176,7 @@ def _visit(
     return stops, {name: reason for name, reason in zip(poses.names, why, strict=True) if reason}
 
 
-def _turned(robot: Robot, start: FloatArray, joints: FloatArray) -> list[FloatArray]:
+def _turned_by_full_turns(robot: Robot, start: FloatArray, joints: FloatArray) -> list[FloatArray]:
     """The same poses with joints turned whole turns, those nearest to the start first, (n, n_actuated) each; else NaN.
 
     Every joint as near as it can be, or all but one of them.
@@ -210,7 +210,7 @@ def _pass(planner: Planner, start: FloatArray, poses: Poses, searched: bool) -> 
     order = usable[brought("calib.methods", "shortest_order")(from_where[usable], planner.nodes[planner.here])]
     stops: list[Stop] = []
     for node, k in enumerate(order.tolist(), planner.add(from_where[order])):
-        way = planner.way(planner.here, node, searched=searched)
+        way = planner.free_path(planner.here, node, searched=searched)
         if way is None:
             why[poses.names[k]] = _NO_WAY
             continue
@@ -223,7 +223,7 @@ def _why_not_straight(planner: Planner, beside: FloatArray, touching: FloatArray
     """Why a touch cannot be approached along its normal; "" where it can."""
     if not np.all(np.isfinite(beside)):
         return "no joint values are straight out from what it touches"
-    hit = _blocked(planner.scene.robot, beside[None])[0] or planner.move(beside, touching).hit
+    hit = _why_blocked(planner.scene.robot, beside[None])[0] or planner.move(beside, touching).hit
     return f"{hit}, straight out from what it touches" if hit else ""
 
 
@@ -239,7 +239,7 @@ def _stop(planner: Planner, name: str, points: FloatArray) -> Stop:
 
 def _next_best(robot: Robot, candidates: Poses, tried: set[str], stops: Sequence[Stop], count: int) -> Poses:
     """The candidates that help most beside the stops, by O1, of those that are free and were not tried."""
-    hits = _blocked(robot, candidates.joints)
+    hits = _why_blocked(robot, candidates.joints)
     usable = [k for k, name in enumerate(candidates.names) if name not in tried and not hits[k]]
     rest = candidates.subset(np.array(usable, dtype=np.intp))
     if len(rest) <= count or not count:

@@ -24,9 +24,9 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.robots.configurations import configured, distances
+from calib.core.robots.configurations import distances, solve_configurations
 from calib.core.robots.robot import Robot
-from calib.motion.shapes import Body, bodies_of, inside
+from calib.motion.shapes import Body, bodies_of, is_inside
 
 Pairs = tuple[tuple[int, int], ...]
 _ROUGH = 0.005
@@ -34,7 +34,7 @@ _ROUGH = 0.005
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class CollisionScene:
     """Shapes and the pairs of them that are looked at.
 
     Attributes:
@@ -49,7 +49,7 @@ class Scene:
     pairs: Pairs
     remarks: tuple[str, ...] = ()
 
-    def with_pairs(self, pairs: Pairs, *remarks: str) -> Scene:
+    def with_pairs(self, pairs: Pairs, *remarks: str) -> CollisionScene:
         """Return the scene in which these pairs are looked at."""
         return replace(self, pairs=pairs, remarks=self.remarks + remarks)
 
@@ -88,30 +88,32 @@ class Scene:
         """
         mechanism = self.robot.mechanism
         if not mechanism.loops and not self.robot.terms:
-            return mechanism.all_joints(mechanism.untilted(q), np.zeros((len(q), 0))), np.ones(len(q), dtype=bool)
+            return mechanism.all_joints(mechanism.without_tilts(q), np.zeros((len(q), 0))), np.ones(len(q), dtype=bool)
         closed = self.robot.close(q)
         ok = np.array(closed.ok)
         if mechanism.loops and np.any(ok):
             good = np.flatnonzero(ok)
-            near = distances(self.robot, configured(self.robot, q[good], closed.at(good)))
+            near = distances(self.robot, solve_configurations(self.robot, q[good], closed.select(good)))
             ok[good[near < self.robot.description.singularity_limit]] = False
-        told = configured(self.robot, q, closed)
-        return mechanism.all_joints(told.actuated, np.where(ok[:, None], told.passive, 0.0)), ok
+        configurations = solve_configurations(self.robot, q, closed)
+        return mechanism.all_joints(configurations.actuated, np.where(ok[:, None], configurations.passive, 0.0)), ok
 
-    def distances(self, joints: FloatArray, asked: BoolArray | None = None, *, thorough: bool = True) -> FloatArray:
+    def distances(
+        self, joints: FloatArray, counted_pairs: BoolArray | None = None, *, thorough: bool = True
+    ) -> FloatArray:
         """Return how far each pair is from touching, its clearance taken off, (n, n_pairs) [m].
 
         Of meshes that are farther apart than a few millimetres it is that of their hulls, which is not more.
 
         Args:
             joints: Configurations, (n, n_joints) [m or rad].
-            asked: Which pairs count in each, (n, n_pairs); the others are infinitely far. None: all.
+            counted_pairs: Which pairs count in each, (n, n_pairs); the others are infinitely far. None: all.
             thorough: Whether one mesh inside another counts as touching; no way leads there from outside.
         """
         geometry, data, workspace = self.workspace
         result = np.full((len(joints), len(self.pairs)), np.inf)
         for k, q in enumerate(joints):
-            pairs = None if asked is None else np.flatnonzero(asked[k])
+            pairs = None if counted_pairs is None else np.flatnonzero(counted_pairs[k])
             if pairs is None or 2 * len(pairs) > len(self.pairs):
                 pin.computeDistances(self.robot.mechanism.model, workspace, geometry, data, q)
                 result[k] = [each.min_distance for each in data.distanceResults]
@@ -122,7 +124,7 @@ class Scene:
             result[k] -= self.margins
             for pair in np.flatnonzero(self._is_rough & (result[k] <= _ROUGH)).tolist():
                 result[k, pair] = self._exact(pair, result[k, pair], data.oMg, thorough)
-        return result if asked is None else np.where(asked, result, np.inf)
+        return result if counted_pairs is None else np.where(counted_pairs, result, np.inf)
 
     def _exact(self, pair: int, of_hulls: float, placed: Any, thorough: bool) -> float:
         """Distance of the triangles of a pair, its clearance taken off [m]."""
@@ -139,7 +141,7 @@ class Scene:
                 (one, other, placed[a].actInv(placed[b])),
                 (other, one, placed[b].actInv(placed[a])),
             ):
-                if len(outer.corners) and inside(to_outer.act(_some_point(inner))[None], outer.corners):
+                if len(outer.corners) and is_inside(to_outer.act(_point_inside(inner))[None], outer.corners):
                     return -margin
         return float(apart) - margin
 
@@ -182,7 +184,7 @@ class Scene:
         return tuple(found)
 
 
-def _some_point(body: Body) -> FloatArray:
+def _point_inside(body: Body) -> FloatArray:
     """A point of a shape, in its axes, (3,) [m]."""
     if len(body.corners):
         return body.corners[0, 0]
@@ -196,7 +198,7 @@ def moving_between(robot: Robot, a: IntArray, b: IntArray) -> IntArray:
     return np.sum((mechanism.support[a] != mechanism.support[b]) & moves, axis=1)
 
 
-def all_shapes(robot: Robot) -> Scene:
+def all_shapes(robot: Robot) -> CollisionScene:
     """Return all shapes of a robot, with every pair that moves against each other.
 
     Raises:
@@ -206,4 +208,4 @@ def all_shapes(robot: Robot) -> Scene:
     frames = np.array([body.joint for body in bodies], dtype=np.intp)
     a, b = np.triu_indices(len(bodies), 1)
     apart = moving_between(robot, frames[a], frames[b]) > 0
-    return Scene(robot, bodies, tuple(zip(a[apart].tolist(), b[apart].tolist(), strict=True)), remarks)
+    return CollisionScene(robot, bodies, tuple(zip(a[apart].tolist(), b[apart].tolist(), strict=True)), remarks)

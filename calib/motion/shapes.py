@@ -22,11 +22,11 @@ import pinocchio as pin
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import DescriptionError
-from calib.core.base.words import listed
+from calib.core.base.words import listing
 from calib.core.robots.mechanism import rigid
 from calib.core.robots.robot_data import RobotData
 from calib.core.robots.surroundings import UNCHECKED, ObstacleSection, ShapeSection
-from calib.core.robots.urdf.links import Shape, find_mesh, read_links
+from calib.core.robots.urdf.links import LinkShape, find_mesh, read_links
 
 _MOST_TRIANGLES = 20_000
 _THIN = 0.04  # radius of capsules that stand for links, of the robot's characteristic length
@@ -46,7 +46,7 @@ class Body:
         corners: Of these triangles, (n, 3, 3) [m]; empty where it is convex.
         radius: Distance of its farthest point from the link's origin [m].
         clearance: Distance that others keep from it [m].
-        given: Whether the description brings it: an obstacle, or a part of the tool.
+        is_described: Whether the description brings it: an obstacle, or a part of the tool.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Body:
     corners: FloatArray
     radius: float
     clearance: float
-    given: bool
+    is_described: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ def bodies_of(robot: RobotData) -> tuple[tuple[Body, ...], tuple[str, ...]]:
         UrdfError: A shape of the URDF is not made of numbers.
     """
     links, remarks = _links(robot)
-    return (*links, *_given(robot)), remarks
+    return (*links, *_described_bodies(robot)), remarks
 
 
 def missing_meshes(robot: RobotData) -> tuple[str, ...]:
@@ -96,7 +96,7 @@ def has_collision_shapes(robot: RobotData) -> bool:
     return b"<collision" in robot.urdf.source and any(link.collisions for link in read_links(robot.urdf).values())
 
 
-def moved_frames(robot: RobotData) -> BoolArray:
+def is_moved_frame(robot: RobotData) -> BoolArray:
     """Which frames move in the root link, (n_joints + 1,)."""
     mechanism = robot.mechanism
     result: BoolArray = mechanism.support @ np.any(mechanism.select_moving != 0, axis=1) > 0
@@ -111,7 +111,7 @@ def _links(robot: RobotData) -> tuple[list[Body], tuple[str, ...]]:
         by_link = {name: link.visuals for name, link in read.items()}
     frames = robot.mechanism.frames
     bodies = [
-        _body(name, frames[name], shape.placement, _of_urdf(shape, name, robot, exact=exact), clearance)
+        _body(name, frames[name], shape.placement, _solid_of_link(shape, name, robot, exact=exact), clearance)
         for name, shapes in by_link.items()
         for shape in shapes
     ]
@@ -121,17 +121,17 @@ def _links(robot: RobotData) -> tuple[list[Body], tuple[str, ...]]:
     remarks = (
         [] if exact else ["the robot file has no collision shapes: the convex hulls of its visuals stand for them"]
     )
-    moved = set(np.flatnonzero(moved_frames(robot)).tolist())
+    moved = set(np.flatnonzero(is_moved_frame(robot)).tolist())
     bare = [
         joint.child for joint in robot.urdf.joints if frames[joint.child] in moved - {body.joint for body in bodies}
     ]
     bare = [name for name in bare if any(np.linalg.norm(j.xyz) > 0 for j in robot.urdf.joints if j.parent == name)]
     if bare:
-        remarks.append(f"links without any shape, which are not checked: {listed(bare)}")
+        remarks.append(f"links without any shape, which are not checked: {listing(bare)}")
     return bodies, tuple(remarks)
 
 
-def _of_urdf(shape: Shape, link: str, robot: RobotData, *, exact: bool) -> _Solid:
+def _solid_of_link(shape: LinkShape, link: str, robot: RobotData, *, exact: bool) -> _Solid:
     if shape.kind != "mesh":
         return _primitive(shape.kind, shape.size)
     path = find_mesh(shape.file, robot.urdf.path)
@@ -140,23 +140,23 @@ def _of_urdf(shape: Shape, link: str, robot: RobotData, *, exact: bool) -> _Soli
             f"{robot.urdf.path}, link '{link}': mesh '{shape.file}' is not there; put it beside the URDF, or write"
             f" 'obstacles: {UNCHECKED}' into the description to go without"
         )
-    return _of_mesh(path, np.array(shape.size), exact=exact)
+    return _solid_of_mesh(path, np.array(shape.size), exact=exact)
 
 
-def _given(robot: RobotData) -> list[Body]:
+def _described_bodies(robot: RobotData) -> list[Body]:
     """Obstacles, parts of the tool, and what stands at targets."""
     description, mechanism, where = robot.description, robot.mechanism, robot.path
     bodies = []
     for name, section in described_obstacles(robot).items():
         joint = 0 if section.frame is None else _frame(robot, section.frame, f"obstacles.{name}.frame")
-        if section.plane and moved_frames(robot)[joint]:
+        if section.plane and is_moved_frame(robot)[joint]:
             raise DescriptionError(f"{where}: obstacles.{name}: a plane cannot move with '{section.frame}'; give a box")
-        solid = _of_section(section, f"{where}: obstacles.{name}")
+        solid = _solid_of_section(section, f"{where}: obstacles.{name}")
         bodies.append(_body(name, joint, rigid(section.xyz, section.rpy), solid, section.clearance, given=True))
     for name, target in description.targets.items():
         if target.shape is not None:
             place = rigid(target.shape.xyz, target.shape.rpy)
-            solid = _of_section(target.shape, f"{where}: targets.{name}.shape")
+            solid = _solid_of_section(target.shape, f"{where}: targets.{name}.shape")
             bodies.append(_body(name, mechanism.places[name], place, solid, description.self_clearance, given=True))
     return bodies
 
@@ -174,14 +174,14 @@ def _frame(robot: RobotData, name: str, where: str) -> int:
         raise DescriptionError(f"{robot.path}: {where}: {error}") from None
 
 
-def _of_section(section: ShapeSection, where: str) -> _Solid:
+def _solid_of_section(section: ShapeSection, where: str) -> _Solid:
     if section.kind == "plane":
         return _Solid(coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0))
     if section.kind == "mesh":
         assert section.mesh is not None
         if not Path(section.mesh).is_file():
             raise DescriptionError(f"{where}: mesh '{section.mesh}' is not there")
-        return _of_mesh(Path(section.mesh), np.full(3, section.scale), exact=True)
+        return _solid_of_mesh(Path(section.mesh), np.full(3, section.scale), exact=True)
     size = getattr(section, section.kind)
     return _primitive(section.kind, size if isinstance(size, tuple) else (size,))
 
@@ -195,7 +195,7 @@ def _primitive(kind: str, size: Sequence[float]) -> _Solid:
     return _Solid(coal.Box(*map(float, size)), points=np.array([size]) / 2)
 
 
-def _of_mesh(path: Path, scale: FloatArray, *, exact: bool) -> _Solid:
+def _solid_of_mesh(path: Path, scale: FloatArray, *, exact: bool) -> _Solid:
     import trimesh
 
     try:
@@ -231,11 +231,11 @@ def _hull(vertices: FloatArray) -> tuple[Any, FloatArray]:
     numbers[found.vertices] = np.arange(len(points))
     corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     corners.extend(list(points))
-    triangles.extend([coal.Triangle(*map(int, face)) for face in _outwards(found, numbers)])
+    triangles.extend([coal.Triangle(*map(int, face)) for face in _oriented_triangles(found, numbers)])
     return coal.Convex(corners, triangles), points
 
 
-def _outwards(found: Any, numbers: IntArray) -> IntArray:
+def _oriented_triangles(found: Any, numbers: IntArray) -> IntArray:
     """Triangles of a hull whose corners go round counter-clockwise, seen from outside."""
     a, b, c = (found.points[found.simplices[:, k]] for k in range(3))
     inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), found.equations[:, :3]) < 0
@@ -283,7 +283,7 @@ def _stretches(robot: RobotData, link: str) -> Iterator[tuple[FloatArray, FloatA
             yield origin, np.array(target.xyz)
 
 
-def inside(points: FloatArray, corners: FloatArray) -> bool:
+def is_inside(points: FloatArray, corners: FloatArray) -> bool:
     """Whether the first of points (n, 3) is inside a closed mesh of triangles (m, 3, 3), by their solid angles.
 
     Reference: oosterom1983.

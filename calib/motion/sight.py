@@ -22,7 +22,7 @@ from calib.core.instruments.pixel import Pixel
 from calib.core.robots.described_instruments import MEASUREMENT_FRAME
 from calib.core.robots.robot import Robot
 from calib.core.robots.surroundings import AcceptanceSection
-from calib.motion.scene import Scene
+from calib.motion.scene import CollisionScene
 
 _SHORT = 0.025  # by which a line ends before what it goes to [m]
 _BEAM = 0.01  # width of a line [m]
@@ -31,7 +31,7 @@ _THINNEST = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class SightLine:
     """A line of sight.
 
     Attributes:
@@ -61,27 +61,27 @@ class Sight:
         ignored: Names of a line and of a shape that hides it at nearly all poses.
     """
 
-    scene: Scene
-    lines: tuple[Line, ...]
+    scene: CollisionScene
+    lines: tuple[SightLine, ...]
     ignored: frozenset[tuple[str, str]] = frozenset()
 
-    def hidden(self, joints: FloatArray) -> list[str]:
+    def hidden_targets(self, joints: FloatArray) -> list[str]:
         """Return what hides a target in configurations (n, n_joints) [m or rad], "" where nothing does."""
-        return [next(self._obscured(q), "") for q in joints]
+        return [next(self._hiding_shapes(q), "") for q in joints]
 
-    def _obscured(self, q: FloatArray) -> Iterator[str]:
-        """What hides a target in a configuration, line by line."""
-        for line, ends, turned in self._placed(q):
+    def _hiding_shapes(self, q: FloatArray) -> Iterator[str]:
+        """Shapes that hide a target in a configuration, line by line."""
+        for line, ends, turned in self._lines_in_root(q):
             if turned:
                 yield f"{line.name} turned away"
-            for body in self.in_the_way(line, ends):
+            for body in self.shapes_hiding(line, ends):
                 yield f"{body} in sight of {line.name}"
 
     def ends(self, q: FloatArray) -> list[FloatArray]:
         """Return both ends of each line in a configuration, in the root link, (2, 3) [m] each."""
-        return [ends for _, ends, _ in self._placed(q)]
+        return [ends for _, ends, _ in self._lines_in_root(q)]
 
-    def _placed(self, q: FloatArray) -> Iterator[tuple[Line, FloatArray, bool]]:
+    def _lines_in_root(self, q: FloatArray) -> Iterator[tuple[SightLine, FloatArray, bool]]:
         """Lines with their ends in the root link, (2, 3) [m], and whether the target is turned away."""
         model, (geometry, data, workspace) = self.scene.robot.mechanism.model, self.scene.workspace
         pin.forwardKinematics(model, workspace, q)
@@ -96,7 +96,7 @@ class Sight:
                 turned = bool(cosine < np.cos(line.acceptance.angle))
             yield line, ends, turned
 
-    def in_the_way(self, line: Line, ends: FloatArray) -> Iterator[str]:
+    def shapes_hiding(self, line: SightLine, ends: FloatArray) -> Iterator[str]:
         """Return the shapes, where they are now, that hide a line between two points (2, 3) [m]."""
         along = ends[1] - ends[0]
         length = float(np.linalg.norm(along))
@@ -117,8 +117,8 @@ class Sight:
         """Return the lines without what hides them in nearly all configurations (n, n_joints), and what to say."""
         count: dict[tuple[str, str], int] = {}
         for q in joints:
-            for line, ends, _ in list(self._placed(q)):
-                for body in dict.fromkeys(self.in_the_way(line, ends)):
+            for line, ends, _ in list(self._lines_in_root(q)):
+                for body in dict.fromkeys(self.shapes_hiding(line, ends)):
                     count[line.name, body] = count.get((line.name, body), 0) + 1
         ends_in = frozenset(key for key, n in count.items() if n >= _ALWAYS * len(joints))
         remarks = tuple(
@@ -131,12 +131,12 @@ def _touches(shape: Any, T: Any, beam: Any, place: Any) -> bool:
     return float(coal.distance(shape, T, beam, place, coal.DistanceRequest(), coal.DistanceResult())) <= 0
 
 
-def build_sight(scene: Scene) -> Sight:
+def build_sight(scene: CollisionScene) -> Sight:
     """Return the lines of sight of a robot's instruments."""
     return Sight(scene, tuple(_lines(scene.robot)))
 
 
-def _lines(robot: Robot) -> Iterator[Line]:
+def _lines(robot: Robot) -> Iterator[SightLine]:
     mechanism, description = robot.mechanism, robot.description
     stand = description.sight
     for instrument in robot.instruments:
@@ -154,7 +154,7 @@ def _lines(robot: Robot) -> Iterator[Line]:
             for point in _points_seen(instrument):
                 ends = np.array([source, point])
                 name = b if instrument.name == b else f"{b} by {instrument.name}"
-                yield Line(name, (start, mechanism.places[b]), ends, width, b, target.acceptance)
+                yield SightLine(name, (start, mechanism.places[b]), ends, width, b, target.acceptance)
 
 
 def _points_seen(instrument: FrameInstrument) -> FloatArray:

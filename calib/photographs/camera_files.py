@@ -31,7 +31,7 @@ _WANTED = "intrinsics (YAML of OpenCV, or camera_info of ROS)"
 
 @dataclass(frozen=True, eq=False)
 class CameraFile:
-    """What a file says of a camera.
+    """A camera as read from a file.
 
     Attributes:
         intrinsics: fx fy cx cy k1 k2 p1 p2 k3 [px and numbers], (9,).

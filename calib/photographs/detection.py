@@ -28,7 +28,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DescriptionError
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.instruments.board import Board
 from calib.photographs.opencv import GreyImage, dictionary, dictionary_families, opencv
 
@@ -46,7 +46,7 @@ _FLAT = 30  # grey values between dark and bright
 
 @dataclass(frozen=True, eq=False)
 class DetectedImage:
-    """What was found in one image.
+    """Points of a board detected in one image.
 
     Attributes:
         name: Of the image.
@@ -74,7 +74,7 @@ class DetectedImage:
 
 @dataclass(frozen=True)
 class Detection:
-    """What was found in a set of images.
+    """Points of a board detected in a set of images.
 
     Attributes:
         board: The board, with the layout that most corners have shown.
@@ -122,17 +122,17 @@ def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Itera
                 ahead = (
                     detectors[0]
                     if len(detectors) == 1
-                    else max(detectors, key=lambda detector: detector.mirrored(image))
+                    else max(detectors, key=lambda detector: detector.n_mirrored_points(image))
                 )
-                shown = [ahead.explained(shown[0], image)] * len(layouts)
+                shown = [ahead.with_remark(shown[0], image)] * len(layouts)
         for of_layout, detected in zip(each, shown, strict=True):
             of_layout.append(detected)
         yield max(shown, key=lambda detected: len(detected.points))
     best = max(range(len(layouts)), key=lambda k: sum(len(detected.points) for detected in each[k]))
-    yield Detection(detectors[best].board, tuple(_of_one_size(each[best])))
+    yield Detection(detectors[best].board, tuple(_images_of_one_size(each[best])))
 
 
-def _of_one_size(images: Sequence[DetectedImage]) -> Iterator[DetectedImage]:
+def _images_of_one_size(images: Sequence[DetectedImage]) -> Iterator[DetectedImage]:
     """The images; those that have another size than most with a board have no points."""
     sizes = Counter(image.size for image in images if image.usable)
     for image in images:
@@ -158,9 +158,9 @@ class _Detector:
     def find(self, name: str, image: GreyImage) -> DetectedImage:
         """Return what is in an image."""
         points = self.points(image)
-        if 0 < len(points) < self._n_points / 2 and self.mirrored(image) > 2 * len(points):
+        if 0 < len(points) < self._n_points / 2 and self.n_mirrored_points(image) > 2 * len(points):
             points = {}  # chance finds in a mirrored image
-        kept = on_one_plane(self.board, points)
+        kept = points_on_one_plane(self.board, points)
         if len(kept) < _FITTING * len(points) and (numbered := self._other_numbering(points)):
             return DetectedImage(name, (image.shape[1], image.shape[0]), (), np.zeros((0, 2)), numbered)
         if 4 * (len(points) - len(kept)) > len(points) and self._other_columns(image):
@@ -172,7 +172,7 @@ class _Detector:
         if edge > _BLURRED:
             remark = f"blurred: edges are {edge:.0f} px wide"
         elif off:
-            remark = f"{counted(off, 'point')} left out that cannot be where the others put the board"
+            remark = f"{count_noun(off, 'point')} left out that cannot be where the others put the board"
         elif len(points) >= FEWEST and self.board.dictionary:
             remark = self._strangers(_marker_numbers(image, self.board.dictionary))
         return DetectedImage(name, (image.shape[1], image.shape[0]), tuple(points), pixels, remark, edge)
@@ -189,29 +189,29 @@ class _Detector:
             return _charuco(self._board, image)
         return _markers(self.board, image, self.board.dictionary or "")
 
-    def mirrored(self, image: GreyImage) -> int:
+    def n_mirrored_points(self, image: GreyImage) -> int:
         """Return how many points are in the mirror image; none of a board without markers, which looks alike there."""
         return len(self.points(np.ascontiguousarray(image[:, ::-1]))) if self.board.dictionary else 0
 
-    def explained(self, detected: DetectedImage, image: GreyImage) -> DetectedImage:
+    def with_remark(self, detected: DetectedImage, image: GreyImage) -> DetectedImage:
         """Return what was found with a remark that says why it is too little."""
         n = len(detected.points)
-        mirrored = self.mirrored(image) >= max(FEWEST, 2 * n)
-        return replace(detected, remark=self._why(image, n, mirrored), edge=float("nan"), mirrored=mirrored)
+        mirrored = self.n_mirrored_points(image) >= max(FEWEST, 2 * n)
+        return replace(detected, remark=self._why_missing(image, n, mirrored), edge=float("nan"), mirrored=mirrored)
 
-    def _why(self, image: GreyImage, n: int, mirrored: bool) -> str:
-        few = f"only {counted(n, 'point')} found" if n else "no board found"
+    def _why_missing(self, image: GreyImage, n: int, mirrored: bool) -> str:
+        few = f"only {count_noun(n, 'point')} found" if n else "no board found"
         board = self.board
         if board.dictionary is None:
             return few + (
-                self._miscounted(image)
+                self._board_of_other_count(image)
                 or _light_remark(image)
                 or "; without markers it is found only if all of it is in the image"
                 + (", and if the dot of one corner is larger than the others" if board.kind == "dots" else "")
             )
         markers, columns = _marker_numbers(image, board.dictionary), self._other_columns(image)
         if columns:
-            return f"{few}: its {counted(len(set(markers)), 'marker')} lie as on {columns}; correct columns and rows"
+            return f"{few}: its {count_noun(len(set(markers)), 'marker')} lie as on {columns}; correct columns and rows"
         if mirrored:
             return f"{few}: the image is mirrored; switch that off in the camera, or flip the images back"
         if len(markers) == 0:
@@ -224,9 +224,9 @@ class _Detector:
         strangers = self._strangers(markers)
         if strangers:
             return f"{few}: {strangers}"
-        return f"{few} ({counted(len(set(markers)), 'marker')}): the board is partly outside, covered or too small"
+        return f"{few} ({count_noun(len(set(markers)), 'marker')}): the board is partly outside, covered or too small"
 
-    def _miscounted(self, image: GreyImage) -> str:
+    def _board_of_other_count(self, image: GreyImage) -> str:
         """Which board without markers is there instead; empty if none is known."""
         others = [self._suspect] if self._suspect else _other_counts(self.board) if self._tries > 0 else ()
         self._tries -= 1
@@ -253,7 +253,7 @@ class _Detector:
             places = [_marker_corners(board, columns, numbers[k] - board.first_marker) for k in some]
             if board.first_row == "bottom":
                 places = [place * [1, -1] + [0, board.marker or 0.0] for place in places]
-            return int(np.sum(_on_plane(np.concatenate(places), pixels, robust=False)))
+            return int(np.sum(_are_on_plane(np.concatenate(places), pixels, robust=False)))
 
         fits = {columns: fitting(columns) for columns in self._columns}
         best = max(fits, key=lambda columns: fits[columns])
@@ -263,16 +263,18 @@ class _Detector:
         return f"a board of {best} columns"
 
     def _other_numbering(self, points: dict[str, FloatArray]) -> str:
-        """What to write if markers lie as on a board that is numbered from the other side; else empty."""
+        """The right board text if markers are numbered from the other side; else empty."""
         other = "bottom" if self.board.first_row == "top" else "top"
         if self.board.kind not in ("aruco", "apriltag"):
             return ""
-        if len(on_one_plane(self.board.model_copy(update={"first_row": other}), points)) < _FITTING * len(points):
+        if len(points_on_one_plane(self.board.model_copy(update={"first_row": other}), points)) < _FITTING * len(
+            points
+        ):
             return ""
         return f"its markers are counted from the {other} row; write first_row: {other} into the board"
 
     def _strangers(self, markers: list[int]) -> str:
-        """What markers in an image that the board does not have say; empty without any."""
+        """A sentence on markers in an image that the board does not have; empty without any."""
         board_numbers = marker_numbers(self.board)
         strange = sorted(set(markers) - set(board_numbers))
         if not strange:
@@ -434,7 +436,7 @@ def _circles(board: Board, image: GreyImage) -> dict[str, FloatArray]:
 
 
 def _blobs(image: GreyImage) -> Any:
-    """What finds dots in an image."""
+    """Detector of dots in an image."""
     cv2 = opencv()
     settings = cv2.SimpleBlobDetector_Params()
     settings.maxArea = image.size / 50
@@ -489,16 +491,16 @@ def _light_remark(image: GreyImage) -> str:
     return f"; the image is blurred (edges are {edge:.0f} px wide)" if edge > _BLURRED else ""
 
 
-def on_one_plane(board: Board, points: dict[str, FloatArray]) -> dict[str, FloatArray]:
+def points_on_one_plane(board: Board, points: dict[str, FloatArray]) -> dict[str, FloatArray]:
     """Return the points (2,) [px] by name that are where most others put the board, as one homography has it."""
     if len(points) <= FEWEST:
         return points
     places = board.points()
-    inside = _on_plane(np.array([places[name][:2] for name in points]), np.array(list(points.values())))
+    inside = _are_on_plane(np.array([places[name][:2] for name in points]), np.array(list(points.values())))
     return {name: place for (name, place), keep in zip(points.items(), inside, strict=True) if keep}
 
 
-def _on_plane(on_board: FloatArray, pixels: FloatArray, *, robust: bool = True) -> BoolArray:
+def _are_on_plane(on_board: FloatArray, pixels: FloatArray, *, robust: bool = True) -> BoolArray:
     """Which points (n, 2) [m] lie at their pixels (n, 2), as one homography has them; none without one.
 
     It is that of most of them; if not robust, which is faster, of all.

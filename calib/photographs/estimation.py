@@ -27,8 +27,8 @@ from calib.core.base.errors import NotConvergedError, NotIdentifiableError
 from calib.core.numerics import linalg
 from calib.photographs.arm_errors import arm_twists
 from calib.photographs.intervals import intervals
-from calib.photographs.scene import Placed, Scene, linearised
-from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, found_noise, normal_equations
+from calib.photographs.scene import BoardScene, HandEyePlacement, linearise
+from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, find_noise, normal_equations
 
 LITTLE_TURN = np.deg2rad(15)
 """Spread about the second axis below which photographs tell little of where the camera is."""
@@ -54,7 +54,7 @@ class HandEyeEstimate(ReadOnlyArrays):
         scaled: Whether the size of the board was sought.
     """
 
-    placed: Placed
+    placed: HandEyePlacement
     free: tuple[int, ...]
     noise: ErrorSizes
     weights: ErrorSizes
@@ -65,15 +65,15 @@ class HandEyeEstimate(ReadOnlyArrays):
 
 
 def solve(
-    scene: Scene,
-    start: Placed,
+    scene: BoardScene,
+    start: HandEyePlacement,
     free: Sequence[int],
     noise: ErrorSizes,
     prior: IntrinsicsPrior | None = None,
     *,
     scaled: bool = False,
     steps: int = _STEPS,
-) -> Placed:
+) -> HandEyePlacement:
     """Return the minimum by damped Gauss-Newton steps, with the noise as it is.
 
     Args:
@@ -87,17 +87,17 @@ def solve(
     """
     placed, damping, last = start, 0.0, np.inf
     free = list(free)
-    a, b, cost = normal_equations(linearised(scene, placed, free, scaled), noise, prior, placed.intrinsics[free])
+    a, b, cost = normal_equations(linearise(scene, placed, free, scaled), noise, prior, placed.intrinsics[free])
     for _ in range(steps):
         scale = 1.0 / np.sqrt(np.diag(a) + 1e-300)
         inner = scale[:, None] * a * scale + (damping + 1e-14) * np.eye(len(a))
         step = -scale * np.linalg.solve(inner, scale * b)
         size = float(np.linalg.norm(step / scale)) / (1.0 + np.sqrt(cost))
-        tried = placed.moved(step, free)
+        tried = placed.step(step, free)
         if np.any(tried.intrinsics[:2] <= 0) or tried.scale <= 0:
             damping = max(10 * damping, 1e-3)
             continue
-        ahead = normal_equations(linearised(scene, tried, free, scaled), noise, prior, tried.intrinsics[free])
+        ahead = normal_equations(linearise(scene, tried, free, scaled), noise, prior, tried.intrinsics[free])
         if not ahead[2] <= cost * (1 + 1e-12) + 1e-18:
             if size < 1e-9:
                 break
@@ -111,8 +111,8 @@ def solve(
 
 
 def estimate(
-    scene: Scene,
-    start: Placed,
+    scene: BoardScene,
+    start: HandEyePlacement,
     free: Sequence[int],
     prior: IntrinsicsPrior | None = None,
     *,
@@ -138,27 +138,32 @@ def estimate(
     free = tuple(free)
     if not weighed:
         placed, weights = plain(scene, start, free, prior, scaled=scaled)
-        linear = linearised(scene, placed, free, scaled)
-        noise = found_noise(linear, prior, placed.intrinsics[list(free)], near)
-        return _finished(scene, placed, free, noise, weights, prior, scaled)
+        linear = linearise(scene, placed, free, scaled)
+        noise = find_noise(linear, prior, placed.intrinsics[list(free)], near)
+        return _finish(scene, placed, free, noise, weights, prior, scaled)
     placed, before = start, near
     for _ in range(_NOISE_ROUNDS):
-        linear = linearised(scene, placed, free, scaled)
-        noise = found_noise(linear, prior, placed.intrinsics[list(free)], before)
+        linear = linearise(scene, placed, free, scaled)
+        noise = find_noise(linear, prior, placed.intrinsics[list(free)], before)
         placed = solve(scene, placed, free, noise, prior, scaled=scaled)
-        if before is not None and _alike(before, noise):
+        if before is not None and _are_alike(before, noise):
             break
         before = noise
     else:
         raise NotConvergedError("the noise of the photographs could not be found from what is left")
-    linear = linearised(scene, placed, free, scaled)
+    linear = linearise(scene, placed, free, scaled)
     require_determined(normal_equations(linear, noise, prior, placed.intrinsics[list(free)])[0], scene)
-    return _finished(scene, placed, free, noise, noise, prior, scaled)
+    return _finish(scene, placed, free, noise, noise, prior, scaled)
 
 
 def plain(
-    scene: Scene, start: Placed, free: Sequence[int], prior: IntrinsicsPrior | None = None, *, scaled: bool = False
-) -> tuple[Placed, ErrorSizes]:
+    scene: BoardScene,
+    start: HandEyePlacement,
+    free: Sequence[int],
+    prior: IntrinsicsPrior | None = None,
+    *,
+    scaled: bool = False,
+) -> tuple[HandEyePlacement, ErrorSizes]:
     """Return the solution of plain least squares, against priors with the noise that is left, and that noise.
 
     Args:
@@ -173,39 +178,39 @@ def plain(
     """
     placed, weights = solve(scene, start, free, ErrorSizes(), scaled=scaled) if prior is None else start, ErrorSizes()
     for _ in range(1 if prior is None else _NOISE_ROUNDS):
-        linear = linearised(scene, placed, free, scaled)
+        linear = linearise(scene, placed, free, scaled)
         left = max(float(np.sum(linear.n_rows)) - linear.jr.shape[1], 1.0)
         before, weights = weights, ErrorSizes(max(float(np.sqrt(np.sum(linear.rr) / left)), 1e-6))
         if prior is not None:
             placed = solve(scene, placed, free, weights, prior, scaled=scaled)
         if abs(before.pixel - weights.pixel) < _NOISE_STANDS * weights.pixel:
             break
-    linear = linearised(scene, placed, free, scaled)
+    linear = linearise(scene, placed, free, scaled)
     require_determined(normal_equations(linear, weights, prior, placed.intrinsics[list(free)])[0], scene)
     return placed, weights
 
 
-def _alike(noise: ErrorSizes, other: ErrorSizes) -> bool:
+def _are_alike(noise: ErrorSizes, other: ErrorSizes) -> bool:
     first, second = (np.array([n.pixel, n.shift, n.turn]) for n in (noise, other))
     return bool(np.all(np.abs(first - second) <= _NOISE_STANDS * np.maximum(first, second) + 1e-12))
 
 
-def _finished(
-    scene: Scene,
-    placed: Placed,
+def _finish(
+    scene: BoardScene,
+    placed: HandEyePlacement,
     free: tuple[int, ...],
     noise: ErrorSizes,
     weights: ErrorSizes,
     prior: IntrinsicsPrior | None,
     scaled: bool,
 ) -> HandEyeEstimate:
-    linear = linearised(scene, placed, free, scaled)
+    linear = linearise(scene, placed, free, scaled)
     now = placed.intrinsics[list(free)]
     arm, covariance, freedom = intervals(linear, arm_twists(scene.tool), weights, noise, prior, now)
     return HandEyeEstimate(placed, free, noise, weights, arm, covariance, freedom, scaled)
 
 
-def require_determined(a: FloatArray, scene: Scene) -> None:
+def require_determined(a: FloatArray, scene: BoardScene) -> None:
     """Raise `NotIdentifiableError` unless all that is sought shows in A of the module docstring, (k, k)."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
     values = linalg.eigvalsh(scale[:, None] * a * scale)

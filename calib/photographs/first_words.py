@@ -15,7 +15,7 @@ from calib.core.base.units import millimetres
 from calib.core.instruments.camera import NAMES
 from calib.core.robots.robot import Robot
 from calib.photographs.camera_files import read_camera
-from calib.photographs.commands.boards import given_board
+from calib.photographs.commands.boards import read_board_option
 
 _BOARD = "charuco:7x5:30mm:22mm:DICT_5X5_100"
 _IMAGE, _FOCAL = (1280, 960), 1000.0  # px, where no file says them
@@ -36,7 +36,7 @@ def camera_words(
         to_print: Where the board is to be written, or None.
         out: The description.
     """
-    described = given_board(_BOARD if board is None else board)
+    described = read_board_option(_BOARD if board is None else board)
     given = None if camera is None else read_camera(camera)
     image = _IMAGE if given is None or given.image is None else given.image
     if given is None:

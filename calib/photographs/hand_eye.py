@@ -10,9 +10,9 @@ import scipy
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.photographs.estimation import HandEyeEstimate
 from calib.photographs.images_off import OffImage, OffPoint
-from calib.photographs.left_out import LeftOut, rms
+from calib.photographs.left_out_images import LeftOutImages, rms
 from calib.photographs.mistakes import Mistake
-from calib.photographs.scene import Scene, in_camera, on_board, residuals
+from calib.photographs.scene import BoardScene, plane_errors_on_board, points_in_camera, residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +32,9 @@ class HandEye(ReadOnlyArrays):
         weighed: Whether images were weighed.
     """
 
-    scene: Scene
+    scene: BoardScene
     fitted: HandEyeEstimate
-    left: LeftOut
+    left: LeftOutImages
     alone: FloatArray
     off: tuple[OffImage, ...]
     points_off: tuple[OffPoint, ...]
@@ -51,21 +51,21 @@ class HandEye(ReadOnlyArrays):
     @property
     def board(self) -> FloatArray:
         """How far pixels lie from their points on the board, (m, 2) [m]."""
-        return on_board(self.scene, self.fitted.placed)
+        return plane_errors_on_board(self.scene, self.fitted.placed)
 
     @property
     def lens_found(self) -> bool:
         """Whether intrinsics were found."""
         return bool(self.fitted.free)
 
-    def by_image(self, errors: FloatArray) -> FloatArray:
+    def rms_by_image(self, errors: FloatArray) -> FloatArray:
         """Return the root mean square of errors (m, 2) of each image, (n,)."""
         return np.sqrt(self.scene.sums(np.sum(errors**2, axis=1)) / self.scene.counts)
 
     @property
     def distance(self) -> float:
         """Mean distance from the camera to the points that it saw [m]."""
-        return float(np.mean(np.linalg.norm(in_camera(self.scene, self.fitted.placed)[0], axis=1)))
+        return float(np.mean(np.linalg.norm(points_in_camera(self.scene, self.fitted.placed)[0], axis=1)))
 
     @property
     def limit(self) -> float:
@@ -80,7 +80,7 @@ class HandEye(ReadOnlyArrays):
 
         Reference: satterthwaite1946.
         """
-        squares = self.by_image(self.left.board) ** 2
+        squares = self.rms_by_image(self.left.board) ** 2
         n, mean = len(squares), float(np.mean(squares))
         if not np.isfinite(mean):  # a ray that does not meet the plane of the board
             return float("nan")

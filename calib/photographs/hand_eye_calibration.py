@@ -8,7 +8,7 @@ rule; (5) what the camera alone leaves, the board placed freely in each image: t
 (6) mistakes that would explain what is left (`calib.photographs.mistakes`).
 
 "Better" is more than chance: with n images, n log(RMS / RMS) of those left out must gain more than 1.5. Where images
-are few, what gains less is chance too often, and then new images are told worse.
+are few, what gains less is chance too often, and then new images are predicted worse.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, DataError
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.photographs.estimation import estimate
 from calib.photographs.hand_eye import HandEye
-from calib.photographs.images_off import named_off, without_images_off, without_points_off
-from calib.photographs.left_out import LeftOut, predicted, rms
+from calib.photographs.images_off import fitting_images, fitting_points, images_far_off
+from calib.photographs.left_out_images import LeftOutImages, predict_left_out_images, rms
 from calib.photographs.lens_choice import lens_choices, lens_prior, unlikely
 from calib.photographs.mistakes import find_mistakes
-from calib.photographs.scene import Mount, Scene
+from calib.photographs.scene import BoardScene, Mount
 from calib.photographs.starts import LEAST_IMAGES, Start, camera_alone, intrinsics_at_first, start
 
 _GAIN = 1.5
 
 
 def calibrate(
-    scene: Scene,
+    scene: BoardScene,
     intrinsics: FloatArray | None,
     *,
     lens: str = "auto",
@@ -58,14 +58,14 @@ def calibrate(
     tell = progress or (lambda done, total: None)
     if lens == "given" and intrinsics is None:
         raise DataError("no intrinsics are given, so the lens cannot stay as given; give them with --camera FILE")
-    scene = _in_order_of_content(scene)
-    first, begin = _begun(scene, intrinsics, mounts)
-    begin, points = without_points_off(begin, first)
+    scene = _sort_points(scene)
+    first, begin = _first_start(scene, intrinsics, mounts)
+    begin, points = fitting_points(begin, first)
     tell(1, 5)
     sure = begin.scene
-    kept = without_images_off(sure, begin, intrinsics, lens)
-    off = named_off(sure, kept, begin)
-    kept_scene = sure.only(kept)
+    kept = fitting_images(sure, begin, intrinsics, lens)
+    off = images_far_off(sure, kept, begin)
+    kept_scene = sure.select_images(kept)
     tell(2, 5)
     prior = lens_prior(first, kept_scene, first is intrinsics)
     choices = lens_choices(kept_scene, begin.placed, prior, intrinsics, lens)
@@ -82,7 +82,9 @@ def calibrate(
     if fitted.noise.shift > 0 or fitted.noise.turn > 0:
         try:
             other_fitted = estimate(kept_scene, fitted.placed, fitted.free, used, weighed=True, near=fitted.noise)
-            other_left = predicted(kept_scene, other_fitted.placed, other_fitted.free, other_fitted.weights, used)
+            other_left = predict_left_out_images(
+                kept_scene, other_fitted.placed, other_fitted.free, other_fitted.weights, used
+            )
             if _gain(left, other_left, len(kept_scene)) > _GAIN:
                 fitted, left, weighed = other_fitted, other_left, True
         except ComputationError:
@@ -96,7 +98,9 @@ def calibrate(
     return HandEye(kept_scene, fitted, left, alone, off, points, mistakes, intrinsics, rms_given, weighed)
 
 
-def _begun(scene: Scene, intrinsics: FloatArray | None, mounts: tuple[Mount, ...]) -> tuple[FloatArray, Start]:
+def _first_start(
+    scene: BoardScene, intrinsics: FloatArray | None, mounts: tuple[Mount, ...]
+) -> tuple[FloatArray, Start]:
     """Return intrinsics to begin with, (9,), and where to begin: as given, unless no lens has them and others fit."""
     begun = [] if intrinsics is None else [(intrinsics, start(scene, intrinsics, mounts=mounts))]
     if intrinsics is None or unlikely(intrinsics, scene.size):
@@ -109,13 +113,13 @@ def _begun(scene: Scene, intrinsics: FloatArray | None, mounts: tuple[Mount, ...
     return min(begun, key=lambda each: each[1].typical)
 
 
-def _in_order_of_content(scene: Scene) -> Scene:
+def _sort_points(scene: BoardScene) -> BoardScene:
     """The same images, their points in one order whatever the file has, so that sums are the same to the last digit."""
     order = np.lexsort((scene.pixels[:, 1], scene.pixels[:, 0], scene.image))
     return replace(scene, image=scene.image[order], body=scene.body[order], pixels=scene.pixels[order])
 
 
-def _gain(before: LeftOut, after: LeftOut, n: int) -> float:
+def _gain(before: LeftOutImages, after: LeftOutImages, n: int) -> float:
     return float(n * np.log(rms(before.pixels) / rms(after.pixels)))
 
 
@@ -123,6 +127,7 @@ def require_images(count: int) -> None:
     """Raise `DataError` unless there are enough images with a board and a pose."""
     if count < LEAST_IMAGES:
         raise DataError(
-            f"{counted(count, 'image')} with a board and a pose of the robot; give at least {LEAST_IMAGES}, better 10"
+            f"{count_noun(count, 'image')} with a board and a pose of the robot; give at least {LEAST_IMAGES}, better"
+            f" 10"
             " to 20"
         )

@@ -9,11 +9,11 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.words import as_data, counted, listed
+from calib.core.base.words import as_data, count_noun, listing
 from calib.core.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
 from calib.photographs.estimation import LITTLE_TURN, turning
 from calib.photographs.hand_eye import HandEye
-from calib.photographs.left_out import rms
+from calib.photographs.left_out_images import rms
 from calib.photographs.scene import SIDES, Mount
 
 FEW = 10  # images below which a result is one to look at
@@ -42,7 +42,7 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class HandEyeJudgement:
     """PASS, CHECK or FAIL, and why."""
 
     grade: str
@@ -50,11 +50,11 @@ class Judgement:
     advice: tuple[str, ...]
 
 
-def judge(result: HandEye) -> Judgement:
+def judge(result: HandEye) -> HandEyeJudgement:
     """Return what a calibration is worth.
 
     FAIL: a mistake of the whole. CHECK: another mistake, images set aside, or too few of them, or too little turned to
-    tell. PASS: nothing of that, so that the error of new images is as told.
+    tell. PASS: nothing of that, so that the error of new images is as stated.
     """
     scene, reasons, advice = result.scene, [], []
     failed = [mistake.text for mistake in result.mistakes if mistake.whole]
@@ -72,7 +72,7 @@ def judge(result: HandEye) -> Judgement:
         )
     axes = turning(scene.tool)
     if len(scene) < FEW:
-        reasons.append(f"{counted(len(scene), 'image')} are few to judge by")
+        reasons.append(f"{count_noun(len(scene), 'image')} are few to judge by")
         advice.append(f"take {FEW} to 20 images")
     if axes[1] < LITTLE_TURN:
         reasons.append(
@@ -102,7 +102,7 @@ def judge(result: HandEye) -> Judgement:
     grade = "FAIL" if failed else "CHECK" if reasons else "PASS"
     if grade == "PASS" and not advice:
         advice.append("no more photographs are needed for poses like these; for work elsewhere, take some there")
-    return Judgement(grade, tuple(failed + reasons), tuple(dict.fromkeys(advice)))
+    return HandEyeJudgement(grade, tuple(failed + reasons), tuple(dict.fromkeys(advice)))
 
 
 def transform(pose: FloatArray) -> dict[str, float]:
@@ -116,7 +116,7 @@ def report(result: HandEye, frames: Frames) -> str:
     """Return a calibration in words."""
     scene, fitted = result.scene, result.fitted
     judgement, half = judge(result), result.uncertainty()
-    lines = [f"Hand-eye calibration of {counted(len(scene), 'image')}: camera {SIDES[scene.mount]}"]
+    lines = [f"Hand-eye calibration of {count_noun(len(scene), 'image')}: camera {SIDES[scene.mount]}"]
     lines.append(f"Verdict: {judgement.grade}")
     lines += [f"  {judgement.grade if k == 0 else '     '}: {text}" for k, text in enumerate(judgement.reasons)]
     if judgement.grade != "FAIL":
@@ -125,7 +125,7 @@ def report(result: HandEye, frames: Frames) -> str:
             f" {rms(result.left.pixels):.3f} px in the image (RMS of images left out in turn). The RMS of as many new"
             f" images is below {_MM * result.limit:.3f} mm with a chance of 95 %"
         )
-    errors, by_image = np.linalg.norm(result.board, axis=1), result.by_image(result.pixels)
+    errors, by_image = np.linalg.norm(result.board, axis=1), result.rms_by_image(result.pixels)
     lines.append(
         f"Images used: {rms(result.pixels):.3f} px RMS; on the board {_MM * rms(result.board):.3f} mm RMS, mean"
         f" {_MM * errors.mean():.3f} mm, largest {_MM * errors.max():.3f} mm ({len(scene.pixels)} points)"
@@ -136,11 +136,11 @@ def report(result: HandEye, frames: Frames) -> str:
         ]
         lines.append(
             f"Points left out, which do not fit the others of their image: {len(named)} of"
-            f" {len(named) + len(scene.pixels)}: {listed(named, '; ', 2)}"
+            f" {len(named) + len(scene.pixels)}: {listing(named, '; ', 2)}"
         )
     lines.append(_shares(result, judgement.grade != "FAIL"))
     worst = np.argsort(-by_image)[:3]
-    lines.append("Largest: " + listed([f"image {scene.names[i]} {by_image[i]:.2f} px" for i in worst]))
+    lines.append("Largest: " + listing([f"image {scene.names[i]} {by_image[i]:.2f} px" for i in worst]))
     if result.intrinsics_given is not None and result.lens_found:
         given = f"; {result.rms_given:.3f} px with the intrinsics given" if np.isfinite(result.rms_given) else ""
         lines.append(f"Lens: found from these images (left out: {rms(result.left.pixels):.3f} px{given})")
@@ -172,7 +172,7 @@ def report(result: HandEye, frames: Frames) -> str:
 
 
 def _shares(result: HandEye, usable: bool) -> str:
-    """What the camera alone leaves, and what comes with the robot; if usable, what to do about it."""
+    """Error of the camera alone and with the robot; if usable, with advice."""
     all_, alone = rms(result.pixels), rms(result.alone)
     if not np.isfinite(alone):
         return "What the camera alone leaves is not known: images show fewer than six points"
@@ -193,8 +193,8 @@ def content(result: HandEye, frames: Frames) -> dict[str, object]:
     scene, fitted, judgement, half = result.scene, result.fitted, judge(result), result.uncertainty()
     above = frames.parents(scene.mount)
     images = zip(
-        scene.names, scene.counts, result.by_image(result.pixels), result.by_image(result.left.pixels),
-        result.by_image(result.board), result.by_image(result.left.board), strict=True,
+        scene.names, scene.counts, result.rms_by_image(result.pixels), result.rms_by_image(result.left.pixels),
+        result.rms_by_image(result.board), result.rms_by_image(result.left.board), strict=True,
     )  # fmt: skip
     return {
         "verdict": judgement.grade,

@@ -18,9 +18,9 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError, InputError
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.data.rosbag import is_bag, joints_of_bag, messages_of_bag, stops
-from calib.photographs.opencv import GreyImage, decoded, opencv, read_image
+from calib.photographs.opencv import GreyImage, decode, opencv, read_image
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")
 _LOG = logging.getLogger("calib")
@@ -69,7 +69,7 @@ def shots(sources: Sequence[str], topic: str | None = None) -> list[Shot]:
     result: list[Shot] = []
     for source in sources:
         if is_bag(source):
-            result += _in_bag(source, topic)
+            result += _read_bag_images(source, topic)
             continue
         files = _files(source)
         result += [Shot(Path(file).stem, file) for file in sorted(files, key=_natural)]
@@ -105,7 +105,7 @@ def _natural(path: str) -> list[object]:
     return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", Path(path).name)]
 
 
-def _in_bag(source: str, topic: str | None) -> Iterator[Shot]:
+def _read_bag_images(source: str, topic: str | None) -> Iterator[Shot]:
     """Images of a bag: one of each stop of the robot; all of them where there are no joint states."""
     kinds = (_RAW, _COMPRESSED)
     recorded = [(name, stamp) for name, _, stamp, _ in messages_of_bag(source, kinds)]
@@ -131,10 +131,11 @@ def _in_bag(source: str, topic: str | None) -> Iterator[Shot]:
 
 
 def _one_of_each_stop(source: str, values: FloatArray, still: BoolArray) -> list[int]:
-    """Numbers of the images to use; the others are told in one line."""
+    """Numbers of the images to use; the others are listed in one line."""
     if not np.any(still):
         raise DataError(
-            f"{source}: at none of {counted(len(still), 'image')} the robot stood still, with joint states before and"
+            f"{source}: at none of {count_noun(len(still), 'image')} the robot stood still, with joint states before"
+            f" and"
             " after it"
         )
     moved, standing = np.flatnonzero(~still), np.flatnonzero(still)
@@ -142,7 +143,7 @@ def _one_of_each_stop(source: str, values: FloatArray, still: BoolArray) -> list
     chosen = [int(of_stop[len(of_stop) // 2]) for of_stop in np.split(standing, np.flatnonzero(np.diff(stop)) + 1)]
     left = []
     if len(moved):
-        numbers = listed([str(k + 1) for k in moved])
+        numbers = listing([str(k + 1) for k in moved])
         left.append(f"the robot moved, or had no joint states, at {len(moved)} ({numbers})")
     if len(chosen) < len(standing):
         left.append(f"{len(standing) - len(chosen)} show the same stop as another")
@@ -154,7 +155,7 @@ def _one_of_each_stop(source: str, values: FloatArray, still: BoolArray) -> list
 def _image_of(kind: str, message: Any, where: str) -> GreyImage | str:
     try:
         if kind == _COMPRESSED:
-            return decoded(bytes(message.data), where)
+            return decode(bytes(message.data), where)
         return _raw_image(message)
     except (DataError, ValueError) as error:
         return str(error).removeprefix(f"{where}: ")
@@ -191,8 +192,8 @@ def with_joints(photographs: Sequence[Shot]) -> list[Shot]:
     for shot in photographs:
         if shot.joints and set(shot.joints) != set(first.joints or ()):
             raise DataError(
-                f"{shot.path}: has the joints {listed(list(shot.joints))}, and {first.path} has"
-                f" {listed(list(first.joints or ()))}; give bags of one robot"
+                f"{shot.path}: has the joints {listing(list(shot.joints))}, and {first.path} has"
+                f" {listing(list(first.joints or ()))}; give bags of one robot"
             )
     words = f"has no joint values, unlike images of {first.path}; give it without that bag"
     return [shot if shot.joints else replace(shot, image=words) for shot in photographs]

@@ -14,10 +14,10 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import ComputationError
 from calib.core.numerics import linalg
 from calib.photographs.estimation import plain
-from calib.photographs.left_out import predicted, rms
+from calib.photographs.left_out_images import predict_left_out_images, rms
 from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior
-from calib.photographs.scene import Placed, Scene, linearised, residuals
-from calib.photographs.starts import Start, image_rms, points_off
+from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, residuals
+from calib.photographs.starts import Start, image_rms, point_errors
 
 _OFF = 5.0  # medians of images left out from which one is set aside
 _LEAST_OFF = 1.0  # px
@@ -56,19 +56,19 @@ class OffImage:
     turn: float
 
 
-def without_points_off(begin: Start, intrinsics: FloatArray) -> tuple[Start, tuple[OffPoint, ...]]:
+def fitting_points(begin: Start, intrinsics: FloatArray) -> tuple[Start, tuple[OffPoint, ...]]:
     """Return where to begin without points that do not fit their image, and these, furthest first; intrinsics (9,)."""
     scene = begin.scene
-    far = points_off(scene, intrinsics, LENS_NUMBERS)
+    far = point_errors(scene, intrinsics, LENS_NUMBERS)
     off = [
         OffPoint(scene.names[scene.image[k]], (float(scene.pixels[k, 0]), float(scene.pixels[k, 1])), float(far[k]))
         for k in np.argsort(-far, kind="stable")[: np.count_nonzero(far)]
     ]
-    kept = scene.of_points(far == 0) if off else scene
+    kept = scene.with_points(far == 0) if off else scene
     return Start(kept, begin.placed, image_rms(kept, begin.placed) if off else begin.rms), tuple(off)
 
 
-def without_images_off(scene: Scene, begin: Start, intrinsics: FloatArray | None, lens: str) -> BoolArray:
+def fitting_images(scene: BoardScene, begin: Start, intrinsics: FloatArray | None, lens: str) -> BoolArray:
     """Return which images fit the others, (n,)."""
     kept = np.ones(len(scene), dtype=bool)
     free = () if lens == "given" else LENS_NUMBERS
@@ -79,7 +79,7 @@ def without_images_off(scene: Scene, begin: Start, intrinsics: FloatArray | None
     if np.sum(trial) < _FEWEST:
         return kept
     for _ in range(3):
-        errors = _foretold(scene, trial, begin.placed, free, intrinsics)
+        errors = _prediction_errors(scene, trial, begin.placed, free, intrinsics)
         if errors is None:
             return kept
         level = max(_OFF * float(np.median(errors[trial])), _LEAST_OFF)
@@ -93,48 +93,53 @@ def without_images_off(scene: Scene, begin: Start, intrinsics: FloatArray | None
 
 
 def _without_the_furthest(
-    scene: Scene, kept: BoolArray, begin: Placed, free: tuple[int, ...], intrinsics: FloatArray | None, fewest: int
+    scene: BoardScene,
+    kept: BoolArray,
+    begin: HandEyePlacement,
+    free: tuple[int, ...],
+    intrinsics: FloatArray | None,
+    fewest: int,
 ) -> BoolArray:
     """Images that fit, (n,): one that is kept moves where the others are put, and so hides how far off it is."""
-    errors = _foretold(scene, kept, begin, free, intrinsics)
+    errors = _prediction_errors(scene, kept, begin, free, intrinsics)
     while errors is not None and np.sum(kept) > fewest:
         furthest = int(np.argmax(np.where(kept, errors, -np.inf)))
         without = kept & (np.arange(len(scene)) != furthest)
-        errors = _foretold(scene, without, begin, free, intrinsics)
+        errors = _prediction_errors(scene, without, begin, free, intrinsics)
         if errors is None or not errors[furthest] > max(_OFF * float(np.median(errors[without])), _LEAST_OFF):
             break
         kept = without
     return kept
 
 
-def _foretold(
-    scene: Scene, kept: BoolArray, begin: Placed, free: tuple[int, ...], intrinsics: FloatArray | None
+def _prediction_errors(
+    scene: BoardScene, kept: BoolArray, begin: HandEyePlacement, free: tuple[int, ...], intrinsics: FloatArray | None
 ) -> FloatArray | None:
     """How far off each image is from where the kept ones put it, itself aside, (n,) [px]; None if that is not known."""
-    kept_scene = scene.only(kept)
+    kept_scene = scene.select_images(kept)
     prior = lens_prior(begin.intrinsics, kept_scene, intrinsics is not None) if free else None
     try:
         placed, weights = plain(kept_scene, begin, free, prior)
     except ComputationError:
         return None
     result = np.zeros(len(scene))
-    left = predicted(kept_scene, placed, free, weights, prior)
+    left = predict_left_out_images(kept_scene, placed, free, weights, prior)
     result[kept] = np.sqrt(kept_scene.sums(np.sum(left.pixels**2, axis=1)) / kept_scene.counts)
     for i in np.flatnonzero(~kept):
-        part = scene.only(np.arange(len(scene)) == i)
+        part = scene.select_images(np.arange(len(scene)) == i)
         result[i] = rms(residuals(part, placed))
     return result
 
 
-def named_off(scene: Scene, kept: BoolArray, begin: Start) -> tuple[OffImage, ...]:
+def images_far_off(scene: BoardScene, kept: BoolArray, begin: Start) -> tuple[OffImage, ...]:
     """Return images that are not kept, (n,), and by how much the robot would have to be elsewhere."""
     if np.all(kept):
         return ()
-    placed, _ = plain(scene.only(kept), begin.placed, ())
+    placed, _ = plain(scene.select_images(kept), begin.placed, ())
     named = []
     for i in np.flatnonzero(~kept):
-        part = scene.only(np.arange(len(scene)) == i)
-        linear = linearised(part, placed, ())
+        part = scene.select_images(np.arange(len(scene)) == i)
+        linear = linearise(part, placed, ())
         error = -linalg.lstsq(linear.gg[0], linear.gr[0], rcond=1e-9)
         named.append(
             OffImage(

@@ -35,7 +35,7 @@ from calib.photographs.shared_errors import (
     IntrinsicsPrior,
     criterion,
     differences,
-    found_noise,
+    find_noise,
     gains,
     known_sizes,
     logarithms,
@@ -65,7 +65,7 @@ def intervals(
         now: These, as they are, (f,).
     """
     wide = linear.with_arm(twists)
-    noise = found_noise(wide, prior, now, near)
+    noise = find_noise(wide, prior, now, near)
     logs = logarithms(noise, wide)
     inverse = np.linalg.inv(normal_equations(linear, weights, prior, now)[0])
     weighed = linear.jg @ gains(linear, weights)

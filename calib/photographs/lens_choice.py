@@ -17,8 +17,8 @@ from calib.core.base.errors import ComputationError, NotIdentifiableError
 from calib.core.instruments.camera import NAMES
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.photographs.estimation import plain
-from calib.photographs.left_out import LeftOut, predicted
-from calib.photographs.scene import Placed, Scene
+from calib.photographs.left_out_images import LeftOutImages, predict_left_out_images
+from calib.photographs.scene import BoardScene, HandEyePlacement
 from calib.photographs.shared_errors import IntrinsicsPrior
 from calib.photographs.starts import camera_alone
 
@@ -49,7 +49,7 @@ def unlikely(given: FloatArray, size: tuple[int, int]) -> list[tuple[str, str]]:
     return result
 
 
-def lens_prior(first: FloatArray, scene: Scene, given: bool) -> IntrinsicsPrior:
+def lens_prior(first: FloatArray, scene: BoardScene, given: bool) -> IntrinsicsPrior:
     """Return what is expected of a lens: as wide as a mistake may be, so that images decide where they can.
 
     Args:
@@ -67,14 +67,14 @@ def lens_prior(first: FloatArray, scene: Scene, given: bool) -> IntrinsicsPrior:
 class Choice:
     """One way to take the lens, by plain least squares."""
 
-    placed: Placed
+    placed: HandEyePlacement
     free: tuple[int, ...]
     prior: IntrinsicsPrior | None
-    left: LeftOut
+    left: LeftOutImages
 
 
 def lens_choices(
-    scene: Scene, begin: Placed, prior: IntrinsicsPrior, intrinsics: FloatArray | None, lens: str
+    scene: BoardScene, begin: HandEyePlacement, prior: IntrinsicsPrior, intrinsics: FloatArray | None, lens: str
 ) -> list[Choice]:
     """Return ways to take the lens: as given first; found, with distortion.
 
@@ -93,22 +93,22 @@ def lens_choices(
     result: list[Choice] = []
     if intrinsics is not None and lens != "found":
         placed, weights = plain(scene, replace(begin, intrinsics=intrinsics), ())
-        result.append(Choice(placed, (), None, predicted(scene, placed, (), weights, None)))
-    for count in (6,) if intrinsics is not None or _distorted(scene, begin.intrinsics) else (4, 6):
+        result.append(Choice(placed, (), None, predict_left_out_images(scene, placed, (), weights, None)))
+    for count in (6,) if intrinsics is not None or _is_distorted(scene, begin.intrinsics) else (4, 6):
         free = LENS_NUMBERS[:count]
         part = IntrinsicsPrior(prior.values[:count], prior.sigma[:count])
         try:
             placed, weights = plain(scene, begin, free, part)
         except (ComputationError, np.linalg.LinAlgError):
             continue
-        result.append(Choice(placed, free, part, predicted(scene, placed, free, weights, part)))
+        result.append(Choice(placed, free, part, predict_left_out_images(scene, placed, free, weights, part)))
     if not result:
         plain(scene, begin, ())  # says what the images do not determine
         raise NotIdentifiableError("the photographs do not determine the lens; give intrinsics (--camera FILE)")
     return result
 
 
-def _distorted(scene: Scene, first: FloatArray) -> bool:
+def _is_distorted(scene: BoardScene, first: FloatArray) -> bool:
     """Whether single images show more distortion than chance does; first: intrinsics to begin with, (9,)."""
     squares = []
     for count in (4, 6):

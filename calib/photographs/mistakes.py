@@ -26,11 +26,11 @@ from calib.core.base.errors import CalibrationError
 from calib.core.instruments.camera import NAMES
 from calib.core.numerics import linalg
 from calib.photographs.estimation import HandEyeEstimate, estimate, solve
-from calib.photographs.left_out import predicted, rms
+from calib.photographs.left_out_images import predict_left_out_images, rms
 from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior, unlikely
 from calib.photographs.other_readings import other_readings
-from calib.photographs.scene import SIDES, ImageSums, Mount, Placed, Scene, linearised, residuals, rows
-from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, found_noise, normal_equations
+from calib.photographs.scene import SIDES, BoardScene, HandEyePlacement, ImageSums, Mount, linearise, residuals, rows
+from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, find_noise, normal_equations
 from calib.photographs.starts import Start, camera_alone, image_rms, start
 
 _UNKNOWN = "not_explained"
@@ -75,8 +75,8 @@ class Mistake:
 
 
 def find_mistakes(
-    every: Scene,
-    used: Scene,
+    every: BoardScene,
+    used: BoardScene,
     fitted: HandEyeEstimate,
     prior: IntrinsicsPrior | None,
     given: FloatArray | None,
@@ -96,24 +96,24 @@ def find_mistakes(
         better: With the lens found, where that tells images left out better; else `fitted`.
         mounts: Where the camera may be: one, if it is stated.
     """
-    lens = _of_the_lens(used, fitted, better, given)
-    result = [] if any(mistake.whole for mistake in lens) else _of_the_whole(every, fitted, first, mounts)
+    lens = _mistakes_of_lens(used, fitted, better, given)
+    result = [] if any(mistake.whole for mistake in lens) else _mistakes_of_whole(every, fitted, first, mounts)
     if [mistake.code for mistake in result] == [_UNKNOWN]:
-        moved = _moved(used, fitted, prior)
+        moved = _check_move(used, fitted, prior)
         result = result if moved is None else [replace(moved, whole=True)]
     if not any(mistake.whole for mistake in lens + result):
         result += [
             mistake
-            for mistake in (_square_size(used, fitted, prior), _moved(used, fitted, prior))
+            for mistake in (_square_size(used, fitted, prior), _check_move(used, fitted, prior))
             if mistake is not None
         ]
-        exchanged = _exchanged(fitted.placed, used.mount) if len(mounts) > 1 else None
+        exchanged = _check_exchange(fitted.placed, used.mount) if len(mounts) > 1 else None
         result += [] if exchanged is None else [exchanged]
     return tuple(sorted(result + lens, key=lambda mistake: not mistake.whole))
 
 
-def _of_the_whole(
-    scene: Scene, fitted: HandEyeEstimate, intrinsics: FloatArray, mounts: tuple[Mount, ...]
+def _mistakes_of_whole(
+    scene: BoardScene, fitted: HandEyeEstimate, intrinsics: FloatArray, mounts: tuple[Mount, ...]
 ) -> list[Mistake]:
     errors = residuals(scene, fitted.placed)
     image = np.sqrt(scene.sums(np.sum(errors**2, axis=1)) / scene.counts)
@@ -147,7 +147,7 @@ def _of_the_whole(
     return [Mistake(_UNKNOWN, text, True)]
 
 
-def _other_size(scene: Scene, fitted: HandEyeEstimate) -> tuple[float, str, str] | None:
+def _other_size(scene: BoardScene, fitted: HandEyeEstimate) -> tuple[float, str, str] | None:
     """Median of the images with the size of the board sought [px], and what that says; None where it has none."""
     prior = lens_prior(fitted.placed.intrinsics, scene, True)
     try:
@@ -166,7 +166,7 @@ def _other_size(scene: Scene, fitted: HandEyeEstimate) -> tuple[float, str, str]
     return float(np.median(image_rms(scene, placed))), "square_size", text
 
 
-def _exchanged(placed: Placed, mount: Mount) -> Mistake | None:
+def _check_exchange(placed: HandEyePlacement, mount: Mount) -> Mistake | None:
     """Whether camera and board are where they would be if the poses were inverted, and the mount the other one."""
     far = {
         thing: float(np.linalg.norm(pose[:3, 3]))
@@ -188,7 +188,7 @@ def _likelihood(
     linear: ImageSums, near: HandEyeEstimate, prior: IntrinsicsPrior | None, now: FloatArray
 ) -> tuple[float, FloatArray]:
     """Twice the log-likelihood at the best step of a linearised problem, its sizes found anew, and that step."""
-    noise = found_noise(linear, prior, now, near.noise)
+    noise = find_noise(linear, prior, now, near.noise)
     a, b, c = normal_equations(linear, noise, prior, now)
     s = noise.sizes
     inner = np.eye(6) + s[:, None] * linear.gg * s / noise.pixel**2
@@ -197,7 +197,7 @@ def _likelihood(
     return -(log_v + c + float(b @ step)), step
 
 
-def _square_size(scene: Scene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None) -> Mistake | None:
+def _square_size(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None) -> Mistake | None:
     """Whether the board has another size than described."""
     try:
         other = estimate(scene, fitted.placed, fitted.free, prior, scaled=True, near=fitted.noise)
@@ -210,7 +210,7 @@ def _square_size(scene: Scene, fitted: HandEyeEstimate, prior: IntrinsicsPrior |
     if abs(change) < _SCALE or chance > _CHANCE:
         return None
     before, after = (
-        rms(predicted(scene, each.placed, each.free, each.weights, prior, scaled=each.scaled).pixels) ** 2
+        rms(predict_left_out_images(scene, each.placed, each.free, each.weights, prior, scaled=each.scaled).pixels) ** 2
         for each in (fitted, other)
     )
     if not after < _BETTER * before:
@@ -223,14 +223,14 @@ def _square_size(scene: Scene, fitted: HandEyeEstimate, prior: IntrinsicsPrior |
     )
 
 
-def _moved(scene: Scene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None) -> Mistake | None:
+def _check_move(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None) -> Mistake | None:
     """Whether board or camera is elsewhere from some image on."""
     n = len(scene)
     if n < 8:
         return None
     free = fitted.free
     now = fitted.placed.intrinsics[list(free)]
-    linear = linearised(scene, fitted.placed, free)
+    linear = linearise(scene, fitted.placed, free)
     before, _ = _likelihood(linear, fitted, prior, now)
     a, b, _ = normal_equations(linear, fitted.noise, prior, now)
     unmoved = float(b @ linalg.lstsq(a, b, rcond=1e-12))
@@ -238,10 +238,10 @@ def _moved(scene: Scene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None)
     for which, first in (("board", 6), ("camera", 0)):
         promised = []  # with the noise as it is: which image it may be
         for k in range(3, n - 2):
-            a, b, _ = normal_equations(_extended(linear, np.arange(n) >= k, first), fitted.noise, prior, now)
+            a, b, _ = normal_equations(_with_step(linear, np.arange(n) >= k, first), fitted.noise, prior, now)
             promised.append((float(b @ linalg.lstsq(a, b, rcond=1e-12)) - unmoved, k))
         k = max(promised)[1]
-        likelihood, step = _likelihood(_extended(linear, np.arange(n) >= k, first), fitted, prior, now)
+        likelihood, step = _likelihood(_with_step(linear, np.arange(n) >= k, first), fitted, prior, now)
         if likelihood - before > best[0]:
             best = likelihood - before, k, which, step[-6:]
     gained, k, which, step = best
@@ -257,7 +257,7 @@ def _moved(scene: Scene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None)
     )
 
 
-def _extended(linear: ImageSums, later: BoolArray, first: int) -> ImageSums:
+def _with_step(linear: ImageSums, later: BoolArray, first: int) -> ImageSums:
     """The problem with six more unknowns: a step of camera or board that only later images have."""
     moved_columns = slice(first, first + 6)
     on = later.astype(float)
@@ -279,8 +279,8 @@ def _extended(linear: ImageSums, later: BoolArray, first: int) -> ImageSums:
     return ImageSums(linear.residuals, jj, jg, linear.gg, jr, linear.gr, linear.rr, linear.n_rows)
 
 
-def _explains(scene: Scene, fitted: HandEyeEstimate, k: int, which: str) -> bool:
-    """Whether images left out are told better by one move: the sum over them, each by the linear problem without it."""
+def _explains(scene: BoardScene, fitted: HandEyeEstimate, k: int, which: str) -> bool:
+    """Whether one move predicts images left out better: the sum over them, each by the linear problem without it."""
     later = np.arange(len(scene)) >= k
     r, j, _ = rows(scene, fitted.placed, fitted.free)
     moved_columns = slice(6, 12) if which == "board" else slice(0, 6)
@@ -300,13 +300,13 @@ def _explains(scene: Scene, fitted: HandEyeEstimate, k: int, which: str) -> bool
     return error(wide) < _BETTER * error(j)
 
 
-def _of_the_lens(
-    scene: Scene, fitted: HandEyeEstimate, better: HandEyeEstimate, given: FloatArray | None
+def _mistakes_of_lens(
+    scene: BoardScene, fitted: HandEyeEstimate, better: HandEyeEstimate, given: FloatArray | None
 ) -> list[Mistake]:
-    """What is wrong with intrinsics as given, (9,): by themselves, and beside those that the photographs show."""
+    """Mistakes in given intrinsics, (9,): by themselves, and beside those that the photographs show."""
     if given is None:
         return []
-    swap = _swapped(given, better) if better.free else ""
+    swap = _swapped_numbers(given, better) if better.free else ""
     result = [] if swap else [Mistake(code, text) for code, text in unlikely(given, scene.size)]
     if not better.free:
         return result
@@ -333,7 +333,7 @@ def _of_the_lens(
     return [*result, Mistake("lens_given", text, before > _FAR_PIXELS and after < _HALVES * before)]
 
 
-def _swapped(given: FloatArray, better: HandEyeEstimate) -> str:
+def _swapped_numbers(given: FloatArray, better: HandEyeEstimate) -> str:
     """Which numbers of the intrinsics given, (9,), are exchanged; nothing where no exchange explains those found."""
     real = better.placed.intrinsics[:4]
     off = {words: float(np.max(np.abs(given[list(swap)] - real))) / real[0] for words, swap in _SWAPS.items()}

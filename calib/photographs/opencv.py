@@ -78,10 +78,10 @@ def read_image(path: Path | str) -> GreyImage:
     Raises:
         DataError: No such file, or no image that can be read.
     """
-    return decoded(read_bytes(path, "an image", DataError), str(path))
+    return decode(read_bytes(path, "an image", DataError), str(path))
 
 
-def decoded(content: bytes, where: str) -> GreyImage:
+def decode(content: bytes, where: str) -> GreyImage:
     """Return the content of an image file as grey values.
 
     Colours are read first and then turned into grey by one formula: decoders of their own make other grey values.
@@ -113,7 +113,7 @@ def decoded(content: bytes, where: str) -> GreyImage:
     return np.ascontiguousarray(image[:, :, 0] if image.shape[2] == 1 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
-def encoded(image: GreyImage, suffix: str = ".png") -> bytes:
+def encode(image: GreyImage, suffix: str = ".png") -> bytes:
     """Return an image as the content of a file of this kind.
 
     Raises:

@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
-from calib.photographs.scene import Mount, Scene
+from calib.photographs.scene import BoardScene, Mount
 
 _SHIFTS = (1, -1, 2, -2)
 _FEWEST = 4  # images
@@ -27,7 +27,7 @@ _UNITS = (10.0, 0.1, 1000.0, 0.001)
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class SceneInterpretation:
     """A scene as another reading has it.
 
     Attributes:
@@ -39,11 +39,11 @@ class Reading:
 
     code: str
     text: str
-    scene: Scene
+    scene: BoardScene
     mounts: tuple[Mount, ...]
 
 
-def other_readings(scene: Scene, mounts: tuple[Mount, ...]) -> Iterator[Reading]:
+def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[SceneInterpretation]:
     """Yield a scene as other readings have it.
 
     Args:
@@ -63,24 +63,26 @@ def other_readings(scene: Scene, mounts: tuple[Mount, ...]) -> Iterator[Reading]
             f"images and poses are shifted: each image fits the pose {abs(shift)} {rows}"
             f" {'further on' if shift > 0 else 'before'}"
         )
-        yield Reading("pairs_shifted", text, replace(scene, tool=tool).only(paired), mounts)
+        yield SceneInterpretation("pairs_shifted", text, replace(scene, tool=tool).select_images(paired), mounts)
     mirrored = replace(scene, pixels=scene.pixels * [-1, 1] + [scene.size[0] - 1, 0])
-    yield Reading("mirrored", "the images are mirrored; flip them, or switch that off in the camera", mirrored, mounts)
+    yield SceneInterpretation(
+        "mirrored", "the images are mirrored; flip them, or switch that off in the camera", mirrored, mounts
+    )
     if len(mounts) == 1:
         text = "the poses are inverted: the base in the tool, not the tool in the base"
-        yield Reading("poses_inverted", text, replace(scene, tool=np.linalg.inv(scene.tool)), mounts)
+        yield SceneInterpretation("poses_inverted", text, replace(scene, tool=np.linalg.inv(scene.tool)), mounts)
     for text, tool in _other_rotations(scene.tool):
-        yield Reading("rotations", text, replace(scene, tool=tool), mounts)
+        yield SceneInterpretation("rotations", text, replace(scene, tool=tool), mounts)
     for factor in _UNITS:
         text = (
             f"the board would be {factor:.4g} times as large as described: lengths of the board or of the poses are in"
             f" another unit than the files say"
         )
-        yield Reading("units", text, replace(scene, body=factor * scene.body), mounts)
+        yield SceneInterpretation("units", text, replace(scene, body=factor * scene.body), mounts)
 
 
 def _other_rotations(tool: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """What is wrong with the rotations, and the tool without it, (n, 4, 4)."""
+    """A mistake in the rotations in words, and the tool poses without it, (n, 4, 4)."""
     of = scipy.spatial.transform.Rotation
     read = of.from_matrix(tool[:, :3, :3])
     quaternions, angles = read.as_quat(), read.as_euler("xyz")

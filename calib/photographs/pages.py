@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.photographs.detection import DetectedImage
-from calib.photographs.opencv import GreyImage, encoded, opencv
+from calib.photographs.opencv import GreyImage, encode, opencv
 
 _WIDTH = 480  # px of the small copies
 
@@ -45,8 +45,8 @@ def small_copy(image: GreyImage | str) -> bytes:
     if factor < 1.0:
         cv2 = opencv()
         size = _WIDTH, max(round(image.shape[0] * factor), 1)
-        return encoded(cv2.resize(image, size, interpolation=cv2.INTER_AREA), ".jpg")
-    return encoded(image, ".jpg")
+        return encode(cv2.resize(image, size, interpolation=cv2.INTER_AREA), ".jpg")
+    return encode(image, ".jpg")
 
 
 def figure(picture: Picture) -> str:

@@ -33,13 +33,13 @@ from calib.core.base.sections import COMPONENTS
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.in_memory import as_measurements
 from calib.core.fitting.settings import Settings
-from calib.core.instruments.hand_eye import fixed_poses
+from calib.core.instruments.hand_eye import solve_poses
 from calib.core.instruments.rotations import rotation_vectors
 from calib.core.judging.reasons import Code
 from calib.core.judging.verdict import JudgedFit
 from calib.core.numerics.identifiability import eliminate
 from calib.core.numerics.null_space import null_groups
-from calib.core.robots.description import checked_description
+from calib.core.robots.description import validate_description
 from calib.core.robots.loading import build
 from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.text import parse_urdf
@@ -51,7 +51,7 @@ from calib.photographs.scene import SIDES, Mount
 LEAST_PAIRS = 3
 _MUCH_BETTER = 3.0  # times smaller residuals of another reading of the poses, from which that is meant
 _OPEN = 0.05  # part of the largest change that no pair shows, from which a component is not determined
-_SAID = 1e-3  # part of the largest, below which a part of such a change is not named
+_NAMED = 1e-3  # part of the largest, below which a part of such a change is not named
 _STEP = 1e-6  # of parameters, for differences [m or rad]
 _LINKS = ("base", "along_x", "along_y", "along_z", "about_x", "about_y", "tool")
 _OF_JOINTS = {
@@ -101,7 +101,7 @@ class PosePairs(ReadOnlyArrays):
     distance: float
 
     @property
-    def determined(self) -> bool:
+    def is_determined(self) -> bool:
         """Whether every component of the camera's place is."""
         return not np.any(self.camera.open)
 
@@ -125,9 +125,9 @@ def solve_pairs(
         raise DataError(f"{len(names)} pairs of poses; give at least {LEAST_PAIRS}, better 10 to 20")
     if np.ptp(tool, axis=0).max() < _STEP:
         raise DataError("the tool has one pose in all pairs; give pairs at different poses")
-    left = {mount: _left(tool, seen, mount) for mount in mounts}
+    left = {mount: _closed_form_residual(tool, seen, mount) for mount in mounts}
     mount = min(left, key=lambda each: left[each])
-    inverted = min(_left(tool, np.linalg.inv(seen), each) for each in mounts)
+    inverted = min(_closed_form_residual(tool, np.linalg.inv(seen), each) for each in mounts)
     reasons = []
     if inverted * _MUCH_BETTER < left[mount]:
         reasons.append(
@@ -135,7 +135,7 @@ def solve_pairs(
         )
     if len(left) > 1 and max(left.values()) < _MUCH_BETTER * left[mount]:
         reasons.append(
-            ("CHECK", f"a camera {SIDES[_other(mount)]} fits almost as well; say where it is with --camera-on")
+            ("CHECK", f"a camera {SIDES[_other_mount(mount)]} fits almost as well; say where it is with --camera-on")
         )
     robot = _robot(tool, seen, mount)
     joints = np.hstack([tool[:, :3, 3], [_angles(pose) for pose in tool[:, :3, :3]]])
@@ -145,13 +145,15 @@ def solve_pairs(
     rows = observed.jacobian.reshape(-1, len(robot.parameters))
     found = determination(rows, robot.parameters, robot.is_free)
     dropped = eliminate(found.columns).dropped
-    scales = Unknowns.of(robot, np.ones(len(robot.parameters), dtype=bool)).scales
+    scales = Unknowns.from_robot(robot, np.ones(len(robot.parameters), dtype=bool)).scales
     groups = null_groups(found.columns, dropped, found.lengths * scales)
     fitted = calibrate(robot.fix([robot.parameters[k].name for k in dropped]), data, None, Settings())
     null = np.zeros((len(robot.parameters), len(groups)))
     for k, group in enumerate(groups):
         null[list(group.members), k] = group.coefficients * scales[list(group.members)]
-    (camera, camera_moves), (marker, marker_moves) = (_found(fitted, null, place) for place in ("camera", "marker"))
+    (camera, camera_moves), (marker, marker_moves) = (
+        _found_pose(fitted, null, place) for place in ("camera", "marker")
+    )
     reasons += [
         (reason.grade, reason.text.split("; --exclude-outliers")[0])
         for reason in fitted.verdict.reasons
@@ -169,7 +171,7 @@ def solve_pairs(
     )
 
 
-def _other(mount: Mount) -> Mount:
+def _other_mount(mount: Mount) -> Mount:
     return "base" if mount == "tool" else "tool"
 
 
@@ -177,10 +179,10 @@ def _links(tool: FloatArray, mount: Mount) -> FloatArray:
     return tool if mount == "base" else np.linalg.inv(tool)
 
 
-def _left(tool: FloatArray, seen: FloatArray, mount: Mount) -> float:
-    """What closed forms leave: root mean square, of angles at the distance of the marker [m]."""
+def _closed_form_residual(tool: FloatArray, seen: FloatArray, mount: Mount) -> float:
+    """Residual of the closed forms: root mean square, of angles at the distance of the marker [m]."""
     links = _links(tool, mount)
-    camera, marker = fixed_poses(links, seen, (np.eye(4), np.eye(4)), (False, False))
+    camera, marker = solve_poses(links, seen, (np.eye(4), np.eye(4)), (False, False))
     off = np.linalg.inv(seen) @ np.linalg.inv(camera) @ links @ marker
     distance = np.mean(np.linalg.norm(seen[:, :3, 3], axis=1))
     turned = rotation_vectors(off[:, :3, :3])
@@ -193,7 +195,7 @@ def _angles(rotation: FloatArray) -> FloatArray:
 
 
 def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:
-    """What carries the tool, with camera and marker where closed forms put them."""
+    """A robot that carries the tool, with camera and marker where closed forms put them."""
     links, joints = [f'<link name="{name}"/>' for name in _LINKS], []
     for k, (parent, child) in enumerate(itertools.pairwise(_LINKS)):
         kind, axis = ("prismatic", "revolute")[k // 3], " ".join(str(float(k % 3 == axis)) for axis in range(3))
@@ -202,7 +204,7 @@ def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:
             f'<axis xyz="{axis}"/><limit lower="-1000" upper="1000" effort="0" velocity="0"/></joint>'
         )
     urdf = parse_urdf(f'<robot name="poses">{"".join(links + joints)}</robot>'.encode(), "the tool's poses")
-    places = fixed_poses(_links(tool, mount), seen, (np.eye(4), np.eye(4)), (False, False))
+    places = solve_poses(_links(tool, mount), seen, (np.eye(4), np.eye(4)), (False, False))
     ends = ("tool", "base") if mount == "tool" else ("base", "tool")
     camera, marker = (
         {"frame": end, "xyz": pose[:3, 3].tolist(), "rpy": pin.rpy.matrixToRpy(pose[:3, :3]).tolist()}
@@ -216,7 +218,7 @@ def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:
         "instruments": {"camera": {"kind": "pose", "target": "marker"}},
         "parametrisation": [],
     }
-    return build(checked_description(content, "pairs of poses"), urdf, "pairs of poses")
+    return build(validate_description(content, "pairs of poses"), urdf, "pairs of poses")
 
 
 def _change_in_words(change: FloatArray) -> str:
@@ -225,10 +227,10 @@ def _change_in_words(change: FloatArray) -> str:
     units = np.tile(np.repeat([1e3, np.rad2deg(1.0)], 3), 2)
     sizes = change * units / np.max(np.abs(change * units))
     named = zip(names, sizes, np.tile(np.repeat(["mm", "deg"], 3), 2), strict=True)
-    return ", ".join(f"{name} {size:+.3g} {unit}" for name, size, unit in named if abs(size) > _SAID)
+    return ", ".join(f"{name} {size:+.3g} {unit}" for name, size, unit in named if abs(size) > _NAMED)
 
 
-def _found(fitted: JudgedFit, null: FloatArray, place: str) -> tuple[FoundPose, FloatArray]:
+def _found_pose(fitted: JudgedFit, null: FloatArray, place: str) -> tuple[FoundPose, FloatArray]:
     """Where one of them is, with what the parameters' intervals mean there; and how unseen changes move it, (6, k)."""
     pose = _place(fitted.robot, place)
     steps = []

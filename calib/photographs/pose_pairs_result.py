@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.photographs.hand_eye_result import FEW, WIDE, Frames, Judgement, transform
+from calib.photographs.hand_eye_result import FEW, WIDE, Frames, HandEyeJudgement, transform
 from calib.photographs.pose_pairs import FoundPose, PosePairs
 from calib.photographs.scene import SIDES
 
@@ -12,7 +12,7 @@ _MM = 1e3
 _NAMES = ("x", "y", "z", "rx", "ry", "rz")
 
 
-def judge_pairs(result: PosePairs) -> Judgement:
+def judge_pairs(result: PosePairs) -> HandEyeJudgement:
     """Return what a calibration is worth: FAIL where the camera's place is not determined, or poses are misread."""
     reasons, advice = [*result.reasons], []
     for name, found in (("camera", result.camera), ("marker", result.marker)):
@@ -33,7 +33,7 @@ def judge_pairs(result: PosePairs) -> Judgement:
     grades = [grade for grade, _ in reasons]
     grade = next((each for each in ("FAIL", "CHECK") if each in grades), "PASS")
     ordered = sorted(reasons, key=lambda reason: ("FAIL", "CHECK", "PASS").index(reason[0]))
-    return Judgement(grade, tuple(text for _, text in ordered), tuple(dict.fromkeys(advice)))
+    return HandEyeJudgement(grade, tuple(text for _, text in ordered), tuple(dict.fromkeys(advice)))
 
 
 def report_pairs(result: PosePairs, frames: Frames) -> str:
@@ -44,12 +44,15 @@ def report_pairs(result: PosePairs, frames: Frames) -> str:
     lines.append(f"Verdict: {judgement.grade}")
     lines += [f"  {judgement.grade if k == 0 else '     '}: {text}" for k, text in enumerate(judgement.reasons)]
     lines.append(f"What is left: {off[0]:.3f} mm and {off[1]:.3f} mrad RMS of the marker in the camera")
-    lines += [_in_words(f"Camera in {above[0]}", result.camera), _in_words(f"Marker in {above[1]}", result.marker)]
+    lines += [
+        _pose_in_words(f"Camera in {above[0]}", result.camera),
+        _pose_in_words(f"Marker in {above[1]}", result.marker),
+    ]
     lines += [f"No pair shows this change, so that one of them must be known: {change}" for change in result.unseen]
     return "\n".join([*lines, *(f"Next: {text}" for text in judgement.advice)])
 
 
-def _in_words(title: str, found: FoundPose) -> str:
+def _pose_in_words(title: str, found: FoundPose) -> str:
     parts = []
     pose = transform(found.pose)
     for k, name in enumerate("xyz"):

@@ -38,8 +38,8 @@ _DOT = 0.5  # radius of a dot over the spacing
 
 
 @dataclass(frozen=True, eq=False)
-class Shapes:
-    """What is black on a board.
+class BoardShapes:
+    """Black shapes of a board.
 
     Attributes:
         rectangles: x0, y0, x1, y1, (n, 4) [m].
@@ -50,7 +50,7 @@ class Shapes:
     discs: FloatArray
 
 
-def shapes(board: Board) -> Shapes:
+def shapes(board: Board) -> BoardShapes:
     """Return what is black on a board.
 
     Raises:
@@ -60,13 +60,13 @@ def shapes(board: Board) -> Shapes:
     none = np.zeros((0, 3))
     if board.kind == "circles":
         radius = _DOT * (board.spacing or 0.0)
-        return Shapes(np.zeros((0, 4)), np.array([(x, y, radius) for x, y, _ in board.points().values()]))
+        return BoardShapes(np.zeros((0, 4)), np.array([(x, y, radius) for x, y, _ in board.points().values()]))
     if board.kind == "dots":
         radii = (board.spacing or 0.0) * np.where(np.arange(board.columns * board.rows) == 0, _LARGE_DOT, _SMALL_DOT)
         places = np.array(list(board.points().values()))[:, :2]
-        return Shapes(np.zeros((0, 4)), np.column_stack([places, radii]))
+        return BoardShapes(np.zeros((0, 4)), np.column_stack([places, radii]))
     if board.kind == "chessboard":
-        return Shapes(_squares(board, lambda i, j: (i + j) % 2 == 0), none)
+        return BoardShapes(_squares(board, lambda i, j: (i + j) % 2 == 0), none)
     made: Any = opencv_board(board, bool(board.legacy))
     corners = np.array([np.asarray(marker)[:, :2] for marker in made.getObjPoints()], dtype=float)
     cells = [
@@ -78,7 +78,7 @@ def shapes(board: Board) -> Shapes:
         side = board.square or 0.0
         taken = {(int(x / side), int(y / side)) for x, y in corners.mean(axis=1)}
         rectangles = np.concatenate([_squares(board, lambda i, j: (i, j) not in taken), rectangles])
-    return Shapes(rectangles, none)
+    return BoardShapes(rectangles, none)
 
 
 def _squares(board: Board, black: Callable[[int, int], bool]) -> FloatArray:
@@ -102,7 +102,7 @@ def _cells(name: str, number: int, corner: FloatArray, side: float) -> FloatArra
 
 
 class Paper:
-    """A printed board of which any place can be asked, exactly: edges of rectangles make a grid, whose cells are whole.
+    """A printed board, exact at any place: edges of rectangles make a grid, whose cells are whole.
 
     Args:
         board: The board.
@@ -166,10 +166,10 @@ def page(board: Board, form: str, paper: str | None = None) -> bytes:
     stream = io.BytesIO()
     about = {"Date": None} if form == "svg" else {"CreationDate": None}
     figure.savefig(stream, format=form, metadata=about)
-    return stream.getvalue() if form == "pdf" else _in_millimetres(stream.getvalue(), sheet)
+    return stream.getvalue() if form == "pdf" else _with_size_in_millimetres(stream.getvalue(), sheet)
 
 
-def _in_millimetres(svg: bytes, sheet: FloatArray) -> bytes:
+def _with_size_in_millimetres(svg: bytes, sheet: FloatArray) -> bytes:
     """The page with its size in mm, which every program knows, and not in points."""
     size = 'width="{:g}mm" height="{:g}mm"'.format(*(_MM * sheet))
     return re.sub(rb'width="[0-9.]+pt" height="[0-9.]+pt"', size.encode(), svg, count=1)

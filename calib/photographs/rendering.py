@@ -22,8 +22,8 @@ from calib.core.instruments.camera import project, rays
 from calib.core.instruments.kind import Readings, View
 from calib.core.instruments.pixel import Pixel
 from calib.core.robots.robot import Robot
-from calib.core.rows.observed import seen_by
-from calib.photographs.opencv import GreyImage, encoded
+from calib.core.rows.observed import views_of_instruments
+from calib.photographs.opencv import GreyImage, encode
 from calib.photographs.printing import Paper
 
 _RAYS = 2  # across and down a pixel
@@ -69,7 +69,7 @@ class Photographer:
         board, margin = np.array(self.board.size), _MARGIN * max(self.board.size)
         width, height = self.size
         fine = np.full((_RAYS * height, _RAYS * width), _TABLE)
-        part = self._shown(T_camera_board, margin)
+        part = self._visible_rays(T_camera_board, margin)
         pixel_rays = self._rays[part].reshape(-1, 2)  # type: ignore[attr-defined]
         directions = np.hstack([pixel_rays, np.ones((len(pixel_rays), 1))])
         normal, place = T_camera_board[:3, 2], T_camera_board[:3, 3]
@@ -86,7 +86,7 @@ class Photographer:
         image += self.noise * generator.standard_normal(image.shape)
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
-    def _shown(self, pose: FloatArray, margin: float) -> tuple[slice, slice]:
+    def _visible_rays(self, pose: FloatArray, margin: float) -> tuple[slice, slice]:
         """Rows and columns of rays that may meet the paper."""
         width, height = self.board.size
         corners = [(x, y, 0.0) for x in (-margin, width + margin) for y in (-margin, height + margin)]
@@ -140,12 +140,12 @@ def example(board: Board, count: int, generator: np.random.Generator) -> dict[st
         T_camera_board = _pose((0.0, 0.0, 0.0), tilt)
         aside = distance * generator.uniform(-0.12, 0.12, 2)
         T_camera_board[:3, 3] = [*aside, distance * generator.uniform(0.85, 1.2)] - T_camera_board[:3, :3] @ middle
-        files[f"shot_{k + 1:02d}.png"] = encoded(photographer.photograph(T_camera_board, generator))
+        files[f"shot_{k + 1:02d}.png"] = encode(photographer.photograph(T_camera_board, generator))
         tool = T_base_board @ np.linalg.inv(T_camera_board) @ np.linalg.inv(T_tool_camera)
         error = 2e-4 * generator.standard_normal(6)
-        told = tool @ _pose(tuple(error[:3]), tuple(np.rad2deg(error[3:])))
-        quaternion = scipy.spatial.transform.Rotation.from_matrix(told[:3, :3]).as_quat(canonical=True)
-        numbers = [*(f"{1e3 * value:.4f}" for value in told[:3, 3]), *(f"{value:.7f}" for value in quaternion)]
+        true_tool = tool @ _pose(tuple(error[:3]), tuple(np.rad2deg(error[3:])))
+        quaternion = scipy.spatial.transform.Rotation.from_matrix(true_tool[:3, :3]).as_quat(canonical=True)
+        numbers = [*(f"{1e3 * value:.4f}" for value in true_tool[:3, 3]), *(f"{value:.7f}" for value in quaternion)]
         lines.append(",".join([f"shot_{k + 1:02d}.png", *numbers]))
     files["poses.csv"] = ("# simulated: a camera on the tool\n" + "\n".join(lines) + "\n").encode()
     truth = {
@@ -183,12 +183,12 @@ def photographs(robot: Robot, camera: Pixel, data: Measurements, rng: np.random.
     pairs, nothing = np.zeros(len(data), dtype=np.intp), np.zeros((len(data), 0))
     looks = Readings(visits, pairs, nothing, None, nothing)
     configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
-    view = seen_by(robot, configurations, {camera.name: looks})[camera.name]
+    view = views_of_instruments(robot, configurations, {camera.name: looks})[camera.name]
     assert isinstance(view, View)
     intrinsics = camera.numbers(robot.values[robot.unknowns(camera.name)])
     photographer = Photographer(camera.board, intrinsics, (int(camera.image[0]), int(camera.image[1])))
     poses = np.tile(np.eye(4), (len(data), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = view.rotation, view.translation
     return {
-        f"{name}.png": encoded(photographer.photograph(pose, rng)) for name, pose in zip(data.names, poses, strict=True)
+        f"{name}.png": encode(photographer.photograph(pose, rng)) for name, pose in zip(data.names, poses, strict=True)
     }

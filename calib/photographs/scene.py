@@ -34,7 +34,7 @@ SIDES: dict[Mount, str] = {"tool": "on the tool", "base": "beside the robot"}
 
 
 @dataclass(frozen=True, eq=False)
-class Scene(ReadOnlyArrays):
+class BoardScene(ReadOnlyArrays):
     """Images of a board.
 
     Attributes:
@@ -63,7 +63,7 @@ class Scene(ReadOnlyArrays):
         """A_i, (n, 4, 4) [m]."""
         return self.tool if self.mount == "base" else np.linalg.inv(self.tool)
 
-    def only(self, chosen: BoolArray) -> Scene:
+    def select_images(self, chosen: BoolArray) -> BoardScene:
         """Return the scene with some of the images, (n,)."""
         number = np.cumsum(chosen) - 1
         kept = chosen[self.image]
@@ -77,7 +77,7 @@ class Scene(ReadOnlyArrays):
             pixels=self.pixels[kept],
         )
 
-    def of_points(self, chosen: BoolArray) -> Scene:
+    def with_points(self, chosen: BoolArray) -> BoardScene:
         """Return the scene with some of the points, (m,), and all images."""
         return replace(self, image=self.image[chosen], body=self.body[chosen], pixels=self.pixels[chosen])
 
@@ -93,11 +93,11 @@ class Scene(ReadOnlyArrays):
         return np.bincount(self.image, minlength=len(self))
 
 
-def scene_of(detected_images: Sequence[DetectedImage], board: Board, tool: FloatArray) -> Scene:
+def scene_of(detected_images: Sequence[DetectedImage], board: Board, tool: FloatArray) -> BoardScene:
     """Return images of a board and the tool at each, (n, 4, 4) [m], as what is calibrated from."""
     points = board.points()
     counts = [len(image.points) for image in detected_images]
-    return Scene(
+    return BoardScene(
         tuple(image.name for image in detected_images),
         tool,
         np.repeat(np.arange(len(detected_images)), counts),
@@ -109,7 +109,7 @@ def scene_of(detected_images: Sequence[DetectedImage], board: Board, tool: Float
 
 
 @dataclass(frozen=True, eq=False)
-class Placed(ReadOnlyArrays):
+class HandEyePlacement(ReadOnlyArrays):
     """Where camera and board are.
 
     Attributes:
@@ -124,15 +124,17 @@ class Placed(ReadOnlyArrays):
     intrinsics: FloatArray
     scale: float = 1.0
 
-    def moved(self, step: FloatArray, free: Sequence[int]) -> Placed:
+    def step(self, step: FloatArray, free: Sequence[int]) -> HandEyePlacement:
         """Return this after a step [camera 6, board 6, intrinsics, scale], (k,) with the columns of `ImageSums`."""
         intrinsics = self.intrinsics.copy()
         intrinsics[list(free)] += step[12 : 12 + len(free)]
         scale = self.scale + (float(step[12 + len(free)]) if len(step) > 12 + len(free) else 0.0)
-        return Placed(_stepped(self.camera, step[:6]), _stepped(self.board, step[6:12]), intrinsics, scale)
+        return HandEyePlacement(
+            _step_pose(self.camera, step[:6]), _step_pose(self.board, step[6:12]), intrinsics, scale
+        )
 
 
-def _stepped(pose: FloatArray, step: FloatArray) -> FloatArray:
+def _step_pose(pose: FloatArray, step: FloatArray) -> FloatArray:
     return pose @ np.asarray(pin.exp6(pin.Motion(step)).homogeneous)
 
 
@@ -174,20 +176,20 @@ class ImageSums(ReadOnlyArrays):
         return ImageSums(self.residuals, jj, jg, gg, jr, gr, rr, self.n_rows, self.n_arm)
 
 
-def in_camera(scene: Scene, placed: Placed) -> tuple[FloatArray, FloatArray]:
+def points_in_camera(scene: BoardScene, placed: HandEyePlacement) -> tuple[FloatArray, FloatArray]:
     """Return the points in the camera, (m, 3) [m], and the board in the camera at each image, (n, 4, 4)."""
     poses = np.linalg.inv(placed.camera) @ scene.links @ placed.board
     at = poses[scene.image]
     return np.einsum("kab,kb->ka", at[:, :3, :3], placed.scale * scene.body) + at[:, :3, 3], poses
 
 
-def residuals(scene: Scene, placed: Placed) -> FloatArray:
+def residuals(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
     """Return predicted minus found, (m, 2) [px]."""
-    return project(in_camera(scene, placed)[0], placed.intrinsics)[0] - scene.pixels
+    return project(points_in_camera(scene, placed)[0], placed.intrinsics)[0] - scene.pixels
 
 
 def rows(
-    scene: Scene, placed: Placed, free: Sequence[int], scaled: bool = False
+    scene: BoardScene, placed: HandEyePlacement, free: Sequence[int], scaled: bool = False
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return residuals (m, 2) [px], J (m, 2, k) and G (m, 2, 6).
 
@@ -197,7 +199,7 @@ def rows(
         free: Which intrinsics are sought, by their numbers.
         scaled: Whether the size of the board is sought too.
     """
-    points, poses = in_camera(scene, placed)
+    points, poses = points_in_camera(scene, placed)
     pixels, by_point, by_number = project(points, placed.intrinsics)
     body = placed.scale * scene.body
     turned = poses[scene.image, :3, :3]
@@ -206,10 +208,14 @@ def rows(
     columns = [by_point @ by_camera, by_point @ by_board, by_number[:, :, list(free)]]
     if scaled:
         columns.append(by_point @ np.einsum("kab,kb->ka", turned, scene.body)[:, :, None])
-    return pixels - scene.pixels, np.concatenate(columns, axis=2), by_point @ _by_error(scene, placed, body)
+    return (
+        pixels - scene.pixels,
+        np.concatenate(columns, axis=2),
+        by_point @ _robot_error_derivative(scene, placed, body),
+    )
 
 
-def _by_error(scene: Scene, placed: Placed, body: FloatArray) -> FloatArray:
+def _robot_error_derivative(scene: BoardScene, placed: HandEyePlacement, body: FloatArray) -> FloatArray:
     """How an error of the robot's tool moves points in the camera, (m, 3, 6)."""
     if scene.mount == "base":
         carried = body @ placed.board[:3, :3].T + placed.board[:3, 3]  # in the tool
@@ -221,7 +227,7 @@ def _by_error(scene: Scene, placed: Placed, body: FloatArray) -> FloatArray:
     return -np.concatenate([turned, -turned @ cross_matrices(carried)], axis=2)
 
 
-def linearised(scene: Scene, placed: Placed, free: Sequence[int], scaled: bool = False) -> ImageSums:
+def linearise(scene: BoardScene, placed: HandEyePlacement, free: Sequence[int], scaled: bool = False) -> ImageSums:
     """Return residuals and derivatives, summed over the points of each image; see `rows`."""
     r, j, g = rows(scene, placed, free, scaled)
     k = j.shape[2]
@@ -233,12 +239,12 @@ def linearised(scene: Scene, placed: Placed, free: Sequence[int], scaled: bool =
     return ImageSums(r, jj, jg, gg, jr, gr, rr, 2 * scene.counts)
 
 
-def on_board(scene: Scene, placed: Placed) -> FloatArray:
+def plane_errors_on_board(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
     """Return how far pixels lie from their points on the board, in its plane as the model places it, (m, 2) [m].
 
     A ray that does not meet the plane in front of the camera gives infinity.
     """
-    poses = in_camera(scene, placed)[1][scene.image]
+    poses = points_in_camera(scene, placed)[1][scene.image]
     seen = rays(scene.pixels, placed.intrinsics)
     directions = np.hstack([seen, np.ones((len(seen), 1))])
     normal, place = poses[:, :3, 2], poses[:, :3, 3]

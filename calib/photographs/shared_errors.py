@@ -133,7 +133,7 @@ def _noise_of(logs: FloatArray) -> ErrorSizes:
     return ErrorSizes(pixel, 0.0 if shift < _SMALLEST else shift, 0.0 if turn < _SMALLEST else turn, *arm)
 
 
-def found_noise(
+def find_noise(
     linear: ImageSums, prior: IntrinsicsPrior | None, now: FloatArray, near: ErrorSizes | None = None
 ) -> ErrorSizes:
     """Return the sizes of the errors by restricted maximum likelihood, the intrinsics sought being `now`, (k,).
@@ -161,10 +161,10 @@ def found_noise(
         (scipy.optimize.minimize(cost, start, method="L-BFGS-B", bounds=bounds) for start in starts),
         key=lambda end: end.fun,
     )
-    return _noise_of(_polished(cost, np.asarray(best.x), low))
+    return _noise_of(_polish(cost, np.asarray(best.x), low))
 
 
-def _polished(cost: Callable[[FloatArray], float], at: FloatArray, low: FloatArray) -> FloatArray:
+def _polish(cost: Callable[[FloatArray], float], at: FloatArray, low: FloatArray) -> FloatArray:
     """Newton steps by central differences, over sizes that are not at their smallest."""
     for _ in range(4):
         free = known_sizes(at)

@@ -22,11 +22,11 @@ import scipy
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.core.instruments.camera import LEAST_POINTS, rays, view_poses
-from calib.core.instruments.hand_eye import fixed_poses
+from calib.core.instruments.hand_eye import solve_poses
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.losses import median_length
-from calib.photographs.scene import Mount, Placed, Scene, in_camera, linearised, residuals, rows
+from calib.photographs.scene import BoardScene, HandEyePlacement, Mount, linearise, points_in_camera, residuals, rows
 from calib.photographs.shared_errors import ErrorSizes, normal_equations
 
 _TRIALS = 25
@@ -54,8 +54,8 @@ class Start(ReadOnlyArrays):
         rms: Of each image, (n,) [px].
     """
 
-    scene: Scene
-    placed: Placed
+    scene: BoardScene
+    placed: HandEyePlacement
     rms: FloatArray
 
     @property
@@ -64,7 +64,7 @@ class Start(ReadOnlyArrays):
         return float(np.median(self.rms))
 
 
-def first_focal(scene: Scene) -> float:
+def first_focal(scene: BoardScene) -> float:
     """Return the focal length that the homographies of single images tell [px].
 
     Raises:
@@ -105,13 +105,13 @@ def _homography(body: FloatArray, seen: FloatArray) -> FloatArray | None:
     return vt[-1].reshape(3, 3)
 
 
-def intrinsics_at_first(scene: Scene) -> FloatArray:
+def intrinsics_at_first(scene: BoardScene) -> FloatArray:
     """Return intrinsics to begin with where none are given, (9,)."""
     focal = first_focal(scene)
     return np.array([focal, focal, (scene.size[0] - 1) / 2, (scene.size[1] - 1) / 2, 0, 0, 0, 0, 0])
 
 
-def views(scene: Scene) -> FloatArray:
+def views(scene: BoardScene) -> FloatArray:
     """Return the board in the camera at each image that shows where it is, (k, 4, 4) [m], about; `tool` does not count.
 
     The focal length is that of the homographies, or as wide as the image where they tell none.
@@ -125,20 +125,20 @@ def views(scene: Scene) -> FloatArray:
     return poses[np.isfinite(errors)]
 
 
-def single_views(scene: Scene, intrinsics: FloatArray) -> tuple[FloatArray, FloatArray]:
+def single_views(scene: BoardScene, intrinsics: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the board in the camera at each image (n, 4, 4) [m], and its error, (n,) [rad]; inf where not solved."""
     chosen = np.concatenate(
-        [rows[np.unique(np.linspace(0, len(rows) - 1, _MOST_POINTS).astype(int))] for rows in _by_image(scene)]
+        [rows[np.unique(np.linspace(0, len(rows) - 1, _MOST_POINTS).astype(int))] for rows in _points_by_image(scene)]
     )
     return view_poses(scene.body[chosen], rays(scene.pixels[chosen], intrinsics), scene.image[chosen], len(scene))
 
 
-def _by_image(scene: Scene) -> list[IntArray]:
+def _points_by_image(scene: BoardScene) -> list[IntArray]:
     ends = np.cumsum(scene.counts)
     return [np.arange(end - count, end) for end, count in zip(ends, scene.counts, strict=True)]
 
 
-def start(scene: Scene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...] = ("tool", "base")) -> Start:
+def start(scene: BoardScene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...] = ("tool", "base")) -> Start:
     """Return where to begin.
 
     Args:
@@ -159,7 +159,7 @@ def start(scene: Scene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...] = (
     usable = np.flatnonzero(np.isfinite(errors))
     best: Start | None = None
     for mount in mounts:
-        candidate = _started(replace(scene, mount=mount), intrinsics, views, usable)
+        candidate = _start(replace(scene, mount=mount), intrinsics, views, usable)
         best = candidate if best is None or candidate.typical < best.typical else best
         if best.typical < _GOOD:
             break
@@ -167,43 +167,43 @@ def start(scene: Scene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...] = (
     return best
 
 
-def _started(scene: Scene, intrinsics: FloatArray, views: FloatArray, usable: IntArray) -> Start:
+def _start(scene: BoardScene, intrinsics: FloatArray, views: FloatArray, usable: IntArray) -> Start:
     links, now, none = scene.links, (np.eye(4), np.eye(4)), (False, False)
-    whole = _robust(scene, Placed(*fixed_poses(links[usable], views[usable], now, none), intrinsics))
+    whole = _robust(scene, HandEyePlacement(*solve_poses(links[usable], views[usable], now, none), intrinsics))
     if whole.typical < _GOOD or len(usable) <= _AT_ONCE:
         return whole
     generator = np.random.default_rng(_SEED)
     subsets = np.array([generator.choice(usable, _AT_ONCE, replace=False) for _ in range(_TRIALS)])
-    poses = zip(*fixed_poses(links[subsets], views[subsets], now, none), strict=True)
-    tried = [Placed(camera, board, intrinsics) for camera, board in poses]
+    poses = zip(*solve_poses(links[subsets], views[subsets], now, none), strict=True)
+    tried = [HandEyePlacement(camera, board, intrinsics) for camera, board in poses]
     tried.sort(key=lambda placed: _median_error(scene, placed))
     return min([whole, *(_robust(scene, placed) for placed in tried[:3])], key=lambda candidate: candidate.typical)
 
 
-def _median_error(scene: Scene, placed: Placed) -> float:
+def _median_error(scene: BoardScene, placed: HandEyePlacement) -> float:
     return float(np.median(image_rms(scene, placed)))
 
 
-def image_rms(scene: Scene, placed: Placed) -> FloatArray:
+def image_rms(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
     """Return the root mean square residual of each image, (n,) [px]; a board behind the camera counts as far off."""
     errors = np.sum(residuals(scene, placed) ** 2, axis=1)
-    behind = in_camera(scene, placed)[0][:, 2] <= 0
+    behind = points_in_camera(scene, placed)[0][:, 2] <= 0
     errors = np.where(behind, np.maximum(errors, float(max(scene.size)) ** 2), errors)
     return np.sqrt(scene.sums(errors) / np.maximum(scene.counts, 1))
 
 
-def _robust(scene: Scene, placed: Placed) -> Start:
+def _robust(scene: BoardScene, placed: HandEyePlacement) -> Start:
     """Damped steps in which images that lie further off than most count less."""
     rms, damping = image_rms(scene, placed), 1e-3
     for _ in range(_ROUNDS):
         scale = _FAR * max(float(np.median(rms)), 1e-3)
         weight = 1.0 / (1.0 + (rms / scale) ** 2)
-        linear = linearised(scene, placed, ())
+        linear = linearise(scene, placed, ())
         part = linear.times(weight)
         a, b, _ = normal_equations(part, ErrorSizes(), None, np.zeros(0))
         size = 1.0 / np.sqrt(np.diag(a) + 1e-300)
         step = -size * np.linalg.solve(size[:, None] * a * size + damping * np.eye(12), size * b)
-        tried = placed.moved(step, ())
+        tried = placed.step(step, ())
         ahead = image_rms(scene, tried)
         cost, new_cost = (float(np.sum(np.log1p((errors / scale) ** 2))) for errors in (rms, ahead))
         if new_cost <= cost:
@@ -218,7 +218,9 @@ def _robust(scene: Scene, placed: Placed) -> Start:
     return Start(scene, placed, rms)
 
 
-def camera_alone(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = ()) -> tuple[FloatArray, FloatArray]:
+def camera_alone(
+    scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...] = ()
+) -> tuple[FloatArray, FloatArray]:
     """Return what is left with the board placed freely in each image, no robot: residuals (m, 2) [px], intrinsics (9,).
 
     Images with fewer than six points, which their own pose could explain, are left out of the lens, and NaN.
@@ -237,28 +239,28 @@ def camera_alone(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = (
 
 
 @dataclass(frozen=True, eq=False)
-class _Alone(ReadOnlyArrays):
+class _FreeBoards(ReadOnlyArrays):
     """The board placed freely in each image: `tool` of the scene is the board in the camera."""
 
-    scene: Scene
-    placed: Placed
+    scene: BoardScene
+    placed: HandEyePlacement
     images: IntArray
 
 
-def _board_free(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = ()) -> _Alone | None:
+def _board_free(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...] = ()) -> _FreeBoards | None:
     """Place the board in each image with enough points; None where no pose explains one. See `camera_alone`."""
     use = scene.counts >= LEAST_ALONE
     if free and np.sum(use) < LEAST_IMAGES:
         free = ()
-    used = scene.only(use)
+    used = scene.select_images(use)
     if len(used) == 0:
         return None
     views, _ = single_views(used, intrinsics)
     # each image a robot pose of its own: the camera in the base, the board on the tool at the origin
-    placed = Placed(np.eye(4), np.eye(4), intrinsics)
+    placed = HandEyePlacement(np.eye(4), np.eye(4), intrinsics)
     alone = replace(used, tool=views, mount="base")
     for _ in range(_ROUNDS):
-        linear = linearised(alone, placed, free)
+        linear = linearise(alone, placed, free)
         if not np.all(np.isfinite(linear.gg)) or np.max(linalg.cond(linear.gg)) > _LOST:
             return None
         inverse = np.linalg.inv(linear.gg)
@@ -269,21 +271,21 @@ def _board_free(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = ()
             b = np.sum(jr - np.einsum("nab,nbc,nc->na", jg, inverse, linear.gr), axis=0)
             change = -linalg.lstsq(a, b, rcond=1e-12)
             pull = linear.gr + np.einsum("nba,b->na", jg, change)
-            placed = placed.moved(np.concatenate([np.zeros(12), change]), free)
+            placed = placed.step(np.concatenate([np.zeros(12), change]), free)
         steps = -np.einsum("nab,nb->na", inverse, pull)
         moved = np.array(
             [
-                Placed(pose, np.eye(4), intrinsics).moved(np.r_[step, np.zeros(6)], ()).camera
+                HandEyePlacement(pose, np.eye(4), intrinsics).step(np.r_[step, np.zeros(6)], ()).camera
                 for pose, step in zip(alone.tool, steps, strict=True)
             ]
         )
         alone = replace(alone, tool=moved)
         if np.max(np.abs(steps)) < 1e-10:
             break
-    return _Alone(alone, placed, np.flatnonzero(use))
+    return _FreeBoards(alone, placed, np.flatnonzero(use))
 
 
-def points_off(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...]) -> FloatArray:
+def point_errors(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...]) -> FloatArray:
     """Return how far points lie from where the others of their image put them, (m,) [px]; 0 of those that agree.
 
     The board is placed freely in each image, so that neither the robot nor another image counts. The point that is
@@ -302,7 +304,7 @@ def points_off(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...]) -> F
         return far
     lens, images = alone.placed.intrinsics, alone.images
     number = np.flatnonzero(np.isin(scene.image, images))  # in the scene, of each point that is judged
-    sizes, lengths = _over_leverage(alone)
+    sizes, lengths = _studentised_residuals(alone)
     freedom = 2 * len(number) - 6 * len(images) - len(free)
     scale = max(float(np.median(sizes)) / float(median_length(np.array([2]))[0]), _NO_NOISE)
     for i in images:
@@ -318,22 +320,24 @@ def points_off(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...]) -> F
             gone[k] = True
             if 2 * np.sum(gone) > len(own) or np.sum(~gone) < LEAST_ALONE:
                 break
-            others = scene.of_points(np.isin(np.arange(len(far)), own[~gone])).only(np.arange(len(scene)) == i)
+            others = scene.with_points(np.isin(np.arange(len(far)), own[~gone])).select_images(
+                np.arange(len(scene)) == i
+            )
             again = _board_free(others, lens)
             if again is None:
                 break
-            whole = scene.only(np.arange(len(scene)) == i)
-            shown = _Alone(replace(whole, tool=again.scene.tool, mount="base"), again.placed, again.images)
+            whole = scene.select_images(np.arange(len(scene)) == i)
+            shown = _FreeBoards(replace(whole, tool=again.scene.tool, mount="base"), again.placed, again.images)
             length = np.linalg.norm(residuals(shown.scene, shown.placed), axis=1)
             size = np.where(gone, length, 0.0)
-            size[~gone] = _over_leverage(again)[0]
+            size[~gone] = _studentised_residuals(again)[0]
     return far
 
 
-def _over_leverage(alone: _Alone) -> tuple[FloatArray, FloatArray]:
+def _studentised_residuals(alone: _FreeBoards) -> tuple[FloatArray, FloatArray]:
     """Residuals over what the pose of their image leaves of noise, and their lengths, (m,) [px]."""
     r, _, g = rows(alone.scene, alone.placed, ())
-    inverse = np.linalg.inv(linearised(alone.scene, alone.placed, ()).gg)[alone.scene.image]
+    inverse = np.linalg.inv(linearise(alone.scene, alone.placed, ()).gg)[alone.scene.image]
     left = np.eye(2) - g @ inverse @ g.transpose(0, 2, 1)
     values, vectors = linalg.eigh(left)
     turned = np.einsum("mba,mb->ma", vectors, r)

@@ -62,7 +62,7 @@ def read_tool_poses(
     table = read_table(path, {} if robot is None else robot.description.columns)
     names = image_names(table)
     if robot is not None:
-        return names, _by_joints(table, robot)
+        return names, _tool_poses_from_joints(table, robot)
     places = pose_columns(table)
     if len(places) > 1:
         raise DataError(f"{path}: holds several poses ({', '.join(places)}); keep the tool's alone")
@@ -184,7 +184,7 @@ def _rotations(table: Table, columns: Sequence[str], form: tuple[str, ...], angl
     return scipy.spatial.transform.Rotation.from_euler("xyz", values).as_matrix()
 
 
-def _by_joints(table: Table, robot: Robot) -> FloatArray:
+def _tool_poses_from_joints(table: Table, robot: Robot) -> FloatArray:
     """The tool by the robot's kinematics: the frame of its first target."""
     missing = next((name for name in robot.joint_names if name not in table.names), None)
     if missing is not None:
@@ -193,7 +193,7 @@ def _by_joints(table: Table, robot: Robot) -> FloatArray:
     return robot.forward(joints)
 
 
-def matched(seen: Sequence[str], names: Sequence[str], where: str) -> tuple[list[int], list[str]]:
+def match_images(seen: Sequence[str], names: Sequence[str], where: str) -> tuple[list[int], list[str]]:
     """Return the row of each image that was seen, and in words which images have none.
 
     Args:

@@ -5,7 +5,7 @@ of the free ones, groups that move together unseen, which parameters to hold, ob
 noise, the predicted standard deviation of every parameter, their correlations, and the predicted position error.
 Families of joint terms (curves), whose priors are found from data, are left out of all of this.
 
-How many poses are needed is the question that is asked first. For each number m it is answered three times, from the
+How many poses are needed is the first question. For each number m it is answered three times, from the
 information of the given poses alone: for m of them spread uniformly over their order; for the m of them that are best
 for this purpose (exchange for the task index); and, beyond the poses there are, for all of them measured m / n times on
 average. Only measurement noise counts: where the model does not fit the robot, more poses do not help, which the
@@ -24,7 +24,7 @@ from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.core.base.parameter import Parameter, index_of
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import in_si, millimetres
-from calib.core.base.words import counted, data_frame, listed, titled_html
+from calib.core.base.words import count_noun, data_frame, html_with_title, listing
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.numerics import linalg
@@ -43,8 +43,8 @@ from calib.core.rows.candidates import (
     rows_of_poses,
 )
 from calib.core.rows.determination import Determination, determination
-from calib.core.rows.observed import looks_at, observe
-from calib.core.rows.prediction import beside_common_motion
+from calib.core.rows.observed import observe, planned_readings
+from calib.core.rows.prediction import without_common_motion
 from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 from calib.planning.exchange import Spacing, exchange, uniform_start
@@ -67,7 +67,7 @@ _NOTHING_NEW = 1e-3  # part of a pose's strongest direction; repeats that hardly
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Assessment(ReadOnlyArrays):
-    """What a set of poses determines.
+    """Parameters that a set of poses determines.
 
     Attributes:
         parameters: All parameters.
@@ -76,7 +76,8 @@ class Assessment(ReadOnlyArrays):
         sigma: Noise of one reading per axis that was used [m].
         sigma_assumed: Whether it was not stated.
         determination: Ranks of all and of the free parameters, from the poses alone and with priors.
-        known: Uncertainty of the free parameters from poses and priors; in units of `determination.lengths`.
+        posterior_information: Uncertainty of the free parameters from poses and priors; in units of
+            `determination.lengths`.
         groups: Groups of parameters whose common change no pose shows, of all parameters, from the poses alone.
         open_groups: The same of the free ones, priors included: what stays undetermined.
         elimination: Parameters to hold so that the poses determine the rest.
@@ -85,12 +86,13 @@ class Assessment(ReadOnlyArrays):
         raw: The same on columns that are not scaled, in mm (or noise) per unit of the table.
         std: Predicted standard deviation of each free parameter, infinite where undetermined, (n_free,) [m, rad].
         accuracy: Predicted position error at the task poses.
-        position_errors: The same at each of them, of the targets in `RobotData.located`, (n_task, n_located) [m].
+        position_errors: The same at each of them, of the targets in `RobotData.reported_targets`, (n_task, n_located)
+            [m].
         beside_common: Root mean square of the predicted position error [m], without the part that moves all positions
             as one body, such as where the base stands.
         by_count: Predicted accuracy against number of poses.
         near_singular: Poses closer to a singularity of the loops than the description's limit.
-        left_out: Targets that are left out of the accuracy (`RobotData.left_out`).
+        left_out: Targets that are left out of the accuracy (`RobotData.unreported_targets`).
     """
 
     parameters: tuple[Parameter, ...]
@@ -100,7 +102,7 @@ class Assessment(ReadOnlyArrays):
     sigma: float
     sigma_assumed: bool
     determination: Determination
-    known: Information
+    posterior_information: Information
     groups: tuple[UnseenGroup, ...]
     open_groups: tuple[UnseenGroup, ...]
     elimination: Elimination
@@ -123,14 +125,14 @@ class Assessment(ReadOnlyArrays):
     def __str__(self) -> str:
         left = int(np.sum(self.free)) - self.rank_free.rank
         by_priors = f"priors hold the other {left}" if left else "no prior is needed"
-        held = f"{counted(len(self.open_groups), 'group')} not determined" if self.open_groups else by_priors
+        held = f"{count_noun(len(self.open_groups), 'group')} not determined" if self.open_groups else by_priors
         following = (
             "hold parameters (`robot.fix`) or add poses"
             if self.open_groups
             else "calib.select(robot, candidates, count=40), or calib.fit(robot, data) of measurements at these poses"
         )
         unseen = [", ".join(self.parameters[k].name for k in group.members) for group in self.groups]
-        together = f"Move together unseen: {listed(unseen, '; ', _GROUPS)}\n" if unseen else ""
+        together = f"Move together unseen: {listing(unseen, '; ', _GROUPS)}\n" if unseen else ""
         return (
             f"{repr(self)[1:-1]}; {held}\n{together}"
             "Inside: to_dataframe(), the predicted standard deviation of each parameter; by_count, the error for fewer"
@@ -139,7 +141,7 @@ class Assessment(ReadOnlyArrays):
         )
 
     def _repr_html_(self) -> str:
-        return titled_html("Assessment", (repr(self)[1:-1], *self.determination.lines()), self.rows())
+        return html_with_title("Assessment", (repr(self)[1:-1], *self.determination.lines()), self.rows())
 
     def rows(self) -> list[dict[str, object]]:
         """Return one row for each free parameter with its predicted standard deviation, in the units of tables."""
@@ -165,9 +167,9 @@ class Assessment(ReadOnlyArrays):
         """The free parameters, in the order of `std`."""
         return tuple(p for p, use in zip(self.parameters, self.free, strict=True) if use)
 
-    def correlated(self, limit: float = CORRELATION_LIMIT) -> list[tuple[str, str, float]]:
+    def correlated_pairs(self, limit: float = CORRELATION_LIMIT) -> list[tuple[str, str, float]]:
         """Return pairs of free parameters whose correlation exceeds `limit` in size, largest first."""
-        matrix = self.known.correlations()
+        matrix = self.posterior_information.correlations()
         names = [parameter.name for parameter in self.free_parameters]
         rows, columns = np.triu_indices(len(names), k=1)
         with np.errstate(invalid="ignore"):
@@ -220,7 +222,7 @@ def check(
     parameters, free = tuple(p for p in robot.parameters if not p.family), robot.is_free[outside_families]
     noise, assumed = assumed_sigma(robot, sigma)
     configurations = robot.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
-    everything = Unknowns.of(robot, outside_families)
+    everything = Unknowns.from_robot(robot, outside_families)
     columns, rows, width = _columns(robot, poses, configurations, sigma, everything)
     _require_rows(robot, poses, width)
     determined = determination(columns / everything.scales, parameters, free)
@@ -237,7 +239,7 @@ def check(
         _, positions, task_rows = rows_of_measured(robot, task, sigma)
     task_rows = task_rows / lengths[free]
     errors = known.position_errors(task_rows)
-    beside = known.position_errors(beside_common_motion(positions[:, robot.located], task_rows))
+    beside = known.position_errors(without_common_motion(positions[:, robot.reported_targets], task_rows))
     kept = [p for p, use in zip(parameters, free, strict=True) if use]
     scaled, raw = observability_of(noise * columns[:, free], kept, poses.n_poses, lengths=noise != WHITENED)
     near = np.flatnonzero(robot.singular_values(configurations) < robot.description.singularity_limit)
@@ -249,7 +251,7 @@ def check(
         sigma=noise,
         sigma_assumed=assumed,
         determination=determined,
-        known=known,
+        posterior_information=known,
         groups=null_groups(determined.columns, _spoken_for(free, elimination), lengths),
         open_groups=null_groups(determined.open_columns, lengths=lengths[free]),
         elimination=elimination,
@@ -261,7 +263,7 @@ def check(
         beside_common=float(np.sqrt(np.mean(beside**2))),
         by_count=accuracy_by_count(rows[..., free] / lengths[free], priors, task_rows),
         near_singular=tuple(poses.labels[k] for k in near),
-        left_out=tuple(robot.left_out),
+        left_out=tuple(robot.unreported_targets),
     )
 
 
@@ -270,7 +272,7 @@ def _columns(
 ) -> tuple[FloatArray, FloatArray, int]:
     """Whitened rows of what is or could be read, those of each pose, and how many rows a visit gives."""
     if not isinstance(poses, Measurements):
-        pose_rows = rows_of_poses(robot, configurations, sigma, everything, looks_at(robot, poses))
+        pose_rows = rows_of_poses(robot, configurations, sigma, everything, planned_readings(robot, poses))
         flat = pose_rows.rows[pose_rows.read]
         return flat, pose_rows.rows, -(-len(flat) // len(poses))
     whitening = Whitening(robot, poses, sigma)
@@ -278,10 +280,10 @@ def _columns(
     whitened = whitening.rows(observed, whitening.start(), everything, everything.deviations(robot.values))
     layout = whitening.layout
     flat = whitened.jacobian[layout.group >= 0]
-    return flat, _by_pose(whitened.jacobian, layout.pose[layout.reading]), -(-len(flat) // len(poses))
+    return flat, _padded_rows(whitened.jacobian, layout.pose[layout.reading]), -(-len(flat) // len(poses))
 
 
-def _by_pose(rows: FloatArray, pose: IntArray) -> FloatArray:
+def _padded_rows(rows: FloatArray, pose: IntArray) -> FloatArray:
     """Rows pose by pose, filled up with zeros, (n_poses, most rows, n_parameters)."""
     order = np.argsort(pose, kind="stable")
     _, block, counts = np.unique(pose[order], return_inverse=True, return_counts=True)
@@ -341,9 +343,9 @@ def accuracy_by_count(
     n = len(rows)
     candidates = uniform_start(np.arange(n), min(n, _MOST_CANDIDATES))
     problem = build_problem(rows[candidates], None, priors, 0, task_rows)
-    if problem.known.rank.rank == 0:  # no number of poses determines anything
+    if problem.prior_information.rank.rank == 0:  # no number of poses determines anything
         return ()
-    rank_left = problem.known.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
+    rank_left = problem.prior_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
     least = max(1, -(-rank_left // _directions_of_a_pose(rows[candidates])))
     if counts is None:
         counts = tuple(int(m) for m in np.unique(np.round(np.geomspace(min(least + 1, n), n, _COUNTS))))

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import millimetres
-from calib.core.base.words import as_data, counted, listed, plain_text, sentence, text_table
+from calib.core.base.words import as_data, count_noun, listing, plain_text, sentence, text_table
 from calib.core.numerics.null_space import UnseenGroup, describe_group, natural_coefficients
 from calib.core.numerics.observability import INDICES, TaskIndex
 from calib.core.rows.candidates import WHITENED
@@ -62,7 +62,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
             ],
             "observability": {"scaled": a.scaled, "raw": a.raw},
             "parameters": _parameter_rows(a),
-            "correlations": [{"a": first, "b": second, "r": r} for first, second, r in a.correlated()],
+            "correlations": [{"a": first, "b": second, "r": r} for first, second, r in a.correlated_pairs()],
             "hardly_known": [{"name": name, "part": part} for name, part in a.hardly_known()],
             "accuracy_mm": _task(a.accuracy),
             "beside_common_motion_mm": millimetres(a.beside_common),
@@ -83,25 +83,25 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
 def _heading(a: Assessment, source: str) -> str:
     noise = "" if a.sigma == WHITENED else f"; noise {millimetres(a.sigma):g} mm per axis"
     noise += " (assumed: state it with --sigma-mm or in the description)" if a.sigma_assumed else ""
-    return f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} measured values{noise}"
+    return f"{count_noun(a.n_poses, 'pose')} ({source}), {a.n_rows} measured values{noise}"
 
 
 def _verdict(a: Assessment, most: int | None, width: int) -> list[str]:
     held = [parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free]
-    lines = [f"Held at nominal: {', '.join(held) if most is None else listed(held, shown=_SHOWN)}"] if held else []
+    lines = [f"Held at nominal: {', '.join(held) if most is None else listing(held, shown=_SHOWN)}"] if held else []
     lines.append(sentence(a.determination.words()))
     if a.determination.missing:
         lines.append("Hold one of each of these, or add other poses:")
-        lines += _in_words(a.open_groups, a.free_parameters, most, width)
+        lines += _groups_in_words(a.open_groups, a.free_parameters, most, width)
     if a.near_singular:
         lines.append(
-            f"Warning: {counted(len(a.near_singular), 'pose')} near a singularity of the loops:"
-            f" {listed(a.near_singular, shown=_FEW)}"
+            f"Warning: {count_noun(len(a.near_singular), 'pose')} near a singularity of the loops:"
+            f" {listing(a.near_singular, shown=_FEW)}"
         )
     return lines
 
 
-def _in_words(
+def _groups_in_words(
     groups: Sequence[UnseenGroup], parameters: Sequence[Parameter], most: int | None, width: int
 ) -> list[str]:
     """Groups in words: as many as fit into so many lines, all if that is None; and how many others there are."""
@@ -115,17 +115,17 @@ def _in_words(
             break
         shown.append(f"  {text}")
     more = len(texts) - len(shown)
-    return [*alone, *shown, *([f"  {counted(more, 'more group')} with --verbose"] if more else [])]
+    return [*alone, *shown, *([f"  {count_noun(more, 'more group')} with --verbose"] if more else [])]
 
 
 def _groups(a: Assessment, most: int | None, width: int) -> list[str]:
-    """What moves together unseen: all of it, or so many lines at most."""
+    """Groups of parameters that these poses cannot tell apart: all, or so many lines at most."""
     if not a.groups:
         return ["Every combination of the parameters shows in the readings."]
     lines = ["These poses cannot tell apart:"]
-    lines += _in_words(a.groups, a.parameters, most, width)
+    lines += _groups_in_words(a.groups, a.parameters, most, width)
     dropped = [a.parameters[k].name for k in a.elimination.dropped]
-    names = ", ".join(dropped) if most is None else listed(dropped, shown=_SHOWN)
+    names = ", ".join(dropped) if most is None else listing(dropped, shown=_SHOWN)
     lines.append(f"To determine the rest, hold {names} (condition number {a.elimination.conditions[-1]:.0f})")
     if {a.parameters[k].name for k in a.elimination.dropped} == {
         parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free
@@ -155,13 +155,13 @@ def _parameters(a: Assessment) -> Table:
 
 
 def _doubts(a: Assessment, most: int) -> list[str]:
-    pairs, weak = a.correlated(), a.hardly_known()
+    pairs, weak = a.correlated_pairs(), a.hardly_known()
     correlated = [f"{first} with {second} {r:+.4f}" for first, second, r in pairs]
     names = [name if not math.isfinite(part) else f"{name} ({100 * part:.0f} %)" for name, part in weak]
     return [
-        f"Correlations above {CORRELATION_LIMIT:g}: {listed(correlated, shown=most) if correlated else 'none'}",
+        f"Correlations above {CORRELATION_LIMIT:g}: {listing(correlated, shown=most) if correlated else 'none'}",
         f"Hardly improved by these poses (more than {100 * HARDLY:.0f} % of the expected error is left):"
-        f" {listed(names, shown=most) if names else 'none'}",
+        f" {listing(names, shown=most) if names else 'none'}",
     ]
 
 
@@ -191,7 +191,7 @@ def _accuracy(a: Assessment) -> list[str]:
             "Most of this error moves all positions as one body, as an unknown place of the base does. Without that"
             f" part, positions are known to {millimetres(a.beside_common):.4f} mm RMS."
         )
-    return lines + ([f"Not counted: {listed(a.left_out)}, read from unknown places only."] if a.left_out else [])
+    return lines + ([f"Not counted: {listing(a.left_out)}, read from unknown places only."] if a.left_out else [])
 
 
 def _pair(task: TaskIndex) -> tuple[str, str]:

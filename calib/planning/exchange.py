@@ -48,12 +48,12 @@ class Spacing:
     pose: IntArray | None = None
     kind: IntArray | None = None
 
-    def alike(self, candidate: int) -> BoolArray:
+    def is_same_kind(self, candidate: int) -> BoolArray:
         """Return which candidates are of the kind of one of them, (n_candidates,)."""
         result: BoolArray = np.ones_like(self.usable) if self.kind is None else self.kind == self.kind[candidate]
         return result
 
-    def allowed(self, chosen: BoolArray) -> BoolArray:
+    def is_allowed(self, chosen: BoolArray) -> BoolArray:
         """Return which candidates may be added to a choice, (n_candidates,)."""
         free = self.usable & ~chosen
         if self.distance > 0 and np.any(chosen):
@@ -65,7 +65,7 @@ class Spacing:
             free[candidates[near]] = False
         return free
 
-    def spread(self, tried: IntArray, count: int) -> IntArray:
+    def select_spread(self, tried: IntArray, count: int) -> IntArray:
         """Return candidates that keep the distance: those of `tried` that do, filled up in file order.
 
         Args:
@@ -134,13 +134,14 @@ def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Sp
     """
     chosen = np.zeros(len(problem), dtype=bool)
     chosen[start] = True
-    if problem.determined_by(chosen):
+    if problem.is_determined_by(chosen):
         return _climb(scores(problem, index, chosen), chosen, spacing)
     # every index is zero here: climb with a tiny prior first
     helped = _climb(scores(problem, "O1", chosen, _RIDGE), chosen, spacing)
-    if not problem.determined_by(helped.chosen):
+    if not problem.is_determined_by(helped.chosen):
         raise NotIdentifiableError(
-            f"no choice of {len(start)} poses was found that determines the {problem.known.rank.rank} combinations of"
+            f"no choice of {len(start)} poses was found that determines the {problem.prior_information.rank.rank}"
+            f" combinations of"
             " parameters that all candidates together determine; choose more poses, or hold parameters"
         )
     final = _climb(scores(problem, index, helped.chosen), helped.chosen, spacing)
@@ -153,15 +154,15 @@ def _climb(state: Scores, chosen: BoolArray, spacing: Spacing) -> Exchange:
     chosen = chosen.copy()
     history, values = [(-1, -1)], [state.value]
     while True:
-        allowed = spacing.allowed(chosen)
+        allowed = spacing.is_allowed(chosen)
         if not np.any(allowed):
             break
-        added = state.best(allowed, add=True)
-        larger = state.moved(added, add=True)
+        added = state.best_move(allowed, add=True)
+        larger = state.after_move(added, add=True)
         chosen[added] = True
-        removed = larger.best(chosen & spacing.alike(added), add=False)
+        removed = larger.best_move(chosen & spacing.is_same_kind(added), add=False)
         chosen[removed] = False
-        after = larger.moved(removed, add=False) if removed != added else state
+        after = larger.after_move(removed, add=False) if removed != added else state
         if after.value <= state.value + _RISE * abs(state.value):
             chosen[removed], chosen[added] = True, False
             break
@@ -184,10 +185,10 @@ def swap(done: Exchange, spacing: Spacing) -> Exchange:
             if not state.spares(int(removed)):
                 continue
             chosen[removed] = False
-            smaller = state.moved(int(removed), add=False)
+            smaller = state.after_move(int(removed), add=False)
             # the one just removed is allowed, so there is one
-            added = smaller.best(spacing.allowed(chosen) & spacing.alike(int(removed)), add=True)
-            after = smaller.moved(added, add=True) if added != removed else state
+            added = smaller.best_move(spacing.is_allowed(chosen) & spacing.is_same_kind(int(removed)), add=True)
+            after = smaller.after_move(added, add=True) if added != removed else state
             if after.value <= state.value + _RISE * abs(state.value):
                 chosen[removed] = True
                 continue

@@ -19,7 +19,7 @@ from calib.core.data.measurements import Measurements, Poses
 from calib.core.data.plan_files import TOGETHER
 from calib.core.robots.robot import Robot
 from calib.core.rows.candidates import PoseRows, near_measured
-from calib.core.rows.observed import unsaid_touches
+from calib.core.rows.observed import touches_without_target
 
 ALL, EACH = "all", "each"
 """All instruments read at every chosen pose, which is the choice of poses alone; or each is chosen by itself."""
@@ -27,7 +27,7 @@ ALL, EACH = "all", "each"
 
 @dataclass(frozen=True)
 class Groups:
-    """What is chosen among at a pose.
+    """Groups of instruments to choose among at a pose.
 
     Attributes:
         members: Instruments that read together, by name, for each group.
@@ -41,7 +41,7 @@ class Groups:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What to call each group."""
+        """Name of each group."""
         return tuple(TOGETHER.join(members) for members in self.members)
 
 
@@ -54,7 +54,7 @@ def groups_of(robot: Robot, instruments: str | Sequence[str], count: int | Mappi
         count: A number for each group says the groups as well.
 
     Raises:
-        InputError: An unknown instrument, a group given twice, or groups said in two ways.
+        InputError: An unknown instrument, a group given twice, or groups given in two ways.
     """
     names = tuple(instrument.name for instrument in robot.instruments)
     if isinstance(count, Mapping):
@@ -83,7 +83,7 @@ def _members(named: Sequence[str], names: Sequence[str]) -> tuple[tuple[str, ...
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class PoseGroupPairs:
     """Candidates: pairs of a pose and a group of instruments; see the module docstring.
 
     Attributes:
@@ -101,7 +101,7 @@ class Pairs:
     possible: BoolArray
 
 
-def pairs_of(groups: Groups, poses: PoseRows) -> Pairs:
+def pairs_of(groups: Groups, poses: PoseRows) -> PoseGroupPairs:
     """Return the candidates that poses (n of them) make."""
     n, n_groups = len(poses.rows), len(groups.members)
     columns_of_groups = [np.concatenate([_range(poses.blocks[name]) for name in members]) for members in groups.members]
@@ -113,7 +113,7 @@ def pairs_of(groups: Groups, poses: PoseRows) -> Pairs:
             rows[g * n : (g + 1) * n, : len(columns)] = poses.rows[:, columns]
     read = [[np.any(poses.read[:, poses.blocks[name]], axis=1) for name in members] for members in groups.members]
     together = np.all if groups.chosen else np.any
-    return Pairs(
+    return PoseGroupPairs(
         np.tile(np.arange(n), n_groups),
         np.repeat(np.arange(n_groups), n) if n_groups > 1 else np.broadcast_to(np.intp(0), n),
         rows,
@@ -139,9 +139,9 @@ def already_read(groups: Groups, candidates: Poses, measured: Poses) -> BoolArra
     return np.concatenate(result)
 
 
-def require_touches_said(robot: Robot, groups: Groups, poses: Poses) -> None:
+def require_planned_touches(robot: Robot, groups: Groups, poses: Poses) -> None:
     """Raise `InputError` where an instrument touches, and the poses do not say what: a pose alone does not show it."""
-    for instrument in unsaid_touches(robot, poses):
+    for instrument in touches_without_target(robot, poses):
         if any(instrument.name in members for members in groups.members):
             raise InputError(
                 f"{poses.path}: instrument '{instrument.name}' reads no numbers, and nothing says which poses touch"

@@ -36,7 +36,7 @@ def travel(joints: FloatArray, home: FloatArray, order: IntArray) -> float:
     return float(np.sum(np.max(np.abs(np.diff(points[path], axis=0)), axis=1)))
 
 
-def ways(joints: FloatArray, start: FloatArray) -> FloatArray:
+def distances_from(joints: FloatArray, start: FloatArray) -> FloatArray:
     """Return how far each pose is from where the robot stands, (n,) [joint ranges].
 
     Args:

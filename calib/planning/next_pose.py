@@ -23,8 +23,8 @@ from calib.core.data.measurements import Poses
 from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
 from calib.planning.instrument_choice import ALL, groups_of
-from calib.planning.measurement_order import ways
-from calib.planning.rank_three_scores import Determinant, Task
+from calib.planning.measurement_order import distances_from
+from calib.planning.rank_three_scores import DeterminantScores, TaskScores
 from calib.planning.selection_problem import DETERMINED, TASK
 from calib.planning.selection_setting import Request, prepare
 
@@ -43,7 +43,7 @@ class NextPose(ReadOnlyArrays):
         joints: Its joint values, (n_actuated,) [m or rad].
         before: Predicted error over the candidates now, root mean square; infinite where it is not determined [m].
         after: The same with this pose measured; infinite likewise [m].
-        way: Longest way of a joint from where the robot stands, in the range of that joint over the candidates.
+        travel: Longest way of a joint from where the robot stands, in the range of that joint over the candidates.
         checks: Whether it was drawn at random, to check with.
     """
 
@@ -52,7 +52,7 @@ class NextPose(ReadOnlyArrays):
     joints: FloatArray
     before: float
     after: float
-    way: float
+    travel: float
     checks: bool = False
 
 
@@ -87,11 +87,11 @@ def next_pose(
         return None
     determined = bool(linalg.eigvalsh(problem.before)[0] > DETERMINED)
     if determined:
-        scores: Task | Determinant = Task(problem, problem.before)
+        scores: TaskScores | DeterminantScores = TaskScores(problem, problem.before)
     else:
-        scores = Determinant.of(problem, problem.before + _KNOWN * np.eye(len(problem.before)))
+        scores = DeterminantScores.from_problem(problem, problem.before + _KNOWN * np.eye(len(problem.before)))
     gains = np.where(usable, scores.gains(), -np.inf)
-    way = ways(setting.candidates.joints, robot.home if present is None else present)[setting.pairs.pose]
+    way = distances_from(setting.candidates.joints, robot.home if present is None else present)[setting.pairs.pose]
     if drawn is None:
         best = int(np.argmin(np.where(gains >= ENOUGH * np.max(gains), way, np.inf)))
     else:
@@ -105,6 +105,6 @@ def next_pose(
         joints=setting.candidates.joints[pose],
         before=float(np.sqrt(before + problem.task_floor)),
         after=float(np.sqrt(max(after, 0.0) + problem.task_floor)),
-        way=float(way[best]),
+        travel=float(way[best]),
         checks=drawn is not None,
     )

@@ -13,7 +13,7 @@ _POSES = ("--sigma-mm", "--parameters", "--result", "--task")
 """Options that mean the same in all commands that weigh poses."""
 
 
-def after_check(
+def advice_after_check(
     assessment: Assessment, robot: str, poses: object, data: Sequence[str], typed: Mapping[str, Sequence[str]]
 ) -> str:
     """Return what to do about what poses determine.
@@ -39,7 +39,7 @@ def after_check(
     return f"Next: choose the poses to measure: {shlex.join(words)}"
 
 
-def after_select(robot: str, out: str, typed: Mapping[str, Sequence[str]]) -> str:
+def advice_after_select(robot: str, out: str, typed: Mapping[str, Sequence[str]]) -> str:
     """Return what to do with chosen poses.
 
     Args:

@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import BoolArray, FloatArray, random_numbers
 from calib.core.base.errors import DataError
 from calib.core.base.memory import require_memory
-from calib.core.base.words import counted, listed
-from calib.core.data.measurements import Poses, of_visits
+from calib.core.base.words import count_noun, listing
+from calib.core.data.measurements import Poses, readings_of_visits
 from calib.core.instruments.kind import Comparison, FrameInstrument, Readings, View
 from calib.core.instruments.pose import Pose
 from calib.core.instruments.rotations import rotation_vectors
@@ -32,11 +32,11 @@ from calib.core.robots.described_instruments import MEASUREMENT_FRAME
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.joint_sampling import TRIES, Ranges
 from calib.core.robots.loading import RobotLike, as_robot
-from calib.core.robots.pose_check import PoseCheck, blocked_by, check_poses
+from calib.core.robots.pose_check import PoseCheck, blocking_sentence, check_poses
 from calib.core.robots.robot import Robot
 from calib.core.rows.candidates import configurations_at
-from calib.core.rows.observed import looks_at, predicted_readings
-from calib.core.rows.simulate import MET, at_contact
+from calib.core.rows.observed import planned_readings, predict_readings
+from calib.core.rows.simulate import MET, touching_configurations
 
 _TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses, for one that sees something
 _AT_ONCE = 1_000
@@ -56,8 +56,8 @@ def sample(
     """Return `count` poses that the robot can take, named by their number; at contact where it touches something.
 
     If too few poses come to contact with the places in the description, poses are not at contact, and do not say what
-    they touch (`calib.core.rows.observed.unsaid_touches`). If too few are found at which a camera sees anything, the
-    others see nothing (`seen_at` tells which).
+    they touch (`calib.core.rows.observed.touches_without_target`). If too few are found at which a camera sees
+    anything, the others see nothing (`visible_poses` tells which).
 
     Args:
         robot: The robot at its present values.
@@ -84,9 +84,9 @@ def free_sample(
     state, total = generator.bit_generator.state, count
     while True:
         generator.bit_generator.state = state  # the same poses, and more
-        drawn = _drawn(robot, total, generator, within)
+        drawn = _draw_poses(robot, total, generator, within)
         check = check_poses(robot, drawn.joints)
-        free = np.flatnonzero(check.free)[:count]
+        free = np.flatnonzero(check.is_free)[:count]
         if len(free) == count:
             if len(free) == len(drawn):
                 return drawn, check, drawn
@@ -95,21 +95,21 @@ def free_sample(
             kept = replace(drawn.subset(free), names=named.names, labels=named.labels)
             return kept, looked_at, drawn.subset(np.arange(count))
         if total >= _MOST_DRAWN * count:
-            blocked = blocked_by(Counter(filter(None, check.hits)), len(check.hits))
+            blocked = blocking_sentence(Counter(filter(None, check.hits)), len(check.hits))
             raise DataError(
-                f"{robot.path}: only {counted(len(free), 'pose')} of {count} found that are free: {blocked}"
+                f"{robot.path}: only {count_noun(len(free), 'pose')} of {count} found that are free: {blocked}"
             )
         total = min(_MOST_DRAWN * count, max(2 * total, int(1.2 * total * count / max(len(free), 1))))
 
 
-def _drawn(
+def _draw_poses(
     robot: Robot, count: int, generator: np.random.Generator, within: Poses | Ranges | ArrayLike | None
 ) -> Poses:
     """Poses as `sample` gives them, free or not."""
     touches = [instrument for instrument in robot.instruments if instrument.touches]
     spanned = within.joints if isinstance(within, Poses) else within
     total = TRIES * count if touches and count > 0 else count
-    require_memory(_NUMBERS_OF_EACH * max(total, 0), f"sampling {counted(count, 'pose')}", "sample fewer")
+    require_memory(_NUMBERS_OF_EACH * max(total, 0), f"sampling {count_noun(count, 'pose')}", "sample fewer")
     tried = _poses(robot, robot.sample(total, generator, within=spanned))
     if all(instrument.may_see_nothing for instrument in robot.instruments):
         return _seeing(robot, tried, generator, spanned)
@@ -123,19 +123,19 @@ def _drawn(
         visits = np.array([k for k in range(len(tried)) if looks[k % len(looks)][0] is instrument], dtype=np.intp)
         pairs, details = (np.array([looks[k % len(looks)][part] for k in visits]) for part in (1, 2))
         touched[instrument.name] = Readings(visits, pairs, np.zeros((len(visits), instrument.n_rows)), None, details)
-    commands, misses = at_contact(robot, tried, touched)
+    commands, misses = touching_configurations(robot, tried, touched)
     met = np.flatnonzero(misses < MET)
     if len(met) < count:
         return _poses(robot, tried.joints[:count])
-    kept = {name: of_visits(readings, met[:count]) for name, readings in touched.items()}
-    said = {
+    kept = {name: readings_of_visits(readings, met[:count]) for name, readings in touched.items()}
+    expected = {
         name: Readings(readings.visits, readings.pairs, np.zeros((len(readings), 0)), None, readings.details)
         for name, readings in kept.items()
     }
-    return replace(_poses(robot, commands[met[:count]]), planned=said)
+    return replace(_poses(robot, commands[met[:count]]), planned=expected)
 
 
-def seen_at(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
+def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
     """Return at which poses instruments that may see nothing would read something, by name, (n,).
 
     Args:
@@ -153,8 +153,8 @@ def seen_at(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
         closed = robot.close(part.joints, columns=columns)
         good = np.flatnonzero(closed.ok)
         configurations = configurations_at(robot, part.joints, closed, columns, good)
-        looks = looks_at(robot, part.subset(good))
-        for name, readings in predicted_readings(robot, configurations, {name: looks[name] for name in result}).items():
+        looks = planned_readings(robot, part.subset(good))
+        for name, readings in predict_readings(robot, configurations, {name: looks[name] for name in result}).items():
             seen = np.isfinite(readings.values).any(axis=1)
             result[name][start + good[readings.visits[seen]]] = True
     return result
@@ -164,37 +164,38 @@ def little_seen(robot: Robot, poses: Poses) -> str | None:
     """Return what to say where instruments see something at few of the poses; None where they do at most."""
     few = [
         f"{name} at {int(np.sum(seen))} of {len(poses)}"
-        for name, seen in seen_at(robot, poses).items()
+        for name, seen in visible_poses(robot, poses).items()
         if np.mean(seen) < _FEW_SEE
     ]
     if not few:
         return None
     return (
-        f"few of these poses see what is to be measured: {listed(few)}; check `xyz` and `rpy` of the camera and of what"
+        f"few of these poses see what is to be measured: {listing(few)}; check `xyz` and `rpy` of the camera and of"
+        f" what"
         " it sees, `image` and `focus`, or keep to poses near those that see it (--within)"
     )
 
 
 def _seeing(robot: Robot, first: Poses, generator: np.random.Generator, within: Ranges | ArrayLike | None) -> Poses:
-    """As many poses as the first ones, at all of which something is seen if they are found."""
+    """As many poses as the first ones, with something to see at each if such poses are found."""
     count = len(first)
     tries, at_once = int(np.clip(_TRIED_OF_EACH * count, _LEAST_TRIED, _MOST_TRIED)), _AT_ONCE
     seeing, tried = np.zeros((0, first.joints.shape[1])), _brought_into_sight(robot, first, generator)
     if tried is not first.joints:  # most of them see something then, and bringing takes longer than trying
         tries, at_once = _BROUGHT_OF_EACH * count, count
     while True:
-        sees = np.any(list(seen_at(robot, _poses(robot, tried)).values()), axis=0)
+        sees = np.any(list(visible_poses(robot, _poses(robot, tried)).values()), axis=0)
         seeing, tries = np.vstack([seeing, tried[sees]]), tries - len(tried)
         if len(seeing) >= count or tries <= 0:
             break
         more = _poses(robot, robot.sample(min(at_once, tries), generator, within=within))
         tried = _brought_into_sight(robot, more, generator)
-    blind = first.joints[~np.any(list(seen_at(robot, first).values()), axis=0)]
+    blind = first.joints[~np.any(list(visible_poses(robot, first).values()), axis=0)]
     return _poses(robot, np.vstack([seeing, blind])[:count])
 
 
 @dataclass(frozen=True)
-class _Sighted(Pose):
+class _MutualPose(Pose):
     """Stands for another instrument: its frames shall be to each other as a reading says."""
 
     frames: tuple[tuple[str, str], ...] = ()
@@ -205,10 +206,12 @@ class _Sighted(Pose):
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
         """Compare what the reading says, beside unknown numbers of the other instrument."""
-        said = np.isfinite(readings.values)
-        exact = super().compare(view, unknowns, replace(readings, values=np.where(said, readings.values, 0.0)))
+        is_stated = np.isfinite(readings.values)
+        exact = super().compare(view, unknowns, replace(readings, values=np.where(is_stated, readings.values, 0.0)))
         none = np.zeros((len(readings), 6, len(unknowns)))
-        return Comparison(np.where(said, exact.residuals, 0.0), np.where(said[:, :, None], exact.by_twist, 0.0), none)
+        return Comparison(
+            np.where(is_stated, exact.residuals, 0.0), np.where(is_stated[:, :, None], exact.by_twist, 0.0), none
+        )
 
 
 def _brought_into_sight(robot: Robot, first: Poses, generator: np.random.Generator) -> FloatArray:
@@ -218,7 +221,7 @@ def _brought_into_sight(robot: Robot, first: Poses, generator: np.random.Generat
         if not isinstance(instrument, FrameInstrument) or (sights := instrument.sights(n, generator)) is None:
             continue
         frames = instrument.pairs(MEASUREMENT_FRAME)
-        stand_in = _Sighted(
+        stand_in = _MutualPose(
             instrument.name, instrument.target, frames=frames, noise=instrument.noise, unknowns=instrument.unknowns
         )
         others = tuple(stand_in if other is instrument else other for other in robot.instruments)
@@ -227,7 +230,9 @@ def _brought_into_sight(robot: Robot, first: Poses, generator: np.random.Generat
         goals[turned, 3:] = rotation_vectors(sights.rotation[turned])
         pairs = generator.integers(len(frames), size=n)
         wanted = Readings(np.arange(n), pairs, goals, None, np.zeros((n, 0)))
-        joints, _ = at_contact(replace(robot, instruments=others), _poses(robot, joints), {instrument.name: wanted})
+        joints, _ = touching_configurations(
+            replace(robot, instruments=others), _poses(robot, joints), {instrument.name: wanted}
+        )
     return joints
 
 

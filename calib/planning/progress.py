@@ -32,7 +32,7 @@ import scipy
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import CalibrationError
 from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
-from calib.core.base.words import as_data, counted
+from calib.core.base.words import as_data, count_noun
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fit import errors_on
 from calib.core.fitting.fitted import Fit
@@ -40,7 +40,7 @@ from calib.core.instruments.kind import Comparison
 from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
 from calib.core.rows.candidates import near_measured
-from calib.core.rows.observed import seen_by
+from calib.core.rows.observed import views_of_instruments
 from calib.core.rows.prediction import RootMeanSquare
 from calib.planning.next_pose import NextPose
 
@@ -57,7 +57,7 @@ _TOO_SMALL = 8.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Progress(ReadOnlyArrays):
-    """What is known after the poses measured so far.
+    """Accuracy after the poses measured so far.
 
     Attributes:
         robot: The nominal robot.
@@ -89,7 +89,7 @@ class Progress(ReadOnlyArrays):
     seconds: float
 
     def __repr__(self) -> str:
-        return f"<Progress after {counted(self.n_poses, 'pose')}: {'stop' if self.stop else 'go on'}>"
+        return f"<Progress after {count_noun(self.n_poses, 'pose')}: {'stop' if self.stop else 'go on'}>"
 
     def __str__(self) -> str:
         return self.report()
@@ -126,7 +126,7 @@ class Progress(ReadOnlyArrays):
 
     def report(self) -> str:
         """Return it as text."""
-        head = f"{counted(self.n_poses, 'pose')} ({self.seconds:.2f} s)"
+        head = f"{count_noun(self.n_poses, 'pose')} ({self.seconds:.2f} s)"
         return "\n  ".join([head, *self.error_lines(), *self._next()])
 
     def error_lines(self) -> list[str]:
@@ -135,7 +135,7 @@ class Progress(ReadOnlyArrays):
             lines = [f"not yet a calibration: {self.obstacle}"]
         else:
             lines = [
-                f"predicted error  {_shown(self.predicted)} over {self.n_candidates} candidates",
+                f"predicted error  {_format_error(self.predicted)} over {self.n_candidates} candidates",
                 f"unseen error     {self._unseen_shown()}",
             ]
         return [*lines, f"goal {millimetres(self.goal):.4g} mm: {self._verdict()}"]
@@ -160,7 +160,7 @@ class Progress(ReadOnlyArrays):
                     "pose": following.name,
                     "checks": following.checks,
                     "joints": {name: {"value": value, "unit": unit} for name, value, unit in self._joints(following)},
-                    "way": following.way,
+                    "way": following.travel,
                     "predicted_mm": {
                         "before": millimetres(following.before),
                         "after": millimetres(following.after),
@@ -192,7 +192,7 @@ class Progress(ReadOnlyArrays):
             return f"too few unseen poses yet ({self.n_unseen})"
         shown = "" if reads_positions(self.robot) else ", as far as readings show positions"
         where = f"the last {self.n_unseen} poses, each predicted before it was fitted"
-        return f"{_shown(self.unseen)} at {where}{shown}"
+        return f"{_format_error(self.unseen)} at {where}{shown}"
 
     def _next(self) -> list[str]:
         following = self.next_pose
@@ -211,11 +211,11 @@ class Progress(ReadOnlyArrays):
     def _joints(self, following: NextPose) -> list[tuple[str, float, str]]:
         """Name, value and unit of each joint."""
         named = zip(self.robot.joint_names, following.joints, strict=True)
-        told = ((name, value, self.robot.mechanism.dimensions[name]) for name, value in named)
-        return [(name, float(value) * display_scale(kind), DISPLAY_UNIT[kind]) for name, value, kind in told]
+        stated = ((name, value, self.robot.mechanism.dimensions[name]) for name, value in named)
+        return [(name, float(value) * display_scale(kind), DISPLAY_UNIT[kind]) for name, value, kind in stated]
 
 
-def _shown(error: RootMeanSquare) -> str:
+def _format_error(error: RootMeanSquare) -> str:
     value, low, high = (f"{millimetres(length):.3g}" for length in (error.value, error.low95, error.high95))
     return f"{value} mm RMS (95 %: {low} to {high})"
 
@@ -246,7 +246,7 @@ def squares_of(fit: Fit, data: Measurements) -> list[float]:
     if not len(new):
         return []
     total, count = np.zeros(new.n_poses), np.zeros(new.n_poses)
-    for name, squares in (_of_positions if reads_positions(fit.robot) else _shown_by_readings)(fit, new):
+    for name, squares in (_position_squares if reads_positions(fit.robot) else _shown_squares)(fit, new):
         pose = new.pose_numbers[new.readings[name].visits]
         np.add.at(total, pose, np.nan_to_num(squares))
         np.add.at(count, pose, np.isfinite(squares).astype(float))
@@ -254,7 +254,7 @@ def squares_of(fit: Fit, data: Measurements) -> list[float]:
     return means
 
 
-def _of_positions(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray]]:
+def _position_squares(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray]]:
     """Square of the error of each position that was read, (n,) [m^2], by instrument."""
     errors = errors_on(fit.placed, fit.robot, new)
     for instrument, part, rows in errors.parts():
@@ -262,7 +262,7 @@ def _of_positions(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray
             yield instrument.name, np.nansum(errors.after[instrument.name][:, rows] ** 2, axis=1)
 
 
-def _shown_by_readings(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray]]:
+def _shown_squares(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray]]:
     """Square of the position error that each reading shows, (n,) [m^2], by instrument; NaN where it shows none.
 
     The smallest motion [dp; L dw] of the target that explains the reading's error, with the robot's characteristic
@@ -270,7 +270,7 @@ def _shown_by_readings(fit: Fit, new: Measurements) -> Iterator[tuple[str, Float
     """
     robot = fit.robot
     configurations = robot.assemble(new.joints, labels=new.labels, context=new.conditions)
-    for name, seen in seen_by(robot, configurations, new.readings).items():
+    for name, seen in views_of_instruments(robot, configurations, new.readings).items():
         readings, instrument = new.readings[name], robot.instrument(name)
         compared = instrument.compare(seen, robot.values[robot.unknowns(name)], readings)
         if not isinstance(compared, Comparison):

@@ -17,14 +17,14 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.numerics import linalg
-from calib.planning.selection_problem import SelectionProblem, Sparing
+from calib.planning.selection_problem import PoseRedundancy, SelectionProblem
 
 _REFRESH = 32  # moves after which the determinant's small matrices are computed anew, against rounding
 _UPDATED = 1e-6  # least det(I - G) for an update; where a direction nearly goes it would lose its digits
 
 
 @dataclass(frozen=True, eq=False)
-class _Gathered:
+class _ChoiceInformation:
     """The information of chosen candidates.
 
     Attributes:
@@ -40,12 +40,12 @@ class _Gathered:
         return bool(self._sparing.spares(self.problem.rows[[candidate]])[0])
 
     @cached_property
-    def _sparing(self) -> Sparing:
-        return Sparing.of(self.gathered)
+    def _sparing(self) -> PoseRedundancy:
+        return PoseRedundancy.from_choice(self.gathered)
 
 
 @dataclass(frozen=True, eq=False)
-class Determinant(_Gathered):
+class DeterminantScores(_ChoiceInformation):
     """log det K, by rank-three updates.
 
     Attributes:
@@ -59,7 +59,7 @@ class Determinant(_Gathered):
     age: int
 
     @classmethod
-    def of(cls, problem: SelectionProblem, gathered: FloatArray) -> Determinant:
+    def from_problem(cls, problem: SelectionProblem, gathered: FloatArray) -> DeterminantScores:
         """Return the scores of a choice with this K, (r, r)."""
         inverse = np.linalg.inv(gathered)
         root = _products(problem.rows, _root(inverse))
@@ -75,12 +75,12 @@ class Determinant(_Gathered):
         result: FloatArray = np.log(_determinants(self.seen, 1.0))
         return result
 
-    def best(self, allowed: BoolArray, *, add: bool) -> int:
+    def best_move(self, allowed: BoolArray, *, add: bool) -> int:
         """Return the best next move; see `calib.planning.selection_scores.Scores`."""
         factors = _determinants(self.seen, 1.0 if add else -1.0)
         return int(np.argmax(np.where(allowed, factors, -np.inf)))
 
-    def moved(self, candidate: int, *, add: bool) -> Determinant:
+    def after_move(self, candidate: int, *, add: bool) -> DeterminantScores:
         """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
         sign = 1.0 if add else -1.0
         rows = self.problem.rows[candidate]
@@ -88,12 +88,12 @@ class Determinant(_Gathered):
         left = _determinants(self.seen[:, :, candidate : candidate + 1], sign)[0]
         small = np.eye(len(rows)) + sign * self.seen[:, :, candidate]
         if self.age >= _REFRESH or left < _UPDATED or linalg.eigvalsh(small)[0] <= 0:  # two below 0: det above it
-            return Determinant.of(self.problem, gathered)
+            return DeterminantScores.from_problem(self.problem, gathered)
         half = np.linalg.solve(np.linalg.cholesky(small), rows @ self.inverse).T
         inverse = self.inverse - sign * half @ half.T
         through = _products(self.problem.rows, half)
         seen = self.seen - sign * np.einsum("icn,kcn->ikn", through, through)
-        return Determinant(self.problem, gathered, inverse, seen, self.age + 1)
+        return DeterminantScores(self.problem, gathered, inverse, seen, self.age + 1)
 
 
 def _root(matrix: FloatArray) -> FloatArray:
@@ -124,7 +124,7 @@ def _determinants(seen: FloatArray, sign: float) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Task(_Gathered):
+class TaskScores(_ChoiceInformation):
     """Minus trace(W K^-1), the square of the task index, by changes of rank three."""
 
     @cached_property
@@ -133,25 +133,25 @@ class Task(_Gathered):
         return -self.problem.task_trace(self.gathered)
 
     @cached_property
-    def _through(self) -> tuple[FloatArray, FloatArray]:
+    def _task_products(self) -> tuple[FloatArray, FloatArray]:
         """B K^-1 B^T and B K^-1 W K^-1 B^T of every candidate."""
         rows = self.problem.rows
         inverse = np.linalg.inv(self.gathered)
         seen = np.matmul(rows @ inverse, rows.transpose(0, 2, 1))
-        felt = rows @ (inverse @ self.problem.task)
-        return seen, np.matmul(felt, felt.transpose(0, 2, 1))
+        task_rows = rows @ (inverse @ self.problem.task)
+        return seen, np.matmul(task_rows, task_rows.transpose(0, 2, 1))
 
     def gains(self) -> FloatArray:
         """Return by how much adding each candidate lowers trace(W K^-1), (n_candidates,)."""
-        seen, felt = self._through
-        result: FloatArray = np.trace(np.linalg.solve(np.eye(seen.shape[1]) + seen, felt), axis1=1, axis2=2)
+        seen, task_rows = self._task_products
+        result: FloatArray = np.trace(np.linalg.solve(np.eye(seen.shape[1]) + seen, task_rows), axis1=1, axis2=2)
         return result
 
-    def best(self, allowed: BoolArray, *, add: bool) -> int:
+    def best_move(self, allowed: BoolArray, *, add: bool) -> int:
         """Return the best next move; see `calib.planning.selection_scores.Scores`."""
         if add:
             return int(np.argmax(np.where(allowed, self.gains(), -np.inf)))
-        seen, felt = self._through
+        seen, task_rows = self._task_products
         candidates = np.flatnonzero(allowed)
         small = np.eye(seen.shape[1]) - seen[candidates]
         solvable = self._sparing.spares(self.problem.rows[candidates])
@@ -160,10 +160,10 @@ class Task(_Gathered):
             if np.any(solvable)
             else (candidates[:1], np.eye(seen.shape[1])[None])
         )
-        change = np.trace(np.linalg.solve(small, felt[candidates]), axis1=1, axis2=2)
+        change = np.trace(np.linalg.solve(small, task_rows[candidates]), axis1=1, axis2=2)
         return int(candidates[np.argmin(change)])
 
-    def moved(self, candidate: int, *, add: bool) -> Task:
+    def after_move(self, candidate: int, *, add: bool) -> TaskScores:
         """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
         rows = self.problem.rows[candidate]
-        return Task(self.problem, self.gathered + (1.0 if add else -1.0) * rows.T @ rows)
+        return TaskScores(self.problem, self.gathered + (1.0 if add else -1.0) * rows.T @ rows)

@@ -31,56 +31,58 @@ _FOR_EACH = 8  # times as many as are wanted, if that is more
 
 
 @dataclass(frozen=True, eq=False)
-class Searched:
+class CandidateSubset:
     """The candidates that exchanges look at.
 
     Attributes:
-        whole: The setting with all of them.
+        all_candidates: The setting with all of them.
         index: Which exchanges look at, ascending, (n,).
         setting: The same setting with these alone.
     """
 
-    whole: SelectionSetting
+    all_candidates: SelectionSetting
     index: IntArray
     setting: SelectionSetting
 
     @property
     def is_part(self) -> bool:
         """Whether some candidates are left out."""
-        return self.setting is not self.whole
+        return self.setting is not self.all_candidates
 
-    def inside(self, candidates: IntArray) -> IntArray:
+    def numbers_of(self, candidates: IntArray) -> IntArray:
         """Return the numbers in here of candidates of the whole, none of which is left out, (n,)."""
         result: IntArray = np.searchsorted(self.index, candidates)
         return result
 
-    def widened(self, result: Exchange) -> Exchange:
+    def with_all_numbers(self, result: Exchange) -> Exchange:
         """Return what an exchange in here found, with the numbers of the whole."""
         if not self.is_part:
             return result
-        chosen = np.zeros(len(self.whole.problem), dtype=bool)
+        chosen = np.zeros(len(self.all_candidates.problem), dtype=bool)
         chosen[self.index[result.chosen]] = True
         history = tuple((a, b) if a < 0 else (int(self.index[a]), int(self.index[b])) for a, b in result.history)
         return replace(result, chosen=chosen, history=history)
 
 
-def before_any_choice(setting: SelectionSetting, starts: IntArray) -> Searched:
+def first_candidates(setting: SelectionSetting, starts: IntArray) -> CandidateSubset:
     """Return what to look at when nothing is known: the best where all candidates weigh alike, and the starts (n,)."""
     if not _is_screened(setting):
-        return Searched(setting, np.arange(len(setting.problem)), setting)
+        return CandidateSubset(setting, np.arange(len(setting.problem)), setting)
     problem = setting.problem
     # without priors, K of all candidates is the identity
     alike = problem.before + setting.request.count / len(problem) * np.eye(len(problem.strengths))
-    return _narrowed(setting, slopes(problem, setting.request.index, alike), starts)
+    return _narrow(setting, slopes(problem, setting.request.index, alike), starts)
 
 
-def after_relaxation(setting: SelectionSetting, relaxation: Relaxation, chosen: BoolArray) -> Searched:
+def candidates_after_relaxation(
+    setting: SelectionSetting, relaxation: Relaxation, chosen: BoolArray
+) -> CandidateSubset:
     """Return what to look at when the weights of the relaxation are known, and a choice (n_candidates,)."""
     if not _is_screened(setting):
-        return Searched(setting, np.arange(len(setting.problem)), setting)
+        return CandidateSubset(setting, np.arange(len(setting.problem)), setting)
     problem = setting.problem
-    slope = slopes(problem, setting.request.index, problem.gathered(relaxation.weights))
-    return _narrowed(setting, slope, np.flatnonzero(chosen | (relaxation.weights > 0)))
+    slope = slopes(problem, setting.request.index, problem.information_of(relaxation.weights))
+    return _narrow(setting, slope, np.flatnonzero(chosen | (relaxation.weights > 0)))
 
 
 def _is_screened(setting: SelectionSetting) -> bool:
@@ -88,7 +90,7 @@ def _is_screened(setting: SelectionSetting) -> bool:
     return request.index in CERTIFIED and request.minimum_distance == 0 and len(setting.problem) > SCREENED
 
 
-def _narrowed(setting: SelectionSetting, slope: FloatArray, kept: IntArray) -> Searched:
+def _narrow(setting: SelectionSetting, slope: FloatArray, kept: IntArray) -> CandidateSubset:
     """The candidates with the largest slope (n_candidates,), and those to keep in any case (n,)."""
     counts = setting.counts
     ranked = np.where(setting.space.usable, slope, -np.inf)
@@ -114,4 +116,4 @@ def _narrowed(setting: SelectionSetting, slope: FloatArray, kept: IntArray) -> S
             kind=None if space.kind is None else space.kind[index],
         ),
     )
-    return Searched(setting, index, few)
+    return CandidateSubset(setting, index, few)

@@ -25,7 +25,7 @@ from calib.core.base.arrays import FloatArray, IntArray, random_numbers
 from calib.core.base.errors import InputError
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import in_si, millimetres
-from calib.core.base.workers import Progress, Workers, in_order
+from calib.core.base.workers import Progress, Workers, results_in_order
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.numerics.observability import observability_of
 from calib.core.robots.loading import RobotLike, as_robot
@@ -34,7 +34,7 @@ from calib.core.rows.candidates import WHITENED
 from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import order_in_blocks, travel
-from calib.planning.screening import Searched, after_relaxation, before_any_choice
+from calib.planning.screening import CandidateSubset, candidates_after_relaxation, first_candidates
 from calib.planning.selection_bound import CERTIFIED, log_phi, relax
 from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_result import Run, Selection
@@ -102,7 +102,7 @@ def select(
     request = Request(index, total, minimum_distance, groups)
     candidates = as_poses(robot, candidates)
     check = check_poses(robot, candidates.joints) if checked else PoseCheck(("",) * len(candidates))
-    blocked = np.flatnonzero(~check.free).tolist()
+    blocked = np.flatnonzero(~check.is_free).tolist()
     if blocked and len(blocked) == len(candidates):
         raise InputError(f"{candidates.path}: none of the candidates is free: {check.summary()}")
     kinds = _start_kinds(random_start, starts)
@@ -146,14 +146,14 @@ def select(
         before=index_values(setting.problem, uniform, setting.sigma),
         after=index_values(setting.problem, best.chosen, setting.sigma),
         raw=_raw(setting, setting.problem.rows[chosen]),
-        measured_only=_measured_only(setting),
+        measured_only=_index_of_measured(setting),
         efficiency=efficiency,
         bound=bound,
         distance=minimum_distance,
         runs=runs,
         travel=(travel(joints, robot.home, np.arange(total)), travel(joints, robot.home, order)),
         rank=setting.problem.rank,
-        rank_of_poses=setting.problem.known.rank,
+        rank_of_poses=setting.problem.prior_information.rank,
         sigma=setting.sigma,
         sigma_assumed=setting.sigma_assumed,
         skipped=setting.candidates.skipped,
@@ -175,13 +175,13 @@ def _run_all(
 ) -> tuple[tuple[Run, ...], Exchange]:
     """Run the exchange from each start; return the runs and the best result."""
     starts = [setting.uniform() if kind == "uniform" else setting.random(rng) for kind in kinds]
-    searched = before_any_choice(setting, np.concatenate(starts))
+    searched = first_candidates(setting, np.concatenate(starts))
     results, runs = zip(*_run(searched, kinds, starts, workers, progress), strict=True)
     return runs, max(results, key=lambda exchange: exchange.scores.value)
 
 
 def _run(
-    searched: Searched,
+    searched: CandidateSubset,
     kinds: Sequence[str],
     starts: Sequence[IntArray],
     workers: Executor | None = None,
@@ -189,7 +189,7 @@ def _run(
 ) -> list[tuple[Exchange, Run]]:
     """Run the exchange from some starts, each of a kind."""
     setting, request = searched.setting, searched.setting.request
-    spread = [setting.space.spread(searched.inside(start), request.count) for start in starts]
+    spread = [setting.space.select_spread(searched.numbers_of(start), request.count) for start in starts]
     fewest = min(map(len, spread))
     if fewest < request.count:
         raise InputError(
@@ -198,8 +198,8 @@ def _run(
         )
     runs = []
     search = partial(_search, setting.problem, request.index, setting.space)
-    for kind, (inside, n_paper) in zip(kinds, in_order(search, spread, workers, progress), strict=True):
-        result = searched.widened(inside)
+    for kind, (inside, n_paper) in zip(kinds, results_in_order(search, spread, workers, progress), strict=True):
+        result = searched.with_all_numbers(inside)
         history = [
             index_of_score(setting.problem, request.index, v, request.count, setting.sigma) for v in result.values
         ]
@@ -221,13 +221,13 @@ def _certify(
     problem, index, usable = setting.problem, setting.request.index, setting.space.usable
     relaxation = relax(problem, index, best.chosen, usable, setting.space.kind)
     heaviest = np.concatenate(setting.largest(np.where(usable, relaxation.weights, -1.0), setting.counts))
-    searched = after_relaxation(setting, relaxation, best.chosen)
+    searched = candidates_after_relaxation(setting, relaxation, best.chosen)
     starts = {"relaxed": np.sort(heaviest)}
     if searched.is_part:
         starts["best"] = np.flatnonzero(best.chosen)
     for more, run in _run(searched, tuple(starts), tuple(starts.values())):
         best, runs = max(best, more, key=lambda exchange: exchange.scores.value), (*runs, run)
-    gathered = problem.gathered(best.chosen.astype(float))
+    gathered = problem.information_of(best.chosen.astype(float))
     if index == TASK:
         least = float(np.exp(-relaxation.log_bound))
         bound = index_of_score(problem, index, -least, setting.request.count, setting.sigma)
@@ -238,7 +238,7 @@ def _certify(
 
 
 def _blocks(setting: SelectionSetting, chosen: IntArray) -> IntArray:
-    """What is measured in one go: candidates of one setup, and in it those of one group of instruments, (n,)."""
+    """Block of each candidate, (n,): candidates of one setup and one group of instruments are measured in one go."""
     setups = setting.poses.setups
     pose, group = setting.pairs.pose[chosen], setting.pairs.group[chosen]
     return group if setups is None else setups[pose] * len(setting.request.groups.members) + group
@@ -246,13 +246,13 @@ def _blocks(setting: SelectionSetting, chosen: IntArray) -> IntArray:
 
 def _raw(setting: SelectionSetting, rows: FloatArray) -> dict[str, float]:
     """O1 to O5 of whitened rows, (n_poses, 3 n_targets, r), on raw columns."""
-    known, robot = setting.problem.known, setting.robot
+    known, robot = setting.problem.prior_information, setting.robot
     scaled = setting.sigma * (rows * known.strengths) @ known.directions.T
     kept = [p for p, free in zip(robot.parameters, robot.is_free, strict=True) if free and not p.family]
     return observability_of(scaled, kept, len(rows), lengths=setting.sigma != WHITENED)[1]
 
 
-def _measured_only(setting: SelectionSetting) -> dict[str, float] | None:
+def _index_of_measured(setting: SelectionSetting) -> dict[str, float] | None:
     if setting.problem.n_before == 0:
         return None
     return index_values(setting.problem, np.zeros(len(setting.problem), dtype=bool), setting.sigma)

@@ -81,7 +81,7 @@ def relax(
     counts = np.bincount(kinds[chosen], minlength=int(np.max(kinds)) + 1)
     lowest = np.inf
     for _ in range(_ROUNDS):
-        gathered = problem.gathered(weights)
+        gathered = problem.information_of(weights)
         slope = np.where(usable, slopes(problem, index, gathered), -np.inf)
         used = np.flatnonzero(weights)
         gap = float(sum(np.sum(slope[best]) for best in largest(slope, kinds, counts)) - slope[used] @ weights[used])
@@ -93,7 +93,7 @@ def relax(
         fixed[unclear] = 0.0
         left = (counts - np.bincount(kinds, fixed, minlength=len(counts))).astype(float)
         weights = fixed.copy()
-        weights[unclear] = _interior_point(problem, index, unclear, problem.gathered(fixed), kinds[unclear], left)
+        weights[unclear] = _interior_point(problem, index, unclear, problem.information_of(fixed), kinds[unclear], left)
     return Relaxation(lowest, weights)
 
 
@@ -214,7 +214,7 @@ def _inner_weights(
         lower, upper, level = lower + dual * lower_step, upper + dual * upper_step, level + dual * level_step
         slope, curvature = _derivatives(problem, index, rows, fixed, w)
     for number, total in enumerate(totals):
-        w[kind == number] = _rounded(w[kind == number], float(total))
+        w[kind == number] = _round_weights(w[kind == number], float(total))
     return w
 
 
@@ -228,10 +228,10 @@ def _derivatives(
     half = rows.reshape(-1, r) @ np.linalg.inv(np.linalg.cholesky(gathered)).T
     between = half @ half.T
     if index == TASK:
-        felt = rows.reshape(-1, r) @ np.linalg.solve(gathered, problem.task)
+        task_rows = rows.reshape(-1, r) @ np.linalg.solve(gathered, problem.task)
         trace = problem.task_trace(gathered)
-        slope = np.sum(felt.reshape(n, -1) ** 2, axis=1) / trace
-        return slope, 2.0 * _blocks(between * (felt @ felt.T), k) / trace - np.outer(slope, slope)
+        slope = np.sum(task_rows.reshape(n, -1) ** 2, axis=1) / trace
+        return slope, 2.0 * _blocks(between * (task_rows @ task_rows.T), k) / trace - np.outer(slope, slope)
     slope = np.diag(between).reshape(n, k).sum(axis=1) / r
     return slope, _blocks(between**2, k) / r
 
@@ -253,7 +253,7 @@ def _reach(values: FloatArray, step: FloatArray) -> float:
     return min(1.0, _TO_BOUNDARY * float(np.min(values[falling] / -step[falling]))) if np.any(falling) else 1.0
 
 
-def _rounded(w: FloatArray, total: float) -> FloatArray:
+def _round_weights(w: FloatArray, total: float) -> FloatArray:
     """Put weights that are nearly 0 or 1 there, and spread the difference so that the sum stays."""
     result = np.where(w < 1e-4, 0.0, np.where(w > 1 - 1e-4, 1.0, w))
     between = (result > 0) & (result < 1)

@@ -26,7 +26,7 @@ with B = J (V - N P_NN^+ P_NV) S^-1 for a task pose with rows J, and c = mean of
 only priors hold. Without priors the index values are the published ones. A choice may use each candidate once.
 
 Without a pose j of a choice, direction v keeps the part v^T (K - B_j^T B_j) v / v^T K v of its information. The least
-part that any direction keeps is the smallest eigenvalue of I - B_j K^-1 B_j^T (`Sparing`). The eigenvalues of
+part that any direction keeps is the smallest eigenvalue of I - B_j K^-1 B_j^T (`PoseRedundancy`). The eigenvalues of
 K - B_j^T B_j do not tell: the difference of two rounded matrices is wrong by eps |K| in every direction, so a lost one
 shows as plus or minus that much, whichever way a processor sums.
 """
@@ -40,7 +40,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.memory import zeros_with_room
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import Rank, reduced
+from calib.core.numerics.identifiability import Rank, reduce_rows
 from calib.core.numerics.observability import OUTSIDE, Information, information
 
 TASK = "task"
@@ -61,7 +61,7 @@ class SelectionProblem:
         task: Factor L with W = L L^T, (r, at most r); without columns where no task is given.
         task_floor: c; infinite where the task needs what nothing determines.
         n_before: Poses already measured.
-        known: V and S: what all poses determine.
+        prior_information: V and S: what all poses determine.
         rank: Rank of all poses and priors together.
     """
 
@@ -71,13 +71,13 @@ class SelectionProblem:
     task: FloatArray
     task_floor: float
     n_before: int
-    known: Information
+    prior_information: Information
     rank: Rank
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def gathered(self, weights: FloatArray) -> FloatArray:
+    def information_of(self, weights: FloatArray) -> FloatArray:
         """Return K of a weighted choice, (r, r).
 
         Args:
@@ -94,9 +94,9 @@ class SelectionProblem:
         """Return trace(W K^-1) for K (r, r)."""
         return float(np.sum(np.linalg.solve(gathered, self.task) * self.task))
 
-    def determined_by(self, chosen: BoolArray) -> bool:
+    def is_determined_by(self, chosen: BoolArray) -> bool:
         """Return whether a choice (n_candidates,) determines every direction that all candidates together do."""
-        return bool(linalg.eigvalsh(self.gathered(chosen.astype(float)))[0] > DETERMINED)
+        return bool(linalg.eigvalsh(self.information_of(chosen.astype(float)))[0] > DETERMINED)
 
 
 def build_problem(
@@ -128,21 +128,21 @@ def build_problem(
     whiten = directions / strengths
     before = measured @ whiten
     prior_part = priors @ clear / strengths
-    everything = information(np.vstack([reduced(rows.reshape(-1, width)), measured]), priors).rank
+    everything = information(np.vstack([reduce_rows(rows.reshape(-1, width)), measured]), priors).rank
     task, floor = _task(task_rows, n_task, clear / strengths, others, held)
     return SelectionProblem(
-        rows=_whitened(rows, whiten),
+        rows=_whiten(rows, whiten),
         before=before.T @ before + prior_part.T @ prior_part,
         strengths=strengths,
         task=task,
         task_floor=floor,
         n_before=n_before,
-        known=known,
+        prior_information=known,
         rank=everything,
     )
 
 
-def _whitened(rows: FloatArray, whiten: FloatArray) -> FloatArray:
+def _whiten(rows: FloatArray, whiten: FloatArray) -> FloatArray:
     """B of each candidate, (n_candidates, 3 n_targets, r), part by part: there may be more than memory holds."""
     n, k, width = rows.shape
     result = zeros_with_room((n, k, whiten.shape[1]), f"whitened rows of {n} candidates")
@@ -160,7 +160,7 @@ def _task(
         return np.zeros((clear.shape[1], 0)), 0.0
     flat = task_rows.reshape(-1, task_rows.shape[-1])
     n_positions = len(flat) // 3 if n_task is None else n_task
-    factor = reduced(flat @ clear).T / np.sqrt(n_positions)
+    factor = reduce_rows(flat @ clear).T / np.sqrt(n_positions)
     outside = flat @ others
     held_part = outside @ held
     unheld = outside - held_part @ linalg.pinv(held) if held.size else outside
@@ -170,7 +170,7 @@ def _task(
 
 
 @dataclass(frozen=True, eq=False)
-class Sparing:
+class PoseRedundancy:
     """Judges which poses a choice can do without; see the module docstring.
 
     Attributes:
@@ -182,7 +182,7 @@ class Sparing:
     least: float
 
     @classmethod
-    def of(cls, gathered: FloatArray) -> Sparing:
+    def from_choice(cls, gathered: FloatArray) -> PoseRedundancy:
         """Return the judge of a choice.
 
         With the diagonal of K scaled to ones, B K^-1 B^T is exact to about r eps times its condition number; less than

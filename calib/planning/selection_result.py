@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
-from calib.core.base.words import titled_html
+from calib.core.base.words import html_with_title
 from calib.core.numerics.identifiability import Rank
 from calib.core.robots.pose_check import PoseCheck
 
@@ -47,7 +47,7 @@ class Selection(ReadOnlyArrays):
         efficiency: Index of these poses over a proven bound for all such choices; None where
             none is proven.
         bound: That bound, as a value of the index; None if there is none.
-        distance: Distance that the targets of any two poses keep [m]; 0 where none was asked for.
+        distance: Distance that the targets of any two poses keep [m]; 0 where none was requested.
         runs: The runs of the exchange.
         travel: Length of the path in the candidates' order and in this one [joint ranges].
         rank: What all candidates, measured poses and priors determine.
@@ -111,4 +111,4 @@ class Selection(ReadOnlyArrays):
     def _repr_html_(self) -> str:
         rows = ("uniform choice", self.before), ("these poses", self.after)
         table: list[dict[str, object]] = [{"choice": name, **values} for name, values in rows]
-        return titled_html("Selection", (repr(self)[1:-1],), table)
+        return html_with_title("Selection", (repr(self)[1:-1],), table)

@@ -26,8 +26,8 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import InputError, nearest
 from calib.core.numerics import linalg
 from calib.core.numerics.observability import observability
-from calib.planning.rank_three_scores import Determinant, Task
-from calib.planning.selection_problem import DETERMINED, TASK, SelectionProblem, Sparing
+from calib.planning.rank_three_scores import DeterminantScores, TaskScores
+from calib.planning.selection_problem import DETERMINED, TASK, PoseRedundancy, SelectionProblem
 
 CHOICES = ("O1", "O2", "O3", "O4", "O5", TASK)
 _PINCHED = 4  # smallest eigenvectors that are kept as a block
@@ -41,10 +41,10 @@ class Scores(Protocol):
     def value(self) -> float:
         """Larger is better; comparable between choices of equally many poses."""
 
-    def best(self, allowed: BoolArray, *, add: bool) -> int:
+    def best_move(self, allowed: BoolArray, *, add: bool) -> int:
         """Return the candidate, of those that are allowed (n_candidates,), whose addition (or removal) is best."""
 
-    def moved(self, candidate: int, *, add: bool) -> Scores:
+    def after_move(self, candidate: int, *, add: bool) -> Scores:
         """Return the scores after adding (or removing) a candidate."""
 
     def spares(self, candidate: int) -> bool:
@@ -63,11 +63,11 @@ def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: floa
     Raises:
         InputError: Unknown index.
     """
-    gathered = problem.gathered(chosen.astype(float)) + ridge * np.eye(len(problem.strengths))
+    gathered = problem.information_of(chosen.astype(float)) + ridge * np.eye(len(problem.strengths))
     if index == "O1":
-        return Determinant.of(problem, gathered)
+        return DeterminantScores.from_problem(problem, gathered)
     if index == TASK:
-        return Task(problem, gathered)
+        return TaskScores(problem, gathered)
     if index not in CHOICES:
         raise InputError(f"unknown index '{index}'{nearest(index, CHOICES)}")
     return Spectrum(problem, problem.strengths[:, None] * gathered * problem.strengths, index)
@@ -135,13 +135,13 @@ class Spectrum:
         """The index."""
         return float(spectral_index(linalg.eigvalsh(self.matrix)[None], self.index)[0])
 
-    def best(self, allowed: BoolArray, *, add: bool) -> int:
+    def best_move(self, allowed: BoolArray, *, add: bool) -> int:
         """Return the best next move; see `calib.planning.selection_scores.Scores`."""
         sign = 1.0 if add else -1.0
         candidates = np.flatnonzero(allowed)
         eigenvalues, vectors = linalg.eigh(self.matrix)
         turned = self.problem.rows[candidates] @ (self.problem.strengths[:, None] * vectors)
-        bounds = spectral_index(_pinched(eigenvalues, turned, sign), self.index)
+        bounds = spectral_index(_pinched_eigenvalues(eigenvalues, turned, sign), self.index)
         order = np.argsort(-bounds, kind="stable")
         best, best_value = int(candidates[order[0]]), -np.inf
         for start in range(0, len(order), _BATCH):
@@ -154,7 +154,7 @@ class Spectrum:
                 best, best_value = int(candidates[batch[np.argmax(exact)]]), float(np.max(exact))
         return best
 
-    def moved(self, candidate: int, *, add: bool) -> Spectrum:
+    def after_move(self, candidate: int, *, add: bool) -> Spectrum:
         """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
         rows = self.problem.rows[candidate] * self.problem.strengths
         return Spectrum(self.problem, self.matrix + (1.0 if add else -1.0) * rows.T @ rows, self.index)
@@ -164,11 +164,11 @@ class Spectrum:
         return bool(self._sparing.spares(self.problem.rows[[candidate]] * self.problem.strengths)[0])
 
     @cached_property
-    def _sparing(self) -> Sparing:
-        return Sparing.of(self.matrix)
+    def _sparing(self) -> PoseRedundancy:
+        return PoseRedundancy.from_choice(self.matrix)
 
 
-def _pinched(eigenvalues: FloatArray, turned: FloatArray, sign: float) -> FloatArray:
+def _pinched_eigenvalues(eigenvalues: FloatArray, turned: FloatArray, sign: float) -> FloatArray:
     """Eigenvalues of the changed matrices with all but the smallest block's off-diagonal entries left out, (n, r)."""
     low = turned[:, :, :_PINCHED]
     block = np.diag(eigenvalues[:_PINCHED]) + sign * np.matmul(low.transpose(0, 2, 1), low)

@@ -28,7 +28,7 @@ from calib.core.rows.candidates import (
 )
 from calib.core.rows.unknowns import Unknowns
 from calib.planning.exchange import Spacing, uniform_start
-from calib.planning.instrument_choice import Groups, Pairs, already_read, pairs_of, require_touches_said
+from calib.planning.instrument_choice import Groups, PoseGroupPairs, already_read, pairs_of, require_planned_touches
 from calib.planning.selection_bound import CERTIFIED, kinds_of, largest
 from calib.planning.selection_problem import TASK, SelectionProblem, build_problem
 from calib.planning.selection_scores import CHOICES
@@ -36,7 +36,7 @@ from calib.planning.selection_scores import CHOICES
 
 @dataclass(frozen=True)
 class Request:
-    """What to choose.
+    """A request for a choice of poses.
 
     Attributes:
         index: One of `CHOICES`.
@@ -72,7 +72,7 @@ class SelectionSetting:
     request: Request
     poses: Poses
     candidates: Candidates
-    pairs: Pairs
+    pairs: PoseGroupPairs
     problem: SelectionProblem
     space: Spacing
     sigma: float
@@ -82,12 +82,14 @@ class SelectionSetting:
     def uniform(self) -> IntArray:
         """Return candidates evenly spread over their order, as many of each kind as are wanted, (count,)."""
         usable = np.flatnonzero(self.space.usable)
-        return np.concatenate([uniform_start(members, count) for members, count in self.by_kind(usable)])
+        return np.concatenate([uniform_start(members, count) for members, count in self.candidates_by_kind(usable)])
 
     def random(self, rng: np.random.Generator) -> IntArray:
         """Return candidates at random, as many of each kind as are wanted, ascending, (count,)."""
         usable = np.flatnonzero(self.space.usable)
-        return np.sort(np.concatenate([rng.choice(members, n, replace=False) for members, n in self.by_kind(usable)]))
+        return np.sort(
+            np.concatenate([rng.choice(members, n, replace=False) for members, n in self.candidates_by_kind(usable)])
+        )
 
     @property
     def counts(self) -> IntArray:
@@ -98,7 +100,7 @@ class SelectionSetting:
         """Return so many of each kind (n_kinds,), those whose values (n_candidates,) are largest, a list by kind."""
         return largest(values, kinds_of(self.space.kind, len(self.problem)), counts)
 
-    def by_kind(self, candidates: IntArray) -> list[tuple[IntArray, int]]:
+    def candidates_by_kind(self, candidates: IntArray) -> list[tuple[IntArray, int]]:
         """Return those of the candidates (n,) that are of each kind, and how many are wanted of it."""
         counts = self.request.groups.counts
         if counts is None:
@@ -142,7 +144,7 @@ def prepare(
     if not (np.isfinite(request.minimum_distance) and request.minimum_distance >= 0):
         raise InputError(f"minimum distance {request.minimum_distance:g} m: must be zero or positive")
     if request.groups.chosen:
-        require_touches_said(robot, request.groups, poses)
+        require_planned_touches(robot, request.groups, poses)
     assembled = build_candidates(robot, poses, sigma, skip_unreachable=skip_unreachable)
     candidate_rows = assembled.pose_rows
     pairs = pairs_of(request.groups, candidate_rows)
@@ -153,7 +155,7 @@ def prepare(
             "choose from each part of the candidates, and then from what was chosen",
         )
     done_rows, n_before, again = None, 0, 0
-    usable = pairs.possible & (assembled.usable & ~_excluded(exclude, len(poses)))[pairs.pose]
+    usable = pairs.possible & (assembled.usable & ~_is_excluded(exclude, len(poses)))[pairs.pose]
     pose_points = points_of(candidate_rows.positions) if request.minimum_distance > 0 else np.zeros((len(poses), 0))
     if measured is not None:
         done = as_poses(robot, measured)
@@ -169,10 +171,10 @@ def prepare(
             allowed[others] = distance >= request.minimum_distance
             usable &= allowed[pairs.pose]
     task_rows = candidate_rows.position_rows
-    n_task = int(np.sum(assembled.usable)) * len(robot.located)
+    n_task = int(np.sum(assembled.usable)) * len(robot.reported_targets)
     if task is not None:
         task_rows = rows_of_measured(robot, as_poses(robot, task), sigma)[2]
-        n_task = task_rows.shape[0] * len(robot.located)
+        n_task = task_rows.shape[0] * len(robot.reported_targets)
     problem = build_problem(
         pairs.rows, done_rows, Unknowns.chosen_by_poses(robot).prior.rows, n_before, task_rows, n_task
     )
@@ -188,7 +190,7 @@ def points_of(positions: FloatArray) -> FloatArray:
     return result
 
 
-def _excluded(exclude: Sequence[int], n: int) -> BoolArray:
+def _is_excluded(exclude: Sequence[int], n: int) -> BoolArray:
     for number in exclude:
         if not 0 <= number < n:
             raise InputError(f"exclude: there is no candidate {number}; they are numbered 0 to {n - 1}")
@@ -201,7 +203,7 @@ def require_count(setting: SelectionSetting) -> None:
     request, pairs, usable = setting.request, setting.pairs, setting.space.usable
     _require_candidates(request, usable, pairs)
     problem = setting.problem
-    missing = problem.known.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
+    missing = problem.prior_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
     n_read = np.where(usable, pairs.n_read, 0)
     coordinates = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
     if coordinates < missing:
@@ -211,7 +213,7 @@ def require_count(setting: SelectionSetting) -> None:
         )
 
 
-def _require_candidates(request: Request, usable: BoolArray, pairs: Pairs) -> None:
+def _require_candidates(request: Request, usable: BoolArray, pairs: PoseGroupPairs) -> None:
     if request.count < 1:
         raise InputError(f"count {request.count}: choose at least one pose")
     counts = request.groups.counts
@@ -231,7 +233,7 @@ def _require_candidates(request: Request, usable: BoolArray, pairs: Pairs) -> No
 
 
 def _require_answer(problem: SelectionProblem, request: Request) -> None:
-    if problem.known.rank.rank == 0:
+    if problem.prior_information.rank.rank == 0:
         raise NotIdentifiableError(
             "the candidates determine no parameter at all; the targets depend on no free parameter"
         )

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table as Printed
 
 from calib.core.base.units import millimetres
-from calib.core.base.words import as_data, counted, plain_text, text_table
+from calib.core.base.words import as_data, count_noun, plain_text, text_table
 from calib.core.data.instrument_cells import columns_in
 from calib.core.data.measurements import Poses
 from calib.core.data.plan_files import INSTRUMENT, TOGETHER
@@ -54,7 +54,7 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
             "measured_only": None if s.measured_only is None else _values(s.measured_only),
             "efficiency": s.efficiency,
             "efficiency_percent": 100 * s.efficiency if s.efficiency is not None else None,
-            "bound": _shown(s.index, s.bound) if certified else None,
+            "bound": _in_table_unit(s.index, s.bound) if certified else None,
             "runs": [_run(run, s, poses) for run in s.runs],
             "travel_joint_ranges": {"candidate_order": s.travel[0], "this_order": s.travel[1]},
             "rank": s.rank.rank,
@@ -85,7 +85,7 @@ def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table)
         poses: The candidates.
         table: The candidates' file.
     """
-    comment = f"{_counted(selection, poses)}, chosen by {selection.index}, in order of measurement"
+    comment = f"{_count_sentence(selection, poses)}, chosen by {selection.index}, in order of measurement"
     headers = [
         name if unit is None else f"{name} [{unit}]" for name, unit in zip(table.names, table.units, strict=True)
     ]
@@ -139,9 +139,9 @@ def _lines_of(table: Table, poses: Sequence[tuple[int, str]]) -> dict[str, list[
 
 
 def _summary(s: Selection, poses: Poses) -> list[str]:
-    lines = [f"{_counted(s, poses)}, chosen by {s.index}"]
+    lines = [f"{_count_sentence(s, poses)}, chosen by {s.index}"]
     if s.efficiency is not None and s.bound is not None:
-        reached, bound = (f"{_shown(s.index, value):.5g}" for value in (s.after[s.index], s.bound))
+        reached, bound = (f"{_in_table_unit(s.index, value):.5g}" for value in (s.after[s.index], s.bound))
         least = math.floor(1000 * min(s.efficiency, 1.0)) / 10
         lines.append(
             f"Error over the task {reached} mm; no choice of {len(s)} candidates goes below {bound} mm (certified)"
@@ -153,7 +153,7 @@ def _summary(s: Selection, poses: Poses) -> list[str]:
     return lines
 
 
-def _counted(s: Selection, poses: Poses) -> str:
+def _count_sentence(s: Selection, poses: Poses) -> str:
     """How many poses were chosen, and with what."""
     if not s.groups:
         return f"{len(s)} of {len(poses)} poses ({poses.path})"
@@ -171,7 +171,7 @@ def _indices(s: Selection) -> Printed:
         rows.insert(0, ("measured alone", s.measured_only))
     rows.append((f"chosen, not scaled: {'noise' if s.sigma == WHITENED else 'mm'} per unit", s.raw))
     for label, values in rows:
-        table.add_row(label, *(f"{_shown(key, values[key]):.5g}" if key in values else "" for key in keys))
+        table.add_row(label, *(f"{_in_table_unit(key, values[key]):.5g}" if key in values else "" for key in keys))
     return table
 
 
@@ -194,15 +194,16 @@ def _remarks(s: Selection) -> list[str]:
     if s.sigma_assumed:
         lines.append("Unstated noise is assumed; state it with --sigma-mm or in the description")
     if s.already_measured:
-        lines.append(f"{counted(s.already_measured, 'candidate')} already measured and left out")
+        lines.append(f"{count_noun(s.already_measured, 'candidate')} already measured and left out")
     if s.unobstructed is not None:
         lines.append(f"Left out: {s.check.summary()}; the efficiency is that of the free candidates")
         lines.append(
-            f"{s.index} is {_shown(s.index, s.after[s.index]):.5g}; {_shown(s.index, s.unobstructed[s.index]):.5g} if"
+            f"{s.index} is {_in_table_unit(s.index, s.after[s.index]):.5g};"
+            f" {_in_table_unit(s.index, s.unobstructed[s.index]):.5g} if"
             f" all candidates were free ({100 * s.after[s.index] / s.unobstructed[s.index]:.1f} %)"
         )
     if s.skipped:
-        lines.append(f"{counted(len(s.skipped), 'candidate')} skipped:")
+        lines.append(f"{count_noun(len(s.skipped), 'candidate')} skipped:")
         lines += [f"  {reason}" for reason in s.skipped[:_SHOWN]]
         lines += [f"  and {len(s.skipped) - _SHOWN} more"] if len(s.skipped) > _SHOWN else []
     lines.append(f"{s.seconds:.2f} s in all, {s.selecting_seconds:.2f} s for the choice")
@@ -212,7 +213,7 @@ def _remarks(s: Selection) -> list[str]:
 def _run(run: Run, s: Selection, poses: Poses) -> dict[str, object]:
     return {
         "start": run.start,
-        "history": [_shown(s.index, value) for value in run.history],
+        "history": [_in_table_unit(s.index, value) for value in run.history],
         "paper_exchanges": run.n_paper,
         "exchanges": [
             {"added": _candidate(s, poses, added), "removed": _candidate(s, poses, removed)}
@@ -222,16 +223,16 @@ def _run(run: Run, s: Selection, poses: Poses) -> dict[str, object]:
 
 
 def _candidate(s: Selection, poses: Poses, number: int) -> str:
-    """What to call a candidate: its pose, and what reads there where that is chosen too."""
+    """Name of a candidate: its pose, and the instruments there where these are chosen too."""
     group, pose = divmod(number, len(poses))
     return f"{poses.names[pose]} ({s.groups[group]})" if s.groups else poses.names[pose]
 
 
 def _values(values: dict[str, float]) -> dict[str, float | None]:
-    return {key: _shown(key, value) for key, value in values.items()}
+    return {key: _in_table_unit(key, value) for key, value in values.items()}
 
 
-def _shown(index: str, value: float | None) -> float:
+def _in_table_unit(index: str, value: float | None) -> float:
     """An index as it is shown: the task index in mm."""
     if value is None:
         return math.nan

@@ -112,9 +112,9 @@ class Watch:
         obstacle: CalibrationError | None = DataError("nothing is measured")
         if data is not None and len(data):
             self._judge(data)
-            self._fit, obstacle = self._fitted(data)
+            self._fit, obstacle = self._try_fit(data)
             self._data = data
-        predicted = self._predicted(self._fit)
+        predicted = self._predict_error(self._fit)
         n_unseen = min(self._settled, MOST) if self._settled >= LEAST else min(len(self._squares), LAST)
         self._met = predicted.high95 <= self.goal
         return Progress(
@@ -140,21 +140,21 @@ class Watch:
         judge, met = self._fit, self._met
         if judge is None:
             known = int(np.sum(data.pose_numbers < data.n_poses - LAST))
-            judge = self._fitted(data[:known])[0] if known else None
-            met = self._predicted(judge).high95 <= self.goal
+            judge = self._try_fit(data[:known])[0] if known else None
+            met = self._predict_error(judge).high95 <= self.goal
         if judge is not None and known < len(data):
             new = squares_of(judge, data[known:])
             self._squares += new
             self._settled = self._settled + len(new) if met else 0
 
-    def _fitted(self, data: Measurements) -> tuple[Fit | None, CalibrationError | None]:
+    def _try_fit(self, data: Measurements) -> tuple[Fit | None, CalibrationError | None]:
         """A fit of these, or why there is none yet."""
         try:
             return calibrate(self.robot, data, None, self._settings), None
         except (DataError, NotIdentifiableError, NotConvergedError) as error:  # too few poses, all on one line
             return None, error
 
-    def _predicted(self, fit: Fit | None) -> RootMeanSquare:
+    def _predict_error(self, fit: Fit | None) -> RootMeanSquare:
         if fit is None:
             return UNKNOWN
         columns = term_columns(fit.robot, self.candidates.joints, self.candidates.conditions)
@@ -167,7 +167,7 @@ class Watch:
         linear = linearise(fit.robot, configurations_at(fit.robot, self.candidates.joints, closed, columns, reached))
         uncertainty = fit.statistics
         return predicted_rms(
-            linear.jacobian[:, fit.robot.located][..., fit.unknowns.index],
+            linear.jacobian[:, fit.robot.reported_targets][..., fit.unknowns.index],
             uncertainty.covariance,
             uncertainty.coverage_factor,
         )
@@ -204,14 +204,14 @@ class GrowingFile:
         self._path, self._robot = path, robot
         self._seen: list[str] = []
         self._bad: dict[int, str] = {}  # lines that are passed over, by their place
-        self._told: list[str] = []
+        self._new_remarks: list[str] = []
 
     def remarks(self) -> list[str]:
         """Return what is wrong with the lines that are passed over since the last call."""
-        told, self._told = self._told, []
-        return told
+        remarks, self._new_remarks = self._new_remarks, []
+        return remarks
 
-    def changed(self) -> Measurements | None:
+    def read_changes(self) -> Measurements | None:
         """Return what the whole lines hold; None where there is nothing, or nothing new since the last time.
 
         Raises:
@@ -228,7 +228,7 @@ class GrowingFile:
         rows = [k for k in places[1:] if k not in self._bad]
         first = None
         while rows:
-            data, problem = self._read(rows[-1])
+            data, problem = self._read_lines(rows[-1])
             if problem is None:
                 return data
             first = first or problem
@@ -237,7 +237,7 @@ class GrowingFile:
             if not rows or len(self._bad) >= _MOST_BAD:
                 raise first
             self._bad[bad] = lines[bad]
-            self._told.append(f"{problem}; this line is skipped until it is corrected")
+            self._new_remarks.append(f"{problem}; this line is skipped until it is corrected")
         return None
 
     def _first_bad(self, rows: list[int], problem: CalibrationError) -> tuple[int, CalibrationError]:
@@ -245,12 +245,12 @@ class GrowingFile:
         low, high = 0, len(rows) - 1
         while low < high:
             middle = (low + high) // 2
-            _, other = self._read(rows[middle])
+            _, other = self._read_lines(rows[middle])
             low, high, problem = (middle + 1, high, problem) if other is None else (low, middle, other)
         return rows[low], problem
 
-    def _read(self, last: int) -> tuple[Measurements | None, CalibrationError | None]:
-        """What the lines up to one of them hold, without those that are passed over; or why they cannot be read."""
+    def _read_lines(self, last: int) -> tuple[Measurements | None, CalibrationError | None]:
+        """Measurements of the lines up to a last one, without those passed over; or why they cannot be read."""
         lines = ["" if k in self._bad else line for k, line in enumerate(self._seen[: last + 1])]
         try:
             data = read_measurements(self._path, self._robot, growing=lines)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import Format, FormatFile
-from calib.core.robots.held import Holds
 from calib.core.robots.robot import Robot
 from calib.printers import COMMENTS
 

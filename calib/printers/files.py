@@ -23,7 +23,7 @@ from calib.core.base.errors import DataError, InputError
 from calib.core.base.files import read_text
 from calib.core.base.units import PER_SI, millimetres
 from calib.core.data.table_writing import format_table
-from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, around, height_name
+from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, height_name, tower_angles
 from calib.printers.rows import PrinterFile, Row, require_plausible, require_steps
 
 _MM, _DEG = 1 / PER_SI["length"]["mm"], 1 / PER_SI["angle"]["deg"]
@@ -198,7 +198,7 @@ def read_m665(path: Path | str, firmware: str) -> PrinterFile:
 
 def _require_printer(path: Path | str, geometry: DeltaGeometry) -> None:
     """Raise `DataError` where towers are not around the centre, or switches trip below the bed."""
-    for tower, angle, expected in zip(TOWERS, geometry.angles, around(geometry.angles[2]), strict=True):
+    for tower, angle, expected in zip(TOWERS, geometry.angles, tower_angles(geometry.angles[2]), strict=True):
         if abs(math.remainder(angle - expected, math.tau)) > _AROUND:
             raise DataError(
                 f"{path}: tower {tower} is at {angle / _DEG:g} deg, and tower c at {geometry.angles[2] / _DEG:g} deg;"
@@ -223,11 +223,12 @@ def _require_own_words(path: Path | str) -> None:
         ("Repetier", repetier, ("Diagonal rod length", "Horizontal rod radius", "Z max length")),
     ):
         if keys[0] in known and "M665" not in text:
-            said = " ".join(f"{letter}{known.get(key, f'<{key}>')}" for letter, key in zip("LRH", keys, strict=True))
+            example = " ".join(f"{letter}{known.get(key, f'<{key}>')}" for letter, key in zip("LRH", keys, strict=True))
             trims = [known.get(f"{axis}_trim", "0") for axis in ("alpha", "beta", "gamma")]
             ends = f"M666 X{trims[0]} Y{trims[1]} Z{trims[2]}" if firmware == "Smoothieware" else "M666 X0 Y0 Z0"
             raise DataError(
-                f"{path}: these are settings of {firmware}; write the lines 'M665 {said}' and '{ends}' into a file, and"
+                f"{path}: these are settings of {firmware}; write the lines 'M665 {example}' and '{ends}' into a"
+                f" file, and"
                 " give that with --marlin (check that the numbers are those that the printer uses)"
             )
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from calib.core.base.errors import InputError
 from calib.core.base.files import write_files
 from calib.core.base.units import millimetres, quantity
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.commands.common import Output
 from calib.core.commands.first_files import FirstFiles
 from calib.printers.files import printer_table, read_printer
@@ -24,10 +24,11 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
         key, equals, value = (part.strip() for part in text.partition("="))
         if not equals or key != "arm" or arm is not None:
             raise InputError(f"--length {text}: a printer has one length; write it once, such as arm=288mm")
-        arm, said = quantity(value, "length", "--length arm"), max(printer.geometry.arms)
-        if not said / 2 < arm < said * 2:
+        arm, stated_length = quantity(value, "length", "--length arm"), max(printer.geometry.arms)
+        if not stated_length / 2 < arm < stated_length * 2:
             raise InputError(
-                f"--length {text}: is {millimetres(arm):g} mm, and {printer.path} has arms of {millimetres(said):g} mm;"
+                f"--length {text}: is {millimetres(arm):g} mm, and {printer.path} has arms of"
+                f" {millimetres(stated_length):g} mm;"
                 " correct it, with its unit, such as arm=288mm"
             )
     geometry = expected_geometry(printer, arm)
@@ -42,17 +43,17 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
     output.check(*map(str, files))
     write_files({file: text.encode() for file, text in files.items()}, force=output.force)
     spans = len(printer.rows) - sum(len(row.places) == 1 for row in printer.rows)
-    rows = f", with {counted(len(printer.rows) - spans, 'height')} and {counted(spans, 'distance')}"
+    rows = f", with {count_noun(len(printer.rows) - spans, 'height')} and {count_noun(spans, 'distance')}"
     output.say(f"{', '.join(map(str, files))} written{rows if printer.rows else ''}")
     if printer.rows:
         output.say(f"next: calib fit {out} {out.with_suffix('.csv')} --out out/{out.stem}")
 
 
-def _of_firmware(name: str, help: str) -> FirstFiles:
+def _files_of_firmware(name: str, help: str) -> FirstFiles:
     lengths = "of a printer: arm, as designed or measured"
     return FirstFiles(f"Delta printer: {help}", "a printer has its nozzle", partial(_write, name), lengths)
 
 
-KLIPPER = _of_firmware("klipper", "its printer.cfg, with what the probe measured.")
-MARLIN = _of_firmware("marlin", "a file with Marlin's M665 and M666.")
-DUET = _of_firmware("duet", "a file with M665 and M666 of RepRapFirmware.")
+KLIPPER = _files_of_firmware("klipper", "its printer.cfg, with what the probe measured.")
+MARLIN = _files_of_firmware("marlin", "a file with Marlin's M665 and M666.")
+DUET = _files_of_firmware("duet", "a file with M665 and M666 of RepRapFirmware.")

@@ -88,8 +88,8 @@ def _marlin(geometry: DeltaGeometry) -> tuple[list[str], str]:
     arms = " ".join(f"{axis}{_mm(arm - rod)}" for axis, arm in zip("ABC", geometry.arms, strict=True))
     ends = " ".join(f"{axis}{_mm(height - end + 0.0)}" for axis, end in zip("XYZ", geometry.endstops, strict=True))
     first = f"M665 L{_mm(rod)} R{_mm(geometry.radius)} H{_mm(height)} {_trims(geometry)} {arms}"
-    said = "send these lines to the printer (Marlin 2); M500 stores them. With a probe, first add Z of its M851 to H"
-    return [first, f"M666 {ends}", "M500"], said
+    remark = "send these lines to the printer (Marlin 2); M500 stores them. With a probe, first add Z of its M851 to H"
+    return [first, f"M666 {ends}", "M500"], remark
 
 
 def _duet(geometry: DeltaGeometry) -> tuple[list[str], str]:
@@ -98,5 +98,5 @@ def _duet(geometry: DeltaGeometry) -> tuple[list[str], str]:
     ends = " ".join(f"{axis}{_mm(end - height + 0.0)}" for axis, end in zip("XYZ", geometry.endstops, strict=True))
     arms = ":".join(_mm(arm) for arm in geometry.arms)
     first = f"M665 L{arms} R{_mm(geometry.radius)} H{_mm(height)} {_trims(geometry)}"
-    said = "put these lines into config.g, in place of its M665 and M666; B, the radius of the bed, stays"
-    return [first, f"M666 {ends} A0 B0"], said
+    remark = "put these lines into config.g, in place of its M665 and M666; B, the radius of the bed, stays"
+    return [first, f"M666 {ends} A0 B0"], remark

@@ -52,7 +52,7 @@ HEIGHT, DISTANCE = 0.05e-3, 0.1e-3
 
 @dataclass(frozen=True)
 class DeltaGeometry:
-    """What a firmware knows of a linear delta.
+    """Geometry of a linear delta as firmware has it.
 
     Attributes:
         radius: R [m].
@@ -108,7 +108,7 @@ class DeltaGeometry:
         return np.asarray(first + x[:, None] * ex + y[:, None] * ey + z[:, None] * normal)
 
 
-def around(angle_c: float) -> tuple[float, float, float]:
+def tower_angles(angle_c: float) -> tuple[float, float, float]:
     """Return where towers are [rad] that are a third of a circle apart, if the third is at this angle [rad]."""
     a, b, _ = ((angle + (angle_c - ANGLES[2])) % math.tau for angle in ANGLES)
     return a, b, angle_c

@@ -1,7 +1,7 @@
 """What owners measured on a delta printer, whether it can be true, and which geometry is expected before it is used.
 
 A probe has one offset, so one height that differs is mistyped. Positions that fit no rod or radius are steps of other
-motors. Any other row is judged by all the others (`left_out`).
+motors. Any other row is judged by all the others (`left_out_errors`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import scipy
 
 from calib.core.base.errors import DataError
 from calib.core.base.units import PER_SI, millimetres
-from calib.core.base.words import listed
+from calib.core.base.words import listing
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM, FEWEST
 from calib.printers.linear_delta import (
@@ -27,7 +27,7 @@ from calib.printers.linear_delta import (
     RADIUS,
     TOWERS,
     DeltaGeometry,
-    around,
+    tower_angles,
 )
 
 _MM = 1 / PER_SI["length"]["mm"]
@@ -70,7 +70,7 @@ class PrinterFile:
     rows: tuple[Row, ...] = ()
 
 
-def _alike(arms: tuple[float, ...]) -> bool:
+def _are_alike(arms: tuple[float, ...]) -> bool:
     return max(arms) - min(arms) <= _ALIKE * min(arms)
 
 
@@ -89,8 +89,8 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
         DataError: The file's arms are not alike, and none is stated.
     """
     file = printer.geometry
-    if arm is None and not _alike(file.arms):
-        shown = listed([f"{millimetres(value):.4g}" for value in file.arms])
+    if arm is None and not _are_alike(file.arms):
+        shown = listing([f"{millimetres(value):.4g}" for value in file.arms])
         raise DataError(
             f"{printer.path}: arms of {shown} mm are no printer's, which are alike; probing cannot tell them:"
             " measure one and state it, such as --length arm=288mm"
@@ -105,20 +105,20 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     if not printer.rows:
         return replace(file, arms=arms)
     end = rounded(file.endstops)
-    return DeltaGeometry(rounded((file.radius,)), around(file.angles[2]), arms, (end, end, end))
+    return DeltaGeometry(rounded((file.radius,)), tower_angles(file.angles[2]), arms, (end, end, end))
 
 
 def misses(geometry: DeltaGeometry, rows: tuple[Row, ...]) -> np.ndarray:
     """Return what a geometry says less what was measured, (n_rows,) [m]; NaN where arms do not meet."""
     first, last = (geometry.nozzle(np.array([row.places[k] for row in rows])) for k in (0, -1))
-    said = np.where([len(row.places) == 1 for row in rows], first[:, 2], np.linalg.norm(last - first, axis=1))
-    return np.asarray(said - [row.value for row in rows])
+    lengths = np.where([len(row.places) == 1 for row in rows], first[:, 2], np.linalg.norm(last - first, axis=1))
+    return np.asarray(lengths - [row.value for row in rows])
 
 
 def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> None:
     """Raise `DataError` where other microsteps than those of the file make its positions fit."""
 
-    def off(factors: tuple[float, ...]) -> float:
+    def median_error(factors: tuple[float, ...]) -> float:
         a, b, c = factors
         scaled = tuple(
             replace(row, places=tuple((p[0] * a, p[1] * b, p[2] * c) for p in row.places)) for row in printer.rows
@@ -126,11 +126,11 @@ def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> No
         values = np.abs(misses(printer.geometry, scaled))
         return float(np.median(np.where(np.isnan(values), np.inf, values)))
 
-    as_said = off((1.0, 1.0, 1.0))
-    if as_said <= _FITS:
+    as_stated = median_error((1.0, 1.0, 1.0))
+    if as_stated <= _FITS:
         return
-    best = min(itertools.product(_FACTORS, repeat=3), key=off)
-    if off(best) <= _FITS:
+    best = min(itertools.product(_FACTORS, repeat=3), key=median_error)
+    if median_error(best) <= _FITS:
         wrong = ", ".join(
             f"[stepper_{tower}] microsteps: {m / f:g} in place of {m:g}"
             for tower, m, f in zip(TOWERS, micro, best, strict=True)
@@ -140,7 +140,9 @@ def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> No
             f"{printer.path}: the probed positions are steps of other microsteps than the file has; they fit {wrong}:"
             " write these into a copy of the file, or probe again"
         )
-    shown = "reach nothing" if not np.isfinite(as_said) else f"are {millimetres(as_said):.1f} mm from what was measured"
+    shown = (
+        "reach nothing" if not np.isfinite(as_stated) else f"are {millimetres(as_stated):.1f} mm from what was measured"
+    )
     raise DataError(
         f"{printer.path}: with the settings of the file its probed positions {shown}; they were taken before"
         " rotation_distance, microsteps or arms were changed: probe again"
@@ -161,15 +163,15 @@ def require_plausible(printer: PrinterFile) -> None:
     saved = np.abs(misses(printer.geometry, printer.rows))
     saved = np.where(np.isnan(saved), np.inf, saved)
     k, off, chance = int(np.argmax(saved)), float(np.max(saved)), 1.0
-    foretold = left_out(printer) if np.all(np.isfinite(saved)) else None
-    if foretold is not None:
-        k = int(np.argmin(foretold[1]))
-        off, chance = abs(float(foretold[0][k])), len(saved) * float(foretold[1][k])
+    errors = left_out_errors(printer) if np.all(np.isfinite(saved)) else None
+    if errors is not None:
+        k = int(np.argmin(errors[1]))
+        off, chance = abs(float(errors[0][k])), len(saved) * float(errors[1][k])
     far = len(saved) > 3 and saved[k] > max(_FAR, _TIMES * float(np.median(np.delete(saved, k))))
     if far or (chance < FALSE_ALARM and off > _FAR):
         row, judges = (
             printer.rows[k],
-            "the other rows" if foretold is not None else "the other rows and the saved settings",
+            "the other rows" if errors is not None else "the other rows and the saved settings",
         )
         raise DataError(
             f"{printer.path}, line {row.line}: {row.name} {millimetres(row.value):g} mm is"
@@ -177,7 +179,7 @@ def require_plausible(printer: PrinterFile) -> None:
         )
 
 
-def left_out(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | None:
+def left_out_errors(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | None:
     """Return how far each row is off what the others say, and the chance of that; None where that cannot be said.
 
     Saved settings cannot judge: a firmware made them from all rows, a mistyped one among them. So each row is left out,
@@ -194,7 +196,7 @@ def left_out(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | None:
     Reference: cook1982.
     """
     geometry, rows, n = printer.geometry, printer.rows, 9
-    if not _alike(geometry.arms):
+    if not _are_alike(geometry.arms):
         return None
     start, sigma = _vector(geometry), np.array([RADIUS, ANGLE, ANGLE, *[ARM] * 3, *[ENDSTOP] * 3])
     noise = np.array([HEIGHT if len(row.places) == 1 else DISTANCE for row in rows])

@@ -18,8 +18,8 @@ from calib.core.judging.repeatability import IsoFigure, iso_figures
 from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.saved_fit import SAVED
 from calib.core.robots.traceability import TraceabilitySection
-from calib.quality.documents import Document, Rows
-from calib.quality.uncertainty_budget import PROBABILITY, Budget, LinearFit, budget
+from calib.quality.documents import Document, DocumentRows
+from calib.quality.uncertainty_budget import PROBABILITY, Budget, ErrorPropagation, budget
 
 LEGAL = (
     "This certificate was written by software from the data of its user. Only an accredited laboratory, within its"
@@ -72,13 +72,13 @@ class Certificate:
 
     result: LoadedResult
     stated: TraceabilitySection
-    linear: LinearFit
+    linear: ErrorPropagation
     budget: Budget
     figures: tuple[IsoFigure, ...]
     identifier: str
 
     @staticmethod
-    def of(result: LoadedResult, stated: TraceabilitySection, poses: PosesLike | None = None) -> Certificate:
+    def from_result(result: LoadedResult, stated: TraceabilitySection, poses: PosesLike | None = None) -> Certificate:
         """Return the certificate of a loaded result.
 
         Args:
@@ -86,7 +86,7 @@ class Certificate:
             stated: Where its measurements come from.
             poses: Other poses at which the robot will be used.
         """
-        fit, linear = result.fit, LinearFit.of(result.fit)
+        fit, linear = result.fit, ErrorPropagation.from_fit(result.fit)
         figures, _ = iso_figures(fit.identification, np.random.default_rng(fit.seed))
         digest = hashlib.sha256(Path(result.path, SAVED).read_bytes()).hexdigest()
         kept = tuple(figure for figure in figures if figure.name in ("AP", "RP"))
@@ -132,7 +132,7 @@ def document(content: Mapping[str, Any]) -> Document:
         )
         facts.append(("expansion of lengths from the base, in use", grown))
     facts += list(_facts(content["traceability"])) or [("metrological traceability", _NOT_STATED)]
-    tables = [Rows("What, by whom, with what", ("what", "stated"), tuple(facts)), _budget_table(found)]
+    tables = [DocumentRows("What, by whom, with what", ("what", "stated"), tuple(facts)), _budget_table(found)]
     if "monte_carlo" in content:
         tables.append(_monte_carlo_table(content["monte_carlo"]))
     parameters = tuple(
@@ -140,22 +140,22 @@ def document(content: Mapping[str, Any]) -> Document:
         for p in content["parameters"]
     )
     title = "Parameters of the robot, correlated: their covariance is in covariance.csv of the result"
-    tables.append(Rows(title, ("parameter", "estimate", "standard uncertainty", "unit"), parameters))
+    tables.append(DocumentRows(title, ("parameter", "estimate", "standard uncertainty", "unit"), parameters))
     if content["iso9283"]:
         figures = tuple(
             (f["name"], f["pose"], str(f["cycles"]), _um(f["value"]), f"{_um(f['low95'])} to {_um(f['high95'])}")
             for f in content["iso9283"]
         )
         columns = ("figure", "pose", "cycles", "value [um]", "coverage interval, 95 % [um]")
-        tables.append(Rows(f"Repeated poses. {FEW_CYCLES}", columns, figures))
+        tables.append(DocumentRows(f"Repeated poses. {FEW_CYCLES}", columns, figures))
     return Document("Calibration certificate of a robot", answer, tuple(tables), _SIGNED_BY, content["identifier"])
 
 
 def _um(length: float) -> str:
-    return _shown(1e3 * millimetres(length), 4)
+    return _format_number(1e3 * millimetres(length), 4)
 
 
-def _shown(number: float, digits: int = 3) -> str:
+def _format_number(number: float, digits: int = 3) -> str:
     return f"{number:.{digits}g}" if abs(number) >= _LEAST else "0"
 
 
@@ -169,7 +169,7 @@ def _facts(entry: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, str
             yield f"{where}{key.replace('_', ' ')}", shown
 
 
-def _budget_table(found: Mapping[str, Any]) -> Rows:
+def _budget_table(found: Mapping[str, Any]) -> DocumentRows:
     rows = []
     for row in found["rows"]:
         factor, unit, of_sensitivity, per = _UNITS[row["unit"]]
@@ -178,7 +178,7 @@ def _budget_table(found: Mapping[str, Any]) -> Rows:
             (
                 row["quantity"],
                 f"{factor * row['standard_uncertainty']:.3g} {unit}".strip(),
-                f"{_shown(of_sensitivity * row['sensitivity'])} {per}".strip(),
+                f"{_format_number(of_sensitivity * row['sensitivity'])} {per}".strip(),
                 contribution if row["counts"] else f"({contribution})",
                 _freedom(row["freedom"]),
                 row["type"],
@@ -209,18 +209,18 @@ def _budget_table(found: Mapping[str, Any]) -> Rows:
         "type of evaluation",
         "source",
     )
-    return Rows("Uncertainty budget (GUM)", columns, tuple(rows))
+    return DocumentRows("Uncertainty budget (GUM)", columns, tuple(rows))
 
 
 def _freedom(freedom: float | None) -> str:
     return "infinite" if freedom is None else f"{freedom:.0f}"
 
 
-def _monte_carlo_table(drawn: Mapping[str, Any]) -> Rows:
+def _monte_carlo_table(drawn: Mapping[str, Any]) -> DocumentRows:
     rows = (
         ("what goes through the fit", _um(drawn["propagated_fitted"]), _um(drawn["fitted"])),
         ("combined standard uncertainty", _um(drawn["propagated"]), _um(drawn["combined"])),
     )
     title = f"Monte Carlo (GUM Supplement 1): {drawn['draws']} draws, difference"
     title += f" {100 * drawn['relative_difference']:.1f} %"
-    return Rows(title, ("quantity", "propagated [um]", "drawn [um]"), rows)
+    return DocumentRows(title, ("quantity", "propagated [um]", "drawn [um]"), rows)

@@ -17,7 +17,7 @@ from calib.core.commands.common import Output, shared_options
 from calib.core.data.measurement_files import read_poses
 from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.result_reading import load_result
-from calib.core.robots.description import checked_description
+from calib.core.robots.description import validate_description
 from calib.core.robots.traceability import TraceabilitySection
 from calib.quality.certificate import Certificate, document
 from calib.quality.dcc import xml
@@ -85,12 +85,12 @@ def command(
     if ending not in _WRITERS:
         raise InputError(f"--out {out}: give it an ending of {', '.join(_WRITERS)}{nearest(ending, _WRITERS)}")
     loaded = load_result(result)
-    stated = _stated(loaded, traceability)
+    stated = _traceability(loaded, traceability)
     where = None if poses is None else read_poses(poses, loaded.robot)
     sign = None if key is None else signer(key, _password)
     output.check(out, None if key is None else out + ENDING)
     with output.working("checking the budget") as progress:
-        certificate = one_blas_thread(Certificate.of)(loaded, stated, where)
+        certificate = one_blas_thread(Certificate.from_result)(loaded, stated, where)
         content = certificate.to_dict()
         write = _WRITERS[ending]
         file = write(content)  # what is missing for the file is said before the draws
@@ -103,11 +103,14 @@ def command(
         output.write(out + ENDING, sign(read_bytes(out, "a certificate", InputError)))
     found = certificate.budget
     output.say(
-        f"U = {1e6 * found.expanded:.4g} um (k = {found.coverage_factor:.2f}, 95 %) for one coordinate of the tool,"
+        f"U = {1e6 * found.expanded_uncertainty:.4g} um (k = {found.coverage_factor:.2f}, 95 %) for one coordinate of"
+        f" the tool,"
         f" at poses like the {content['n_poses']} measured"
     )
     if draws:
-        difference = f"they differ by {100 * drawn.difference:.1f} % from the budget ({1e6 * found.combined:.4g} um)"
+        difference = (
+            f"they differ by {100 * drawn.difference:.1f} % from the budget ({1e6 * found.combined_uncertainty:.4g} um)"
+        )
         output.say(f"Monte Carlo: {drawn.draws} draws, {difference}")
     if not stated.model_fields_set:
         output.note("note: no 'traceability' is stated: the budget knows nothing of instrument and temperature")
@@ -118,12 +121,12 @@ def _password() -> str:
     return str(click.prompt("Password of the key", hide_input=True, err=True))
 
 
-def _stated(result: LoadedResult, path: str | None) -> TraceabilitySection:
+def _traceability(result: LoadedResult, path: str | None) -> TraceabilitySection:
     """Return what a file states, or the description of a result."""
     description = result.nominal.description
     if path is not None:
         content = read_yaml(path, "a YAML file with the key 'traceability'")
         given = content.get("traceability", content) if isinstance(content, dict) else content
         own = description.model_dump(mode="json", exclude_unset=True)
-        description = checked_description(own | {"traceability": given}, path)
+        description = validate_description(own | {"traceability": given}, path)
     return description.traceability or TraceabilitySection()

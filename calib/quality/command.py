@@ -12,11 +12,11 @@ import click
 
 from calib.core.base.files import write_folder
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.base.workers import Progress
-from calib.core.commands.common import Output, loaded, shared_options
+from calib.core.commands.common import Output, load_robot, shared_options
 from calib.core.data.measurement_files import read_measurements
-from calib.quality.documents import Document, Rows
+from calib.quality.documents import Document, DocumentRows
 from calib.quality.installation import installation_checks, machine_facts
 from calib.quality.operation import operation_work
 from calib.quality.performance import performance_work
@@ -41,7 +41,7 @@ def command(robot: str | None, data: tuple[str, ...], out: str, output: Output) 
     """
     if robot is not None and not data:
         raise click.UsageError("ROBOT needs measurements; give DATA, or neither")
-    model = None if robot is None else loaded(robot, output)
+    model = None if robot is None else load_robot(robot, output)
     measured = None if model is None else read_measurements(data, model)
     names = _NAMES if find_spec("fpdf") else _NAMES[:2]
     output.check(folders=[out], names=names)
@@ -79,16 +79,16 @@ def protocol_document(protocol: Protocol) -> Document:
     """Return a protocol as a document."""
     failed = [check for check in protocol.checks if check.outcome is Outcome.FAIL]
     noted = [check for check in protocol.checks if check.outcome is Outcome.NOTED]
-    answer = f"FAIL: {len(failed)} of {counted(len(protocol.checks), 'check')} failed"
+    answer = f"FAIL: {len(failed)} of {count_noun(len(protocol.checks), 'check')} failed"
     if protocol.passed:
-        answer = f"PASS: {counted(len(protocol.checks) - len(noted), 'check')} passed in {protocol.seconds:.0f} s"
+        answer = f"PASS: {count_noun(len(protocol.checks) - len(noted), 'check')} passed in {protocol.seconds:.0f} s"
         answer += f", {len(noted)} could not be made" if noted else ""
-    facts = Rows("Installation", ("what", "found"), (("started", protocol.started), *protocol.machine.items()))
+    facts = DocumentRows("Installation", ("what", "found"), (("started", protocol.started), *protocol.machine.items()))
     tables = [
-        Rows(
+        DocumentRows(
             phase.value,
             ("check", "expected", "found", "outcome"),
-            tuple((c.subject, c.expected, c.found, c.outcome.value) for c in protocol.of_phase(phase)),
+            tuple((c.subject, c.expected, c.found, c.outcome.value) for c in protocol.checks_of_phase(phase)),
         )
         for phase in Phase
     ]

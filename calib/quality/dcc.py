@@ -187,8 +187,8 @@ def _quantity(name: str, value: float, unit: str, uncertainty: tuple[float, floa
     if uncertainty is not None and all(map(math.isfinite, uncertainty)):
         expanded, k, probability = uncertainty
         parts = (("uncertainty", repr(float(expanded))), ("coverageFactor", f"{k:.6f}"))
-        told = [(f"si:{key}", text) for key, text in (*parts, ("coverageProbability", repr(probability)))]
-        real.append(("si:expandedUnc", told))
+        elements = [(f"si:{key}", text) for key, text in (*parts, ("coverageProbability", repr(probability)))]
+        real.append(("si:expandedUnc", elements))
     return "quantity", [_text("name", name), ("si:real", real)]
 
 

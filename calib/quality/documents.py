@@ -32,7 +32,7 @@ _ROOM = 130  # letters of a line of a page
 
 
 @dataclass(frozen=True)
-class Rows:
+class DocumentRows:
     """A table with its title: column names, and cells of text row by row."""
 
     title: str
@@ -67,7 +67,7 @@ class Document:
 
     title: str
     answer: str
-    tables: tuple[Rows, ...]
+    tables: tuple[DocumentRows, ...]
     signatures: tuple[str, ...]
     mark: str = ""
 

@@ -44,13 +44,13 @@ def machine_facts() -> dict[str, str]:
 def installation_checks() -> Iterator[Check]:
     """Yield the checks of versions, of files and of the linear algebra library."""
     own = distribution(DISTRIBUTION)
-    for requirement in _required(own):
+    for requirement in _requirements(own):
         yield from _dependency(requirement)
-    yield from _sealed(own)
+    yield from _check_files(own)
     yield from _linear_algebra()
 
 
-def _required(own: Distribution) -> list[Requirement]:
+def _requirements(own: Distribution) -> list[Requirement]:
     """Requirements of the program without its extras."""
     all_of_them = [Requirement(text) for text in own.requires or ()]
     return [each for each in all_of_them if each.marker is None or each.marker.evaluate({"extra": ""})]
@@ -61,13 +61,15 @@ def _dependency(requirement: Requirement) -> Iterator[Check]:
     try:
         found = distribution(requirement.name)
     except PackageNotFoundError:
-        yield Check.of(_PHASE, subject, expected, "not installed", False)
+        yield Check.from_values(_PHASE, subject, expected, "not installed", False)
         return
-    yield Check.of(_PHASE, subject, expected, found.version, requirement.specifier.contains(found.version, True))
-    yield from _sealed(found)
+    yield Check.from_values(
+        _PHASE, subject, expected, found.version, requirement.specifier.contains(found.version, True)
+    )
+    yield from _check_files(found)
 
 
-def _sealed(of: Distribution) -> Iterator[Check]:
+def _check_files(of: Distribution) -> Iterator[Check]:
     """Compare the files of a distribution with its list; note where it has none."""
     subject = f"files of {of.name} {of.version}"
     listed = {file: file.hash.value for file in of.files or () if file.hash is not None and file.hash.mode == "sha256"}
@@ -75,8 +77,10 @@ def _sealed(of: Distribution) -> Iterator[Check]:
         yield Check(_PHASE, subject, _SEALED, "installed for development: no list of files to compare", Outcome.NOTED)
         return
     changed = [str(file) for file, digest in listed.items() if digest != _digest(Path(str(of.locate_file(file))))]
-    found = f"{len(listed)} files as listed" if not changed else f"{len(changed)} changed or missing: {_few(changed)}"
-    yield Check.of(_PHASE, subject, _SEALED, found, not changed)
+    found = (
+        f"{len(listed)} files as listed" if not changed else f"{len(changed)} changed or missing: {_list_few(changed)}"
+    )
+    yield Check.from_values(_PHASE, subject, _SEALED, found, not changed)
 
 
 def _digest(path: Path) -> str:
@@ -98,13 +102,15 @@ def _linear_algebra() -> Iterator[Check]:
         if oldest is not None:
             version = str(entry["version"])
             passed = version != "None" and Version(version) >= oldest
-            yield Check.of(_PHASE, "linear algebra library", f"OpenBLAS {oldest} or newer", _library(entry), passed)
+            yield Check.from_values(
+                _PHASE, "linear algebra library", f"OpenBLAS {oldest} or newer", _library(entry), passed
+            )
 
 
 def _library(entry: dict[str, object]) -> str:
     return f"{entry['internal_api']} {entry['version']} ({entry.get('architecture', 'unknown kernels')})"
 
 
-def _few(names: Iterable[str], most: int = 3) -> str:
+def _list_few(names: Iterable[str], most: int = 3) -> str:
     names = list(names)
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -30,7 +30,7 @@ from calib.core.robots.traceability import TraceabilitySection
 from calib.core.rows.observed import observe
 from calib.core.rows.rows import Rows
 from calib.core.rows.unknowns import Unknowns
-from calib.quality.uncertainty_budget import ELSEWHERE, MODEL, REPEATABILITY, SYSTEMATIC, Budget, LinearFit
+from calib.quality.uncertainty_budget import ELSEWHERE, MODEL, REPEATABILITY, SYSTEMATIC, Budget, ErrorPropagation
 
 _TOLERANCE = 1e-7  # of the cost
 _SEEN = 1e-4  # part of a direction below which only priors tell of it
@@ -39,7 +39,7 @@ _ADDED = (REPEATABILITY, MODEL, ELSEWHERE)
 
 @dataclass(frozen=True)
 class MonteCarlo:
-    """What the draws say.
+    """Result of a Monte Carlo propagation.
 
     Attributes:
         draws: How many could be made.
@@ -67,7 +67,7 @@ class MonteCarlo:
 
 @one_blas_thread
 def monte_carlo(
-    linear: LinearFit,
+    linear: ErrorPropagation,
     stated: TraceabilitySection,
     known: Budget,
     draws: int = 400,
@@ -99,9 +99,9 @@ def monte_carlo(
     prior, squares = unknowns.prior, []
     for k, (drawn, size) in enumerate(zip(scalars, sizes, strict=True)):
         readings = linear.systematic @ drawn[:-2] + spread @ rng.standard_normal(len(values))
-        mean = linear.fit.widened * prior.root @ rng.standard_normal(len(prior.has))
+        mean = linear.fit.interval_factor * prior.root @ rng.standard_normal(len(prior.has))
         try:
-            moved = _deviation(linear, unknowns.rescaled(size), readings, mean)
+            moved = _deviation(linear, unknowns.rescale_families(size), readings, mean)
         except UnreachablePoseError:
             continue
         warmer, more = drawn[-2:]
@@ -113,11 +113,11 @@ def monte_carlo(
     drawn_too = rng.standard_normal((len(squares), linear.positions.size, len(added))) @ np.array(added)
     fitted = float(np.mean(squares))
     combined = fitted + float(np.mean(drawn_too**2))
-    through = known.combined**2 - float(np.sum(np.square(added)))
-    return MonteCarlo(len(squares), fitted**0.5, combined**0.5, max(through, 0.0) ** 0.5, known.combined)
+    through = known.combined_uncertainty**2 - float(np.sum(np.square(added)))
+    return MonteCarlo(len(squares), fitted**0.5, combined**0.5, max(through, 0.0) ** 0.5, known.combined_uncertainty)
 
 
-def _deviation(linear: LinearFit, unknowns: Unknowns, readings: FloatArray, mean: FloatArray) -> FloatArray:
+def _deviation(linear: ErrorPropagation, unknowns: Unknowns, readings: FloatArray, mean: FloatArray) -> FloatArray:
     """Return how far positions move, (n_coordinates,) [m], where readings and prior means are drawn.
 
     Args:
@@ -134,13 +134,13 @@ def _deviation(linear: LinearFit, unknowns: Unknowns, readings: FloatArray, mean
     @lru_cache(maxsize=4)
     def rows_at(place: bytes) -> Rows | None:
         u = np.frombuffer(place)
-        robot = unknowns.moved(fit.robot, u)
+        robot = unknowns.robot_at(fit.robot, u)
         try:
             configurations = robot.assemble(data.joints, passive, data.labels, data.conditions)
         except UnreachablePoseError:
             return None
         observed = observe(robot, configurations, data.readings)
-        return fit.whitening.rows(observed, fit.scales.groups, unknowns, u).whitened(weighing)
+        return fit.whitening.rows(observed, fit.scales.groups, unknowns, u).whiten_shared(weighing)
 
     def residuals(u: FloatArray) -> FloatArray:
         rows = rows_at(u.tobytes())
@@ -153,11 +153,11 @@ def _deviation(linear: LinearFit, unknowns: Unknowns, readings: FloatArray, mean
         return np.vstack([weights[:, None] * rows.jacobian, prior.rows])
 
     u = minimise(residuals, jacobian, unknowns.deviations(fit.robot.values), tolerance=_TOLERANCE).x
-    robot = unknowns.moved(fit.robot, u)
-    kept = np.setdiff1d(np.arange(len(robot.mechanism.targets)), list(robot.left_out.values()))
+    robot = unknowns.robot_at(fit.robot, u)
+    kept = np.setdiff1d(np.arange(len(robot.mechanism.targets)), list(robot.unreported_targets.values()))
     there = robot.positions(data.joints, data.conditions, passive)[:, kept].reshape(-1, 3)
     points = linear.positions.reshape(-1, 3)
-    if fit.told_positions.motion is not None:
+    if fit.reported_uncertainty.motion is not None:
         rotation, shift = best_transform(there, points)
         there = there @ rotation.T + shift
     return (there - points).ravel()

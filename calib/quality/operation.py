@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.registry import installed
+from calib.core.base.registry import list_entry_points
 from calib.core.base.units import millimetres
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.fitting.fitted import Fit
@@ -27,7 +27,7 @@ from calib.core.fitting.settings import Settings
 from calib.core.numerics.least_squares import minimise
 from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.statistics import found_factors, statistics
+from calib.core.numerics.statistics import find_factors, statistics
 from calib.core.robots.robot import Robot
 from calib.core.robots.templates import TEMPLATES, loop_files
 from calib.core.rows.simulate import simulate
@@ -60,9 +60,9 @@ def operation_work() -> Iterator[Work]:
         yield _PHASE, f"regression {problem.name}", lambda problem=problem: _regression(problem)  # type: ignore[misc]
     yield _PHASE, "eight robots", _robots
     yield _PHASE, "coverage of intervals", _coverage
-    yield _PHASE, "same numbers twice", _repeated
+    yield _PHASE, "same numbers twice", _check_repeats
     yield _PHASE, "exit codes", _exit_codes
-    for entry in installed("calib.qualification"):
+    for entry in list_entry_points("calib.qualification"):
         yield _PHASE, entry.name, lambda entry=entry: entry.load()()  # type: ignore[misc]
 
 
@@ -82,12 +82,12 @@ def _regression(problem: ReferenceProblem) -> Iterator[Check]:
         jacobian, group = np.asarray(problem.model(found.x, problem.x)[1]), np.zeros(len(problem.y), dtype=np.intp)
         known = information(jacobian)
         span = jacobian @ known.root
-        factors = found_factors(found.residuals, span, group, 1)
+        factors = find_factors(found.residuals, span, group, 1)
         std = statistics(span, group, known, factors, np.ones(n), Prior(np.zeros(n, dtype=bool))).std
         digits = min(_common_digits(found.x, problem.certified), _common_digits(std, problem.std))
         subject = f"regression {problem.name}, start {number}"
         expected = f"certified values and standard deviations to {_DIGITS:g} digits (NIST StRD)"
-        yield Check.of(_PHASE, subject, expected, f"{digits:.1f} digits", bool(digits >= _DIGITS))
+        yield Check.from_values(_PHASE, subject, expected, f"{digits:.1f} digits", bool(digits >= _DIGITS))
 
 
 def _common_digits(found: FloatArray, certified: FloatArray) -> float:
@@ -104,26 +104,30 @@ def _robots() -> Iterator[Check]:
 
 
 def _robot(name: str, robot: Robot, seed: int) -> Iterator[Check]:
-    true = drawn_robot(robot, seed, part=_SMALL)
-    joints = _reached_by_both(robot, true, _POSES, seed)
-    apart, slopes, off = _apart(true, joints), _slopes(true, joints[:5]), _not_recovered(robot, true, joints, seed)
+    true = draw_robot(robot, seed, part=_SMALL)
+    joints = _common_poses(robot, true, _POSES, seed)
+    apart, slopes, off = (
+        _largest_difference(true, joints),
+        _slopes(true, joints[:5]),
+        _recovery_error(robot, true, joints, seed),
+    )
     subject, expected = f"positions of the {name}", f"within {millimetres(_FAR):g} mm of a product of single transforms"
-    yield Check.of(_PHASE, subject, expected, f"{millimetres(apart):.1e} mm", apart <= _FAR)
+    yield Check.from_values(_PHASE, subject, expected, f"{millimetres(apart):.1e} mm", apart <= _FAR)
     subject, expected = f"Jacobian of the {name}", f"relative difference to central differences at most {_SLOPES:g}"
-    yield Check.of(_PHASE, subject, expected, f"{slopes:.1e}", slopes <= _SLOPES)
+    yield Check.from_values(_PHASE, subject, expected, f"{slopes:.1e}", slopes <= _SLOPES)
     subject = f"recovery of the {name}"
     expected = f"readings without noise: within {millimetres(_FOUND):g} mm of the truth at other poses"
-    yield Check.of(_PHASE, subject, expected, f"{millimetres(off):.1e} mm", off <= _FOUND)
+    yield Check.from_values(_PHASE, subject, expected, f"{millimetres(off):.1e} mm", off <= _FOUND)
 
 
-def drawn_robot(robot: Robot, seed: int, part: float = 1.0) -> Robot:
+def draw_robot(robot: Robot, seed: int, part: float = 1.0) -> Robot:
     """Return the robot with errors of its free parameters, drawn from this part of what is expected of them."""
     expected = np.array([parameter.sigma_si for parameter in robot.parameters])
     draws = np.random.default_rng(seed).standard_normal(len(expected))
     return robot.with_parameters(robot.values + robot.is_free * part * expected * draws)
 
 
-def _reached_by_both(robot: Robot, other: Robot, count: int, seed: int) -> FloatArray:
+def _common_poses(robot: Robot, other: Robot, count: int, seed: int) -> FloatArray:
     """Return joint values at which the loops of two robots close, (count, n_actuated) [m or rad]."""
     joints = robot.sample(2 * count, seed=seed)
     return joints[other.close(joints).ok][:count]
@@ -162,7 +166,7 @@ def _attribute(joint: ElementTree.Element, tag: str, key: str, default: str) -> 
     return default if element is None else element.get(key, default)
 
 
-def _apart(robot: Robot, joints: FloatArray) -> float:
+def _largest_difference(robot: Robot, joints: FloatArray) -> float:
     """How far positions and loops are from products of single transforms [m]."""
     poses, description = _chain(robot, joints), robot.description
     base = description.base.frame
@@ -185,10 +189,10 @@ def _slopes(robot: Robot, joints: FloatArray) -> float:
     return float(np.max(np.abs(exact)) / np.max(np.abs(robot.jacobian(joints, target)[:, :3])))
 
 
-def _not_recovered(robot: Robot, true: Robot, joints: FloatArray, seed: int) -> float:
+def _recovery_error(robot: Robot, true: Robot, joints: FloatArray, seed: int) -> float:
     """How far a robot that was calibrated by readings without noise is from the truth at other poses [m]."""
     fit = calibrate(robot, simulate(true, joints, sigma=0.0), None, Settings(sigma=_QUIET))
-    elsewhere = _reached_by_both(fit.robot, true, _ELSEWHERE, seed=seed + 1000)
+    elsewhere = _common_poses(fit.robot, true, _ELSEWHERE, seed=seed + 1000)
     return float(np.max(np.linalg.norm(fit.robot.positions(elsewhere) - true.positions(elsewhere), axis=-1)))
 
 
@@ -199,7 +203,7 @@ def _coverage() -> Iterator[Check]:
         held = list[bool]()
         joints = robot.sample(_POSES, seed=5)
         for seed in range(_FITS):
-            true = drawn_robot(robot, seed)
+            true = draw_robot(robot, seed)
             fit = calibrate(robot, simulate(true, joints, seed=seed), None, Settings())
             truth = dict(zip([parameter.name for parameter in true.parameters], true.values, strict=True))
             held += [
@@ -210,17 +214,17 @@ def _coverage() -> Iterator[Check]:
     share = float(np.mean(held))
     expected = f"95 % intervals hold the simulated truth in {_LEAST:.0%} to {_MOST:.0%}"
     found = f"{share:.1%} of {len(held)} intervals"
-    yield Check.of(_PHASE, "coverage of intervals", expected, found, _LEAST <= share <= _MOST)
+    yield Check.from_values(_PHASE, "coverage of intervals", expected, found, _LEAST <= share <= _MOST)
 
 
-def _repeated() -> Iterator[Check]:
+def _check_repeats() -> Iterator[Check]:
     """Calibrate twice from the same readings, and compare every bit of the answers."""
     with tempfile.TemporaryDirectory() as folder:
         _, robot = next(iter(sample_robots(Path(folder))))
-        data = simulate(drawn_robot(robot, 1), robot.sample(_POSES, seed=1), seed=1)
+        data = simulate(draw_robot(robot, 1), robot.sample(_POSES, seed=1), seed=1)
         digests = [_digest(calibrate(robot, data, None, Settings())) for _ in range(2)]
     found = "the same bits" if digests[0] == digests[1] else "different bits"
-    yield Check.of(
+    yield Check.from_values(
         _PHASE, "same numbers twice", "two fits of the same readings agree in every bit", found, len(set(digests)) == 1
     )
 
@@ -250,4 +254,4 @@ def _exit_codes() -> Iterator[Check]:
             expected = f"exit code {code}" + (", one line on standard error" if code else "")
             found = f"exit code {done.returncode}, {len(lines)} lines on standard error"
             passed = done.returncode == code and len(lines) == bool(code)
-            yield Check.of(_PHASE, f"command line, {what}", expected, found, passed)
+            yield Check.from_values(_PHASE, f"command line, {what}", expected, found, passed)

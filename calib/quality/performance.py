@@ -23,7 +23,7 @@ from calib.core.judging.claim import MORE
 from calib.core.judging.verdict import judge
 from calib.core.robots.robot import Robot
 from calib.core.rows.simulate import simulate
-from calib.quality.operation import drawn_robot
+from calib.quality.operation import draw_robot
 from calib.quality.protocol import Check, Outcome, Phase, Work
 from calib.quality.sample_robots import sample_robots
 
@@ -35,36 +35,40 @@ _LEAST = 0.75
 
 def performance_work(robot: Robot | None, data: Measurements | None) -> Iterator[Work]:
     """Yield the pieces of work of the phase; those of the user's robot where there is one."""
-    yield _PHASE, "simulated robot", _simulated
-    yield _PHASE, "wrong robots", _wrong
+    yield _PHASE, "simulated robot", _check_simulated
+    yield _PHASE, "wrong robots", _check_mistakes
     if robot is not None and data is not None:
-        yield _PHASE, robot.name, lambda: _own(robot, data)
+        yield _PHASE, robot.name, lambda: _check_own_data(robot, data)
 
 
-def _simulated() -> Iterator[Check]:
+def _check_simulated() -> Iterator[Check]:
     """Compare the claim with the known truth."""
     with tempfile.TemporaryDirectory() as folder:
         _, robot = next(iter(sample_robots(Path(folder))))
-        true = drawn_robot(robot, seed=11)
+        true = draw_robot(robot, seed=11)
         fit = calibrate(robot, simulate(true, true.sample(_POSES, seed=11), seed=11), None, Settings())
         verdict = judge(fit)
         others = true.sample(_OTHERS, seed=12)
         measured = simulate(true, others, seed=12)
         off = fit.robot.positions(others) - np.stack([r.values for r in measured.readings.values()], axis=1)
     error = float(np.sqrt(np.mean(np.sum(off**2, axis=-1))))
-    yield Check.of(_PHASE, "verdict on a sound simulated robot", "PASS", verdict.grade, verdict.grade == "PASS")
-    claimed = np.nan if verdict.claim is None else verdict.claim.told.rms
+    yield Check.from_values(
+        _PHASE, "verdict on a sound simulated robot", "PASS", verdict.grade, verdict.grade == "PASS"
+    )
+    claimed = np.nan if verdict.claim is None else verdict.claim.at_measured_poses.rms
     ratio = claimed / error
     expected = f"claim over the error at {_OTHERS} other poses between {_LEAST:g} and {1 / _LEAST:.2f}"
     found = f"{ratio:.2f} ({millimetres(claimed):.3f} mm claimed, {millimetres(error):.3f} mm found)"
-    yield Check.of(_PHASE, "claim about a simulated robot", expected, found, bool(_LEAST <= ratio <= 1 / _LEAST))
+    yield Check.from_values(
+        _PHASE, "claim about a simulated robot", expected, found, bool(_LEAST <= ratio <= 1 / _LEAST)
+    )
 
 
-def _wrong() -> Iterator[Check]:
+def _check_mistakes() -> Iterator[Check]:
     """Hand in the same robot with a sign, a scale and an order of joints that are wrong."""
     with tempfile.TemporaryDirectory() as folder:
         _, robot = next(iter(sample_robots(Path(folder))))
-        true = drawn_robot(robot, seed=13)
+        true = draw_robot(robot, seed=13)
         data = simulate(true, true.sample(_POSES, seed=13), seed=13)
         changes = {
             "the second joint with the wrong sign": data.joints * np.array([1, -1, 1, 1, 1, 1]),
@@ -77,20 +81,20 @@ def _wrong() -> Iterator[Check]:
                 grade = judge(calibrate(robot, replace(data, joints=joints), None, Settings(sigma=None))).grade
             except CalibrationError as error:  # refused with a reason: no number leaves either
                 grade = f"refused ({type(error).__name__})"
-            yield Check.of(_PHASE, what, "never PASS", grade, grade != "PASS")
+            yield Check.from_values(_PHASE, what, "never PASS", grade, grade != "PASS")
 
 
-def _own(robot: Robot, data: Measurements) -> Iterator[Check]:
+def _check_own_data(robot: Robot, data: Measurements) -> Iterator[Check]:
     """Compare the claim with poses of the user's measurements that were held out."""
     used, held = data.read_visits().split(validation=_HELD_OUT, seed=0)
     fit = calibrate(robot, used, held, Settings())
     verdict = judge(fit)
-    yield Check.of(_PHASE, f"verdict on {robot.name}", "PASS", verdict.grade, verdict.grade == "PASS")
+    yield Check.from_values(_PHASE, f"verdict on {robot.name}", "PASS", verdict.grade, verdict.grade == "PASS")
     claim = verdict.claim
     if claim is None or not claim.unused:
         yield Check(_PHASE, f"claim about {robot.name}", "a claim", "the readings do not tell", Outcome.NOTED)
         return
     shown = claim.unused[0].accuracy
     expected = f"{held.n_poses} poses that were held out: at most {MORE:g} times as far off as claimed"
-    found = f"{shown.shown(shown.rms)} RMS, {claim.told.shown(claim.told.rms)} claimed"
-    yield Check.of(_PHASE, f"claim about {robot.name}", expected, found, claim.holds)
+    found = f"{shown.in_unit(shown.rms)} RMS, {claim.at_measured_poses.in_unit(claim.at_measured_poses.rms)} claimed"
+    yield Check.from_values(_PHASE, f"claim about {robot.name}", expected, found, claim.holds)

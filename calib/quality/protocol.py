@@ -48,7 +48,7 @@ class Check:
     outcome: Outcome
 
     @classmethod
-    def of(cls, phase: Phase, subject: str, expected: str, found: str, passed: bool) -> Check:
+    def from_values(cls, phase: Phase, subject: str, expected: str, found: str, passed: bool) -> Check:
         """Return a check that passed or failed."""
         return cls(phase, subject, expected, found, Outcome.PASS if passed else Outcome.FAIL)
 
@@ -84,7 +84,7 @@ class Protocol:
         """Whether no check failed."""
         return all(check.outcome is not Outcome.FAIL for check in self.checks)
 
-    def of_phase(self, phase: Phase) -> tuple[Check, ...]:
+    def checks_of_phase(self, phase: Phase) -> tuple[Check, ...]:
         """Return the checks of a phase."""
         return tuple(check for check in self.checks if check.phase is phase)
 
@@ -109,4 +109,4 @@ def done(work: Iterable[Work]) -> Iterator[Check]:
         try:
             yield from checks()
         except (CalibrationError, ArithmeticError, LookupError, OSError, TypeError, ValueError, RuntimeError) as error:
-            yield Check.of(phase, subject, "runs to its end", f"{type(error).__name__}: {error}", False)
+            yield Check.from_values(phase, subject, "runs to its end", f"{type(error).__name__}: {error}", False)

@@ -39,7 +39,7 @@ def signer(key: str, password: Callable[[], str]) -> Callable[[bytes], str]:
     try:
         private = load(text, None)
     except TypeError:  # it has a password
-        private = _of_kind(key, "private", lambda: load(text, password().encode()))
+        private = _read_kind(key, "private", lambda: load(text, password().encode()))
     except ValueError:
         private = None
     if not isinstance(private, _library("asymmetric.ed25519").Ed25519PrivateKey):
@@ -60,7 +60,7 @@ def verify(path: str, key: str) -> None:
     """
     content, text = (read_bytes(each, what, InputError) for each, what in ((path, "a file"), (key, "a public key")))
     lines = read_bytes(path + ENDING, f"the signature of {path}", InputError).splitlines()
-    public = _of_kind(key, "public", lambda: _library("serialization").load_pem_public_key(text))
+    public = _read_kind(key, "public", lambda: _library("serialization").load_pem_public_key(text))
     if not isinstance(public, _library("asymmetric.ed25519").Ed25519PublicKey):
         _refuse_key(key, "public")
     try:
@@ -78,7 +78,7 @@ def _library(name: str) -> Any:
         raise InputError(f"a signature needs cryptography: pip install '{DISTRIBUTION}[certificate]'") from None
 
 
-def _of_kind(path: str, kind: str, load: Callable[[], Any]) -> Any:
+def _read_kind(path: str, kind: str, load: Callable[[], Any]) -> Any:
     try:
         return load()
     except ValueError:

@@ -9,7 +9,7 @@ readings moves parameters by s T T^T J^T W dy, and positions by B times that, B 
 
     readings        B s T (core - S - V) T^T s B^T    type A; what is independent from reading to reading
     prior           B s T S T^T s B^T                 type B; S the share of the priors
-    sizes           B s T V T^T s B^T                 type A; of joint terms, where the same readings told their sizes
+    sizes           B s T V T^T s B^T                 type A; of joint terms, where the same readings gave their sizes
                                                       (`calib.core.numerics.prior_sizes`)
     instrument      u . |B s T T^T J^T W dy/dx|       type B; scale and offset of lengths, offset of angles, focal
                                                       length and principal point of a camera: fully correlated, no
@@ -44,7 +44,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.prior_sizes import variance_by_sizes
 from calib.core.numerics.statistics import prior_shares
 from calib.core.robots.traceability import TraceabilitySection
-from calib.core.rows.prediction import beside_common_motion
+from calib.core.rows.prediction import without_common_motion
 
 PROBABILITY = 0.95
 _FOUND = "found from the same readings (calib fit --terms)"
@@ -84,11 +84,11 @@ SYSTEMATIC = (
     Systematic(PRINCIPAL_POINT, "principal_point", "px", 2),
 )
 _FIRST = dict(zip((each.quantity for each in SYSTEMATIC), np.cumsum([0, *(s.axes for s in SYSTEMATIC)]), strict=False))
-"""First column of each in `LinearFit.systematic`."""
+"""First column of each in `ErrorPropagation.systematic`."""
 
 
 @dataclass(frozen=True)
-class Contribution:
+class BudgetRow:
     """One row of the budget.
 
     Attributes:
@@ -114,19 +114,19 @@ class Contribution:
     note: str
 
     @staticmethod
-    def direct(quantity: str, contribution: float, freedom: float, note: str) -> Contribution:
+    def direct(quantity: str, contribution: float, freedom: float, note: str) -> BudgetRow:
         """Return one of type A that is a length of the measurand itself."""
-        return Contribution(quantity, contribution, "m", 1.0, contribution, freedom, "A", True, note)
+        return BudgetRow(quantity, contribution, "m", 1.0, contribution, freedom, "A", True, note)
 
 
 @dataclass(frozen=True)
 class Budget:
     """The budget; see the module docstring."""
 
-    rows: tuple[Contribution, ...]
+    rows: tuple[BudgetRow, ...]
 
     @property
-    def combined(self) -> float:
+    def combined_uncertainty(self) -> float:
         """Combined standard uncertainty [m]."""
         return math.hypot(*(row.contribution for row in self.rows if row.counts))
 
@@ -134,7 +134,7 @@ class Budget:
     def freedom(self) -> float:
         """Effective degrees of freedom."""
         parts = sum(row.contribution**4 / row.freedom for row in self.rows if row.counts)
-        return self.combined**4 / parts if parts > 0 else math.inf
+        return self.combined_uncertainty**4 / parts if parts > 0 else math.inf
 
     @property
     def coverage_factor(self) -> float:
@@ -142,20 +142,20 @@ class Budget:
         return float(scipy.special.stdtrit(min(self.freedom, 1e9), 0.5 + PROBABILITY / 2))
 
     @property
-    def expanded(self) -> float:
+    def expanded_uncertainty(self) -> float:
         """Expanded uncertainty [m]."""
-        return self.coverage_factor * self.combined
+        return self.coverage_factor * self.combined_uncertainty
 
     def to_dict(self) -> dict[str, object]:
         """Return it as JSON has it, in SI units; null for infinitely many degrees of freedom."""
         rows = [asdict(row) | {"freedom": _finite(row.freedom)} for row in self.rows]
         return {
             "rows": rows,
-            "combined_standard_uncertainty": self.combined,
+            "combined_standard_uncertainty": self.combined_uncertainty,
             "effective_degrees_of_freedom": _finite(self.freedom),
             "coverage_factor": self.coverage_factor,
             "coverage_probability": PROBABILITY,
-            "expanded_uncertainty": self.expanded,
+            "expanded_uncertainty": self.expanded_uncertainty,
         }
 
 
@@ -164,8 +164,8 @@ def _finite(number: float) -> float | None:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearFit:
-    """What the linear model of a fit makes of errors of its inputs; see the module docstring.
+class ErrorPropagation:
+    """Propagation of input errors by the linear model of a fit; see the module docstring.
 
     Attributes:
         fit: The fit.
@@ -184,27 +184,29 @@ class LinearFit:
     systematic: FloatArray
 
     @staticmethod
-    def of(fit: JudgedFit) -> LinearFit:
+    def from_fit(fit: JudgedFit) -> ErrorPropagation:
         """Return that of a fit."""
         data, passive = fit.identification.data, fit.identification.passive
-        linear = fit.uncertainty.linearised(fit.robot, data.joints, data.conditions, passive, turns=False)
-        kept = np.setdiff1d(np.arange(linear.positions.shape[1]), list(fit.robot.left_out.values()))
+        linear = fit.uncertainty.linearise(fit.robot, data.joints, data.conditions, passive, turns=False)
+        kept = np.setdiff1d(np.arange(linear.positions.shape[1]), list(fit.robot.unreported_targets.values()))
         positions, rows = linear.positions[:, kept], linear.jacobian[:, kept, :, : len(fit.unknowns)]
-        if fit.told_positions.motion is not None:
-            rows = beside_common_motion(positions, rows)
+        if fit.reported_uncertainty.motion is not None:
+            rows = without_common_motion(positions, rows)
         derivative = rows.reshape(-1, rows.shape[-1]) * fit.unknowns.scales
         pinned = linalg.pinv(fit.root)
         core, scales = fit.covariance.values, fit.unknowns.scales
         deviations = fit.weighted_rows.deviations
         sizes = variance_by_sizes(fit.root @ fit.root.T, fit.unknowns.family, deviations)
-        of_readings = core / np.outer(scales, scales) - fit.widened**2 * sizes
+        of_readings = core / np.outer(scales, scales) - fit.interval_factor**2 * sizes
         noise = pinned @ of_readings @ pinned.T
-        noise = noise - fit.widened**2 * prior_shares(fit.weighted_rows.known, fit.unknowns.prior)
-        sizes = fit.widened**2 * (pinned @ sizes @ pinned.T)
-        return LinearFit(fit, positions, derivative, noise, sizes, _systematic(fit))
+        noise = noise - fit.interval_factor**2 * prior_shares(
+            fit.weighted_rows.posterior_information, fit.unknowns.prior
+        )
+        sizes = fit.interval_factor**2 * (pinned @ sizes @ pinned.T)
+        return ErrorPropagation(fit, positions, derivative, noise, sizes, _systematic(fit))
 
     @property
-    def followed(self) -> FloatArray:
+    def parameter_response(self) -> FloatArray:
         """Change of the scaled parameters by that of the whitened readings, (n_free, n_rows)."""
         root = self.fit.root
         return np.asarray(root @ (self.fit.weighted_rows.jacobian @ root).T)
@@ -216,14 +218,14 @@ class LinearFit:
         base = mechanism.placement(mechanism.origin_names[mechanism.targets[0].a - 1]).inverse().translation
         return (self.positions - base).ravel()
 
-    def spread(self, core: FloatArray) -> float:
+    def coordinate_rms(self, core: FloatArray) -> float:
         """Return what a covariance of T^-1 u, (rank, rank), is of a coordinate (root mean square) [m]."""
         carried = self.derivative @ self.fit.root
         return float(np.sqrt(max(np.mean(np.einsum("ij,jk,ik->i", carried, core, carried)), 0.0)))
 
 
 def _systematic(fit: JudgedFit) -> FloatArray:
-    """Return `LinearFit.systematic`."""
+    """Return `ErrorPropagation.systematic`."""
     n = sum(each.axes for each in SYSTEMATIC)
     changes = {name: np.zeros((*r.shape, n)) for name, r in fit.identification.after.items()}
     for instrument, part, rows in fit.identification.parts():
@@ -246,7 +248,7 @@ def _systematic(fit: JudgedFit) -> FloatArray:
     return np.sqrt(fit.weights)[fit.rows.layout.reading, None] * whitened
 
 
-def budget(linear: LinearFit, stated: TraceabilitySection, poses: PosesLike | None = None) -> Budget:
+def budget(linear: ErrorPropagation, stated: TraceabilitySection, poses: PosesLike | None = None) -> Budget:
     """Return the budget of a fit.
 
     Args:
@@ -255,71 +257,96 @@ def budget(linear: LinearFit, stated: TraceabilitySection, poses: PosesLike | No
         poses: Other poses at which the robot will be used.
     """
     fit = linear.fit
-    shares, freedom = prior_shares(fit.weighted_rows.known, fit.unknowns.prior), fit.statistics.interval_freedom
-    noise, prior, reading = linear.spread(linear.noise), fit.widened * linear.spread(shares), fit.first_noise
+    shares, freedom = (
+        prior_shares(fit.weighted_rows.posterior_information, fit.unknowns.prior),
+        fit.statistics.interval_freedom,
+    )
+    noise, prior, reading = (
+        linear.coordinate_rms(linear.noise),
+        fit.interval_factor * linear.coordinate_rms(shares),
+        fit.first_noise,
+    )
     unit = {"length": "m", "angle": "rad"}.get(reading.group.part.dimension, "px")
-    counted = "scatter of residuals" if fit.widened == 1.0 else "scatter of residuals, and of regions"
+    counted = "scatter of residuals" if fit.interval_factor == 1.0 else "scatter of residuals, and of regions"
     rows = [
-        Contribution(NOISE, reading.sigma, unit, _over(noise, reading.sigma), noise, freedom, "A", True, counted),
-        Contribution(
-            PRIOR, fit.widened, "1", prior / fit.widened, prior, math.inf, "B", True, "sigma of the description"
+        BudgetRow(
+            NOISE, reading.sigma, unit, _share_of_variance(noise, reading.sigma), noise, freedom, "A", True, counted
         ),
-        *([Contribution.direct(SIZES, linear.spread(linear.sizes), freedom, _FOUND)] if fit.unknowns.families else []),
+        BudgetRow(
+            PRIOR,
+            fit.interval_factor,
+            "1",
+            prior / fit.interval_factor,
+            prior,
+            math.inf,
+            "B",
+            True,
+            "sigma of the description",
+        ),
+        *(
+            [BudgetRow.direct(SIZES, linear.coordinate_rms(linear.sizes), freedom, _FOUND)]
+            if fit.unknowns.families
+            else []
+        ),
         *_from_instrument(linear, stated),
         *_thermal(linear, stated),
     ]
     own = sum(row.contribution**2 for row in rows if row.quantity in (NOISE, PRIOR, SIZES))
-    return Budget((*rows, *_of_robot(fit, own, poses)))
+    return Budget((*rows, *_robot_rows(fit, own, poses)))
 
 
-def _over(contribution: float, uncertainty: float) -> float:
+def _share_of_variance(contribution: float, uncertainty: float) -> float:
     return contribution / uncertainty if uncertainty > 0 else 0.0
 
 
-def _from_instrument(linear: LinearFit, stated: TraceabilitySection) -> list[Contribution]:
-    moved = np.mean((linear.derivative @ (linear.followed @ linear.systematic)) ** 2, axis=0)
+def _from_instrument(linear: ErrorPropagation, stated: TraceabilitySection) -> list[BudgetRow]:
+    moved = np.mean((linear.derivative @ (linear.parameter_response @ linear.systematic)) ** 2, axis=0)
     instrument, rows = stated.instrument, []
     source = f"certificate {instrument.certificate or 'not stated'}: {instrument.stated}"
     for each in SYSTEMATIC:
         columns = slice(_FIRST[each.quantity], _FIRST[each.quantity] + each.axes)
         if np.any(linear.systematic[:, columns]):
             u, per = getattr(instrument, each.attribute) / instrument.divisor, float(np.sqrt(np.sum(moved[columns])))
-            rows.append(Contribution(each.quantity, u, each.unit, per, per * u, math.inf, "B", True, source))
+            rows.append(BudgetRow(each.quantity, u, each.unit, per, per * u, math.inf, "B", True, source))
     axes = linear.systematic[:, _FIRST[OFFSET] : _FIRST[OFFSET] + 3]
     if np.any(axes):
-        read, u = np.mean(np.sum((linear.derivative @ linear.followed) ** 2, axis=1)), stated.target.centring
+        read, u = np.mean(np.sum((linear.derivative @ linear.parameter_response) ** 2, axis=1)), stated.target.centring
         per, note = float(np.sqrt(read * np.mean(axes**2) * 3.0)), "part of the noise as found: not counted again"
-        rows.append(Contribution(CENTRING, u, "m", per, per * u, math.inf, "B", False, note))
+        rows.append(BudgetRow(CENTRING, u, "m", per, per * u, math.inf, "B", False, note))
     return rows
 
 
-def _thermal(linear: LinearFit, stated: TraceabilitySection) -> list[Contribution]:
+def _thermal(linear: ErrorPropagation, stated: TraceabilitySection) -> list[BudgetRow]:
     heat, lever = stated.temperature, float(np.sqrt(np.mean(linear.lever**2)))
     by_kelvin, by_ratio = heat.expansion * lever, abs(heat.difference) * lever
     u, v = heat.uncertainty, heat.expansion_uncertainty
     return [
-        Contribution(TEMPERATURE, u, "K", by_kelvin, by_kelvin * u, math.inf, "B", True, "expansion times lever"),
-        Contribution(EXPANSION, v, "1/K", by_ratio, by_ratio * v, math.inf, "B", True, "difference times lever"),
+        BudgetRow(TEMPERATURE, u, "K", by_kelvin, by_kelvin * u, math.inf, "B", True, "expansion times lever"),
+        BudgetRow(EXPANSION, v, "1/K", by_ratio, by_ratio * v, math.inf, "B", True, "difference times lever"),
     ]
 
 
-def _of_robot(fit: JudgedFit, known: float, poses: PosesLike | None) -> list[Contribution]:
+def _robot_rows(fit: JudgedFit, known: float, poses: PosesLike | None) -> list[BudgetRow]:
     """Rows of the robot itself; `known`: what rows have of the claim's mean square [m^2]."""
     scatter, freedom = repeatability(fit.identification)
     rows, claim = [], fit.verdict.claim
     if freedom:
         note = "repeated poses; holds the noise of a reading"
-        rows.append(Contribution.direct(REPEATABILITY, scatter, float(freedom), note))
+        rows.append(BudgetRow.direct(REPEATABILITY, scatter, float(freedom), note))
         known += scatter**2
-    if claim is not None and claim.told.is_position:
-        total, n, note = claim.told.rms**2 / 3.0, claim.told.n_poses, "poses left out in turn; holds the noise there"
+    if claim is not None and claim.at_measured_poses.is_position:
+        total, n, note = (
+            claim.at_measured_poses.rms**2 / 3.0,
+            claim.at_measured_poses.n_poses,
+            "poses left out in turn; holds the noise there",
+        )
     else:
         known_positions = fit.identification_uncertainty
-        total, n = float(np.mean(known_positions.located**2)) / 3.0, fit.identification.data.n_poses
+        total, n = float(np.mean(known_positions.reported_distance**2)) / 3.0, fit.identification.data.n_poses
         note = "errors of joints that residuals show"
-    rows.append(Contribution.direct(MODEL, math.sqrt(max(total - known, 0.0)), float(n), note))
+    rows.append(BudgetRow.direct(MODEL, math.sqrt(max(total - known, 0.0)), float(n), note))
     elsewhere = None if poses is None else fit.claim_at(poses)
     if elsewhere is not None and claim is not None:
-        more = math.sqrt(max(elsewhere.rms**2 - claim.told.rms**2, 0.0) / 3.0)
-        rows.append(Contribution.direct(ELSEWHERE, more, float(n), "covariance of the parameters at these poses"))
+        more = math.sqrt(max(elsewhere.rms**2 - claim.at_measured_poses.rms**2, 0.0) / 3.0)
+        rows.append(BudgetRow.direct(ELSEWHERE, more, float(n), "covariance of the parameters at these poses"))
     return rows

@@ -49,7 +49,7 @@ class TubeFlexure(JointTerm):
     parameters: tuple[Parameter, ...]
 
     @classmethod
-    def of(cls, joint: Joint, section: TermSection, sigma: float | None) -> TubeFlexure:
+    def from_section(cls, joint: Joint, section: TermSection, sigma: float | None) -> TubeFlexure:
         """Return the term that an entry of a robot description means."""
         return cls(joint.name, (Parameter("TF", joint.dimension, 0.0, sigma or 1e-3, _UNIT),))
 

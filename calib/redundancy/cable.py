@@ -59,13 +59,13 @@ class Cable(Relation):
     lines: int = 1
 
     @classmethod
-    def of(cls, name: str, section: CableSection) -> Cable:
+    def from_section(cls, name: str, section: CableSection) -> Cable:
         """Return the instrument that an entry of a robot description means."""
         lengths = (section.length, section.spool, section.growth)
         away = float(np.linalg.norm(section.anchor.xyz))  # where an unknown length starts
         unknowns = section.length.parameters(f"{name}.length", away)
         unknowns += section.spool.parameters(f"{name}.spool") + section.growth.parameters(f"{name}.growth")
-        own, noise = (section.anchor.place(f"{name}_anchor"),), Noise((PartNoise.of(section.sigma, 1),))
+        own, noise = (section.anchor.place(f"{name}_anchor"),), Noise((PartNoise.from_sigma(section.sigma, 1),))
         target = section.target or name
         return cls(name, target, own, lengths, section.gear, section.lines, noise=noise, unknowns=unknowns)
 
@@ -88,7 +88,7 @@ class Cable(Relation):
         out = (radius + growth * phi / (4 * np.pi)) * phi / self.lines
         return np.linalg.norm(view.translation, axis=1)[:, None] - length - out
 
-    def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
+    def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return angles that let out so much more, (n, 1) [rad]."""
         _, radius, growth = (own.value for own in self.lengths)
         return values + change * self.lines / (self.gear * (radius + growth * self.gear * values / (2 * np.pi)))

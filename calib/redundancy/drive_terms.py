@@ -48,7 +48,7 @@ class Play(JointTerm):
     travel: tuple[float, ...]
 
     @classmethod
-    def of(cls, joint: Joint, section: PlaySection, sigma: float | None) -> Play:
+    def from_section(cls, joint: Joint, section: PlaySection, sigma: float | None) -> Play:
         """Return the term that an entry of a robot description means."""
         given = section.travel if isinstance(section.travel, list) else [section.travel]
         travel = tuple(quantity(each, joint.dimension, "travel", ValueError) for each in given)
@@ -81,7 +81,7 @@ def stop_states(way: FloatArray) -> FloatArray:
 
 
 class InProportionSection(TermSection):
-    """What gives way in proportion to a `column` of the file: a torque, force or current, as pure numbers."""
+    """A joint that gives way in proportion to a `column` of the file: a torque, force or current, as pure numbers."""
 
     column: str = Field(min_length=1)
 
@@ -99,7 +99,7 @@ class InProportion(JointTerm):
     column: str
 
     @classmethod
-    def of(cls, joint: Joint, section: InProportionSection, sigma: float | None) -> InProportion:
+    def from_section(cls, joint: Joint, section: InProportionSection, sigma: float | None) -> InProportion:
         """Return the term that an entry of a robot description means."""
         name, size = f"{joint.name}.per_{section.column}", sigma or _SIZE[joint.dimension]
         return cls(joint.name, (coefficient(name, joint.dimension, size),), section.column)

@@ -6,7 +6,7 @@ With p = p_ab, the target seen from hole 0/0 of the pattern, whose x and y axes 
 
 The nearest hole is looked for again with every estimate; to begin with, with the pattern where stated holes show it.
 
-When it fails. Errors of half a pitch: the nearest hole is the wrong one, which `between_holes` tells. Without three
+When it fails. Errors of half a pitch: the nearest hole is the wrong one, which `check_holes` tells. Without three
 stated holes the pattern must be known to half a pitch.
 """
 
@@ -53,13 +53,13 @@ class HolePattern(Relation):
     holes: tuple[int, int] = (1, 1)
 
     @classmethod
-    def of(cls, name: str, section: HolePatternSection) -> HolePattern:
+    def from_section(cls, name: str, section: HolePatternSection) -> HolePattern:
         """Return the instrument that an entry of a robot description means."""
         own, size = (section.pattern.place(f"{name}_pattern"),), section.pitch
-        noise, unknowns = Noise((PartNoise.of(section.sigma, 3),)), size.parameters(f"{name}.pitch")
+        noise, unknowns = Noise((PartNoise.from_sigma(section.sigma, 3),)), size.parameters(f"{name}.pitch")
         return cls(name, section.target or name, own, size, section.holes, noise=noise, unknowns=unknowns)
 
-    def looked_at(
+    def parse_texts(
         self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
     ) -> tuple[Sequence[bool], IntArray, FloatArray]:
         """Say in which hole each row is, as `3/5`, or `?` for the nearest; an empty cell is no reading."""
@@ -107,12 +107,14 @@ class HolePattern(Relation):
         return super().first_values(replace(scene, readings=scene.readings.subset(chosen), links=scene.links[chosen]))
 
 
-def between_holes(fit: Fit) -> Iterator[Reason]:
+def check_holes(fit: Fit) -> Iterator[Reason]:
     """Refuse rows whose nearest hole is not by far the nearest."""
     for board in (board for board in fit.identification.instruments if isinstance(board, HolePattern)):
         readings, off = fit.identification.data.readings.get(board.name), fit.identification.after.get(board.name)
         if readings is not None and off is not None:
             unclear = (readings.details[:, 2] == 0) & (np.abs(off[:, :2]).max(axis=1) > board.pitch.value / 4)
             if count := int(np.sum(unclear)):
-                said = f"{count} of the rows with {_NEAREST} are more than a quarter of a pitch from the nearest hole"
-                yield Reason("FAIL", "between_holes", f"{said} of {board.name}: state more holes, far apart")
+                sentence = (
+                    f"{count} of the rows with {_NEAREST} are more than a quarter of a pitch from the nearest hole"
+                )
+                yield Reason("FAIL", "between_holes", f"{sentence} of {board.name}: state more holes, far apart")

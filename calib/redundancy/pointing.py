@@ -49,10 +49,10 @@ class Pointing(Relation):
     sense: float = -1.0
 
     @classmethod
-    def of(cls, name: str, section: PointingSection) -> Pointing:
+    def from_section(cls, name: str, section: PointingSection) -> Pointing:
         """Return the instrument that an entry of a robot description means."""
         sense = -1.0 if section.azimuth == "compass" else 1.0
-        return cls(name, section.target or name, noise=Noise((PartNoise.of(section.sigma, 2),)), sense=sense)
+        return cls(name, section.target or name, noise=Noise((PartNoise.from_sigma(section.sigma, 2),)), sense=sense)
 
     def columns(self) -> tuple[Column, ...]:
         """Return `<name>_az` and `_alt`."""
@@ -71,7 +71,7 @@ class Pointing(Relation):
         x, y, z = np.einsum("nij,nj->ni", view.rotation, there).T
         return np.column_stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))])
 
-    def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
+    def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return directions that lie so much less to the left and up, (n, 2) [rad]."""
         off = -change / np.column_stack([self.sense * np.cos(values[:, 1]), np.ones(len(values))])
         return values + off

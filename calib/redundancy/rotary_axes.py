@@ -17,8 +17,8 @@ import numpy as np
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.sections import Component
 from calib.core.base.units import millimetres
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import Format, FormatFile
-from calib.core.robots.held import Holds
 from calib.core.robots.named_origins import NamedComponent, NamedOrigins
 from calib.core.robots.parameters import Origin
 from calib.core.robots.robot import Robot

@@ -45,10 +45,10 @@ class Sighting(Relation):
     from_target = True
 
     @classmethod
-    def of(cls, name: str, section: SightingSection) -> Sighting:
+    def from_section(cls, name: str, section: SightingSection) -> Sighting:
         """Return the instrument that an entry of a robot description means."""
         own = tuple(point.place(key) for key, point in section.points.items())
-        return cls(name, section.target or name, own, noise=Noise((PartNoise.of(section.sigma, 3),)))
+        return cls(name, section.target or name, own, noise=Noise((PartNoise.from_sigma(section.sigma, 3),)))
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return p_ab, (n, 3) [m]."""

@@ -11,7 +11,7 @@ from calib.core.commands.common import (
     SIGMA_HELP,
     Output,
     jobs_option,
-    loaded,
+    load_robot,
     loss_option,
     shared_options,
     sigma_in_metres,
@@ -67,7 +67,7 @@ def command(
     are used. With --resample, the readings are used too.
     """
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
-    model = loaded(robot, output)
+    model = load_robot(robot, output)
     measured = read_measurements(poses, model) if resample else read_pose_files(poses, model)
     with output.working("calibrating") as progress:
         studied = study(

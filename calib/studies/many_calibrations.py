@@ -26,14 +26,14 @@ from calib.core.fitting.settings import Settings
 from calib.core.fitting.solving import convergence_at, solve_from, uncertainty_at
 from calib.core.instruments.kind import View
 from calib.core.robots.robot import Robot
-from calib.core.rows.observed import seen_by
+from calib.core.rows.observed import views_of_instruments
 from calib.core.rows.whitening import Whitening
-from calib.studies.study_data import Drawn
+from calib.studies.study_data import DrawnData
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
-    """What one draw gave.
+class DrawEstimate:
+    """Estimate of one draw.
 
     Attributes:
         values: Of the free parameters, (n_free,) [m or rad].
@@ -61,7 +61,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Repeated(ReadOnlyArrays):
+class RepeatedCalibration(ReadOnlyArrays):
     """Calibrates again and again.
 
     Attributes:
@@ -74,16 +74,20 @@ class Repeated(ReadOnlyArrays):
 
     @cached_property
     def problem(self) -> Problem:
-        """That of the first draw."""
+        """Problem of the first draw."""
         first = self.first
-        return Problem.of(first.nominal, first.identification.data, self.settings.sigma, first.configurations.passive)
+        return Problem.from_data(
+            first.nominal, first.identification.data, self.settings.sigma, first.configurations.passive
+        )
 
     @cached_property
-    def seen(self) -> dict[str, View | FloatArray]:
-        """What each instrument saw in the first draw, at the minimum, by name; see `seen_by`."""
-        return seen_by(self.first.robot, self.first.configurations, self.first.identification.data.readings)
+    def views(self) -> dict[str, View | FloatArray]:
+        """View of each instrument in the first draw, at the minimum, by name; see `views_of_instruments`."""
+        return views_of_instruments(
+            self.first.robot, self.first.configurations, self.first.identification.data.readings
+        )
 
-    def estimate(self, drawn: Drawn) -> Estimate:
+    def estimate(self, drawn: DrawnData) -> DrawEstimate:
         """Calibrate from other readings.
 
         Args:
@@ -94,14 +98,16 @@ class Repeated(ReadOnlyArrays):
         """
         first, data = self.first, drawn.data
         if not np.array_equal(data.joints, first.identification.data.joints):
-            return self._from(Problem.of(first.nominal, data, self.settings.sigma, drawn.passive), first.robot)
-        problem = self.problem.read_again(data, first.configurations.passive)
+            return self._estimate_from(
+                Problem.from_data(first.nominal, data, self.settings.sigma, drawn.passive), first.robot
+            )
+        problem = self.problem.with_readings(data, first.configurations.passive)
         if _same_looks(data, first.identification.data):
             try:
-                return self._from(problem, self._one_step(data, problem.whitening))
+                return self._estimate_from(problem, self._one_step(data, problem.whitening))
             except ComputationError:
                 pass
-        return self._from(problem, first.robot)
+        return self._estimate_from(problem, first.robot)
 
     def _one_step(self, data: Measurements, whitening: Whitening) -> Robot:
         """The robot that the linear model of the first minimum makes of other readings."""
@@ -110,23 +116,23 @@ class Repeated(ReadOnlyArrays):
             name: robot.instrument(name)
             .compare(seen, robot.values[robot.unknowns(name)], data.readings[name])
             .residuals
-            for name, seen in self.seen.items()
+            for name, seen in self.views.items()
         }
         weighing = whitening.weighing(first.scales.ratios)
         whitened: FloatArray = whitening.flatten(residuals) / whitening.row_scale(first.scales.groups)
         whitened = whitened if weighing is None else weighing.whiten(whitened)
-        return first.unknowns.moved(robot, rows.deviations + rows.step(whitened))
+        return first.unknowns.robot_at(robot, rows.deviations + rows.step(whitened))
 
-    def _from(self, problem: Problem, start: Robot) -> Estimate:
+    def _estimate_from(self, problem: Problem, start: Robot) -> DrawEstimate:
         solved = solve_from(problem, problem.evaluate(start), self.settings)
         rows, scales, statistics = uncertainty_at(solved, self.first.statistics.beyond_linear)
         weights = np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights
         typical = [group.typical for group in rows.layout.groups]
         sigma = statistics.factors.values * problem.whitening.totals(scales) * typical
         convergence = convergence_at(solved, rows, statistics.std)
-        test = rows.studentised(rows.weighted(weights).known.root, weights, statistics.freedom)
-        return Estimate(
-            solved.at.robot.values[self.first.unknowns.index],
+        test = rows.studentise(rows.with_weights(weights).posterior_information.root, weights, statistics.freedom)
+        return DrawEstimate(
+            solved.evaluation.robot.values[self.first.unknowns.index],
             statistics.covariance,
             statistics.std,
             statistics.half_width,

@@ -13,7 +13,7 @@ that starts from the first one (`calib.studies.many_calibrations`). A chunk whos
 (`calib.core.base.workers`).
 
 When it fails. A draw that ends without an answer, or not converged, is counted and left out of every average. A study
-simulates what it is told: errors that are not in the truth or the noise are not in its figures.
+simulates its inputs: errors that are not in the truth or the noise are not in its figures.
 
 Reference: jcgm101.
 """
@@ -36,22 +36,22 @@ from calib.core.base.errors import CalibrationError, InputError, NotConvergedErr
 from calib.core.base.memory import require_memory
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import in_si
-from calib.core.base.words import counted
-from calib.core.base.workers import Progress, Workers, in_order
+from calib.core.base.words import count_noun
+from calib.core.base.workers import Progress, Workers, results_in_order
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.in_memory import PosesLike
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.settings import Settings
-from calib.core.numerics.losses import checked_loss
-from calib.core.robots.acceleration import compilation_requested, compiled, pays
+from calib.core.numerics.losses import find_loss
+from calib.core.robots.acceleration import compilation_requested, compile_kinematics, pays
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
-from calib.core.rows.prediction import carried
-from calib.studies.many_calibrations import Estimate, Repeated
-from calib.studies.study_data import Noise, Resampled, Simulated, simulated
+from calib.core.rows.prediction import propagate_covariance
+from calib.studies.many_calibrations import DrawEstimate, RepeatedCalibration
+from calib.studies.study_data import Noise, ResampledDraws, SimulatedDraws, simulated_draws
 from calib.studies.study_result import Draws, Study
 
 _CHUNK = 50
@@ -59,7 +59,7 @@ _CHUNK = 50
 
 @dataclass(frozen=True, eq=False)
 class _Setting:
-    """What all draws share.
+    """Data that all draws share.
 
     Attributes:
         source: Where the data of a draw come from.
@@ -71,9 +71,9 @@ class _Setting:
         seed: Of the whole study; draws have those spawned from it.
     """
 
-    source: Simulated | Resampled
+    source: SimulatedDraws | ResampledDraws
     settings: Settings
-    repeated: Repeated
+    repeated: RepeatedCalibration
     elsewhere: FloatArray
     near: FloatArray
     compiled: bool
@@ -87,7 +87,7 @@ class _Setting:
     @property
     def states_noise(self) -> bool:
         """Whether chi-square means something: what is drawn twice scatters less than noise does."""
-        return self.first.chi_square is not None and isinstance(self.source, Simulated)
+        return self.first.chi_square is not None and isinstance(self.source, SimulatedDraws)
 
 
 def study(
@@ -134,26 +134,30 @@ def study(
     started = time.perf_counter()
     if draws < 2:
         raise InputError(f"draws {draws}: must be 2 or more")
-    settings = Settings(sigma=sigma, loss=checked_loss(loss), seed=seed)
+    settings = Settings(sigma=sigma, loss=find_loss(loss), seed=seed)
     shared = np.random.SeedSequence(seed)
     chunks = [range(start, min(start + _CHUNK, draws)) for start in range(0, draws, _CHUNK)]
     done, failures = list[Draws](), list[str]()
     with Workers(executor, len(chunks)) as workers:
-        source = simulated(robot, poses, truth, sigma, noise) if not resample else _measured(poses, truth, noise)
-        setting = _prepared(robot, source, settings, elsewhere, shared, draws)
+        source = (
+            simulated_draws(robot, poses, truth, sigma, noise)
+            if not resample
+            else _measurements_to_resample(poses, truth, noise)
+        )
+        setting = _prepare(robot, source, settings, elsewhere, shared, draws)
         if setting.compiled and workers is not None:
             _chunk(setting, range(1))  # compiles what they then load, instead of each by itself
-        for some, why in in_order(partial(_chunk, setting), chunks, workers):
+        for some, why in results_in_order(partial(_chunk, setting), chunks, workers):
             done.append(some)
             failures += why
             if progress is not None:
                 progress(sum(map(len, done)), draws)
     if len(failures) == draws:
         raise NotConvergedError(f"none of the {draws} draws gave an answer: {failures[0]}")
-    return _study(setting, Draws.joined(done), failures, time.perf_counter() - started)
+    return _study(setting, Draws.join(done), failures, time.perf_counter() - started)
 
 
-def _measured(poses: object, truth: object, noise: object) -> Measurements:
+def _measurements_to_resample(poses: object, truth: object, noise: object) -> Measurements:
     """The measurements to resample; `InputError` where that makes no sense."""
     if truth is not None or noise is not None:
         raise InputError("resample: simulates nothing, so truth and noise have no effect; leave them out")
@@ -163,9 +167,9 @@ def _measured(poses: object, truth: object, noise: object) -> Measurements:
 
 
 @one_blas_thread
-def _prepared(
+def _prepare(
     robot: Robot,
-    source: Simulated | Measurements,
+    source: SimulatedDraws | Measurements,
     settings: Settings,
     elsewhere: ArrayLike | None,
     seed: np.random.SeedSequence,
@@ -174,20 +178,24 @@ def _prepared(
     """Do the calibration that all others start from."""
     q = np.zeros((0, len(robot.joint_names))) if elsewhere is None else joint_vector(robot, elsewhere)
     near = robot.assemble(q).passive
-    data = source if isinstance(source, Measurements) else source.measured(_of_draw(seed, 0)).data
+    data = source if isinstance(source, Measurements) else source.draw(_seed_of_draw(seed, 0)).data
     first = calibrate(robot, data, None, settings)
     if not first.converged:
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
-    known = source if isinstance(source, Simulated) else Resampled(first.robot, source, first.configurations.passive)
+    known = (
+        source
+        if isinstance(source, SimulatedDraws)
+        else ResampledDraws(first.robot, source, first.configurations.passive)
+    )
     use_compiled = pays(draws * len(data)) or compilation_requested()
-    setting = _Setting(known, settings, Repeated(first, settings), q, near, use_compiled, seed)
-    each = sum(numbers.size for numbers in vars(_unanswered(setting)).values())
-    require_memory(2 * draws * each, counted(draws, "draw"), "ask for fewer")
+    setting = _Setting(known, settings, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
+    each = sum(numbers.size for numbers in vars(_draw_without_answer(setting)).values())
+    require_memory(2 * draws * each, count_noun(draws, "draw"), "ask for fewer")
     return setting
 
 
-def _of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
+def _seed_of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
     """Return the seed of a draw: that of `seed.spawn`, without all those before it."""
     return np.random.SeedSequence(seed.entropy, spawn_key=(number,))
 
@@ -196,21 +204,21 @@ def _of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequenc
 def _chunk(setting: _Setting, numbers: range) -> tuple[Draws, list[str]]:
     """The draws of these numbers, and why some of them gave no answer."""
     draws, failures = list[Draws](), list[str]()
-    with compiled() if setting.compiled else nullcontext():
+    with compile_kinematics() if setting.compiled else nullcontext():
         for number in numbers:
             try:
-                drawn = setting.source.measured(_of_draw(setting.seed, number))
+                drawn = setting.source.draw(_seed_of_draw(setting.seed, number))
                 estimate = setting.repeated.estimate(drawn)
                 failure = estimate.open
             except CalibrationError as error:
                 failure = str(error)
             if failure:
                 failures.append(failure)
-            draws.append(_unanswered(setting) if failure else _draw(setting, drawn.truth, estimate))
-    return Draws.joined(draws), failures
+            draws.append(_draw_without_answer(setting) if failure else _draw(setting, drawn.truth, estimate))
+    return Draws.join(draws), failures
 
 
-def _draw(setting: _Setting, truth: Robot, estimate: Estimate) -> Draws:
+def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
     """One draw that gave an answer."""
     first = setting.first
     true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
@@ -220,7 +228,7 @@ def _draw(setting: _Setting, truth: Robot, estimate: Estimate) -> Draws:
         values[first.unknowns.index] = estimate.values
         robot = first.robot.with_parameters(values)
         at = linearise(robot, robot.assemble(setting.elsewhere, setting.near))
-        spread = carried(at.jacobian[..., first.unknowns.index], estimate.covariance)
+        spread = propagate_covariance(at.jacobian[..., first.unknowns.index], estimate.covariance)
         half_width = estimate.coverage_factor * np.sqrt(np.diagonal(spread, axis1=2, axis2=3))
         errors = at.positions - truth.positions(setting.elsewhere, seed=setting.near)
     rows = (
@@ -238,7 +246,7 @@ def _draw(setting: _Setting, truth: Robot, estimate: Estimate) -> Draws:
     return Draws(*(np.asarray(row)[None] for row in rows))
 
 
-def _unanswered(setting: _Setting) -> Draws:
+def _draw_without_answer(setting: _Setting) -> Draws:
     """One draw that gave no answer."""
     first = setting.first
     n_free, at_targets = len(first.unknowns), (len(setting.elsewhere), len(first.nominal.target_names), 3)
@@ -260,5 +268,5 @@ def _study(setting: _Setting, draws: Draws, failures: Sequence[str], seconds: fl
         setting.source.data.n_poses,
         setting.settings.seed,
         seconds,
-        isinstance(setting.source, Resampled),
+        isinstance(setting.source, ResampledDraws),
     )

@@ -32,7 +32,7 @@ from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import repeated_poses
 from calib.core.robots.robot import Robot
-from calib.core.rows.observed import predicted_readings
+from calib.core.rows.observed import predict_readings
 from calib.core.rows.simulate import noisy_readings, simulate, unstated_noise
 from calib.core.rows.unknowns import Unknowns
 
@@ -41,8 +41,8 @@ Noise = Callable[[Measurements, np.random.Generator], Measurements]
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
-    """What one draw calibrates from.
+class DrawnData:
+    """Data that one draw calibrates from.
 
     Attributes:
         truth: The robot that was measured.
@@ -56,7 +56,7 @@ class Drawn:
 
 
 @dataclass(frozen=True, eq=False)
-class Simulated:
+class SimulatedDraws:
     """Simulated measurements of a true robot.
 
     Attributes:
@@ -80,23 +80,23 @@ class Simulated:
         """Whether draws are of different visits: where something is touched, the noise is in the joints."""
         return any(instrument.touches for instrument in self.truth.instruments)
 
-    def measured(self, seed: np.random.SeedSequence) -> Drawn:
+    def draw(self, seed: np.random.SeedSequence) -> DrawnData:
         """Return what a draw calibrates from."""
         rng, truth, exact = np.random.default_rng(seed), self.truth, self.data
         if np.any(self.drawn):
             truth = truth.with_parameters(truth.values + self.drawn @ rng.standard_normal(self.drawn.shape[1]))
         if self.changes_visits:
-            return Drawn(truth, simulate(truth, exact, self.sigma, rng))
+            return DrawnData(truth, simulate(truth, exact, self.sigma, rng))
         if truth is not self.truth:
             configurations = truth.assemble(exact.joints, self.passive, exact.labels, exact.conditions)
-            exact = replace(exact, readings=predicted_readings(truth, configurations, exact.readings))
+            exact = replace(exact, readings=predict_readings(truth, configurations, exact.readings))
         if self.noise is not None:
-            return Drawn(truth, self.noise(exact, rng))
-        return Drawn(truth, replace(exact, readings=noisy_readings(truth, exact.readings, self.sigma, rng)))
+            return DrawnData(truth, self.noise(exact, rng))
+        return DrawnData(truth, replace(exact, readings=noisy_readings(truth, exact.readings, self.sigma, rng)))
 
 
 @dataclass(frozen=True, eq=False)
-class Resampled:
+class ResampledDraws:
     """Poses of measurements drawn with replacement.
 
     Attributes:
@@ -109,23 +109,23 @@ class Resampled:
     data: Measurements
     passive: FloatArray
 
-    def measured(self, seed: np.random.SeedSequence) -> Drawn:
+    def draw(self, seed: np.random.SeedSequence) -> DrawnData:
         """Return what a draw calibrates from."""
         groups = repeated_poses(self.data.joints, self.data.pose_numbers)
         chosen = np.random.default_rng(seed).integers(len(groups), size=len(groups))
         visits = [(turn, k) for turn, group in enumerate(chosen) for k in groups[group]]
         index = np.array([k for _, k in visits], dtype=np.intp)
         names = tuple(f"{turn}: {self.data.names[k]}" for turn, k in visits)  # drawn twice, it is two poses
-        return Drawn(self.truth, replace(self.data.subset(index), names=names), self.passive[index])
+        return DrawnData(self.truth, replace(self.data.subset(index), names=names), self.passive[index])
 
 
-def simulated(
+def simulated_draws(
     robot: Robot,
     poses: PosesLike,
     truth: Robot | Literal["priors"] | None,
     sigma: float | None,
     noise: Noise | None,
-) -> Simulated:
+) -> SimulatedDraws:
     """Return where simulated draws come from.
 
     Args:
@@ -155,16 +155,16 @@ def simulated(
     drawn: FloatArray = np.zeros((len(true.parameters), 0))
     if truth == "priors":
         true = robot.with_parameters({p.name: p.mean_si for p in robot.parameters if p.mean_si is not None})
-        drawn = _drawn_from_priors(robot)
+        drawn = _prior_deviations(robot)
         if not np.any(drawn):
             raise InputError(f"{robot.path}: has no priors to draw the truth from; give a robot as the truth")
     exact = simulate(true, as_poses(robot, poses), 0.0)
     passive = true.assemble(exact.joints, labels=exact.labels, context=exact.conditions).passive
-    return Simulated(true, exact, drawn, noise, sigma, passive)
+    return SimulatedDraws(true, exact, drawn, noise, sigma, passive)
 
 
-def _drawn_from_priors(robot: Robot) -> FloatArray:
-    """D of `Simulated`, by what is expected of the free parameters, (n_parameters, n_parameters) [m or rad]."""
-    unknowns, drawn = Unknowns.of(robot), np.zeros((len(robot.parameters), len(robot.parameters)))
+def _prior_deviations(robot: Robot) -> FloatArray:
+    """D of `SimulatedDraws`, by what is expected of the free parameters, (n_parameters, n_parameters) [m or rad]."""
+    unknowns, drawn = Unknowns.from_robot(robot), np.zeros((len(robot.parameters), len(robot.parameters)))
     drawn[np.ix_(unknowns.index, unknowns.index)] = unknowns.scales[:, None] * unknowns.prior.root
     return drawn

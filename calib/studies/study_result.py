@@ -13,7 +13,7 @@ import scipy
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import millimetres
-from calib.core.base.words import as_data, counted, data_frame, listed, plain_text, text_table
+from calib.core.base.words import as_data, count_noun, data_frame, listing, plain_text, text_table
 
 _TAIL = 0.05  # of chi-square, on both sides together
 _SURE = 4.0  # standard deviations beyond which a difference is no chance
@@ -24,7 +24,7 @@ _WIDTH = 110  # characters
 
 @dataclass(frozen=True, eq=False)
 class Draws(ReadOnlyArrays):
-    """What each draw gave, a row for each; NaN throughout where it gave no answer.
+    """Results of draws, a row for each; NaN throughout where a draw gave no answer.
 
     Attributes:
         truth: True values of the free parameters, NaN where the truth has no such parameter, (n, n_free) [m or rad].
@@ -54,14 +54,14 @@ class Draws(ReadOnlyArrays):
         return len(self.values)
 
     @staticmethod
-    def joined(parts: Sequence[Draws]) -> Draws:
+    def join(parts: Sequence[Draws]) -> Draws:
         """Put the draws of several parts one after another."""
         return Draws(
             **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Draws)}
         )
 
     @property
-    def answered(self) -> BoolArray:
+    def has_answer(self) -> BoolArray:
         """Which draws gave an answer, (n,)."""
         return np.isfinite(self.values[:, 0])
 
@@ -131,7 +131,7 @@ class Study(ReadOnlyArrays):
     @cached_property
     def answered(self) -> Draws:
         """The draws that gave an answer."""
-        kept = self.draws.answered
+        kept = self.draws.has_answer
         return Draws(**{field.name: getattr(self.draws, field.name)[kept] for field in fields(Draws)})
 
     @property
@@ -194,17 +194,19 @@ class Study(ReadOnlyArrays):
             numbers = [f"{row[key]:.3g}" for key in ("bias", "bias_std", "spread", "claimed")]
             ratio = parameter.spread / parameter.claimed if parameter.claimed > 0 else float("nan")
             table.add_row(parameter.name, parameter.unit, *numbers, f"{ratio:.3f}", f"{100 * parameter.coverage:.1f}")
-        rest = [f"{counted(more, 'more parameter')} covered at least as often: --verbose prints them"] if more else []
+        rest = (
+            [f"{count_noun(more, 'more parameter')} covered at least as often: --verbose prints them"] if more else []
+        )
         return plain_text([*self._summary(), "", table, *rest, "", *self._findings()], _WIDTH).rstrip()
 
     def _summary(self) -> list[str]:
-        done, poses = "simulated calibration", f"{counted(self.n_poses, 'pose')} each"
+        done, poses = "simulated calibration", f"{count_noun(self.n_poses, 'pose')} each"
         if self.resampled:
             done, poses = "calibration", f"each from {self.n_poses} of its {self.n_poses} poses, with replacement"
-        lines = [f"{counted(len(self), done)} of {self.robot}, {poses}, seed {self.seed}"]
+        lines = [f"{count_noun(len(self), done)} of {self.robot}, {poses}, seed {self.seed}"]
         if self.failures:
             n_failed = len(self) - len(self.answered)
-            lines.append(f"{counted(n_failed, 'draw')} gave no answer: {listed(self.failures, '; ', 2)}")
+            lines.append(f"{count_noun(n_failed, 'draw')} gave no answer: {listing(self.failures, '; ', 2)}")
         return lines
 
     def _findings(self) -> list[str]:
@@ -217,7 +219,7 @@ class Study(ReadOnlyArrays):
         ]
         biased = [parameter.name for parameter in self.parameters if abs(parameter.bias) > _SURE * parameter.bias_std]
         if biased:
-            lines.append(f"biased by more than chance ({_SURE:g} standard deviations): {listed(biased)}")
+            lines.append(f"biased by more than chance ({_SURE:g} standard deviations): {listing(biased)}")
         if self.draws.errors.size:
             lines.append(
                 f"predicted positions elsewhere: RMS error {millimetres(self.position_error):.4f} mm, intervals contain"

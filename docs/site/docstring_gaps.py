@@ -4,8 +4,8 @@
 
 That docstrings exist, and their form, is checked by ruff. A function passes if its docstring shows some shape such as
 `(n, 3)`, names every error class of its own `raise` statements, or says `see` another one. Commands are left out: what
-their docstrings say is their help. So are errors that a context manager `_explained` turns into others, and methods
-that an abstract base class of the project promises: its docstring says what they take and return.
+their docstrings say is their help. So are errors that a context manager `_explain_errors` turns into others, and
+methods that an abstract base class of the project promises: its docstring says what they take and return.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def _raised(function: ast.FunctionDef) -> set[str]:
     todo: list[ast.AST] = [function]
     while todo:
         node = todo.pop()
-        if isinstance(node, ast.With) and any("_explained(" in ast.unparse(item) for item in node.items):
+        if isinstance(node, ast.With) and any("_explain_errors(" in ast.unparse(item) for item in node.items):
             continue
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
             raised.add(ast.unparse(node.exc.func))

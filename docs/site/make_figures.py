@@ -22,7 +22,7 @@ from calib.core.numerics.identifiability import numerical_rank
 from calib.core.robots.kinematics import sweep
 from calib.core.robots.mechanism import RelativeFrame
 from calib.core.rows.jacobian import linearise
-from viz.svg import BLUE, GREY, ORANGE, plain_ticks, styled, svg_file
+from viz.svg import BLUE, GREY, ORANGE, plain_ticks, svg_file, with_style
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
@@ -154,7 +154,7 @@ FIGURE_MAKERS: dict[str, Callable[[], Figure]] = {
 }
 
 
-@styled
+@with_style
 def drawing(name: str) -> bytes:
     """Return a figure as an SVG file."""
     return svg_file(FIGURE_MAKERS[name]())

@@ -25,7 +25,7 @@ import calib
 from calib.core.base.arrays import FloatArray
 from calib.core.data.measurements import Measurements
 from calib.core.data.tables import read_table
-from viz.svg import BLUE, GREY, ORANGE, styled, svg_file
+from viz.svg import BLUE, GREY, ORANGE, svg_file, with_style
 
 ROOT = Path(__file__).resolve().parents[2]
 DESCRIPTION = ROOT / "docs" / "examples" / "ur10_tracker.yaml"
@@ -86,7 +86,7 @@ def shown(fit: calib.Calibration) -> Shown:
     return Shown(places, errors, np.array([(to_base @ robot.forward(pose, link))[:3, 3] for link in _LINKS]))
 
 
-@styled
+@with_style
 def drawing(robot: Shown, scheme: str) -> bytes:
     """Return the picture for a light or a dark page."""
     ink = _INK[scheme]

@@ -27,7 +27,7 @@ from verdict_scenarios import SCENARIOS, Trial, open_lab
 import calib
 from calib.core.base.errors import CalibrationError
 from calib.core.base.files import write_file
-from calib.core.base.workers import Workers, in_order
+from calib.core.base.workers import Workers, results_in_order
 from calib.core.data.table_writing import format_table
 from calib.core.robots.described_instruments import instruments_of
 
@@ -124,7 +124,7 @@ def carry_out(planned: Sequence[Run], processes: int, kept: Path | None = None) 
     done = _read(kept) if kept is not None and kept.exists() else {}
     left = [run for run in planned if run not in done]
     with Workers(processes, len(left)) as workers:
-        for outcome in in_order(calibrate, left, workers):
+        for outcome in results_in_order(calibrate, left, workers):
             done[outcome.run] = outcome
             if kept is not None:
                 with kept.open("a", encoding="utf-8") as file:

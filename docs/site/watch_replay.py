@@ -24,7 +24,7 @@ import calib
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.units import millimetres
 from calib.core.data.tables import read_table
-from viz.svg import BLUE, GREY, ORANGE, styled, svg_file
+from viz.svg import BLUE, GREY, ORANGE, svg_file, with_style
 
 FIGURE = Path(__file__).resolve().parents[1] / "figures" / "watch_replay.svg"
 DESCRIPTION = FIGURE.parents[1] / "examples" / "ur10_tracker.yaml"
@@ -95,7 +95,7 @@ def replays(folder: Path) -> dict[str, list[Replay]]:
     return result
 
 
-@styled
+@with_style
 def figure(by_folder: dict[str, list[Replay]]) -> Figure:
     """Draw them."""
     drawn = Figure(figsize=(7, 3.6), layout="constrained")

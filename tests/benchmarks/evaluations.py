@@ -80,7 +80,9 @@ def extended_medrue(off=0.3):
     sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
     truth = robot.with_parameters(robot.values + off * sigma * rng.standard_normal(len(sigma)))
     directions = from_direction(rng.choice([-1.0, 1.0], len(q)))
-    positions = truth.positions(q, Context.of(directions, {}))[:, 0] + 4e-5 * rng.standard_normal((len(q), 3))
+    positions = truth.positions(q, Context.from_conditions(directions, {}))[:, 0] + 4e-5 * rng.standard_normal(
+        (len(q), 3)
+    )
     return robot, replace(calib.as_measurements(robot, q, positions), approach=directions)
 
 
@@ -103,13 +105,13 @@ def fitted(robot, data, sigma):
 
 def most_of(starts, robot, data, sigma):
     """The most evaluations of solves from random starts, and whether all of them converged."""
-    problem = Problem.of(robot, data, sigma)
+    problem = Problem.from_data(robot, data, sigma)
     placed, unknowns = place(problem), problem.unknowns
     groups = solve_from(problem, placed, Settings(sigma=sigma)).groups
     solutions = []
     for seed in range(starts):
         away = np.where(unknowns.prior.has, np.random.default_rng(seed).standard_normal(len(unknowns)), 0.0)
-        start = unknowns.moved(placed.robot, unknowns.deviations(placed.robot.values) + away)
+        start = unknowns.robot_at(placed.robot, unknowns.deviations(placed.robot.values) + away)
         solutions.append(problem.solve(problem.evaluate(start), groups)[1])
     return max(solution.evaluations for solution in solutions), all(solution.converged for solution in solutions)
 

@@ -18,7 +18,7 @@ import numpy as np
 from timing import least
 
 import calib
-from calib.core.robots.acceleration import compiled
+from calib.core.robots.acceleration import compile_kinematics
 from medrue import robot_file
 from medrue.workspace import target_workspace
 
@@ -111,7 +111,7 @@ def table(folder=None, rounds=1):
     yield "| work | growing | from | to | times as long | slope |"
     yield "|---|---|---:|---:|---:|---:|"
     for growth in (rows(), targets(), unknowns(), candidates(), draws(), *([terms(folder)] if folder else [])):
-        with compiled(use=False):
+        with compile_kinematics(use=False):
             taken = least(rounds, few=growth.each[0], many=growth.each[1])
         (few, many), ratio = growth.sizes, taken["many"] / taken["few"]
         slope = np.log(ratio) / np.log(many / few)

@@ -56,7 +56,7 @@ def predicted(fit, train, test):
     robot, sigma = fit.robot, fit.sigma
     rows = rows_of_poses(robot, robot.assemble(train.joints), sigma).rows
     there = rows_of_poses(robot, robot.assemble(test.joints), sigma).position_rows
-    priors = Unknowns.of(robot).prior.rows
+    priors = Unknowns.from_robot(robot).prior.rows
 
     @one_blas_thread
     def error(index):

@@ -3,7 +3,7 @@
 import time
 
 from calib.core.base.threads import one_blas_thread
-from calib.core.robots.acceleration import compiled
+from calib.core.robots.acceleration import compile_kinematics
 
 QUICK = 0.02
 """Seconds of work that the next one finds its data in the processor's cache after, as the next step of a fit does."""
@@ -28,7 +28,7 @@ def fast(function):
     """The same work by compiled kinematics."""
 
     def run():
-        with compiled():
+        with compile_kinematics():
             return function()
 
     return run

@@ -81,7 +81,7 @@ def works(folder):
     draws = {
         "minima": solving.solve_from,
         "uncertainty": solving.uncertainty_at,
-        "readings simulated": study_data.Simulated.measured,
+        "readings simulated": study_data.SimulatedDraws.draw,
     }
     yield "a draw of a study, MedRUE, with `fast`", fast(lambda: calib.study(medrue, q, draws=100, sigma=SIGMA)), draws
     fits = {

@@ -47,7 +47,7 @@ def test_robot_and_ghost_stand_where_they_should(tab, scene):
             np.testing.assert_allclose(
                 matrices(tab, "solidMatrices"), scene.bodies.matrices(scene.solid, pose), atol=1e-6
             )
-            expected = scene.bodies.exaggerated(scene.solid, scene.ghost, pose, factor)
+            expected = scene.bodies.exaggerate(scene.solid, scene.ghost, pose, factor)
             np.testing.assert_allclose(matrices(tab, "ghostMatrices"), expected, atol=1e-6 * (1 + factor))
 
 
@@ -104,7 +104,7 @@ def test_the_pose_slider_moves_the_robot_and_the_panel(tab, scene):
         ("measured", table.measured, 1e3, 3),
         ("pred. after", table.after, 1e3, 3),
         ("error after", table.error("after"), 1e3, 4),
-        ("residual / σ", table.over_sigma(), 1, 2),
+        ("residual / σ", table.normalised_residuals(), 1, 2),
         ("pred. ± 1σ", table.spread, 1e3, 4),
     ):
         np.testing.assert_allclose(

@@ -32,7 +32,7 @@ def dots(a: FloatArray) -> FloatArray:
 
 def explained() -> None:
     """Do it, or raise `InputError`."""
-    with _explained(path):
+    with _explain_errors(path):
         raise IsADirectoryError("no")
 
 @click.command("do")

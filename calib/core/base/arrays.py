@@ -43,14 +43,14 @@ def hold(*arrays: NDArray[Any]) -> None:
 _HOLDING = (np.ndarray, tuple, dict)
 
 
-def _held_fast(value: Any) -> Any:
+def _read_only_copy(value: Any) -> Any:
     """Return an array, or a tuple or dictionary of arrays, that is read-only; anything else as it is."""
     if isinstance(value, np.ndarray):
         return read_only(value)
     if isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
         return tuple(read_only(array) for array in value)
     if isinstance(value, dict) and any(isinstance(array, np.ndarray) for array in value.values()):
-        return {key: _held_fast(array) for key, array in value.items()}
+        return {key: _read_only_copy(array) for key, array in value.items()}
     return value
 
 
@@ -90,7 +90,7 @@ class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
     _names: tuple[str, ...] = ()
 
     @staticmethod
-    def of(array: FloatArray, names: tuple[str, ...]) -> NamedRows:
+    def from_array(array: FloatArray, names: tuple[str, ...]) -> NamedRows:
         """Return the array (n, ...) with names of its rows; taking a row of another name is an `InputError`."""
         result = read_only(array).view(NamedRows)
         result._names = names
@@ -121,9 +121,10 @@ class ReadOnlyArrays:
             cls.__repr__ = ReadOnlyArrays.__repr__  # type: ignore[method-assign]  # its own, so dataclass keeps it
 
     def __repr__(self) -> str:
-        told = ((field.name, getattr(self, field.name)) for field in fields(self))  # type: ignore[arg-type]
+        shown_fields = ((field.name, getattr(self, field.name)) for field in fields(self))  # type: ignore[arg-type]
         shown = (
-            f"{name} {np.shape(value) if isinstance(value, np.ndarray) else _short(value)}" for name, value in told
+            f"{name} {np.shape(value) if isinstance(value, np.ndarray) else _short(value)}"
+            for name, value in shown_fields
         )
         return f"<{type(self).__name__}: {', '.join(shown)}>"
 
@@ -132,7 +133,7 @@ class ReadOnlyArrays:
         for name in _names_of_fields(type(self)):  # type: ignore[arg-type]  # classes have a hash
             value = kept[name]
             if isinstance(value, _HOLDING):
-                kept[name] = _held_fast(value)
+                kept[name] = _read_only_copy(value)
 
     def _with(self, forgotten: tuple[str, ...] = (), **values: Any) -> Self:
         """Return a copy in which some fields differ; what was computed of the others stays, but what is forgotten."""
@@ -140,7 +141,7 @@ class ReadOnlyArrays:
         changed.__dict__.update(self.__dict__)
         for name in forgotten:
             changed.__dict__.pop(name, None)
-        changed.__dict__.update({name: _held_fast(value) for name, value in values.items()})
+        changed.__dict__.update({name: _read_only_copy(value) for name, value in values.items()})
         return changed
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -75,7 +75,7 @@ class Contribution(Enum):
     FRAME = (
         "frame",
         "positions are in the robot's own base frame, fitted to them; the uncertainty of that fit does not count",
-        "rows.told_positions",
+        "rows.reported_uncertainty",
         (Sureness.POSITION,),
     )
     LEFT_OUT = (

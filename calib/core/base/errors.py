@@ -65,7 +65,7 @@ class ComputationError(CalibrationError):
 
 
 class NotIdentifiableError(ComputationError):
-    """The measurements do not determine the parameters that were asked for."""
+    """The measurements do not determine the requested parameters."""
 
 
 class NotConvergedError(ComputationError):

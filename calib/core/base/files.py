@@ -123,7 +123,7 @@ def write_files(
     with ExitStack() as stack:
         complete = []
         for path, plain in files.items():
-            with _explained(path):
+            with _explain_errors(path):
                 if path.is_dir():
                     raise IsADirectoryError(errno.EISDIR, "is a folder")
                 if _is_stream(path):
@@ -140,7 +140,7 @@ def write_files(
                 os.fchmod(handle, _permissions(target, 0o666))
                 complete.append((temporary, target))
         for temporary, target in complete:
-            with _explained(target):
+            with _explain_errors(target):
                 temporary.replace(target)
 
 
@@ -162,7 +162,7 @@ def check_folder(path: Path | str, names: Collection[str] = (), *, force: bool =
         force: See `write_folder`.
     """
     path = Path(path)
-    with _explained(path):
+    with _explain_errors(path):
         _check_replaceable(path.resolve())
         for name in names:
             require_replaceable(path / name, force=force)
@@ -177,7 +177,7 @@ def check_folder(path: Path | str, names: Collection[str] = (), *, force: bool =
 def check_file(path: Path | str, *, inputs: Iterable[Path | str] = (), force: bool = False) -> None:
     """Raise `InputError` now if the file `path` could not be written later; see `write_files`."""
     path = Path(path)
-    with _explained(path):
+    with _explain_errors(path):
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "is a folder")
         if _is_stream(path):
@@ -213,7 +213,7 @@ def write_folder(
         InputError: The folder cannot be written, or a file in it should not be replaced; what was there is untouched.
     """
     path = Path(path).resolve()
-    with _explained(path):
+    with _explain_errors(path):
         _check_replaceable(path)
         for name in (*files, *obsolete):
             if (path / name).is_dir():
@@ -245,7 +245,7 @@ def _check_replaceable(path: Path) -> None:
 
 
 def _is_stream(path: Path) -> bool:
-    """Whether it is a pipe, a device or another program's open file, which no other file can replace."""
+    """Whether a path is a pipe, a device or another program's open file, which no other file can replace."""
     folder = path.absolute().parent
     return path.exists() and (not path.is_file() or folder in _STREAM_FOLDERS or folder.parts[1:2] == ("proc",))
 
@@ -259,7 +259,7 @@ def _permissions(path: Path, default: int) -> int:
 
 
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
+def _explain_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:

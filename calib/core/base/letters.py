@@ -36,8 +36,8 @@ def unseen(name: str) -> str:
     found = None if name.isascii() and name.isprintable() else _IN_NAMES.search(name)
     if found is None:
         return ""
-    shown = _IN_NAMES.sub(_spelt, name[:_WORD_SHOWN])
-    return f"'{shown}' holds {_spelt(found)}, which nobody sees; write the name without it"
+    shown = _IN_NAMES.sub(_spell_letter, name[:_WORD_SHOWN])
+    return f"'{shown}' holds {_spell_letter(found)}, which nobody sees; write the name without it"
 
 
 def brief(text: str) -> str:
@@ -46,15 +46,15 @@ def brief(text: str) -> str:
     >>> brief("not a number: " + 50_000 * "9")[:50], len(brief(50_000 * "a b "))
     ('not a number: 999999999999999999999999999999999999', 4035)
     """
-    words = _LONG_WORD.sub(lambda word: _cut(word[0], _WORD_SHOWN), text)
-    return words if len(words) <= _TEXT else _cut(words, _TEXT_SHOWN)
+    words = _LONG_WORD.sub(lambda word: _shorten(word[0], _WORD_SHOWN), text)
+    return words if len(words) <= _TEXT else _shorten(words, _TEXT_SHOWN)
 
 
-def _cut(text: str, kept: int) -> str:
+def _shorten(text: str, kept: int) -> str:
     return f"{text[:kept]}... ({len(text) - 2 * kept} further characters) ...{text[-kept:]}"
 
 
-def _spelt(letter: re.Match[str]) -> str:
+def _spell_letter(letter: re.Match[str]) -> str:
     return letter[0].encode("unicode_escape").decode()
 
 

@@ -55,8 +55,8 @@ def tables() -> dict[str, tuple[Words, ...]]:
     return result
 
 
-def way(word: str, place: str) -> str:
-    """Return what to write for a word of another package, as the end of a message; empty if the table has none.
+def hint_for(word: str, place: str) -> str:
+    """Return the hint for a word that another package uses, as the end of a message; empty without one.
 
     Args:
         word: The word.
@@ -81,7 +81,7 @@ def _plain(word: str) -> str:
     return plain or word
 
 
-class Hinting:
+class HintedObject:
     """Base of what users hold: a name that it does not have is answered with the one that is meant.
 
     Attributes:
@@ -101,18 +101,18 @@ class Hinting:
                 raise AttributeError(name)
             if any(name in parent.__dict__ for parent in type(self).__mro__):
                 return object.__getattribute__(self, name)  # it has it: the error that comes is what went wrong inside
-            hint = way(name, self._other_words)
+            hint = hint_for(name, self._other_words)
             own = [*self._own_parameters()] if hint else []
             for example, parameter in zip(EXAMPLES, own[:1] + own[-1:], strict=False):
                 hint = hint if example in own else hint.replace(f'"{example}"', f'"{parameter}"')
-            raise UnknownNameError(_no_name(type(self).__name__, name, hint, dir(self)))
+            raise UnknownNameError(_unknown_name_error(type(self).__name__, name, hint, dir(self)))
 
 
-def _no_name(of: str, name: str, hint: str, names: list[str]) -> str:
+def _unknown_name_error(of: str, name: str, hint: str, names: list[str]) -> str:
     public = [candidate for candidate in names if candidate[0] != "_" and candidate.isidentifier()]
     return f"{of} has no '{name}'" + (hint or nearest(name, public))
 
 
-def no_name_in_package(name: str, names: list[str]) -> UnknownNameError:
+def unknown_name_error(name: str, names: list[str]) -> UnknownNameError:
     """Return the error of a name that `calib` does not have, whose names these are."""
-    return UnknownNameError(_no_name("module 'calib'", name, way(name, "`calib` itself"), names))
+    return UnknownNameError(_unknown_name_error("module 'calib'", name, hint_for(name, "`calib` itself"), names))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, SupportsIndex, overload
 
 from calib.core.base.errors import ParameterError, nearest
-from calib.core.base.other_words import way
+from calib.core.base.other_words import hint_for
 from calib.core.base.units import PER_SI, Dimension
 from calib.core.base.words import data_frame
 
@@ -97,5 +97,5 @@ def index_of(parameters: Sequence[Parameter], name: str, where: str = "parameter
     for index, parameter in enumerate(parameters):
         if parameter.name == name:
             return index
-    meant = way(name, "names of parameters") or nearest(name, [parameter.name for parameter in parameters])
+    meant = hint_for(name, "names of parameters") or nearest(name, [parameter.name for parameter in parameters])
     raise ParameterError(f"{where}: no parameter '{name}'{meant}")

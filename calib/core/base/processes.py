@@ -59,17 +59,17 @@ class Processes(Executor):
 
     def submit(self, function: Callable[..., Result], /, *arguments: Any, **named: Any) -> Future[Result]:
         """See `concurrent.futures.Executor`."""
-        return self._taken((function, None, arguments, named))
+        return self._submit((function, None, arguments, named))
 
     def holding(self, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:
         """Return what submits calls of a function that is sent to each process once."""
         held = object()
-        return lambda item: self._taken((function, held, (item,), {}))
+        return lambda item: self._submit((function, held, (item,), {}))
 
-    def _taken(self, work: _Work) -> Future[Any]:
+    def _submit(self, work: _Work) -> Future[Any]:
         if not self._processes:
             raise RuntimeError("these processes have been ended")
-        future = _Awaited[Any](self)
+        future = _PendingResult[Any](self)
         self._waiting.append((future, work))
         self._send()
         return future
@@ -83,7 +83,7 @@ class Processes(Executor):
             try:
                 answer = line.recv_bytes()
             except (EOFError, OSError):  # the process is gone, perhaps half-way through its answer
-                future.set_exception(self._lost(line))
+                future.set_exception(self._replace_process(line))
                 continue
             try:
                 error, result = pickle.loads(answer)
@@ -109,14 +109,14 @@ class Processes(Executor):
                     if held is not None:
                         self._held[line] = held
                 except ConnectionError:
-                    future.set_exception(self._lost(line))
+                    future.set_exception(self._replace_process(line))
                     break
                 except Exception as error:  # work that cannot be sent
                     future.set_exception(error)
                     continue
                 self._busy[line] = future
 
-    def _lost(self, line: Connection) -> Exception:
+    def _replace_process(self, line: Connection) -> Exception:
         """Replace a process, and say how it ended."""
         process = self._processes.pop(line)
         self._held.pop(line, None)
@@ -143,7 +143,7 @@ class Processes(Executor):
             process.kill()
 
 
-class _Awaited(Future[Result]):
+class _PendingResult(Future[Result]):
     """A result for which the processes proceed when it is waited for."""
 
     def __init__(self, processes: Processes) -> None:

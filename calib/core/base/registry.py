@@ -1,7 +1,7 @@
 """Classes by name: those of this package, and those of other packages.
 
 Another package names its classes in its `pyproject.toml`, in the registry's group of entry points; a notebook or script
-calls `register`. Names are looked up when they are asked for, so that nothing of another package is imported before.
+calls `register`. Names are looked up at first use, so that nothing of another package is imported before.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ Class = TypeVar("Class")
 _CAPABILITIES = "calib.capabilities"  # by name: the core imports no capability
 
 
-def installed(group: str) -> tuple[EntryPoint, ...]:
+def list_entry_points(group: str) -> tuple[EntryPoint, ...]:
     """Return the entry points of a group: those of the capabilities, then those of other packages by their names.
 
     All installed packages are looked through, once for each search path of modules: that takes longer than many fits.
     """
-    return _installed(group, tuple(sys.path))
+    return _find_entry_points(group, tuple(sys.path))
 
 
 @lru_cache(maxsize=32)
-def _installed(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+def _find_entry_points(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
     own = [entry for entry in import_module(_CAPABILITIES).BROUGHT if entry.group == group]
     return (*own, *sorted(entry_points(group=group), key=lambda entry: entry.name))
 
@@ -45,7 +45,7 @@ def brought(group: str, name: str) -> Any:
     Raises:
         KeyError: Nothing is.
     """
-    return {entry.name: entry for entry in reversed(installed(group))}[name].load()
+    return {entry.name: entry for entry in reversed(list_entry_points(group))}[name].load()
 
 
 class Registry(Mapping[str, type[Class]], Generic[Class]):
@@ -81,7 +81,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         """
         if name in self._built_in or name in self._entries():
             raise DescriptionError(f"{self.what} '{name}': there is one already; give another name")
-        self._given[name] = self._checked(name, given, f"({given!r})")
+        self._given[name] = self._check_class(name, given, f"({given!r})")
 
     def __getitem__(self, name: str) -> type[Class]:
         """Return the class of a name.
@@ -93,7 +93,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         known = self._built_in.get(name) or self._given.get(name)
         if known is None:
             entry = self._entries()[name]
-            known = self._given[name] = self._checked(name, self._loaded(entry), f"({entry.value})")
+            known = self._given[name] = self._check_class(name, self._load(entry), f"({entry.value})")
         return known
 
     def __contains__(self, name: object) -> bool:
@@ -115,7 +115,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
             DescriptionError: Two packages give one name, or one gives that of a class of this package.
         """
         entries: dict[str, EntryPoint] = {}
-        for entry in installed(self.group):
+        for entry in list_entry_points(self.group):
             other = entries.setdefault(entry.name, entry)
             if entry.name in self._built_in or other.value != entry.value:
                 known = f" ({other.value})" if other.value != entry.value else ""
@@ -125,7 +125,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
                 )
         return entries
 
-    def _loaded(self, entry: EntryPoint) -> object:
+    def _load(self, entry: EntryPoint) -> object:
         try:
             return entry.load()
         except Exception as error:  # whatever another package does while it is imported
@@ -134,7 +134,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
                 " install its package again, or uninstall it"
             ) from None
 
-    def _checked(self, name: str, given: object, where: str) -> type[Class]:
+    def _check_class(self, name: str, given: object, where: str) -> type[Class]:
         if not (isinstance(given, type) and issubclass(given, self._base)):
             raise DescriptionError(f"{self.what} '{name}' {where}: is not derived from {self._base.__qualname__}")
         if isabstract(given):

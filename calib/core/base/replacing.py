@@ -38,7 +38,7 @@ def new_file(parent: Path) -> Iterator[tuple[Path, int]]:
     while True:
         handle, name = tempfile.mkstemp(dir=parent, prefix=_NEW)
         path = Path(name)
-        if _locked(path, handle):
+        if _try_lock(path, handle):
             break
         os.close(handle)
     try:
@@ -57,7 +57,7 @@ def new_folder(parent: Path, prefix: str = _NEW) -> Iterator[Path]:
             handle = os.open(path, os.O_RDONLY)
         except FileNotFoundError:  # another program took it for a leftover
             continue
-        if _locked(path, handle):
+        if _try_lock(path, handle):
             break
         os.close(handle)
     try:
@@ -67,7 +67,7 @@ def new_folder(parent: Path, prefix: str = _NEW) -> Iterator[Path]:
         os.close(handle)
 
 
-def _locked(path: Path, handle: int) -> bool:
+def _try_lock(path: Path, handle: int) -> bool:
     """Lock a new file or folder; False if another program took it for a leftover just before."""
     with suppress(OSError):  # without locks nothing is ever taken for a leftover
         fcntl.flock(handle, fcntl.LOCK_EX)
@@ -115,7 +115,7 @@ def replace_folder(new: Path, path: Path, obsolete: Collection[str]) -> None:
         path: The place, in the same parent folder.
         obsolete: Names in `path` that do not stay.
     """
-    with _alone_in(path.parent):
+    with _exclusive_in(path.parent):
         while True:
             leave = {*os.listdir(new), *obsolete}  # noqa: PTH208  # names alone
             carried = _carry(path, new, leave)
@@ -129,7 +129,7 @@ def replace_folder(new: Path, path: Path, obsolete: Collection[str]) -> None:
                 if exchange(new, path):
                     _follow(new, path, carried, leave)
                     return
-                if _set_aside(new, path):
+                if _try_replace_folder(new, path):
                     return
             except FileNotFoundError:
                 if not new.exists():
@@ -138,7 +138,7 @@ def replace_folder(new: Path, path: Path, obsolete: Collection[str]) -> None:
 
 
 @contextmanager
-def _alone_in(parent: Path) -> Iterator[None]:
+def _exclusive_in(parent: Path) -> Iterator[None]:
     """Replace while no other program of this module does so in the same folder, as far as the file system has locks."""
     handle = os.open(parent, os.O_RDONLY)
     try:
@@ -168,7 +168,7 @@ def exchange(path: Path, other: Path) -> bool:
     raise OSError(number, os.strerror(number))
 
 
-def _set_aside(new: Path, path: Path) -> bool:
+def _try_replace_folder(new: Path, path: Path) -> bool:
     """Replace a folder in two steps; False if another program was faster, and it has to be tried again."""
     with new_folder(path.parent, _OLD) as attic:  # and the end of the block puts it back if the place is free
         path.rename(attic / path.name)

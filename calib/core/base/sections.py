@@ -210,13 +210,13 @@ def _read(value: Any) -> OwnLength:
     return OwnLength(quantity(value["value"], "length", "value", _ValueError), True, sigma)
 
 
-def _written(length: OwnLength) -> float | str | dict[str, float]:
+def _to_yaml(length: OwnLength) -> float | str | dict[str, float]:
     if not length.unknown:
         return length.value
     return "unknown" if length.sigma is None else {"value": length.value, "sigma": length.sigma}
 
 
-LengthOrUnknown = Annotated[OwnLength, PlainValidator(_read), PlainSerializer(_written)]
+LengthOrUnknown = Annotated[OwnLength, PlainValidator(_read), PlainSerializer(_to_yaml)]
 """`12 mm`: known; `{value: 12 mm, sigma: 0.1 mm}`: expected there, and found; `unknown`: found."""
 
 

@@ -28,7 +28,7 @@ def warn_once(text: str) -> None:
     logging.getLogger("calib").warning("%s", text)
 
 
-def counted(number: int, singular: str, plural: str | None = None) -> str:
+def count_noun(number: int, singular: str, plural: str | None = None) -> str:
     """Return a number with its noun.
 
     Args:
@@ -43,7 +43,7 @@ def counted(number: int, singular: str, plural: str | None = None) -> str:
     return f"{number} {singular if number == 1 else plural or singular + 's'}"
 
 
-def listed(names: Sequence[str], separator: str = ", ", shown: int = _LISTED) -> str:
+def listing(names: Sequence[str], separator: str = ", ", shown: int = _LISTED) -> str:
     """Return the first few of many, and how many more there are."""
     return separator.join(names[:shown]) + (f"{separator}and {len(names) - shown} more" if len(names) > shown else "")
 
@@ -60,10 +60,10 @@ def joints_named(*names: str, separator: str = ", ", shown: int = _LISTED) -> st
         >>> joints_named("elbow"), joints_named("elbow", "wrist"), joints_named("joint_2")
         ('joint elbow', 'joints elbow, wrist', 'joint_2')
     """
-    said = listed(names, separator, shown)
+    text = listing(names, separator, shown)
     if all(name.casefold().startswith("joint") for name in names):
-        return said
-    return f"{'joint' if len(names) == 1 else 'joints'} {said}"
+        return text
+    return f"{'joint' if len(names) == 1 else 'joints'} {text}"
 
 
 def distinct_names(paths: Sequence[Path | str]) -> tuple[str, ...]:
@@ -99,11 +99,11 @@ def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) 
     console = Console(file=stream, width=width, color_system=None, markup=False, emoji=False, highlight=False)
     for part in parts:
         broken = wrap and isinstance(part, str)
-        console.print(_wrapped(str(part), width) if broken else part, soft_wrap=isinstance(part, str))
+        console.print(_wrap_lines(str(part), width) if broken else part, soft_wrap=isinstance(part, str))
     return stream.getvalue()
 
 
-def _wrapped(text: str, width: int) -> str:
+def _wrap_lines(text: str, width: int) -> str:
     """Lines broken at a width; what follows a break stands two places further in."""
     lines = []
     for line in text.split("\n"):
@@ -151,7 +151,7 @@ def table_html(rows: Sequence[dict[str, object]]) -> str:
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def titled_html(title: str, lines: Sequence[str], *tables: Sequence[dict[str, object]]) -> str:
+def html_with_title(title: str, lines: Sequence[str], *tables: Sequence[dict[str, object]]) -> str:
     """Return a heading, lines and tables as HTML; nothing in them is markup."""
     paragraphs = "".join(f"<p>{html.escape(line)}</p>" for line in lines)
     return f"<h3>{html.escape(title)}</h3>{paragraphs}{''.join(table_html(rows) for rows in tables)}"

@@ -2,10 +2,11 @@
 
 Workers are any `concurrent.futures` executor: threads, processes of this machine (a number), or those of a cluster
 (docs/howto/many_calibrations.md). Everything that shares work takes it as `executor`, and passes it through `Workers`
-to `in_order`. An error of the work travels as a value, so that whatever else a future raises means one thing: its
-worker was lost. What is done is kept, what was lost is sent again. Where the executor takes no more work because losing
-a worker has broken it, the rest is done here. What all pieces of work share, such as the first fit of a study, goes to
-each worker once, if the executor can hold it (processes of `Workers`, and those of Dask); otherwise with every piece.
+to `results_in_order`. An error of the work travels as a value, so that whatever else a future raises means one thing:
+its worker was lost. What is done is kept, what was lost is sent again. Where the executor takes no more work because
+losing a worker has broken it, the rest is done here. What all pieces of work share, such as the first fit of a study,
+goes to each worker once, if the executor can hold it (processes of `Workers`, and those of Dask); otherwise with every
+piece.
 
 The processes of `Workers` end with the program that started them, however it ends: after Ctrl-C, SIGTERM or SIGHUP they
 are stopped before the program is left, and where it dies without a chance to do so (SIGKILL), each of them notices by
@@ -37,7 +38,7 @@ _AHEAD = 256  # pieces of work sent at a time: each carries what it needs, and i
 _LOSSES = 3  # of the same piece of work in a row; the work itself then ends its workers
 
 
-def in_order(
+def results_in_order(
     function: Callable[[Item], Result],
     items: Sequence[Item],
     executor: Executor | None,
@@ -65,7 +66,7 @@ def in_order(
                 result = function(items[k])
             else:
                 for more in range(k + len(futures), min(k + _AHEAD, len(items))):
-                    futures[more] = _sent(send, items[more])
+                    futures[more] = _try_send(send, items[more])
                 result = _result(k, function, items, executor, futures)
                 del futures[k]  # what came out of it is not kept twice
             if progress is not None:
@@ -101,7 +102,7 @@ def _result(
                 ) from lost
             for other, sent in futures.items():
                 if _is_lost(sent):
-                    futures[other] = _sent(_plainly(executor, function), items[other])
+                    futures[other] = _try_send(_plainly(executor, function), items[other])
             continue
         if succeeded:
             return cast(Result, result)
@@ -123,7 +124,7 @@ def _plainly(executor: Executor, function: Callable[[Item], Result]) -> _Send[It
     return lambda item: executor.submit(_answer, function, item)
 
 
-def _sent(send: _Send[Item], item: Item) -> _Sent:
+def _try_send(send: _Send[Item], item: Item) -> _Sent:
     """A future, or None where the executor takes no more work."""
     try:
         return send(item)
@@ -147,7 +148,7 @@ class Steps:
     """Tells how many steps of a long call are done, and of how many: of those known by now.
 
     Args:
-        progress: Who is told after each step; no call if not given.
+        progress: Called after each step; no call if not given.
     """
 
     def __init__(self, progress: Progress | None = None) -> None:
@@ -158,7 +159,7 @@ class Steps:
         """Count further steps among those to do."""
         self._total += count
 
-    def done(self, *_: int) -> None:
+    def advance(self, *_: int) -> None:
         """Count one more as done; called like a `Progress`, so that it can be the one of a part of the steps."""
         self._done += 1
         if self._progress is not None:

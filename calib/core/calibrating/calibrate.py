@@ -1,9 +1,9 @@
 """Calibration: a fit, judged, and fitted again where the judgement asks for it.
 
-Order of work: (1) joint terms, if asked for, as large as readings show (`calib.core.fitting.terms.term_sizes`); what a
+Order of work: (1) joint terms, if requested, as large as readings show (`calib.core.fitting.terms.term_sizes`); what a
 section of the description says, such as that on a fleet, is left out where the readings contradict it; (2) the fit
 (`calib.core.fitting.fit`), which is that of step 1 where no term was added; (3) outliers left out and all done again,
-if asked for; (4) poses left out in turn for cross-validation, if asked for; also where noise is so far above its
+if asked for; (4) poses left out in turn for cross-validation, if requested; also where noise is so far above its
 statement that nothing else can prove the result.
 
 Outliers that are to be left out are found with a robust loss, so that they cannot hide behind each other. A reading
@@ -24,14 +24,14 @@ from functools import partial
 import numpy as np
 
 from calib.core.base.errors import CalibrationError, ComputationError, InputError, UnreachablePoseError
-from calib.core.base.registry import installed
+from calib.core.base.registry import list_entry_points
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Progress, Steps, Workers
 from calib.core.data.measurements import Measurements
-from calib.core.fitting.fit import Minimum, Nearby, fit_at, fit_data, minimum_of, of_a_part, unseen
+from calib.core.fitting.fit import Minimum, WarmStart, fit_at, fit_data, fit_of_a_part, minimum_of, unseen
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import likely_mistake, zeros_in_words
-from calib.core.fitting.outliers import Outlier, left_out_with
+from calib.core.fitting.outliers import Outlier, readings_of_outliers
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.terms.candidate_terms import TermChoice, missing_terms
 from calib.core.fitting.terms.term_sizes import size_terms
@@ -40,7 +40,7 @@ from calib.core.judging import findings
 from calib.core.judging.rules_noise import unproven
 from calib.core.judging.verdict import JudgedFit
 from calib.core.robots.robot import Robot
-from calib.core.robots.terms.terms import listed_terms
+from calib.core.robots.terms.terms import parse_terms
 
 PROVING = 5
 """Folds if none are asked for, and only poses left out can prove the result."""
@@ -80,11 +80,11 @@ def calibrate(
     started = time.perf_counter()
     _require_measurements(data, validation)
     with Workers(executor, max(settings.starts - 1, n_folds(data, settings.folds))) as workers:
-        fit = _calibrated(robot, data, validation, settings, workers, Steps(progress))
-    return JudgedFit.of(replace(fit, seconds=time.perf_counter() - started))
+        fit = _run_steps(robot, data, validation, settings, workers, Steps(progress))
+    return JudgedFit.from_fit(replace(fit, seconds=time.perf_counter() - started))
 
 
-def _calibrated(
+def _run_steps(
     robot: Robot,
     data: Measurements,
     validation: Measurements | None,
@@ -97,14 +97,14 @@ def _calibrated(
     steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
     try:
         robot, choice, minimum, nearby = _with_terms(robot, data, validation, settings, steps)
-        for entry in installed("calib.contradicted"):  # loaded only for a robot that has such a section
+        for entry in list_entry_points("calib.contradicted"):  # loaded only for a robot that has such a section
             if (section := getattr(robot.description, entry.name)) is not None:
                 robot = entry.load()(robot, data, settings, section)
         if minimum is None or minimum.robot is not robot or settings.starts > 1 or unseen(robot, data, validation):
             minimum = minimum_of(robot, settings, data, validation, workers, steps, nearby)
         else:  # what was found without further terms is the minimum
-            steps.done()
-            steps.done()
+            steps.advance()
+            steps.advance()
         fit = fit_at(minimum, settings, validation, steps)
     except (UnreachablePoseError, ComputationError) as error:
         mistake = likely_mistake(robot, data) or zeros_in_words(data, robot)
@@ -122,21 +122,21 @@ def _calibrated(
             again=lambda kept: fit_again(kept, settings),
         )
     leave_out = partial(
-        cross_validate, fit.identification.data, seed=settings.seed, fit=of_a_part(fit, plain), executor=workers
+        cross_validate, fit.identification.data, seed=settings.seed, fit=fit_of_a_part(fit, plain), executor=workers
     )
     if settings.folds:
-        fit = replace(fit, folds=leave_out(settings.folds, progress=steps.done))
+        fit = replace(fit, folds=leave_out(settings.folds, progress=steps.advance))
     elif unproven(fit):
         steps.expect(PROVING)
         with suppress(CalibrationError):  # too few poses to leave some out: then nothing is proven
-            fit = replace(fit, folds=leave_out(PROVING, progress=steps.done))
+            fit = replace(fit, folds=leave_out(PROVING, progress=steps.advance))
     return replace(fit, terms=choice)
 
 
 def _with_terms(
     robot: Robot, data: Measurements, validation: Measurements | None, settings: Settings, steps: Steps
-) -> tuple[Robot, TermChoice | None, Minimum | None, Nearby | None]:
-    """The robot with the joint terms that were asked for; its minimum, or what is left to its fit, if known."""
+) -> tuple[Robot, TermChoice | None, Minimum | None, WarmStart | None]:
+    """The robot with the requested joint terms; its minimum, or what is left to its fit, if known."""
     described, terms, nearby = robot.description.terms, settings.terms, None
     if terms is None:
         return robot, None, None, None
@@ -145,13 +145,13 @@ def _with_terms(
     elif terms == "auto":
         first = replace(settings, starts=1)
         minimum = minimum_of(robot, first, data, validation, steps=steps)
-        choice = size_terms(fit_at(minimum, first, steps=steps, nearby=Nearby.no_intervals(robot)))
-        steps.done()
+        choice = size_terms(fit_at(minimum, first, steps=steps, nearby=WarmStart.without_intervals(robot)))
+        steps.advance()
         if choice.sections == described:
             return robot, choice, minimum, None
-        nearby = Nearby(placed=(minimum.start.robot, minimum.start.residuals))
+        nearby = WarmStart(placed=(minimum.start.robot, minimum.start.residuals))
     else:
-        choice = TermChoice(terms, (*described, *missing_terms(robot, listed_terms(terms))))
+        choice = TermChoice(terms, (*described, *missing_terms(robot, parse_terms(terms))))
     return robot.with_terms(choice.sections), choice, None, nearby
 
 
@@ -171,7 +171,7 @@ def _without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Me
     Args:
         first: The fit of all readings.
         robust: Fits all readings with a robust loss.
-        again: Fits some of the readings as asked.
+        again: Fits some of the readings with the same options.
     """
     data = first.identification.data
     layout = first.rows.layout
@@ -188,10 +188,10 @@ def _without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Me
             own = data.readings[outlier.target].visits
             reading = layout.readings_of(outlier.target).start + int(number)
             excluded.append(replace(outlier, reading=reading, pose=int(own[number])))
-        for name, gone in left_out_with(outliers, now).items():
+        for name, gone in readings_of_outliers(outliers, now).items():
             left = np.delete(kept[name], gone)
             kept[name] = left[np.argsort(data.readings[name].visits[left], kind="stable")]  # as a subset has them
-        current = again(data.of_readings(kept))
+        current = again(data.with_readings(kept))
     if not excluded:
         return first
     return replace(current, excluded=tuple(excluded), with_all=first)

@@ -1,4 +1,5 @@
-"""The robots that files of a fit get: for each kind of file the best that it can hold (`calib.core.robots.held`).
+"""The robots that files of a fit get: for each kind of file the best that it can hold
+(`calib.core.robots.accuracy_of_files`).
 
 A file that loses joint terms gets the robot that the same measurements give without them: fitted again, from
 the nominal robot, to the same visits (without those that were left out as outliers), with the same noise, loss, starts
@@ -27,13 +28,13 @@ from calib.core.base.errors import CalibrationError
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Workers
 from calib.core.calibrating.calibrate import PROVING
-from calib.core.fitting.fit import Nearby, fit_data, of_a_part
+from calib.core.fitting.fit import WarmStart, fit_data, fit_of_a_part
 from calib.core.fitting.fitted import COMPUTED, Fit
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.unseen_errors import accuracy
 from calib.core.fitting.validation import cross_validate, n_folds
 from calib.core.judging.verdict import JudgedFit
-from calib.core.robots.held import Accuracy, FileRobot, Holds
+from calib.core.robots.accuracy_of_files import Accuracy, FileRobot, Holds
 from calib.core.robots.joint_errors import actual_joints
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import lost_by, without_terms
@@ -48,7 +49,7 @@ _SAME = 1.0 + 1e-6  # times the error of the nominal robot, beside `COMPUTED`: w
 def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = None) -> JudgedFit:
     """Return a fit that knows the robots which files of it get.
 
-    Fits without joint terms are done at once; what else a file may need is found when it is first asked for.
+    Fits without joint terms are done at once; what else a file may need is found at first use.
 
     Args:
         fit: The fit.
@@ -63,9 +64,9 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
             robot = start_of(fit, holds)
             if robot.terms or holds is Holds.ORIGINS:
                 with suppress(CalibrationError):  # then there is no such file, and who asks for one is told
-                    reduced[holds] = _fitted_again(fit, robot, settings, workers)
+                    reduced[holds] = _refit(fit, robot, settings, workers)
     fit = replace(fit, reduced=reduced, seconds=fit.seconds + time.perf_counter() - started)
-    return JudgedFit.of(replace(fit, robot=replace(fit.robot, files=FitFiles(fit, settings))))
+    return JudgedFit.from_fit(replace(fit, robot=replace(fit.robot, files=FitFiles(fit, settings))))
 
 
 def start_of(fit: Fit, holds: Holds) -> Robot:
@@ -74,10 +75,10 @@ def start_of(fit: Fit, holds: Holds) -> Robot:
     The nominal one, where its values belong to these terms, as those of an earlier result.
     """
     robot = without_terms(fit.nominal, holds)
-    return robot.at_nominal() if lost_by(fit.nominal, holds) else robot
+    return robot.with_nominal_values() if lost_by(fit.nominal, holds) else robot
 
 
-def _fitted_again(
+def _refit(
     fit: Fit,
     robot: Robot,
     settings: Settings,
@@ -97,7 +98,7 @@ def _fitted_again(
         intervals: Whether anybody reads its intervals.
     """
     data, validation = fit.identification.data, None if fit.validation is None else fit.validation.data
-    nearby = Nearby.of(fit) if intervals else Nearby.no_intervals(robot, fit)
+    nearby = WarmStart.from_fit(fit) if intervals else WarmStart.without_intervals(robot, fit)
     if signs is not None and np.any(signs < 0):
         data = replace(data, joints=signs * data.joints)
         validation = None if validation is None else replace(validation, joints=signs * validation.joints)
@@ -107,11 +108,11 @@ def _fitted_again(
     if fit.folds is None:
         return again
     count = settings.folds or PROVING
-    return replace(again, folds=cross_validate(data, count, settings.seed, of_a_part(again, settings), workers))
+    return replace(again, folds=cross_validate(data, count, settings.seed, fit_of_a_part(again, settings), workers))
 
 
 class FitFiles(Mapping[Holds, FileRobot]):
-    """The robots that files of a fit get, each found when it is first asked for; those that there are.
+    """The robots that files of a fit get, each found at first use; those that there are.
 
     Args:
         fit: The fit.
@@ -152,8 +153,8 @@ class FitFiles(Mapping[Holds, FileRobot]):
         fitted = (self._fit.reduced or {}).get(holds)
         return None if fitted is None else file_robot(fitted)
 
-    def _again(self, robot: Robot, signs: FloatArray | None = None) -> Fit:
-        return _fitted_again(self._fit, robot, replace(self._settings, starts=1), signs=signs, intervals=False)
+    def _refit(self, robot: Robot, signs: FloatArray | None = None) -> Fit:
+        return _refit(self._fit, robot, replace(self._settings, starts=1), signs=signs, intervals=False)
 
     def _to_last_axis(self) -> FileRobot | None:
         """The robot with what lies behind the last axis as it is nominally."""
@@ -165,15 +166,15 @@ class FitFiles(Mapping[Holds, FileRobot]):
             if p.name.rpartition(".")[0] in behind and not p.placement and p.name not in start.description.held
         }
         return (
-            file_robot(self._again(start.with_parameters(nominal).fix(*nominal)))
+            file_robot(self._refit(start.with_parameters(nominal).fix(*nominal)))
             if nominal
             else self.get(Holds.ORIGINS)
         )
 
     def _zeros(self) -> FileRobot:
         """The nominal robot with joint zeros."""
-        nominal, signs = without_terms(self._fit.nominal, Holds.ZEROS).at_nominal(), self._signs()
-        fitted = self._again(with_zeros(nominal), signs)
+        nominal, signs = without_terms(self._fit.nominal, Holds.ZEROS).with_nominal_values(), self._signs()
+        fitted = self._refit(with_zeros(nominal), signs)
         offsets = fitted.robot.values[fitted.robot.coefficients]
         offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)  # what base and targets took up
         return replace(file_robot(fitted), values={}, signs=signs, offsets=offsets)
@@ -194,7 +195,7 @@ def with_zeros(nominal: Robot) -> Robot:
         dimension = nominal.mechanism.dimensions[name]
         expected = max((p.sigma_si for p in origins if p.dimension == dimension and not p.placement), default=None)
         section = TermSection(joint=name, term=Zero.word)
-        terms.append(Zero.of(Joint(name, dimension, nominal.joint_names), section, expected))
+        terms.append(Zero.from_section(Joint(name, dimension, nominal.joint_names), section, expected))
     robot = replace(nominal, terms=tuple(terms), values=np.append(nominal.values, np.zeros(len(terms))))
     return robot.fix(*(p.name for p in origins if not p.placement))
 
@@ -216,8 +217,8 @@ def why_withheld(reached: Accuracy) -> str:
     if reached.rms <= _SAME * reached.before + COMPUTED:
         return ""
     return (
-        f"it is worse than the nominal robot: {reached.shown(reached.rms)} RMS, and"
-        f" {reached.shown(reached.before)} for the nominal one ({reached.where})"
+        f"it is worse than the nominal robot: {reached.in_unit(reached.rms)} RMS, and"
+        f" {reached.in_unit(reached.before)} for the nominal one ({reached.pose_words})"
     )
 
 

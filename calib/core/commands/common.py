@@ -82,7 +82,7 @@ class Output:
             self.note(f"note: and {len(remarks) - _REMARKS} more")
 
     def json(self, content: object) -> None:
-        """Write JSON if it was asked for; null for numbers that are not known."""
+        """Write JSON if requested; null for numbers that are not known."""
         if self.json_target is None:
             return
         text = json.dumps(as_data(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
@@ -227,7 +227,7 @@ def jobs_option(shared: str, default: int = 1) -> Callable[[Callable[..., None]]
 
     Args:
         shared: The work that they share.
-        default: How many of them, if not told.
+        default: How many of them, if not given.
     """
     return click.option(
         "-j",
@@ -264,7 +264,7 @@ def sigma_in_metres(sigma_mm: float, *, zero: bool = False) -> float:
     return quantity(f"{sigma_mm!r} mm", "length", "--sigma-mm")
 
 
-def said_of_failure(output: Output, result: str | None, out: str) -> list[str]:
+def failure_lines(output: Output, result: str | None, out: str) -> list[str]:
     """Return what a file made from the result folder must say if that fit failed and was forced, and print a note.
 
     Raises:
@@ -276,7 +276,7 @@ def said_of_failure(output: Output, result: str | None, out: str) -> list[str]:
     return lines
 
 
-def loaded(path: str, output: Output) -> Robot:
+def load_robot(path: str, output: Output) -> Robot:
     """Load ROBOT; print a note on what the arm of a plain URDF leaves out."""
     robot = load(path)
     remark = first_description(robot.urdf, robot.path)[1] if robot.path == robot.urdf.path else ""
@@ -320,12 +320,12 @@ def different_poses(poses: Poses) -> Poses:
     first = np.unique(numbers, return_index=True)[1]
     setups = np.zeros(len(poses), dtype=np.intp) if poses.setups is None else poses.setups
     same_setup = setups == setups[first][numbers]
-    plan = {name: _once(readings, numbers, same_setup) for name, readings in poses.planned.items()}
+    plan = {name: _each_once(readings, numbers, same_setup) for name, readings in poses.planned.items()}
     return replace(poses.subset(first), planned=plan)
 
 
-def _once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Readings:
-    """What is to be read at poses, of whose visits (n,) these are the numbers, once each; of visits that count."""
+def _each_once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Readings:
+    """Planned readings at poses, once for each of the visits with these numbers (n,) that count."""
     looks = np.column_stack([numbers[readings.visits], readings.pairs, readings.details, counts[readings.visits]])
     kept = np.sort(np.unique(looks, axis=0, return_index=True)[1])
     kept = kept[counts[readings.visits[kept]]]
@@ -334,7 +334,7 @@ def _once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Readings:
     )
 
 
-def placed(robot: Robot, *files: Poses | None) -> Robot:
+def place_by_files(robot: Robot, *files: Poses | None) -> Robot:
     """Place a base or targets that are not known beforehand, by the first file with measured positions, if any.
 
     Where the targets are decides what poses can tell about them.

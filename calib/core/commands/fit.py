@@ -11,17 +11,17 @@ import click
 from calib.calibration import fit
 from calib.core.base.errors import ComputationError, InputError
 from calib.core.base.files import image_address
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.commands.common import (
     SIGMA_HELP,
     Output,
     jobs_option,
-    loaded,
+    load_robot,
     loss_option,
     shared_options,
     sigma_in_metres,
 )
-from calib.core.commands.next_steps import after_fit, typed_options
+from calib.core.commands.next_steps import advice_after_fit, options_as_typed
 from calib.core.data.measurement_files import read_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.judging.rules_model import why_no_origins
@@ -132,7 +132,7 @@ def command(
         if no_pages or out is None:
             raise InputError(f"--logo is for report.html: {'leave out --no-pages' if no_pages else 'give --out DIR'}")
         image_address(logo)
-    described = loaded(robot, output)
+    described = load_robot(robot, output)
     if model is not None:
         described = with_model(described, str(Path(model).resolve()) if Path(model).is_file() else model)
     identification = read_measurements(data, described)
@@ -141,7 +141,7 @@ def command(
         identification, validation = _hold_out(described, identification, validate, seed)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     output.check(folders=(out,), names=RESULT_FILES)
-    with output.working(f"fitting {counted(len(identification), 'pose')}") as progress:
+    with output.working(f"fitting {count_noun(len(identification), 'pose')}") as progress:
         result = fit(
             described,
             identification,
@@ -159,17 +159,19 @@ def command(
             executor=jobs,
             progress=progress,
         )
-    result = replace(result, asked=replace(result.asked, validation=validate or ""))
+    result = replace(result, requested_options=replace(result.requested_options, validation=validate or ""))
     failed = result.verdict.grade == "FAIL"
     if out is not None:
         result.save(out, force=output.force, pages=not no_pages, logo=logo)
     output.say(result.report(verbose=verbose))
-    output.say(_written(Path(out)) if out is not None else "Nothing is written: --out DIR writes report, viewer, URDF")
+    output.say(
+        _result_lines(Path(out)) if out is not None else "Nothing is written: --out DIR writes report, viewer, URDF"
+    )
     withheld = "" if out is None or failed or output.force else why_no_origins(result)
     if withheld:
         output.note(f"note: calibrated.urdf was not written: {withheld} (--force writes it)")
     folder = _FOLDER if out is None else out
-    output.say(after_fit(result, robot, data, folder, typed_options(), written=out is not None))
+    output.say(advice_after_fit(result, robot, data, folder, options_as_typed(), written=out is not None))
     if output.json_target is not None:
         output.json(to_dict(result, forced=failed and output.force))
     if failed and not output.force:
@@ -177,7 +179,7 @@ def command(
         raise ComputationError(f"verdict FAIL: {result.verdict.reasons[0].text}{unwritten}")
 
 
-def _written(folder: Path) -> str:
+def _result_lines(folder: Path) -> str:
     """Where the result is, and its files that people open first."""
     names = ("report.html", "viewer.html", "calibrated.urdf", "result.json")
     return f"Written to {folder}: {', '.join(name for name in names if (folder / name).exists())} and others"

@@ -10,7 +10,7 @@ import click
 
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.files import write_files
-from calib.core.base.registry import brought, installed
+from calib.core.base.registry import brought, list_entry_points
 from calib.core.base.sections import parse_yaml
 from calib.core.base.units import millimetres
 from calib.core.commands.common import Output, shared_options
@@ -18,7 +18,7 @@ from calib.core.commands.first_files import FirstFiles
 from calib.core.data.dh_files import read_dh
 from calib.core.data.measurement_columns import header
 from calib.core.data.table_writing import format_table
-from calib.core.robots.description import checked_description, schema_text
+from calib.core.robots.description import schema_text, validate_description
 from calib.core.robots.first_description import MEASURES, Measure, description_text
 from calib.core.robots.loading import build, first_description
 from calib.core.robots.robot import Robot
@@ -30,7 +30,7 @@ _LENGTHS = "; ".join(
     f"{name}: " + ", ".join(f"{key} {millimetres(value):g} mm" for key, value in template.lengths.items())
     for name, template in TEMPLATES.items()
 )
-_SOURCES: dict[str, FirstFiles] = {entry.name: entry.load() for entry in installed("calib.first_descriptions")}
+_SOURCES: dict[str, FirstFiles] = {entry.name: entry.load() for entry in list_entry_points("calib.first_descriptions")}
 _LENGTHS_OF_SOURCES = "; ".join(dict.fromkeys(source.lengths for source in _SOURCES.values() if source.lengths))
 
 
@@ -165,13 +165,13 @@ def command(
     described = described.model_copy(update={"xacro": arguments}) if arguments else described
     files, words = {beside: text.source} if beside else {}, None
     if measure == "camera":
-        plain = _loaded(text, description_text(text, described))
+        plain = _load_unwritten(text, description_text(text, described))
         boards, words = brought("calib.measures", measure)(plain, board, camera, to_print, Path(out))
         files |= boards
     description = description_text(text, described, remark, measure, words).encode()
     files[Path(out)] = description
     if sheet and how:
-        filled = plain if how.read_apart else _loaded(text, description.decode())
+        filled = plain if how.read_apart else _load_unwritten(text, description.decode())
         files[sheet] = _empty_sheet(filled, how).encode()
     write_files(files, force=output.force)
     if beside:
@@ -205,9 +205,9 @@ def _empty_sheet(robot: Robot, measure: Measure) -> str:
     return format_table([(column, ()) for column in dict.fromkeys(columns)], measure.comments)
 
 
-def _loaded(urdf: UrdfText, description: str) -> Robot:
+def _load_unwritten(urdf: UrdfText, description: str) -> Robot:
     """The robot of a description that is not written yet; only a loaded one knows its columns and where it reaches."""
-    return build(checked_description(parse_yaml(description, urdf.path), urdf.path), urdf, urdf.path)
+    return build(validate_description(parse_yaml(description, urdf.path), urdf.path), urdf, urdf.path)
 
 
 def _is_file(board: str | None) -> bool:
@@ -218,7 +218,7 @@ def _write_template(name: str, given: Sequence[str], urdf: Path, description: Pa
     """Write the two files of a template, if the robot that they describe can be used."""
     texts = dict(zip((urdf, description), loop_files(name, read_lengths(name, given), urdf.name), strict=True))
     try:
-        _loaded(parse_urdf(texts[urdf].encode(), str(urdf)), texts[description])
+        _load_unwritten(parse_urdf(texts[urdf].encode(), str(urdf)), texts[description])
     except DescriptionError as error:
         message = str(error).removeprefix(f"{urdf}: ")
         raise InputError(f"template {name}: with these lengths, {message}") from None

@@ -22,7 +22,7 @@ NOISE = ("--sigma-mm",)
 """Options that mean the same in all commands that know a noise."""
 
 
-def typed_options() -> dict[str, tuple[str, ...]]:
+def options_as_typed() -> dict[str, tuple[str, ...]]:
     """Return the options of the running command that were typed, with their values, by their long name.
 
     Without those that say where to write and how much to print.
@@ -43,7 +43,7 @@ def words_of(typed: Mapping[str, Sequence[str]], names: Sequence[str]) -> list[s
     return [word for name in names if name in typed for word in (name, *typed[name])]
 
 
-def after_fit(
+def advice_after_fit(
     fit: Fit, robot: str, data: Sequence[str], out: str, typed: Mapping[str, Sequence[str]], *, written: bool = True
 ) -> str:
     """Return what the grade means, and what to do next.
@@ -53,14 +53,14 @@ def after_fit(
         robot: ROBOT, as it was typed.
         data: DATA, likewise.
         out: Where the result is.
-        typed: Options, as `typed_options` has them.
+        typed: Options, as `options_as_typed` has them.
         written: Whether it is there, and is not only a proposal.
     """
     grade, step = judge(fit).grade, next_step(fit)
     colour, meaning = _MEANINGS[grade]
     noise = {name: typed[name] for name in NOISE if name in typed}
     kept = {"fit": typed, "check": noise}.get(step.command.split()[1], {})
-    words = step.typed(robot, data, out, kept)
+    words = step.with_file_names(robot, data, out, kept)
     if step.needs_folder and not written:
         words = f"fit again with --out {shlex.quote(out)}, then {words}"
     return f"{click.style(grade, fg=colour, bold=True)}: {meaning}\nNext: {words}"

@@ -6,12 +6,12 @@ from typing import Any
 
 import click
 
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.commands.common import (
     Output,
+    failure_lines,
     folder_of_values,
-    loaded,
-    said_of_failure,
+    load_robot,
     shared_options,
     values_options,
     with_values,
@@ -21,7 +21,7 @@ from calib.core.data.measurements import Poses
 from calib.core.judging.claim import ErrorElsewhere
 from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
-from calib.core.rows.told_positions import ToldPositions
+from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 _FURTHER = 1.05
 """Errors expected at the poses asked for, over those at poses like those measured, from which both are told apart."""
@@ -39,7 +39,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     With --result, the output also has the standard deviation of each predicted coordinate, and says how far off the
     real tool is expected to be there.
     """
-    nominal = loaded(robot, output)
+    nominal = load_robot(robot, output)
     model = with_values(nominal, parameters, result)
     result = folder_of_values(robot, parameters, result)
     poses = read_poses(joints, model)
@@ -47,34 +47,34 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     configurations = model.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
     remarks = near_singularities(model, configurations, poses.labels)
     source = parameters or result or "nominal values"
-    comment = (f"predicted positions of {model.name}, {source}", *said_of_failure(output, result, out))
+    comment = (f"predicted positions of {model.name}, {source}", *failure_lines(output, result, out))
     content: dict[str, object] = {"robot": model.path, "values": source, "n_poses": len(poses), "file": out}
     content["near_singular"] = remarks
     if result:
         calibrated = load_result(result, nominal)
-        known = calibrated.told_positions
+        known = calibrated.reported_uncertainty
         text, summary, remark = _with_uncertainty(known, poses, comment)
         content["position_uncertainty"] = summary
         content["claim"] = claim = calibrated.content["verdict"].get("claim")
-        content["expected"], expected = _expected(claim, summary)
-        content["beyond_curves"] = beyond = calibrated.beyond_curves(poses)
+        content["expected"], expected = _expected_error(claim, summary)
+        content["beyond_curves"] = beyond = calibrated.remarks_beyond_curves(poses)
         remarks = remarks + beyond
     else:
         text = format_positions(model, poses, model.positions(poses.joints, poses.conditions), comment)
     output.write(out, text)
     output.remarks(remarks)
-    output.say(f"{counted(len(poses), 'pose')} written to {out}")
+    output.say(f"{count_noun(len(poses), 'pose')} written to {out}")
     if result:
         if expected:
             output.say(expected)
         output.say(
             f"Positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
-            f" (pose {summary['worst_pose']}), {known.uncertainty.counted}{remark}"
+            f" (pose {summary['worst_pose']}), {known.uncertainty.coverage_sentence}{remark}"
         )
     output.json(content)
 
 
-def _expected(claim: dict[str, Any] | None, known: dict[str, Any]) -> tuple[dict[str, float] | None, str]:
+def _expected_error(claim: dict[str, Any] | None, known: dict[str, Any]) -> tuple[dict[str, float] | None, str]:
     """Return how far off the tool is at these poses, as data and in words; None, and nothing, where that is not known.
 
     Args:
@@ -83,7 +83,7 @@ def _expected(claim: dict[str, Any] | None, known: dict[str, Any]) -> tuple[dict
     """
     if not claim or not claim.get("is_position") or None in (claim["limit95"], claim.get("known")):
         return None, ""
-    here = ErrorElsewhere.of(claim["rms"], claim["limit95"], claim["known"], known["rms"])
+    here = ErrorElsewhere.from_claim(claim["rms"], claim["limit95"], claim["known"], known["rms"])
     words = f"The real tool is within {here.limit95:.3g} {claim['unit']} of these positions, 95 % of the time"
     if here.times < _FURTHER:
         words += f", {claim['region']}"
@@ -92,9 +92,11 @@ def _expected(claim: dict[str, Any] | None, known: dict[str, Any]) -> tuple[dict
     return {"rms": here.rms, "limit95": here.limit95, "times": here.times}, words
 
 
-def _with_uncertainty(known: ToldPositions, poses: Poses, comment: tuple[str, ...]) -> tuple[str, dict[str, Any], str]:
+def _with_uncertainty(
+    known: ReportedUncertainty, poses: Poses, comment: tuple[str, ...]
+) -> tuple[str, dict[str, Any], str]:
     """Return the CSV text with standard deviations, their summary [mm], and what to add to it."""
-    predicted = known.at(poses.joints, poses.conditions)
+    predicted = known.predict(poses.joints, poses.conditions)
     measured = predicted.measured or predicted  # what is written is where the instruments see it
     text = format_positions(known.robot, poses, measured.positions, comment, measured.std)
     return text, predicted.table() | {"worst_pose": poses.names[predicted.worst]}, predicted.remark()

@@ -11,7 +11,7 @@ import click
 
 from calib.core.base.errors import CalibrationError
 from calib.core.base.letters import brief, visible
-from calib.core.base.other_words import way
+from calib.core.base.other_words import hint_for
 
 _COLLECTED_AFTER = 50_000  # new objects; Python's 700 make a command look through all that it imported dozens of times
 
@@ -29,23 +29,23 @@ class OneLineError(click.ClickException):
 
 
 def _usage(error: click.UsageError, path: str) -> str:
-    """What was wrong; with what to write in place of an option or a command of other packages.
+    """The error of a command line in one line; with what to write in place of an option or a command of other packages.
 
     Args:
         error: What was wrong.
         path: The command with the program's name, such as `calib fit`.
     """
     typed = error.option_name if isinstance(error, click.NoSuchOption) else getattr(error, "command_name", "")
-    hint = (way(typed, path) or way(typed, "the command line")) if typed else ""
+    hint = (hint_for(typed, path) or hint_for(typed, "the command line")) if typed else ""
     if hint:  # in place of names that are spelt alike
         return f"no {'option' if typed.startswith('-') else 'command'} '{typed}'{hint}"
-    said = _one_line(error.format_message())
-    if said.startswith("Got unexpected extra argument"):
-        return said + way("another", path)
+    message = _one_line(error.format_message())
+    if message.startswith("Got unexpected extra argument"):
+        return message + hint_for("another", path)
     param = error.param if isinstance(error, click.MissingParameter) else None
     missing = "" if param is None else param.opts[0] if isinstance(param, click.Option) else param.human_readable_name
-    hint = way(missing, "missing arguments") if missing else ""
-    return said.rstrip(".") + hint if hint else said
+    hint = hint_for(missing, "missing arguments") if missing else ""
+    return message.rstrip(".") + hint if hint else message
 
 
 def run_program(group: click.Group) -> None:

@@ -10,12 +10,12 @@ import numpy as np
 from calib.core.base.errors import InputError
 from calib.core.base.files import write_folder
 from calib.core.base.registry import brought
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.commands.common import (
     SIGMA_HELP,
     Output,
     folder_of_values,
-    loaded,
+    load_robot,
     shared_options,
     sigma_in_metres,
     with_values,
@@ -59,7 +59,7 @@ def command(
     Every instrument reads at every pose, or those that a column `instrument` names. An instrument that touches has a
     column of its name, which says what is touched; the joint values are changed so that the robot touches it.
     """
-    model = with_values(loaded(robot, output), parameters, None)
+    model = with_values(load_robot(robot, output), parameters, None)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm, zero=True)
     camera = None if photographs is None else _camera(model)
     _require_noise(model, sigma, camera)
@@ -75,7 +75,7 @@ def command(
     comments: tuple[str, ...] = (f"{simulated}; truth: {truth}", f"{noise}, seed {seed}")
     moved = np.flatnonzero(np.any(measured.joints != poses.joints, axis=1))
     if len(moved):
-        comments += (f"joint values of {counted(len(moved), 'visit')} are changed so that the robot touches",)
+        comments += (f"joint values of {count_noun(len(moved), 'visit')} are changed so that the robot touches",)
     if photographs and camera:
         with output.working("rendering photographs"):
             photographs_of = brought("calib.methods", "photographs")
@@ -85,11 +85,11 @@ def command(
         write_folder(photographs, images, force=output.force)
     output.write(out, format_measurements(model, measured, comments))
     output.remarks(remarks)
-    output.say(f"{counted(len(poses), 'simulated pose')} written to {out}, seed {seed}")
+    output.say(f"{count_noun(len(poses), 'simulated pose')} written to {out}, seed {seed}")
     if photographs:
-        output.say(f"{counted(len(poses), 'simulated photograph')} written to {photographs}")
+        output.say(f"{count_noun(len(poses), 'simulated photograph')} written to {photographs}")
     if len(moved):
-        output.say(f"Joint values of {counted(len(moved), 'visit')} were changed so that the robot touches")
+        output.say(f"Joint values of {count_noun(len(moved), 'visit')} were changed so that the robot touches")
 
 
 def _camera(robot: Robot) -> Pixel:
@@ -101,7 +101,8 @@ def _camera(robot: Robot) -> Pixel:
     ]
     if len(cameras) != 1:
         raise InputError(
-            f"{robot.path}: has {counted(len(cameras), 'camera')} that can photograph; --photographs needs one, whose"
+            f"{robot.path}: has {count_noun(len(cameras), 'camera')} that can photograph; --photographs needs one,"
+            f" whose"
             " 'board' and 'image' are stated"
         )
     return cameras[0]

@@ -10,8 +10,8 @@ import numpy as np
 from calib import pictures
 from calib.core.base.errors import DataError, InputError, nearest
 from calib.core.base.units import quantity
-from calib.core.base.words import counted
-from calib.core.commands.common import Output, loaded, result_folder, shared_options
+from calib.core.base.words import count_noun
+from calib.core.commands.common import Output, load_robot, result_folder, shared_options
 from calib.core.data.measurement_files import read_measurements, read_poses
 from calib.core.judging.acceptance import poses_needed, verify, visible_changes
 from calib.core.judging.promise import POWER, Promise, candidates
@@ -66,7 +66,7 @@ def command(
         raise InputError("--html: is for readings; with --plan there are none yet")
     output.check(html)
     result = result_folder(robot, result)
-    model = loaded(robot, output)
+    model = load_robot(robot, output)
     calibrated = load_result(result, model)
     promise = replace(calibrated.promise, robot=calibrated.robot)
     if plan:
@@ -77,10 +77,10 @@ def command(
     again = sum(tuple(q) in used for q in np.round(measured.joints, _DIGITS))
     if again:
         output.note(
-            f"note: {again} of {counted(len(measured), 'visit')} have joint values that the calibration used;"
+            f"note: {again} of {count_noun(len(measured), 'visit')} have joint values that the calibration used;"
             " readings taken anew there show whether the robot has changed; those that it used prove nothing"
         )
-    with output.working(f"judging {counted(measured.n_readings, 'reading')}"):
+    with output.working(f"judging {count_noun(measured.n_readings, 'reading')}"):
         acceptance = verify(promise, measured, same_setup=same_setup)
         figures, missing = iso_figures(acceptance.errors, np.random.default_rng(seed))
     output.json({"robot": model.path, "seed": seed, **to_dict(acceptance, figures, missing)})
@@ -106,7 +106,7 @@ def _plan(promise: Promise, data: tuple[str, ...], change: str | None, same_setu
         needed = poses_needed(promise, poses, name, size, same_setup=same_setup)
         content |= {"change": name, "poses_needed": needed}
         if needed is not None:
-            lines.append(f"The first {counted(needed, 'pose')} show {change} with a chance of {100 * POWER:.0f} %")
+            lines.append(f"The first {count_noun(needed, 'pose')} show {change} with a chance of {100 * POWER:.0f} %")
         elif any(known.name == name for known in changes):
             lines.append(
                 f"All {len(poses)} poses are too few to show {change} with a chance of {100 * POWER:.0f} %; add poses"

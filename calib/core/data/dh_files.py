@@ -75,15 +75,15 @@ def format_dh(table: DhTable, comments: Sequence[str] = ()) -> str:
 
 
 def _convention(table: Table, given: str | None) -> Convention:
-    said = [text.removeprefix(_MARK).strip() for text in table.comments if text.startswith(_MARK)]
-    for word in [*said, *([given] if given else [])]:
+    marked = [text.removeprefix(_MARK).strip() for text in table.comments if text.startswith(_MARK)]
+    for word in [*marked, *([given] if given else [])]:
         if word not in CONVENTIONS:
             raise DataError(f"{table.path}: unknown convention '{word}'{nearest(word, CONVENTIONS)}")
         if given and word != given:
             raise DataError(
                 f"{table.path}: says 'convention: {word}', but --convention is {given}; correct one of them"
             )
-    stated = given or (said[0] if said else "")
+    stated = given or (marked[0] if marked else "")
     for convention in CONVENTIONS:
         if convention == stated:
             return convention

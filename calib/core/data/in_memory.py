@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, nearest
 from calib.core.base.letters import unseen
-from calib.core.data.joining import joined
+from calib.core.data.joining import join_measurements
 from calib.core.data.measurement_files import read_measurements, sources
 from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements, states_by_order
 from calib.core.data.plan_files import read_pose_files
@@ -86,7 +86,7 @@ def as_measurements(
     """
     robot = as_robot(robot)
     if readings is None:
-        return _measured(robot, poses)
+        return _as_measurements(robot, poses)
     poses = as_poses(robot, cast(ArrayLike, poses), names)
     if not isinstance(readings, Mapping):
         readings = _positions_by_instrument(robot, len(poses), readings)
@@ -109,12 +109,12 @@ def as_measurements(
     return data
 
 
-def _measured(robot: Robot, given: object) -> Measurements:
+def _as_measurements(robot: Robot, given: object) -> Measurements:
     """Measurements as they are, or read."""
     if isinstance(given, Measurements):
         return given
     if isinstance(given, (list, tuple)) and any(isinstance(part, Measurements) for part in given):
-        return joined([_measured(robot, part) for part in given], robot)
+        return join_measurements([_as_measurements(robot, part) for part in given], robot)
     several = isinstance(given, (list, tuple)) and len(given) > 0 and all(_is_table(source) for source in given)
     if not _is_table(given) and not several:
         raise InputError(
@@ -199,7 +199,7 @@ def _words(instrument: Instrument, poses: Poses, given: ArrayLike) -> Readings:
             f"{instrument.name}: expected {len(poses)} words, one for each pose; empty where it read nothing"
         )
     (column,) = instrument.text_columns()
-    belongs, pairs, details = instrument.looked_at({column: texts}, poses.labels)
+    belongs, pairs, details = instrument.parse_texts({column: texts}, poses.labels)
     visits = np.flatnonzero(belongs)
     return Readings(visits, pairs[visits], np.repeat(instrument.values({}), len(visits), axis=0), None, details[visits])
 

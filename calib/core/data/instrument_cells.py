@@ -8,7 +8,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest, nearest_column
 from calib.core.base.units import Dimension
 from calib.core.data.measurement_columns import correlation_columns, std_columns
-from calib.core.data.measurements import in_setups
+from calib.core.data.measurements import setup_pairs
 from calib.core.data.robot_tables import odd_unit
 from calib.core.data.tables import Table
 from calib.core.instruments.kind import Instrument, Readings
@@ -63,14 +63,14 @@ def readings_in(
     columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
     numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
     empty = np.isnan(numbers)
-    some = np.flatnonzero(_labelled(robot, instrument, table) & ~(np.all(empty, axis=1) & (numbers.shape[1] > 0)))
+    some = np.flatnonzero(_is_labelled(robot, instrument, table) & ~(np.all(empty, axis=1) & (numbers.shape[1] > 0)))
     texts: dict[str, list[str]] = {}
     for name in instrument.text_columns():
         if name not in table.names:
             raise DataError(f"{table.path}: no column '{name}'{nearest_free_column(name, robot, table)}")
         every = table.text(name)
         texts[name] = [every[k] for k in some]
-    belongs, pairs, details = instrument.looked_at(texts, [f"{table.path}, line {table.lines[k]}" for k in some])
+    belongs, pairs, details = instrument.parse_texts(texts, [f"{table.path}, line {table.lines[k]}" for k in some])
     mine = np.array(belongs, dtype=bool)
     kept = some[mine]
     partly = np.argwhere(empty[kept])
@@ -83,7 +83,7 @@ def readings_in(
     values = instrument.values({name: column[kept] for name, column in columns.items()})
     if not columns:  # it reads no numbers: one row stands for all
         values = np.repeat(values, len(kept), axis=0)
-    numbers_of_pairs = pairs[mine] + in_setups(robot, instrument, setups_of(robot, table))[kept]
+    numbers_of_pairs = pairs[mine] + setup_pairs(robot, instrument, setups_of(robot, table))[kept]
     every_label = labels_of_rows(table) if own_lines else []
     labels = tuple(every_label[k] for k in kept) if own_lines else None
     return Readings(rows[kept], numbers_of_pairs, values, _covariance(instrument, table, kept), details[mine], labels)
@@ -95,7 +95,7 @@ def labels_of_rows(table: Table) -> list[str]:
     return [f"{table.path}, line {line}{name}" for line, name in zip(table.lines, names, strict=True)]
 
 
-def _labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArray:
+def _is_labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArray:
     """Which rows the label column, if there is one, leaves to an instrument, (n_table_rows,)."""
     column = instrument.label_column
     if column is None:
@@ -143,7 +143,7 @@ def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatAr
     missing = next((name for name, _ in names if name not in table.names), None)
     if missing is not None:
         raise DataError(f"{table.path}: no column '{missing}', but '{present[0]}'; give all standard deviations")
-    std = np.stack([_of_readings(instrument, table, kept, name, dimension) for name, dimension in names], axis=1)
+    std = np.stack([_column_of_readings(instrument, table, kept, name, dimension) for name, dimension in names], axis=1)
     if np.any(std <= 0):
         k, c = np.argwhere(std <= 0)[0]
         raise DataError(
@@ -152,7 +152,7 @@ def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatAr
     correlation = np.tile(np.eye(len(names)), (len(kept), 1, 1))
     for name in correlated:
         i, j = correlation_columns(instrument)[name]
-        correlation[:, i, j] = correlation[:, j, i] = _of_readings(instrument, table, kept, name, None)
+        correlation[:, i, j] = correlation[:, j, i] = _column_of_readings(instrument, table, kept, name, None)
     smallest = linalg.eigvalsh(correlation)[:, 0] if len(kept) else np.ones(0)
     if np.any(smallest <= 1e-9):
         k = int(np.argmin(smallest))
@@ -163,7 +163,7 @@ def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatAr
     return std[:, :, None] * correlation * std[:, None, :]
 
 
-def _of_readings(
+def _column_of_readings(
     instrument: Instrument, table: Table, kept: IntArray, name: str, dimension: Dimension | None
 ) -> FloatArray:
     """A column in the rows in which an instrument read; in the others it may be empty."""

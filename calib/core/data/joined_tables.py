@@ -20,7 +20,7 @@ from calib.core.robots.terms.terms import condition_columns
 _TIME = "time"
 
 
-def joined_by_word(tables: Sequence[Table], robot: Robot) -> list[Table]:
+def join_by_pose_column(tables: Sequence[Table], robot: Robot) -> list[Table]:
     """Return tables with a column `pose` each, by which they are joined, if the description asks for another way.
 
     Raises:
@@ -32,10 +32,13 @@ def joined_by_word(tables: Sequence[Table], robot: Robot) -> list[Table]:
     leaders = [table for table in tables if joints <= set(table.names)]
     if len(leaders) != 1:
         raise DataError(f"{tables[0].path}: join: {how} needs one file with joint values, not {len(leaders)}")
-    return [_counted(leaders[0]) if table is leaders[0] else _follower(table, leaders[0], robot) for table in tables]
+    return [
+        _with_pose_numbers(leaders[0]) if table is leaders[0] else _follower(table, leaders[0], robot)
+        for table in tables
+    ]
 
 
-def _counted(table: Table) -> Table:
+def _with_pose_numbers(table: Table) -> Table:
     """The table with its poses counted from 1."""
     return _with_poses(table, np.arange(len(table.rows)), np.arange(len(table.rows)))
 

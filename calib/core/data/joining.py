@@ -15,7 +15,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.gravity import COLUMNS as GRAVITY_COLUMNS
 
 
-def joined(parts: Sequence[Measurements], robot: Robot) -> Measurements:
+def join_measurements(parts: Sequence[Measurements], robot: Robot) -> Measurements:
     """Put measurements one after another, as those of several files.
 
     Poses that are numbered from 1 in several of them are counted on, unless their joint values say that they repeat.
@@ -40,8 +40,8 @@ def joined(parts: Sequence[Measurements], robot: Robot) -> Measurements:
         for part, first in zip(parts, firsts, strict=False)
     ]
     names = dict.fromkeys(name for part in parts for name in part.readings)
-    readings = {name: joined_readings([own[name] for own in shifted if name in own]) for name in names}
-    data = replace(measurements(joined_poses(parts), readings), approach_assumed=not any(stated))
+    readings = {name: join_readings([own[name] for own in shifted if name in own]) for name in names}
+    data = replace(measurements(join_poses(parts), readings), approach_assumed=not any(stated))
     try:
         check_repeats(data, robot)
     except DataError:
@@ -57,7 +57,7 @@ def joined(parts: Sequence[Measurements], robot: Robot) -> Measurements:
     return data
 
 
-def joined_poses(parts: Sequence[Poses]) -> Poses:
+def join_poses(parts: Sequence[Poses]) -> Poses:
     """Put the visits of several files one after another.
 
     Raises:
@@ -95,7 +95,7 @@ def joined_poses(parts: Sequence[Poses]) -> Poses:
     )
 
 
-def joined_readings(parts: Sequence[Readings]) -> Readings:
+def join_readings(parts: Sequence[Readings]) -> Readings:
     """Return the readings of one instrument in several files as one.
 
     Raises:

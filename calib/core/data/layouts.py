@@ -63,7 +63,7 @@ def header_line(path: str, lines: Sequence[str]) -> int:
     widest = max(widths.values(), default=0)
     best = [k for k in kept if widths[k] == widest]
     if widest == 0 or best[0] == kept[0]:
-        if kept and _only_numbers(_split(lines[kept[0]], separator_of(lines[kept[0]]))):
+        if kept and _has_only_numbers(_split_cells(lines[kept[0]], separator_of(lines[kept[0]]))):
             raise DataError(
                 f"{path}, line {kept[0] + 1}: numbers where the header should be; write a line with the names of the"
                 " columns above them, such as Point,X [mm],Y [mm],Z [mm]"
@@ -96,7 +96,7 @@ def _unit(cell: str) -> str | None:
 def _header_width(lines: Sequence[str], line_numbers: Sequence[int]) -> int:
     """How many columns a line has if it is a header, 0 if it is none; of it and the lines below it."""
     separator = separator_of(lines[line_numbers[0]])
-    names, *below = [_split(lines[k], separator) for k in line_numbers]
+    names, *below = [_split_cells(lines[k], separator) for k in line_numbers]
     filled = [name.strip() for name in names if name.strip()]
     if len(names) < 2 or 2 * len(filled) <= len(names) or any(_NUMBER.fullmatch(name) for name in filled):
         return 0
@@ -106,14 +106,14 @@ def _header_width(lines: Sequence[str], line_numbers: Sequence[int]) -> int:
     return len(names) if any(_NUMBER.fullmatch(cell.strip()) for cells in rows for cell in cells) else 0
 
 
-def _only_numbers(cells: Sequence[str]) -> bool:
+def _has_only_numbers(cells: Sequence[str]) -> bool:
     """Whether a line is one of numbers, behind a name perhaps: three or more, as no header has."""
     filled = [cell.strip() for cell in cells[1:] if cell.strip()]
     numbers = [_NUMBER.fullmatch(cell) for cell in filled[-3:]]
     return len(numbers) == 3 and all(numbers) and any("." in cell for cell in filled[-3:])
 
 
-def _split(line: str, separator: str) -> tuple[str, ...]:
+def _split_cells(line: str, separator: str) -> tuple[str, ...]:
     try:
         return cells_of(line, separator)
     except csv.Error:  # of which the table says where, when it is read
@@ -179,9 +179,9 @@ def _as_lines(where: str, rows: Sequence[tuple[Any, ...]]) -> list[str]:
             lines.append(texts[0])
             continue
         texts += [""] * (width - len(texts))
-        lines.append(",".join(_quoted(text) for text in texts))
+        lines.append(",".join(_quote(text) for text in texts))
     return lines
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     return '"' + text.replace('"', '""') + '"' if re.search(r'[",;\t]|^\s*(#|//)', text) else text

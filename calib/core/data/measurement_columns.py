@@ -32,7 +32,7 @@ def joint_columns(robot: Robot, q: FloatArray) -> dict[str, FloatArray]:
     """Return joint values q (n, n_actuated) [m or rad] in the unit of tables, (n,) by header."""
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
     named = zip(robot.joint_names, dimensions, q.T, strict=True)
-    return {header(name, dimension): shown(values, dimension) for name, dimension, values in named}
+    return {header(name, dimension): in_table_unit(values, dimension) for name, dimension, values in named}
 
 
 def cells_of(values: FloatArray) -> list[object]:
@@ -53,7 +53,7 @@ def condition_columns(
         columns["setup"] = [names[k] for k in (np.zeros(n_visits, dtype=np.intp) if setups is None else setups)]
     dimensions = dimensions_of_conditions(robot.terms) if context else {}
     for key, values in context.items():
-        cells = shown(values, dimensions[key])
+        cells = in_table_unit(values, dimensions[key])
         columns[header(key, dimensions[key])] = ["" if np.isnan(value) else value for value in cells]
     return columns
 
@@ -91,7 +91,7 @@ def _noise_columns(instrument: Instrument, covariance: FloatArray) -> dict[str, 
     """Cells of standard deviations, and of correlations if there are any, from (n, n_rows, n_rows) [SI]."""
     std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     cells: dict[str, Sequence[object]] = {
-        header(name, dimension): list(shown(std[:, k], dimension))
+        header(name, dimension): list(in_table_unit(std[:, k], dimension))
         for k, (name, dimension) in enumerate(std_columns(instrument))
     }
     correlation = covariance / (std[:, :, None] * std[:, None, :])
@@ -115,7 +115,7 @@ def reading_columns(
             continue
         dimensions = {column.name: column.dimension for column in instrument.columns()}
         cells: dict[str, Sequence[object]] = {
-            header(name, dimensions[name]): list(shown(numbers, dimensions[name]))
+            header(name, dimensions[name]): list(in_table_unit(numbers, dimensions[name]))
             for name, numbers in instrument.cells(readings.values).items()
         }
         if instrument.label_column is not None:
@@ -170,6 +170,6 @@ def header(name: str, dimension: Dimension | None) -> str:
     return name if dimension is None else f"{name} [{DISPLAY_UNIT[dimension]}]"
 
 
-def shown(numbers: FloatArray, dimension: Dimension | None) -> FloatArray:
+def in_table_unit(numbers: FloatArray, dimension: Dimension | None) -> FloatArray:
     """Return numbers (n,) [SI] in the unit of tables."""
     return numbers if dimension is None else numbers * display_scale(dimension)

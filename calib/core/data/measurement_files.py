@@ -25,16 +25,16 @@ from calib.core.data.instrument_cells import (
     readings_in,
     setups_of,
 )
-from calib.core.data.joined_tables import joined_by_word
-from calib.core.data.joining import joined_poses, joined_readings
-from calib.core.data.measurement_columns import APPROACH, header, shown
+from calib.core.data.joined_tables import join_by_pose_column
+from calib.core.data.joining import join_poses, join_readings
+from calib.core.data.measurement_columns import APPROACH, header, in_table_unit
 from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements, states_by_order
 from calib.core.data.robot_tables import read_robot_table
 from calib.core.data.table_writing import format_table
 from calib.core.data.tables import Source, Table, is_columns
 from calib.core.data.tolerances import stated_tolerance
 from calib.core.instruments.kind import Instrument, Readings
-from calib.core.robots.gravity import contradicted, turned_joints
+from calib.core.robots.gravity import contradiction_angles, turned_joints
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.gravity import COLUMNS as GRAVITY_COLUMNS
@@ -81,7 +81,7 @@ def read_measurements(
         if files[k] is not None and files[k] in files[:k]:
             raise DataError(f"{again}: is given twice, so that every reading would count as two; give it once")
     tables = [read_robot_table(source, robot, growing=growing) for source in paths]
-    tables = joined_by_word(tables, robot)
+    tables = join_by_pose_column(tables, robot)
     with_joints = [table for table in tables if len(tables) == 1 or set(robot.commanded_names) <= set(table.names)]
     if not with_joints:
         joints = ", ".join(robot.commanded_names)
@@ -90,11 +90,11 @@ def read_measurements(
     used = {
         column
         for table in tables
-        for instrument in _seen_in(robot, table, several)
+        for instrument in _instruments_in(robot, table, several)
         for column in columns_in(instrument, table)
     }
     firsts = np.cumsum([0, *(len(table.rows) for table in with_joints)])
-    poses = joined_poses(
+    poses = join_poses(
         [poses_of_table(table, robot, used, int(k)) for table, k in zip(with_joints, firsts[:-1], strict=True)]
     )
     parts: dict[str, list[Readings]] = {}
@@ -105,12 +105,12 @@ def read_measurements(
             start += len(table.rows)
         else:
             rows = _visits_by_pose(table, poses)
-        for instrument in _seen_in(robot, table, several):
+        for instrument in _instruments_in(robot, table, several):
             own_lines = len(with_joints) < len(tables)
             parts.setdefault(instrument.name, []).append(
                 readings_in(robot, instrument, table, rows, own_lines=own_lines)
             )
-    data = measurements(poses, {name: joined_readings(readings) for name, readings in parts.items()})
+    data = measurements(poses, {name: join_readings(readings) for name, readings in parts.items()})
     if data.n_readings == 0 and not parts:
         raise DataError(f"{tables[0].path}: {_no_instrument(robot, tables[0])}")
     if data.n_readings == 0 and growing is None:
@@ -178,7 +178,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
 
 def _check_gravity(poses: Poses, robot: Robot, table: Table) -> None:
     """Raise `DataError` where sensors read another direction of gravity than the description states."""
-    angles = contradicted(robot.description, robot.nominal, poses.joints, poses.conditions)
+    angles = contradiction_angles(robot.description, robot.nominal, poses.joints, poses.conditions)
     if not np.all(np.isnan(angles)):
         k = int(np.nanargmax(angles))
         raise DataError(
@@ -238,7 +238,7 @@ def _joints_of_table(
             )
         if name in table.names:
             joints[:, j] = table.column(name, robot.mechanism.dimensions[name])
-    stated = (robot.description.gravity or GravitySection()).stated(tuple(robot.description.setups))
+    stated = (robot.description.gravity or GravitySection()).stated_directions(tuple(robot.description.setups))
     down = stated[np.zeros(len(joints), dtype=np.intp) if setups is None else setups]
     for name in reading:
         known = {column: dimension for column, dimension in columns_of(name).items() if column in table.names}
@@ -345,7 +345,7 @@ def _visits_by_pose(table: Table, poses: Poses) -> IntArray:
     return np.array(rows, dtype=np.intp)
 
 
-def _seen_in(robot: Robot, table: Table, several: bool) -> list[Instrument]:
+def _instruments_in(robot: Robot, table: Table, several: bool) -> list[Instrument]:
     """Instruments that a table has columns for; all, where nothing says that they may be missing."""
     if not robot.description.instruments and not several:
         return list(robot.instruments)
@@ -390,5 +390,7 @@ def format_positions(
         for t, target in enumerate(robot.target_names):
             for a, axis in enumerate("xyz"):
                 if numbers is not None:
-                    columns[header(f"{target}_{suffix}{axis}", "length")] = list(shown(numbers[:, t, a], "length"))
+                    columns[header(f"{target}_{suffix}{axis}", "length")] = list(
+                        in_table_unit(numbers[:, t, a], "length")
+                    )
     return format_table(list(columns.items()), comments)

@@ -15,9 +15,9 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, InputError
-from calib.core.base.other_words import Hinting
+from calib.core.base.other_words import HintedObject
 from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale
-from calib.core.base.words import pandas, titled_html
+from calib.core.base.words import html_with_title, pandas
 from calib.core.data.measurement_columns import approach_columns, condition_columns, pose_columns, reading_columns
 from calib.core.data.pose_groups import shuffled_poses
 from calib.core.instruments.kind import FrameInstrument, Instrument, Readings
@@ -30,7 +30,7 @@ _MOVED = 1e-4  # change of a joint between two rows that counts as motion [m, ra
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Poses(ReadOnlyArrays, Hinting):
+class Poses(ReadOnlyArrays, HintedObject):
     """Joint values of a list of visits.
 
     Attributes:
@@ -70,10 +70,10 @@ class Poses(ReadOnlyArrays, Hinting):
         return f"<{type(self).__name__} from {self.path}: {len(self)} rows, {self.n_poses} poses>"
 
     def _repr_html_(self) -> str:
-        return titled_html(type(self).__name__, (repr(self)[1:-1], *self.comments), *self._tables())
+        return html_with_title(type(self).__name__, (repr(self)[1:-1], *self.comments), *self._tables())
 
     def _tables(self) -> tuple[list[dict[str, object]], ...]:
-        """What a notebook shows of it."""
+        """Tables that a notebook shows of the measurements."""
         return ()
 
     def __getitem__(self, which: slice | BoolArray | IntArray | Sequence[int] | int) -> Self:
@@ -136,7 +136,7 @@ class Poses(ReadOnlyArrays, Hinting):
             context={key: values[index] for key, values in self.context.items()},
             approach=None if self.approach is None else self.approach[index],
             setups=None if self.setups is None else self.setups[index],
-            planned={name: of_visits(looks, index) for name, looks in self.planned.items()},
+            planned={name: readings_of_visits(looks, index) for name, looks in self.planned.items()},
         )
 
     @cached_property
@@ -154,7 +154,7 @@ class Poses(ReadOnlyArrays, Hinting):
     def conditions(self) -> Context:
         """Conditions of the commands, for joint terms; with the direction of approach, if it is given."""
         approach = np.zeros_like(self.joints) if self.approach is None else self.approach
-        return Context.of(approach, self.context, self.setups)
+        return Context.from_conditions(approach, self.context, self.setups)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -189,7 +189,7 @@ class Measurements(Poses):
     @property
     def conditions(self) -> Context:
         """Conditions of the commands, for joint terms; with the direction of approach."""
-        return Context.of(self.approach_directions, self.context, self.setups)
+        return Context.from_conditions(self.approach_directions, self.context, self.setups)
 
     @property
     def places(self) -> IntArray:
@@ -220,7 +220,7 @@ class Measurements(Poses):
             order=self.places[index],
             approach=self.approach_directions[index],
             approach_assumed=not self.states_approach,
-            readings={name: of_visits(readings, index) for name, readings in self.readings.items()},
+            readings={name: readings_of_visits(readings, index) for name, readings in self.readings.items()},
         )
 
     def read_visits(self) -> Self:
@@ -230,7 +230,7 @@ class Measurements(Poses):
         )
         return self if len(visits) in (0, len(self)) else self.subset(visits)
 
-    def of_readings(self, numbers: Mapping[str, IntArray]) -> Self:
+    def with_readings(self, numbers: Mapping[str, IntArray]) -> Self:
         """Return some of the readings, visit by visit, and the visits at which they were made.
 
         Args:
@@ -308,11 +308,11 @@ def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measure
         if measured is not None and isinstance(instrument, FrameInstrument):
             change = np.zeros((len(readings), instrument.n_rows))
             change[:, :3] = points[readings.visits, robot.target_names.index(instrument.target)] - measured
-            moved[name] = replace(readings, values=instrument.moved(readings.values, change))
+            moved[name] = replace(readings, values=instrument.with_errors(readings.values, change))
     return replace(data, readings=moved)
 
 
-def of_visits(readings: Readings, index: IntArray) -> Readings:
+def readings_of_visits(readings: Readings, index: IntArray) -> Readings:
     """Return the readings of the visits with these indices (n,), in this order; a visit may come twice."""
     order = np.argsort(readings.visits, kind="stable")
     first, last = (np.searchsorted(readings.visits[order], index, side=side) for side in ("left", "right"))
@@ -321,7 +321,7 @@ def of_visits(readings: Readings, index: IntArray) -> Readings:
     return readings.subset(kept, np.repeat(np.arange(len(index)), counts))
 
 
-def in_setups(robot: Robot, instrument: Instrument, setups: IntArray) -> IntArray:
+def setup_pairs(robot: Robot, instrument: Instrument, setups: IntArray) -> IntArray:
     """Return what the setup of each visit (n,) adds to the number of the pair that an instrument looks along, (n,)."""
     return setups * (len(robot.pairs(instrument)) // max(1, len(robot.description.setups)))
 

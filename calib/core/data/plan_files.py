@@ -16,7 +16,7 @@ from calib.core.base.arrays import BoolArray, IntArray
 from calib.core.base.errors import DataError, nearest
 from calib.core.data.instrument_cells import columns_in
 from calib.core.data.measurement_files import poses_of_table, read_measurements
-from calib.core.data.measurements import Poses, check_repeats, in_setups
+from calib.core.data.measurements import Poses, check_repeats, setup_pairs
 from calib.core.data.robot_tables import read_robot_table
 from calib.core.data.tables import Source, Table
 from calib.core.instruments.kind import Instrument, Readings
@@ -73,7 +73,7 @@ def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None =
     if len(paths) > 1:
         return read_measurements(paths, robot)
     table = read_robot_table(paths[0], robot) if table is None else table
-    measured = _measured(table, robot)
+    measured = _is_measured(table, robot)
     if np.all(measured) or (np.any(measured) and INSTRUMENT not in table.names and _repeats(table)):
         return read_measurements(paths, robot)
     poses = plan_of_table(table, robot)
@@ -87,7 +87,7 @@ def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None =
     return poses
 
 
-def _measured(table: Table, robot: Robot) -> BoolArray:
+def _is_measured(table: Table, robot: Robot) -> BoolArray:
     """Which rows have all cells of some instrument, (n_rows,)."""
     measured = np.zeros(len(table.rows), dtype=bool)
     for instrument in robot.instruments:
@@ -130,7 +130,7 @@ def _instrument_cells(robot: Robot, table: Table) -> tuple[str, ...]:
 def _looks(
     robot: Robot, instrument: Instrument, table: Table, reading: BoolArray, setups: IntArray | None
 ) -> Readings | None:
-    """What an instrument is to read in the rows of a plan; None where nothing is said, or not what is touched."""
+    """Planned readings of an instrument by the rows of a plan; None where the plan has none, or no touched thing."""
     if instrument.columns() and np.all(reading):
         return None  # all that it can, as if nothing were said
     rows = np.flatnonzero(reading)
@@ -140,20 +140,20 @@ def _looks(
         visits, pairs, details = np.repeat(rows, n_looks), np.tile(pairs, len(rows)), np.tile(details, (len(rows), 1))
     elif set(instrument.text_columns()) <= set(table.names):
         texts = {name: [table.text(name)[k] for k in rows] for name in instrument.text_columns()}
-        belongs, pairs, details = instrument.looked_at(texts, [f"{table.path}, line {table.lines[k]}" for k in rows])
+        belongs, pairs, details = instrument.parse_texts(texts, [f"{table.path}, line {table.lines[k]}" for k in rows])
         mine = np.array(belongs, dtype=bool)
-        _require_said(robot, instrument, table, rows[~mine])
+        _require_planned_readings(robot, instrument, table, rows[~mine])
         visits, pairs, details = rows[mine], pairs[mine], details[mine]
     else:
         return None
-    shift = np.zeros(len(table.rows), dtype=np.intp) if setups is None else in_setups(robot, instrument, setups)
+    shift = np.zeros(len(table.rows), dtype=np.intp) if setups is None else setup_pairs(robot, instrument, setups)
     return Readings(visits, pairs + shift[visits], np.zeros((len(visits), 0)), None, details)
 
 
-def _require_said(robot: Robot, instrument: Instrument, table: Table, unsaid: IntArray) -> None:
+def _require_planned_readings(robot: Robot, instrument: Instrument, table: Table, without_target: IntArray) -> None:
     """Raise `DataError` where a row names an instrument that touches, and not what."""
     cells = _instrument_cells(robot, table)
-    bad = next((int(k) for k in unsaid if cells and cells[k]), None)
+    bad = next((int(k) for k in without_target if cells and cells[k]), None)
     if bad is not None:
         raise DataError(
             f"{table.path}, line {table.lines[bad]}, column '{instrument.text_columns()[0]}': is empty, but"

@@ -9,7 +9,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.numerics.chances import UNLIKELY
 
 APART = 0.05
-"""Part of poses drawn like others that lie apart from these, by `apart`."""
+"""Part of poses drawn like others that lie apart from these, by `is_apart`."""
 SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
 
 
@@ -58,11 +58,11 @@ def repeated_poses(joints: FloatArray, by_name: IntArray) -> list[IntArray]:
         joints: Joint values, (n, n_actuated) [m or rad].
         by_name: A number for each row, the same for those of one pose name, (n,).
     """
-    order, starts = _by_pose(joints, by_name)
+    order, starts = _rows_by_pose(joints, by_name)
     return np.split(order, starts[1:])
 
 
-def _by_pose(joints: FloatArray, by_name: IntArray) -> tuple[IntArray, IntArray]:
+def _rows_by_pose(joints: FloatArray, by_name: IntArray) -> tuple[IntArray, IntArray]:
     """The rows of each group of `repeated_poses`, one group after the other, (n,), and where each begins, (n_groups,).
 
     Without repeats a pose is a pose.
@@ -90,7 +90,7 @@ def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[Int
     return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]
 
 
-def apart(joints: FloatArray, used: FloatArray) -> BoolArray:
+def is_apart(joints: FloatArray, used: FloatArray) -> BoolArray:
     """Return which poses lie farther from all poses used than 95 in 100 of these from the nearest other one, (n,).
 
     In joint space, in units of each joint's standard deviation over the poses used; repeats of a pose count once. Of
@@ -110,7 +110,7 @@ def apart(joints: FloatArray, used: FloatArray) -> BoolArray:
     return np.asarray(near.query(joints / unit)[0] > limit)
 
 
-def drawn_alike(joints: FloatArray, used: FloatArray) -> bool:
+def are_drawn_alike(joints: FloatArray, used: FloatArray) -> bool:
     """Return whether poses lie among the poses used as if both were drawn together.
 
     Of poses drawn alike, m of them among n used, the nearest other pose of one is among the m with a chance of
@@ -143,14 +143,14 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -
     the poses cannot be halved, the side to which a joint's values lean has one more.
 
     Args:
-        joints, by_name: As of `repeated_poses`.
+        joints, by_name: Arguments of `repeated_poses`.
         count: Number of boxes; no more than there are different poses.
         depths: How far each joint is from the base, (n_actuated,), such as `Mechanism.depths`.
 
     Returns:
         Indices of each box, ascending, (n_in_box,) each; repeats of one pose stay together.
     """
-    order, starts = _by_pose(joints, by_name)
+    order, starts = _rows_by_pose(joints, by_name)
     sizes = np.diff(starts, append=len(order))
     centres = _both_ways_alike(np.add.reduceat(joints[order], starts) / sizes[:, None])
     sizes_in_order = np.abs(centres.T).astype(">f8")  # the bytes of such numbers are sorted as the numbers are

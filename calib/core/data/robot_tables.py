@@ -45,7 +45,7 @@ def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | N
     _check_separator(robot, table)
     _check_units(robot, table)
     guessed = _joints(robot, table) | _positions(robot, table)
-    spread = _spread(robot, table, guessed)
+    spread = _deviation_columns(robot, table, guessed)
     guessed |= spread
     if not guessed:
         return table
@@ -62,7 +62,7 @@ def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | N
     return replace(table, names=tuple(guessed.get(name, name) for name in table.names), maps={**table.maps, **halved})
 
 
-def _spread(robot: Robot, table: Table, guessed: Mapping[str, str]) -> dict[str, str]:
+def _deviation_columns(robot: Robot, table: Table, guessed: Mapping[str, str]) -> dict[str, str]:
     """Columns U95 of X, Y and Z, and the standard deviations that their halves are; none where one is missing."""
     reading = [instrument for instrument in robot.instruments if instrument.reads_positions]
     found = {name: match[1].lower() for name in table.names if (match := _U95.fullmatch(name))}

@@ -26,7 +26,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import DataError
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 
 _SUFFIXES = (".mcap", ".db3")
 _WINDOW = 0.25  # before and after a measurement [s]
@@ -59,7 +59,7 @@ class _Series:
         self.recorded.append(recorded)
         self.values.append(tuple(map(float, values)))
 
-    def over_time(self, stamped: bool) -> tuple[FloatArray, FloatArray]:
+    def sorted_by_time(self, stamped: bool) -> tuple[FloatArray, FloatArray]:
         """Times (n,) [s], in order, and values (n, k)."""
         times = np.array(self.stamps if stamped else self.recorded)
         order = np.argsort(times, kind="stable")
@@ -91,15 +91,15 @@ def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[st
         )
     all_series = [*joints.values(), *places.values()]
     stamped = all(stamp > 0 for series in all_series for stamp in series.stamps)
-    measured = {topic: series.over_time(stamped) for topic, series in places.items()}
+    measured = {topic: series.sorted_by_time(stamped) for topic, series in places.items()}
     times = np.unique(np.concatenate([at for at, _ in measured.values()]))
-    q, spread = _joints_at(times, [series.over_time(stamped) for series in joints.values()])
+    q, spread = _joints_at(times, [series.sorted_by_time(stamped) for series in joints.values()])
     still = spread <= _STILL
     if not still.any():
         finite = spread[np.isfinite(spread)]
         moved = f"; the least that a joint moved is {np.min(finite):.2g} rad or m" if len(finite) else ""
         raise DataError(
-            f"{path}: at none of {counted(len(times), 'measurement')} the robot stood still: joint states within"
+            f"{path}: at none of {count_noun(len(times), 'measurement')} the robot stood still: joint states within"
             f" {_WINDOW} s before and after, no further apart than {_STILL:g} rad or m{moved}"
         )
     of_stop = stops(q[still])
@@ -113,12 +113,12 @@ def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[st
     for topic, (at, values) in measured.items():
         columns += _place_columns(topic, times[still], at, values)
     left = int(np.sum(~still))
-    remark = f"{counted(left, 'measurement')} of {len(times)} left out: the robot moved" if left else ""
+    remark = f"{count_noun(left, 'measurement')} of {len(times)} left out: the robot moved" if left else ""
     return columns, (f"from the bag {path}", *([remark] if remark else []))
 
 
 def _series(path: Path | str) -> tuple[dict[str, _Series], dict[str, _Series]]:
-    """What a bag has of joints, by name, and of places, by topic."""
+    """Time series of a bag: of joints by name, of places by topic."""
     joints: dict[str, _Series] = {}
     places: dict[str, _Series] = {}
     source: dict[str, str] = {}
@@ -172,14 +172,14 @@ def joints_of_bag(path: Path | str, times: FloatArray) -> tuple[list[str], Float
 
 def _topics(path: Path | str) -> str:
     """The topics of a bag with their types, as the end of a message."""
-    with _opened(path) as reader:
+    with _open_bag(path) as reader:
         named = sorted({f"{connection.topic} ({connection.msgtype})" for connection in reader.connections})
     return f"; the bag has {', '.join(named)}" if named else "; the bag has no topics"
 
 
 def _messages(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str, float, Any]]:
     """Topic, type, time of recording [s] and message of all messages of some types."""
-    with _opened(path) as reader:
+    with _open_bag(path) as reader:
         connections = [connection for connection in reader.connections if connection.msgtype in kinds]
         for connection, recorded, raw in reader.messages(connections) if connections else ():
             message = reader.deserialize(raw, connection.msgtype)
@@ -187,7 +187,7 @@ def _messages(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str
 
 
 @contextmanager
-def _opened(path: Path | str) -> Iterator[Any]:
+def _open_bag(path: Path | str) -> Iterator[Any]:
     """The reader of a bag; what goes wrong with it is a `DataError`."""
     try:
         from rosbags.highlevel import AnyReader

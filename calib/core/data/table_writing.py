@@ -43,8 +43,8 @@ def format_table(columns: Written, comments: Sequence[str] = ()) -> str:
         ValueError: Columns of different lengths.
     """
     lines = ["# " + _FORMULA_IN_COMMENT.sub(r"\1 ", visible(comment)) for comment in comments]
-    lines.append(",".join([_written_text(header) for header, _ in columns]))
-    cells = [_written_cells(values) for _, values in columns]
+    lines.append(",".join([_quote_text(header) for header, _ in columns]))
+    cells = [_format_cells(values) for _, values in columns]
     if cells:  # no line is empty, and none is a comment
         cells[0] = [f'"{cell}"' if cell.lstrip().startswith("#") else cell for cell in cells[0]]
         cells[0] = [cell or '""' for cell in cells[0]] if len(cells) == 1 else cells[0]
@@ -52,22 +52,22 @@ def format_table(columns: Written, comments: Sequence[str] = ()) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _written_cells(values: Sequence[object] | FloatArray) -> list[str]:
+def _format_cells(values: Sequence[object] | FloatArray) -> list[str]:
     """Cells of a column as they are written."""
     if isinstance(values, np.ndarray) and values.dtype == np.float64:
-        return _written_numbers(values)
+        return _format_numbers(values)
     known: dict[str, str] = {}
     return [
         repr(float(value))
         if isinstance(value, (float, np.floating))
         else known[text]
         if (text := str(value)) in known
-        else known.setdefault(text, _written_text(text))
+        else known.setdefault(text, _quote_text(text))
         for value in values
     ]
 
 
-def _written_numbers(values: FloatArray) -> list[str]:
+def _format_numbers(values: FloatArray) -> list[str]:
     """Return what `repr` makes of each number, in a fifth of the time; empty where it is not finite.
 
     JSON has the same digits; it writes others where `repr` has an exponent.
@@ -84,7 +84,7 @@ def _like_formula(text: str) -> bool:
     return _FORMULA.match(text) is not None and _NUMBER.fullmatch(text) is None
 
 
-def _written_text(text: str) -> str:
+def _quote_text(text: str) -> str:
     plain = f"'{text}" if _like_formula(text) else text
     return '"' + plain.replace('"', '""') + '"' if _NEEDS_QUOTES.search(plain) else plain
 

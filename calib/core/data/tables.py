@@ -50,7 +50,7 @@ _DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?", re.ASCII)
 _SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
 
 
-class Frame(Protocol):
+class DataFrameProtocol(Protocol):
     """A data frame, of pandas or polars."""
 
     columns: Any
@@ -59,7 +59,7 @@ class Frame(Protocol):
         """Return a column."""
 
 
-Columns = Frame | Mapping[str, Sequence[object]]
+Columns = DataFrameProtocol | Mapping[str, Sequence[object]]
 """A table in memory: columns by their headers, which are written as in files."""
 Source = Path | str | Columns
 """Where a table comes from."""

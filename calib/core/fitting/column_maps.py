@@ -57,7 +57,7 @@ _MARGIN = 0.1  # beyond a joint's limit, of a robot with loops [m or rad]
 
 @dataclass(frozen=True, order=True)
 class ColumnMap:
-    """What the motors' values are, where the file has the columns x: factor x[column] + quarters of a turn.
+    """Motor values by the columns x of a file: factor x[column] + quarters of a turn.
 
     Attributes:
         columns: Of which column, for every motor.
@@ -86,7 +86,7 @@ class ColumnMap:
         return of_joints + max(moved - 1, 0)
 
     @property
-    def scaled(self) -> bool:
+    def is_scaled(self) -> bool:
         """Whether a factor is not one."""
         return any(abs(factor) != 1 for factor in self.factors)
 
@@ -149,7 +149,7 @@ class ColumnMap:
 
 
 def _usual(factor: float, size: float, dimension: str) -> str:
-    """What makes a column wrong that has this factor, give or take three times `size`."""
+    """The usual cause of a factor of a column, give or take three times `size`; empty if there is none."""
     near = (
         text for usual, text in USUAL_FACTORS[dimension].items() if abs(factor / usual - 1) < _USUAL + 3 * size / usual
     )
@@ -171,24 +171,24 @@ def likely_maps(robot: Robot, data: Measurements) -> list[ColumnMap]:
         robot: The nominal robot.
         data: A few measurements that do not fit it.
     """
-    return list(_tried_with_loops(robot, data) if robot.mechanism.loops else _searched(robot, data))
+    return list(_maps_with_loops(robot, data) if robot.mechanism.loops else _search_maps(robot, data))
 
 
 def _turning(robot: Robot) -> BoolArray:
     return np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
 
 
-def _with(values: tuple, j: int, value: object) -> tuple:  # type: ignore[type-arg]
+def _replace_entry(values: tuple, j: int, value: object) -> tuple:  # type: ignore[type-arg]
     return (*values[:j], value, *values[j + 1 :])
 
 
 def _turns(at: ColumnMap, turning: BoolArray) -> Iterator[ColumnMap]:
     """The map with another sign or zero of one joint."""
     for j, factor in enumerate(at.factors):
-        turned = _with(at.factors, j, -factor)
+        turned = _replace_entry(at.factors, j, -factor)
         yield ColumnMap(at.columns, turned, at.quarters)
         for quarter in (-1, 0, 1, 2) if turning[j] else ():
-            zero = _with(at.quarters, j, quarter)
+            zero = _replace_entry(at.quarters, j, quarter)
             yield ColumnMap(at.columns, at.factors, zero)
             yield ColumnMap(at.columns, turned, zero)
 
@@ -197,7 +197,9 @@ def _scales(robot: Robot, at: ColumnMap) -> Iterator[ColumnMap]:
     """The map with another scale of one joint."""
     for j, name in enumerate(robot.joint_names):
         for factor in (*_FACTORS, *USUAL_FACTORS[robot.mechanism.dimensions[name]]):
-            yield ColumnMap(at.columns, _with(at.factors, j, math.copysign(factor, at.factors[j])), at.quarters)
+            yield ColumnMap(
+                at.columns, _replace_entry(at.factors, j, math.copysign(factor, at.factors[j])), at.quarters
+            )
 
 
 def _orders(robot: Robot) -> Iterator[ColumnMap]:
@@ -217,18 +219,18 @@ def _orders(robot: Robot) -> Iterator[ColumnMap]:
                 yield ColumnMap(tuple(columns.tolist()), plain.factors, plain.quarters)
 
 
-def _tried_with_loops(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
+def _maps_with_loops(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
     n = len(robot.joint_names)
     lower, upper = robot.urdf.limits(robot.joint_names)
     plain, turning = ColumnMap.plain(n), _turning(robot)
-    signs = [ColumnMap(plain.columns, _with(plain.factors, j, -1.0), plain.quarters) for j in range(n)]
+    signs = [ColumnMap(plain.columns, _replace_entry(plain.factors, j, -1.0), plain.quarters) for j in range(n)]
     yield from signs
     pairs = [
-        ColumnMap(plain.columns, _with(_with(plain.factors, a, -1.0), b, -1.0), plain.quarters)
+        ColumnMap(plain.columns, _replace_entry(_replace_entry(plain.factors, a, -1.0), b, -1.0), plain.quarters)
         for a, b in combinations(range(n), 2)
     ]
     zeros = [
-        ColumnMap(plain.columns, plain.factors, _with(plain.quarters, j, quarter))
+        ColumnMap(plain.columns, plain.factors, _replace_entry(plain.quarters, j, quarter))
         for j in np.flatnonzero(turning).tolist()
         for quarter in (-2, -1, 1, 2)
     ]
@@ -238,7 +240,7 @@ def _tried_with_loops(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
             yield tried
 
 
-def _searched(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
+def _search_maps(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
     """The best maps that the search meets, those with fewer changes first among equals."""
     n = len(robot.joint_names)
     plain = ColumnMap.plain(n)
@@ -263,13 +265,13 @@ def _searched(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
     def rank(at: ColumnMap) -> tuple[int, int, float]:
         return round(np.log2(max(miss[at], scale) / scale)), at.changes, miss[at]
 
-    ranked = (at for at in sorted(miss, key=rank) if at.changes and not _mirrored(robot, data, at))
+    ranked = (at for at in sorted(miss, key=rank) if at.changes and not _is_mirrored(robot, data, at))
     return islice(ranked, _BEAM)
 
 
 def _zero_matters(robot: Robot, data: Measurements, plain: ColumnMap) -> BoolArray:
     """Of which motors a quarter turn of the zero changes the bound; an unknown base or target takes up the others."""
-    quarters = [ColumnMap(plain.columns, plain.factors, _with(plain.quarters, j, 1)) for j in plain.columns]
+    quarters = [ColumnMap(plain.columns, plain.factors, _replace_entry(plain.quarters, j, 1)) for j in plain.columns]
     miss, *others = _bounds(robot, data, [plain, *quarters]).values()
     return np.array([abs(other - miss) > _SAME * miss for other in others])
 
@@ -282,7 +284,7 @@ def _bounds(robot: Robot, data: Measurements, maps: Sequence[ColumnMap]) -> dict
     return {at: float(abs(r[-1, -1])) / spread for at, r in zip(maps, factor, strict=True)}
 
 
-def _mirrored(robot: Robot, data: Measurements, at: ColumnMap) -> bool:
+def _is_mirrored(robot: Robot, data: Measurements, at: ColumnMap) -> bool:
     """Whether a map's bound belongs to a left-handed measurement frame."""
     if robot.description.base.pose != "unknown":
         return False

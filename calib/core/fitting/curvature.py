@@ -57,8 +57,8 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
         rows: Whitened rows there.
         groups: Scale of the noise of each group, (n_groups,).
     """
-    root, own = rows.known.root, problem.unknowns.family < 0
-    shares, turned = prior_directions(rows.known, rows.prior)
+    root, own = rows.posterior_information.root, problem.unknowns.family < 0
+    shares, turned = prior_directions(rows.posterior_information, rows.prior)
     directions = np.zeros((len(root), turned.shape[1]))
     directions[own] = root[own] @ turned
     held, seen = (_fewest(directions[:, which]) for which in (shares > _HELD, shares <= _HELD))
@@ -67,35 +67,35 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
     squares, mean = np.zeros(len(root)), np.zeros(len(root))
     if not n_held:
         return squares
-    problem, final, times = _at_some_poses(problem, final)
+    problem, final, times = _problem_at_some_poses(problem, final)
     jacobian = np.sqrt(times) * problem.rows(final, groups).jacobian
-    known, columns = information(jacobian, rows.prior.rows), problem.unknowns.only(own)
+    known, columns = information(jacobian, rows.prior.rows), problem.unknowns.select(own)
     covariance, here = known.root @ known.root.T, jacobian[:, own].T @ jacobian
     for i in range(n_held):
         for step in (_STEP, -_STEP):
-            moved = problem.unknowns.moved(final.robot, rows.deviations + step * directions[:, i])
+            moved = problem.unknowns.robot_at(final.robot, rows.deviations + step * directions[:, i])
             evaluation = problem.evaluate_if_closed(moved, final)
             if evaluation is not None:
                 there = np.sqrt(times) * problem.rows(evaluation, groups, columns).jacobian
-                bent = -(covariance @ (there.T @ jacobian - here).T / step) @ directions[own]  # by J^T H t_i
-                squares += bent**2 @ counts
-                mean += bent[:, i] / 2
+                curvature = -(covariance @ (there.T @ jacobian - here).T / step) @ directions[own]  # by J^T H t_i
+                squares += curvature**2 @ counts
+                mean += curvature[:, i] / 2
                 break
     return np.asarray(problem.unknowns.scales**2 * (squares + mean**2))
 
 
-def _at_some_poses(problem: Problem, final: Evaluation) -> tuple[Problem, Evaluation, float]:
+def _problem_at_some_poses(problem: Problem, final: Evaluation) -> tuple[Problem, Evaluation, float]:
     """Return the problem at some of very many poses, its evaluation, and how many times as many there are."""
     data = problem.data
-    visits = np.unique(np.concatenate([_spread(readings) for readings in data.readings.values()]))
+    visits = np.unique(np.concatenate([_evenly_spread(readings) for readings in data.readings.values()]))
     if len(visits) == len(data):
         return problem, final, 1.0
-    part = Problem.of(problem.robot, data.subset(visits), problem.sigma, final.configurations.passive[visits])
-    part = replace(part, unknowns=problem.unknowns).weighed(problem.ratios)
+    part = Problem.from_data(problem.robot, data.subset(visits), problem.sigma, final.configurations.passive[visits])
+    part = replace(part, unknowns=problem.unknowns).with_offset_ratios(problem.ratios)
     return part, part.evaluate(final.robot), len(data) / len(visits)
 
 
-def _spread(readings: Readings) -> IntArray:
+def _evenly_spread(readings: Readings) -> IntArray:
     """Return visits (n,) of readings: at most so many of each pair that they look along, evenly spread."""
     of_pairs = [np.unique(readings.visits[readings.pairs == pair]) for pair in np.unique(readings.pairs)]
     return np.concatenate([visits[:: -(-len(visits) // _POSES)] for visits in of_pairs])

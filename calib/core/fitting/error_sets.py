@@ -60,14 +60,14 @@ class ErrorSet(ReadOnlyArrays):
         for instrument, measured, rows in self.parts():
             if measured.name == part if part else measured.is_position:
                 errors = getattr(self, state)[instrument.name][:, rows]
-                pieces.append(errors if single else self._by_pose(instrument.name, errors))
+                pieces.append(errors if single else self._pose_means(instrument.name, errors))
         return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 
-    def _by_pose(self, name: str, errors: FloatArray) -> FloatArray:
+    def _pose_means(self, name: str, errors: FloatArray) -> FloatArray:
         """Means over readings of one instrument, along one pair, that repeat a pose, in order of first appearance."""
         readings = self.data.readings[name]
         keys = np.stack([self.data.pose_numbers[readings.visits], readings.pairs], axis=1)
-        keys = np.hstack([keys, _numbered(readings.details)[:, None]])
+        keys = np.hstack([keys, _pose_numbers(readings.details)[:, None]])
         _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
         if len(first) == len(errors):
             return errors
@@ -99,7 +99,9 @@ class ErrorSet(ReadOnlyArrays):
         result: dict[str, dict[str, dict[str, dict[str, object]]]] = {}
         for instrument, part, rows in self.parts():
             result.setdefault(instrument.name, {})[part.name] = {
-                state: error_table(self._by_pose(instrument.name, getattr(self, state)[instrument.name][:, rows]), part)
+                state: error_table(
+                    self._pose_means(instrument.name, getattr(self, state)[instrument.name][:, rows]), part
+                )
                 for state in STATES
             }
         return result
@@ -126,7 +128,7 @@ class Folds:
     setups: tuple[int, ...] = ()
 
 
-def _numbered(details: FloatArray) -> IntArray:
+def _pose_numbers(details: FloatArray) -> IntArray:
     if details.shape[1] == 0:
         return np.zeros(len(details), dtype=np.intp)
     return np.unique(details, axis=0, return_inverse=True)[1].reshape(-1)
@@ -151,7 +153,7 @@ def error_table(errors: FloatArray, part: Part | None = None) -> dict[str, objec
         "mean": float(np.mean(length)),
         "max": float(np.max(length)),
         "rms": float(np.sqrt(np.mean(length**2))),
-        "std": _spread(length),
+        "std": _standard_deviation(length),
         **_percentiles(length),
     }
     for axis, column in zip(axes, shown.T, strict=True):
@@ -162,14 +164,14 @@ def error_table(errors: FloatArray, part: Part | None = None) -> dict[str, objec
             "mean": float(np.mean(np.abs(values))),
             "max": float(np.max(np.abs(values))),
             "rms": float(np.sqrt(np.mean(values**2))),
-            "std": _spread(values),
+            "std": _standard_deviation(values),
             "bias": float(np.mean(values)),
             **_percentiles(np.abs(values)),
         }
     return table
 
 
-def _spread(values: FloatArray) -> float:
+def _standard_deviation(values: FloatArray) -> float:
     return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
 
 

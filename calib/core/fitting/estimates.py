@@ -22,7 +22,7 @@ NUMBERS = ("nominal", "value", "std", "low95", "high95")
 
 @dataclass(frozen=True)
 class HalfWidth:
-    """Half the 95 % interval of a free parameter, computed when it is first asked for.
+    """Half the 95 % interval of a free parameter, computed at first use.
 
     Attributes:
         statistics: Uncertainty of the free parameters.

@@ -9,7 +9,7 @@ with r the residuals of all readings of a visit and V the covariance of their no
 
 Order of work: (1) close every pose at nominal, or name those that cannot be; (2) where measurement frames or targets
 are not known, they are placed alone, near where they are expected if a sigma says so: this is the honest state
-`before`; (3) all free parameters together, with unstated noise, from several starts if asked for
+`before`; (3) all free parameters together, with unstated noise, from several starts if requested
 (`calib.core.fitting.solving`); (4) with a robust loss, again with weights (`calib.core.fitting.robust`); (5) rank,
 statistics and error tables at the solution, places that only validation poses show placed by these. What is done around
 one fit (joint terms chosen, outliers left out, poses left out in turn) is said in `calib.core.calibrating.calibrate`.
@@ -35,9 +35,9 @@ from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.pose_checks import check_measurements, keeps_limits, require_identifiable
 from calib.core.fitting.problem import Evaluation, Problem
-from calib.core.fitting.robust import Solved
+from calib.core.fitting.robust import RobustSolution
 from calib.core.fitting.settings import Settings
-from calib.core.fitting.solving import convergence_at, place, placed_as, seen_from, solve_from, uncertainty_at
+from calib.core.fitting.solving import convergence_at, place, reset_unseen, reuse_placement, solve_from, uncertainty_at
 from calib.core.numerics import linalg
 from calib.core.numerics.observability import observability
 from calib.core.numerics.statistics import BeyondLinear
@@ -49,12 +49,13 @@ from calib.core.rows.whitening import Whitening
 
 
 @dataclass(frozen=True, eq=False)
-class Nearby:
-    """What a fit leaves to other fits of its visits, or of a part of them: places, second order, and how loops close.
+class WarmStart:
+    """Start values from a fit for other fits of its visits, or of a part of them: places, second order, and how loops
+    close.
 
     Attributes:
         names: Parameters, (n,).
-        beyond_linear: That of `Statistics`, of these; 0 where no intervals are asked for, None where it is not known.
+        beyond_linear: That of `Statistics`, of these; 0 where no intervals are requested, None where it is not known.
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
         placed: The nominal robot with base and targets placed, and residuals of these visits, (n_readings, n_rows) [SI]
@@ -70,17 +71,17 @@ class Nearby:
     whitening: Whitening | None = None
 
     @staticmethod
-    def of(fit: Fit) -> Nearby:
+    def from_fit(fit: Fit) -> WarmStart:
         """Return what this fit leaves."""
         known, seen = (fit.free_names, fit.statistics.beyond_linear), fit.identification
-        return Nearby(*known, seen.data.joints, fit.configurations.passive, (fit.placed, seen.before))
+        return WarmStart(*known, seen.data.joints, fit.configurations.passive, (fit.placed, seen.before))
 
     @staticmethod
-    def no_intervals(robot: Robot, fit: Fit | None = None) -> Nearby:
+    def without_intervals(robot: Robot, fit: Fit | None = None) -> WarmStart:
         """Return what a fit of this robot takes over, from another one if given, that needs no intervals."""
         names = tuple(parameter.name for parameter in robot.parameters)
         nothing = BeyondLinear(partial(np.zeros, len(names)))
-        return replace(Nearby() if fit is None else Nearby.of(fit), names=names, beyond_linear=nothing)
+        return replace(WarmStart() if fit is None else WarmStart.from_fit(fit), names=names, beyond_linear=nothing)
 
     def second_order(self, names: Sequence[str]) -> BeyondLinear | None:
         """Return `beyond_linear` of some parameters; None where it is not known of all of them."""
@@ -115,7 +116,7 @@ class Minimum:
     later: tuple[str, ...]
     start: Evaluation
     determined: Determination
-    solved: Solved
+    solved: RobustSolution
 
 
 def fit_data(
@@ -125,7 +126,7 @@ def fit_data(
     validation: Measurements | None = None,
     workers: Executor | None = None,
     steps: Steps | None = None,
-    nearby: Nearby | None = None,
+    nearby: WarmStart | None = None,
 ) -> Fit:
     """Fit a robot to measurements, once.
 
@@ -153,25 +154,25 @@ def minimum_of(
     validation: Measurements | None = None,
     workers: Executor | None = None,
     steps: Steps | None = None,
-    nearby: Nearby | None = None,
+    nearby: WarmStart | None = None,
 ) -> Minimum:
     """Return where `fit_data` ends, which says what is given."""
     steps = steps or Steps()
     later = unseen(robot, data, validation)
     seen = robot.fix(*later) if later else robot
     check_measurements(seen, data)
-    nearby = nearby or Nearby()
-    problem = Problem.of(seen, data, settings.sigma, nearby.passive_at(data.joints), nearby.whitening)
-    start = None if nearby.placed is None else placed_as(problem, *nearby.placed)
+    nearby = nearby or WarmStart()
+    problem = Problem.from_data(seen, data, settings.sigma, nearby.passive_at(data.joints), nearby.whitening)
+    start = None if nearby.placed is None else reuse_placement(problem, *nearby.placed)
     start = start or place(problem)
-    steps.done()
-    begin = seen_from(problem, start)
+    steps.advance()
+    begin = reset_unseen(problem, start)
     determined = require_identifiable(problem, begin)  # before the solver, as `calib check` does
-    solved = solve_from(problem, begin, settings, workers, steps.done)
-    if not keeps_limits(data, solved.at):
-        solved = solve_from(replace(problem, limits=True), begin, settings, workers, steps.done)
-    steps.done()
-    require_identifiable(problem, solved.at, alone=True)
+    solved = solve_from(problem, begin, settings, workers, steps.advance)
+    if not keeps_limits(data, solved.evaluation):
+        solved = solve_from(replace(problem, limits=True), begin, settings, workers, steps.advance)
+    steps.advance()
+    require_identifiable(problem, solved.evaluation, alone=True)
     return Minimum(robot, later, start, determined, solved)
 
 
@@ -180,16 +181,16 @@ def fit_at(
     settings: Settings,
     validation: Measurements | None = None,
     steps: Steps | None = None,
-    nearby: Nearby | None = None,
+    nearby: WarmStart | None = None,
 ) -> Fit:
     """Return the fit that ends at a minimum; see `fit_data`."""
     robot, later, start, solved = minimum.robot, minimum.later, minimum.start, minimum.solved
-    problem, final = solved.problem, solved.at
+    problem, final = solved.problem, solved.evaluation
     second_order = None if nearby is None else nearby.second_order(problem.unknowns.names)
     rows, scales, uncertainty = uncertainty_at(solved, second_order)
     placed, calibrated = start.robot, final.robot
     if validation is not None and later:
-        placed, calibrated = (placed_by(validation, state.free(*later), later) for state in (placed, calibrated))
+        placed, calibrated = (place_from_data(validation, state.free(*later), later) for state in (placed, calibrated))
     fit = Fit(
         nominal=robot,
         placed=placed,
@@ -220,26 +221,28 @@ def fit_at(
         seed=settings.seed,
         placed_later=later,
     )
-    (steps or Steps()).done()
+    (steps or Steps()).advance()
     return fit
 
 
-def of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements], Fit]:
+def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements], Fit]:
     """Return what fits a part of the measurements of a fit and predicts the rest; from one start.
 
     Args:
         fit: The fit of all of them.
         settings: How it was done.
     """
-    nearby = replace(Nearby.no_intervals(fit.nominal, fit), placed=None)  # a part places base and targets elsewhere
+    nearby = replace(
+        WarmStart.without_intervals(fit.nominal, fit), placed=None
+    )  # a part places base and targets elsewhere
     return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=nearby)
 
 
 def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
     """O1 to O5 of the scaled Jacobian of readings in SI units, as measured: of metres, where only positions are."""
     units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
-    own = problem.unknowns.only(problem.unknowns.family < 0)  # of families, priors decide what counts
-    factor = problem.condensed(final, units, own).jacobian
+    own = problem.unknowns.select(problem.unknowns.family < 0)  # of families, priors decide what counts
+    factor = problem.compressed(final, units, own).jacobian
     return observability(linalg.singular_values(factor)[:rank], len(problem.data))
 
 
@@ -262,7 +265,7 @@ def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tupl
     return tuple(p.name for p, is_free in free if p.placement and is_free and p.name.rpartition(".")[0] in new)
 
 
-def placed_by(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robot:
+def place_from_data(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robot:
     """Return a robot with these places where some measurements alone show them, all else as it is.
 
     Args:
@@ -276,7 +279,7 @@ def placed_by(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robo
     """
     others = [p.name for p in robot.parameters if p.name not in names]
     alone = robot.fix(*others)
-    return robot.with_parameters(place(Problem.of(alone, later)).robot.values)
+    return robot.with_parameters(place(Problem.from_data(alone, later)).robot.values)
 
 
 def _origins(robot: Robot, data: Measurements) -> set[str]:

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from calib.core.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays
 from calib.core.base.contributions import Contribution, Contributions, Sureness, contributions_to
 from calib.core.base.errors import InputError, nearest
-from calib.core.base.other_words import Hinting
+from calib.core.base.other_words import HintedObject
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.fitting.error_sets import ErrorSet, Folds
 from calib.core.fitting.estimates import Correlation, Covariance, Estimates, estimates
 from calib.core.fitting.outliers import Outlier
 from calib.core.fitting.regions import Regions, disagreeing
-from calib.core.fitting.settings import Asked
+from calib.core.fitting.settings import RequestedOptions
 from calib.core.fitting.starts import Starts
 from calib.core.fitting.terms.candidate_terms import TermChoice
 from calib.core.fitting.unexplained import unexplained_joint_error
@@ -27,16 +27,16 @@ from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import Rank
 from calib.core.numerics.losses import Loss
 from calib.core.numerics.statistics import ChiSquare, Statistics, chi_square
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.configurations import Configurations
-from calib.core.robots.held import Holds
 from calib.core.robots.loops import reached_from_home
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from calib.core.rows.determination import Determination
 from calib.core.rows.observed import observe
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UndecidedTerms
+from calib.core.rows.reported_uncertainty import ReportedUncertainty
 from calib.core.rows.rows import Group, Rows, Scales
-from calib.core.rows.told_positions import ToldPositions
 from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
@@ -111,7 +111,7 @@ class Residuals(ReadAsArray, dict[str, FloatArray]):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit(ReadOnlyArrays, Hinting):
+class Fit(ReadOnlyArrays, HintedObject):
     """A finished identification.
 
     Attributes:
@@ -133,16 +133,16 @@ class Fit(ReadOnlyArrays, Hinting):
         loss: Robust loss.
         weights: Weight of each reading, (n_readings,); 1 without a robust loss.
         sigma_given: Noise of positions that replaced what the description states [m], or None.
-        starts: Ends of perturbed starts, if they were asked for.
-        folds: Cross-validation, if it was asked for.
+        starts: Ends of perturbed starts, if requested.
+        folds: Cross-validation, if requested.
         excluded: Outliers that were left out, as they were in `with_all`.
         with_all: The fit of all visits, where outliers were left out of this one.
-        terms: Which joint terms were asked for, if any were, and what choosing them found.
+        terms: Which joint terms were requested, if any were, and what choosing them found.
         reduced: Fits of the same measurements without the joint terms that a kind of file cannot hold, by kind; None
-            if no files were asked for.
+            if no files were requested.
         seed: Seed of every random choice.
         placed_later: Parameters of places that only the validation poses show, and therefore placed.
-        asked: What else it was asked for.
+        requested_options: Further options of the fit.
     """
 
     _other_words = "a fit"
@@ -173,7 +173,7 @@ class Fit(ReadOnlyArrays, Hinting):
     reduced: Mapping[Holds, Fit] | None = None
     seed: int = 0
     placed_later: tuple[str, ...] = ()
-    asked: Asked = field(default_factory=Asked)
+    requested_options: RequestedOptions = field(default_factory=RequestedOptions)
 
     def __repr__(self) -> str:
         return (
@@ -211,10 +211,10 @@ class Fit(ReadOnlyArrays, Hinting):
 
     @cached_property
     def parameters(self) -> Estimates:
-        """What was found of each parameter, by name: in the unit of each, and in m or rad as `..._si`."""
-        known = self.statistics.widened(self.widened)
+        """Estimates of the parameters by name: in the unit of each, and in m or rad as `..._si`."""
+        known = self.statistics.widen(self.interval_factor)
         if self.undecided is not None:
-            known = known.with_more(np.sum(self.undecided.of_parameters(self.free_names) ** 2, axis=1))
+            known = known.with_more(np.sum(self.undecided.sensitivity_of(self.free_names) ** 2, axis=1))
         by_name = estimates(self.nominal.parameters, self.robot.values, self.free, known)
         later = {name: replace(by_name[name], status="placed") for name in self.placed_later}
         return Estimates({**by_name, **later}, self.contains(Sureness.INTERVAL))
@@ -225,7 +225,7 @@ class Fit(ReadOnlyArrays, Hinting):
 
         Intervals of parameters also include terms that `--terms auto` left undecided.
         """
-        values = self.widened**2 * self.statistics.covariance
+        values = self.interval_factor**2 * self.statistics.covariance
         return Covariance(self.free_names, values, self.contains(Sureness.COVARIANCE))
 
     @cached_property
@@ -239,13 +239,13 @@ class Fit(ReadOnlyArrays, Hinting):
     def contains(self, number: Sureness) -> Contributions:
         """Return what a number of this fit that says how sure something is contains.
 
-        Whether positions are told in another frame, these say themselves.
+        Whether positions are reported in another frame, these say themselves.
         """
         has: dict[Contribution, Callable[[], object]] = {
             Contribution.OFFSETS: lambda: np.any(self.scales.ratios),
-            Contribution.SCATTER: lambda: self.statistics.shared is not None,
+            Contribution.SCATTER: lambda: self.statistics.shared_scatter is not None,
             Contribution.SIZES: lambda: np.any(self.unknowns.family >= 0),
-            Contribution.REGIONS: lambda: self.widened > 1.0,
+            Contribution.REGIONS: lambda: self.interval_factor > 1.0,
             Contribution.UNDECIDED: lambda: self.undecided is not None,
             Contribution.JOINT_ERRORS: lambda: self.joint_error > 0.0,
             Contribution.FRAME: lambda: False,
@@ -253,7 +253,7 @@ class Fit(ReadOnlyArrays, Hinting):
         return frozenset(own for own in contributions_to(number) if own not in has or has[own]())
 
     @property
-    def widened(self) -> float:
+    def interval_factor(self) -> float:
         """Factor by which intervals and the uncertainty of positions are wider than from noise alone."""
         return 1.0 if self.regions is None else self.regions.ratio
 
@@ -374,13 +374,15 @@ class Fit(ReadOnlyArrays, Hinting):
             DataError: Joint values of the wrong shape, or not finite.
             UnreachablePoseError: A loop stays open.
         """
-        told = as_poses(self.robot, poses)
-        return self.uncertainty.at(self.robot, told.joints, told.conditions if context is None else context)
+        given_poses = as_poses(self.robot, poses)
+        return self.uncertainty.predict(
+            self.robot, given_poses.joints, given_poses.conditions if context is None else context
+        )
 
     @cached_property
-    def told_positions(self) -> ToldPositions:
+    def reported_uncertainty(self) -> ReportedUncertainty:
         """Uncertainty of positions, in the frame in which it is reported."""
-        return ToldPositions.of(self.robot, self.uncertainty, self.identification.data.joints)
+        return ReportedUncertainty.from_robot(self.robot, self.uncertainty, self.identification.data.joints)
 
     @property
     def uncertainty(self) -> ParameterUncertainty:
@@ -398,7 +400,7 @@ class Fit(ReadOnlyArrays, Hinting):
         if self.computed:
             return 0.0
         scale = self.robot.mechanism.joint_scale
-        by_joint = self.whitening.flatten(self.by_joint)[:, : len(scale)] * scale
+        by_joint = self.whitening.flatten(self.joint_derivative)[:, : len(scale)] * scale
         weighing = self.whitening.weighing(self.scales.ratios)
         plain = self.rows.jacobian if weighing is None else weighing.unwhiten(self.rows.jacobian)
         rows = replace(
@@ -407,14 +409,14 @@ class Fit(ReadOnlyArrays, Hinting):
             jacobian=plain * self.whitening.row_scale(self.scales.groups)[:, None],
         )
         return unexplained_joint_error(
-            rows.weighted(self.weights), np.sqrt(self.weights)[rows.layout.reading, None] * by_joint
+            rows.with_weights(self.weights), np.sqrt(self.weights)[rows.layout.reading, None] * by_joint
         )
 
     @cached_property
-    def by_joint(self) -> dict[str, FloatArray]:
+    def joint_derivative(self) -> dict[str, FloatArray]:
         """Derivative of the readings by the actuated joints, of each instrument, (n, n_rows, n_actuated) [SI]."""
         observed = observe(self.robot, self.configurations, self.identification.data.readings, joints=True)
-        return {name: own.by_joint.copy() for name, own in observed.items()}  # the rest takes memory
+        return {name: own.joint_derivative.copy() for name, own in observed.items()}  # the rest takes memory
 
     @property
     def undecided(self) -> UndecidedTerms | None:
@@ -425,7 +427,7 @@ class Fit(ReadOnlyArrays, Hinting):
     def identification_uncertainty(self) -> PositionUncertainty:
         """Predicted positions of the visits that were used, with their covariance as reported."""
         data = self.identification.data
-        return self.told_positions.at(data.joints, data.conditions, self.identification.passive, turns=False)
+        return self.reported_uncertainty.predict(data.joints, data.conditions, self.identification.passive, turns=False)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
@@ -433,9 +435,9 @@ class Fit(ReadOnlyArrays, Hinting):
         if self.validation is None:
             return None
         data = self.validation.data
-        return self.told_positions.at(data.joints, data.conditions, self.validation.passive, turns=False)
+        return self.reported_uncertainty.predict(data.joints, data.conditions, self.validation.passive, turns=False)
 
-    def whitened(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
+    def whitened_residuals_and_rows(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
         """Return whitened residuals before calibration (n_rows,), and the rows after it, by the noise as found.
 
         Args:
@@ -470,14 +472,14 @@ class Fit(ReadOnlyArrays, Hinting):
     @cached_property
     def validation_rows(self) -> Rows | None:
         """Whitened rows of the visits that were not used; None without them."""
-        return None if self.validation is None else self.whitened(self.validation)[1]
+        return None if self.validation is None else self.whitened_residuals_and_rows(self.validation)[1]
 
     @cached_property
     def weighted_rows(self) -> Rows:
         """Whitened rows at the solution, with the weights of a robust loss."""
-        return self.rows.weighted(self.weights)
+        return self.rows.with_weights(self.weights)
 
     @property
     def root(self) -> FloatArray:
         """T of `calib.core.numerics.observability` at the solution, with weights of a robust loss, (n_free, rank)."""
-        return self.weighted_rows.known.root
+        return self.weighted_rows.posterior_information.root

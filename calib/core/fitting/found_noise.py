@@ -1,7 +1,7 @@
 """What the residuals of a fit say of its noise: scales of groups, sizes of families, offsets that readings share.
 
-All of it is told by the linear model around an evaluation (`calib.core.numerics.variance_components`), of a few rows
-that have the products of all (`Problem.condensed`) where these are enough.
+All of it follows from the linear model around an evaluation (`calib.core.numerics.variance_components`), of a few rows
+that have the products of all (`Problem.compressed`) where these are enough.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.fitting.problem import Evaluation, Problem
-from calib.core.numerics.prior_sizes import Products, found_with_families
-from calib.core.numerics.variance_components import found_components, found_scales
+from calib.core.numerics.prior_sizes import Products, find_noise_with_families
+from calib.core.numerics.variance_components import find_components, find_scales
 
 
 def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -30,9 +30,11 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     if unknowns.families:
         products = problem.products(evaluation, ones) if plain else Products.of_model(problem.rows(evaluation, ones))
         deviations = unknowns.deviations(evaluation.robot.values)
-        return found_with_families(products, unknowns.prior, deviations, problem.noise_found, unknowns.family, groups)
-    model = problem.condensed(evaluation, ones, unknowns) if plain else problem.rows(evaluation, ones)
-    return found_scales(model, groups, problem.noise_found).scales, np.ones(0)
+        return find_noise_with_families(
+            products, unknowns.prior, deviations, problem.noise_found, unknowns.family, groups
+        )
+    model = problem.compressed(evaluation, ones, unknowns) if plain else problem.rows(evaluation, ones)
+    return find_scales(model, groups, problem.noise_found).scales, np.ones(0)
 
 
 def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
@@ -49,12 +51,12 @@ def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
         return problem.ratios
     known = problem.ratios * whitening.offset_scale(groups)
     rows, offsets = problem.plain_rows(evaluation, np.ones(len(groups))), whitening.offset_columns * tried
-    components = found_components(rows, groups, problem.noise_found, offsets, whitening.layout.pose_of_row, known)
+    components = find_components(rows, groups, problem.noise_found, offsets, whitening.layout.pose_of_row, known)
     ratios: FloatArray = components.shared / whitening.offset_scale(components.scales)
     return ratios
 
 
-def left_out(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
+def left_out_rms(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
     """Return how far off readings are of poses that are left out in turn: their root mean square, (n_groups,).
 
     By the linear model around the evaluation, in units of what is stated. Every pose counts the same, however many
@@ -67,7 +69,7 @@ def left_out(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> Fl
     """
     layout, rows = problem.whitening.layout, problem.rows(evaluation, groups)
     pose = layout.pose_of_row
-    errors: FloatArray = rows.residuals + rows.left_out(pose).moved(rows.residuals)[0]
+    errors: FloatArray = rows.residuals + rows.leave_out_blocks(pose).shifts_without_block(rows.residuals)[0]
     errors = errors if problem.weighing is None else problem.weighing.unwhiten(errors)
     squares = (errors * problem.whitening.row_scale(groups)) ** 2
     means = []

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.words import joints_named, listed
+from calib.core.base.words import joints_named, listing
 from calib.core.robots.robot import Robot
 
 _FILLED = 0.75  # part of a turn beyond which values are so near to both of its ends that they may be wrapped there
@@ -36,7 +36,7 @@ def may_be_wrapped(joints: Sequence[str], wrong: Sequence[str]) -> str:
     """
     return (
         f"all values of {joints_named(*joints)} lie within one turn, and the URDF"
-        f" states no limits. If these values were wrapped, {listed(wrong)} cannot be right. Give values that count"
+        f" states no limits. If these values were wrapped, {listing(wrong)} cannot be right. Give values that count"
         " turns; or give limits, if the joint turns no further; or use harmonics or a curve, which repeat with the"
         " turn"
     )
@@ -46,7 +46,7 @@ def wrapped_terms(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
     """Say what is wrong with joint terms that count turns of joints whose values (n_poses, n_actuated) may not."""
     uncounted = uncounted_turns(robot, joints)
     followed = [
-        (term.followed(robot.joint_names), term.parameters[0].name) for term in robot.terms if term.counts_turns
+        (term.driving_joint(robot.joint_names), term.parameters[0].name) for term in robot.terms if term.counts_turns
     ]
     wrong = {name: joint for joint, name in followed if joint in uncounted}
     return (may_be_wrapped(list(dict.fromkeys(wrong.values())), list(wrong)),) if wrong else ()

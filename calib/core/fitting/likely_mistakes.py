@@ -27,7 +27,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import CalibrationError
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import millimetres
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.data.measurements import Measurements, with_points
 from calib.core.data.tables import read_table
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
@@ -59,13 +59,13 @@ class Trial:
         words: The mistake.
         data: Some of the measurements without it.
         changes: How many joints it takes; 0 where it is one mistake.
-        at: Of which map of the columns of joint values it is.
+        column_map: Of which map of the columns of joint values it is.
     """
 
     words: str
     data: Measurements
     changes: int = 0
-    at: ColumnMap | None = None
+    column_map: ColumnMap | None = None
 
 
 @one_blas_thread
@@ -86,12 +86,12 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
     sound = data.subset(np.setdiff1d(np.arange(len(data)), zeros))
     if len(sound) <= _FEW:
         return ""
-    said, nearest = _nominal_fits(robot, data, sound, zeros) if gross else ("", None)
-    if said or not np.isfinite(noise):
-        return said
+    mistake, nearest = _nominal_fits(robot, data, sound, zeros) if gross else ("", None)
+    if mistake or not np.isfinite(noise):
+        return mistake
     tried = [joint_scales(robot, sound, at) for at in ((None, nearest) if nearest else (None,))]
     scales = min((known for known in tried if known is not None), key=lambda known: known.noise, default=None)
-    if scales is None or not scales.map.scaled or scales.noise > _HALF * noise:
+    if scales is None or not scales.map.is_scaled or scales.noise > _HALF * noise:
         return ""
     left = f"a fit leaves {millimetres(scales.noise):.3g} mm per axis in place of {millimetres(noise):.3g} mm"
     return f"probable mistake: {scales.map.words(robot, scales.std)}. Corrected, {left}"
@@ -108,10 +108,10 @@ def _nominal_fits(
         sound: Those that are no readings of zero.
         zeros: Visits that are.
     """
-    now = min(_misses(robot, [_some(data) if len(zeros) == 0 else data])[0], 1.0)
-    where = listed([data.labels[k] for k in zeros])
-    empty = f"{counted(len(zeros), 'reading')} of exactly 0, 0, 0 ({where}) were empty"
-    trials = [Trial(empty, _some(sound))] if len(zeros) else []
+    now = min(_misses(robot, [_some_visits(data) if len(zeros) == 0 else data])[0], 1.0)
+    where = listing([data.labels[k] for k in zeros])
+    empty = f"{count_noun(len(zeros), 'reading')} of exactly 0, 0, 0 ({where}) were empty"
+    trials = [Trial(empty, _some_visits(sound))] if len(zeros) else []
     misses = _misses(robot, [trial.data for trial in trials])
     prefix = f"{empty}, and " if len(zeros) else ""
     if not trials or misses[0] > _CLOSER * now:
@@ -120,23 +120,27 @@ def _nominal_fits(
         trials += [replace(trial, words=prefix + trial.words) for trial in undone]
     best = max(min(misses), 1e-6)
     if not best < min(_CLOSER * now, _NEAR):
-        scaled = [(miss, trial.at) for miss, trial in zip(misses, trials, strict=True) if trial.at and trial.at.scaled]
+        scaled = [
+            (miss, trial.column_map)
+            for miss, trial in zip(misses, trials, strict=True)
+            if trial.column_map and trial.column_map.is_scaled
+        ]
         return "", min(scaled, key=lambda entry: entry[0], default=(0.0, None))[1]
     good = [trials[k] for k in np.argsort(misses) if misses[k] <= _AS_GOOD * best]
     fewest = min((trial.changes for trial in good if trial.changes), default=0)
     likely = [trial for trial in good if trial.changes in (0, fewest)]
-    first, words = likely[0].at, [trial.words for trial in likely]
-    if first is not None and first.scaled:
+    first, words = likely[0].column_map, [trial.words for trial in likely]
+    if first is not None and first.is_scaled:
         scales = joint_scales(robot, sound, first)
         if scales is not None and not scales.map.words(robot):  # nothing is scaled: only some poses did not close
             return "", None
         words = words[:1] if scales is None else [prefix + scales.map.words(robot, scales.std)]
-    said = (
+    sentence = (
         f"probable mistake: {', or '.join(words[:3])}. Corrected, the nominal robot fits {now / best:.0f} times better"
     )
     if len(words) == 1 and first is not None:
-        said += f". In the description: {first.description_line(robot, _file_units(data))}"
-    return said, None
+        sentence += f". In the description: {first.description_line(robot, _file_units(data))}"
+    return sentence, None
 
 
 def _file_units(data: Measurements) -> dict[str, str | None]:
@@ -148,7 +152,7 @@ def _file_units(data: Measurements) -> dict[str, str | None]:
     return dict(zip(table.names, table.units, strict=True))
 
 
-def _some(data: Measurements) -> Measurements:
+def _some_visits(data: Measurements) -> Measurements:
     return data.subset(np.unique(np.linspace(0, len(data) - 1, _POSES).astype(np.intp)))
 
 
@@ -159,14 +163,18 @@ def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> 
     """
     result = np.full(len(changed), np.inf)
     glances = [data.joints[::_GLANCE] for data in changed]
-    some = _closed(robot, glances) if robot.mechanism.loops else [(np.ones(1, dtype=bool), np.zeros(0))] * len(changed)
+    some = (
+        _closed_poses(robot, glances)
+        if robot.mechanism.loops
+        else [(np.ones(1, dtype=bool), np.zeros(0))] * len(changed)
+    )
     left = [k for k, (ok, _) in enumerate(some) if _closes(ok)]
-    for k, (ok, passive) in zip(left, _closed(robot, [changed[k].joints for k in left]), strict=True):
+    for k, (ok, passive) in zip(left, _closed_poses(robot, [changed[k].joints for k in left]), strict=True):
         result[k] = _miss_of(robot, changed[k], ok, passive, most)
     return [float(miss) for miss in result]
 
 
-def _closed(robot: Robot, joints: list[FloatArray]) -> list[tuple[BoolArray, FloatArray]]:
+def _closed_poses(robot: Robot, joints: list[FloatArray]) -> list[tuple[BoolArray, FloatArray]]:
     """Which poses of each list close, and how."""
     if not joints:
         return []
@@ -200,12 +208,12 @@ def _miss_of(robot: Robot, data: Measurements, ok: BoolArray, passive: FloatArra
 
 def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
     """Yield each mistake, undone in some of the measurements."""
-    data = _some(measured)
+    data = _some_visits(measured)
     q, points = data.joints, data.points(robot)
     for at in likely_maps(robot, data):
         yield Trial(at.words(robot), replace(data, joints=at.joints(q)), at.changes, at)
-    yield from _shifted(measured)
-    yield from _mapped(robot, measured)
+    yield from _shifted_trials(measured)
+    yield from _rescaled_trials(robot, measured)
     angles = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
     if np.any(angles):
         yield Trial("degrees were read as radians", replace(data, joints=np.where(angles, np.radians(q), q)))
@@ -221,7 +229,7 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
             yield Trial(words, with_points(robot, data, points[..., list(order)] * sign))
 
 
-def _shifted(measured: Measurements) -> Iterator[Trial]:
+def _shifted_trials(measured: Measurements) -> Iterator[Trial]:
     """Joint values beside other rows, as they were measured: rows between may be held out, or left out."""
     places = measured.places
     for rows, sign in product(range(1, _SHIFTS + 1), (1, -1)):
@@ -230,10 +238,10 @@ def _shifted(measured: Measurements) -> Iterator[Trial]:
             joints = measured.joints[of_joints]
             side = f"{'one row' if rows == 1 else f'{rows} rows'} {'above' if sign > 0 else 'below'}"
             shifted = replace(measured.subset(of_points), joints=joints)
-            yield Trial(f"all joint values stood {side} their measurements", _some(shifted))
+            yield Trial(f"all joint values stood {side} their measurements", _some_visits(shifted))
 
 
-def _mapped(robot: Robot, measured: Measurements) -> Iterator[Trial]:
+def _rescaled_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
     """Joint values that are parts of the joints' ranges: numbers of a file, whatever unit they were read as."""
     lower, upper = robot.urdf.limits(robot.joint_names)
     if not np.all(np.isfinite(upper - lower)):
@@ -245,7 +253,7 @@ def _mapped(robot: Robot, measured: Measurements) -> Iterator[Trial]:
         if np.all((numbers > low - 0.1 * reach) & (numbers < high + 0.1 * reach)):
             whole = replace(measured, joints=lower + (numbers - low) / reach * (upper - lower))
             words = f"all joint values were mapped from the joints' limits to the range {low} to {high}"
-            yield Trial(words, _some(whole))
+            yield Trial(words, _some_visits(whole))
 
 
 def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
@@ -270,7 +278,7 @@ def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
 
 
 def _axes_in_words(order: tuple[int, ...], sign: tuple[float, ...]) -> str:
-    """What is wrong with measured columns that stand in another order, and with other signs; empty if nothing is."""
+    """A sentence on measured columns in another order or with other signs; empty if they are right."""
     columns = ["xyz"[k] for k in order]
     moved = [axis for axis, column in zip("xyz", columns, strict=True) if axis != column]
     turned = " and ".join(column for column, of in zip(columns, sign, strict=True) if of < 0)
@@ -304,8 +312,9 @@ def zeros_in_words(data: Measurements, robot: Robot) -> str:
     if len(zeros) == 0:
         return ""
     return (
-        f"{counted(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, which some programs write when they"
-        f" see nothing: {listed([data.labels[k] for k in zeros])}; leave {'it' if len(zeros) == 1 else 'them'} out"
+        f"{count_noun(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, which some programs write when"
+        f" they"
+        f" see nothing: {listing([data.labels[k] for k in zeros])}; leave {'it' if len(zeros) == 1 else 'them'} out"
     )
 
 

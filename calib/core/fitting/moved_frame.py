@@ -17,9 +17,9 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, UnreachablePoseError
-from calib.core.base.remembered import remembered
+from calib.core.base.memoize import memoize
 from calib.core.fitting.error_sets import ErrorSet
-from calib.core.fitting.fit import errors_on, placed_by
+from calib.core.fitting.fit import errors_on, place_from_data
 from calib.core.fitting.fitted import Fit
 from calib.core.numerics.rigid import best_transform
 
@@ -48,7 +48,7 @@ class MovedFrame:
     errors: ErrorSet | None
 
 
-@remembered
+@memoize
 def moved_frame(fit: Fit) -> MovedFrame | None:
     """Return how the frame of the validation poses moved; None where it did not."""
     if fit.validation is None or len(fit.validation.data) < FEW_POSES or fit.computed or _from_one_file(fit):
@@ -67,7 +67,7 @@ def moved_frame(fit: Fit) -> MovedFrame | None:
     centre = measured.mean(axis=0)
     shift = float(np.linalg.norm(rotation @ centre + translation - centre))
     angle = float(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0)))
-    return MovedFrame(shift, angle, left, _placed_anew(fit))
+    return MovedFrame(shift, angle, left, _errors_when_replaced(fit))
 
 
 def validation_errors(fit: Fit) -> ErrorSet | None:
@@ -76,7 +76,7 @@ def validation_errors(fit: Fit) -> ErrorSet | None:
     return fit.validation if moved is None or moved.errors is None else moved.errors
 
 
-def _placed_anew(fit: Fit) -> ErrorSet | None:
+def _errors_when_replaced(fit: Fit) -> ErrorSet | None:
     """Errors at the validation poses, with the frames that they were read from placed by them."""
     assert fit.validation is not None
     robot, data = fit.robot, fit.validation.data
@@ -90,7 +90,7 @@ def _placed_anew(fit: Fit) -> ErrorSet | None:
     if not names:
         return None
     try:
-        return errors_on(placed_by(data, fit.placed, names), placed_by(data, robot, names), data)
+        return errors_on(place_from_data(data, fit.placed, names), place_from_data(data, robot, names), data)
     except (ComputationError, UnreachablePoseError):
         return None
 

@@ -18,7 +18,7 @@ from calib.core.base.units import quantity_text
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.instruments.kind import Instrument
 from calib.core.numerics.chances import FALSE_ALARM
-from calib.core.numerics.losses import Studentised
+from calib.core.numerics.losses import StudentisedErrors
 from calib.core.rows.rows import Layout
 
 
@@ -53,11 +53,11 @@ class Outlier:
     p_value: float
 
     def __str__(self) -> str:
-        return f"{self.label}, {self.said}"
+        return f"{self.label}, {self.description}"
 
     @property
-    def said(self) -> str:
-        """What was read, and how far it is off, in words."""
+    def description(self) -> str:
+        """The reading and its error in words."""
         what = f"{self.target} {self.looked_at}" if self.looked_at else self.target
         times = f"{self.studentised:.1f} times the noise (leverage {self.leverage:.2f})"
         return f"{what}: {self.size} off, {times}"
@@ -67,9 +67,9 @@ class Outliers(tuple[Outlier, ...]):
     """Outliers, worst first."""
 
 
-def outliers_of(studentised: Studentised, error_set: ErrorSet, layout: Layout) -> tuple[Outlier, ...]:
+def outliers_of(studentised: StudentisedErrors, error_set: ErrorSet, layout: Layout) -> tuple[Outlier, ...]:
     """Return the outliers of a set, worst first."""
-    together = _off_together(studentised, layout)
+    together = _n_far_off(studentised, layout)
     result = []
     for k in map(int, studentised.outliers):
         name = next(name for name in layout.instruments if layout.readings_of(name).stop > k)
@@ -96,7 +96,7 @@ def outliers_of(studentised: Studentised, error_set: ErrorSet, layout: Layout) -
     return tuple(result)
 
 
-def _off_together(studentised: Studentised, layout: Layout) -> IntArray:
+def _n_far_off(studentised: StudentisedErrors, layout: Layout) -> IntArray:
     """Readings of each visit, where more than half of several are far off, else 0, (n_visits,)."""
     n_visits = int(layout.visit.max(initial=-1)) + 1
     readings = np.bincount(layout.visit, minlength=n_visits)
@@ -109,14 +109,14 @@ def outliers_in_words(outliers: Sequence[Outlier]) -> list[str]:
     words: dict[object, str] = {}
     for number, outlier in enumerate(outliers):
         if outlier.together:
-            text = f"{outlier.label}, all {outlier.together} readings together, such as {outlier.said}"
+            text = f"{outlier.label}, all {outlier.together} readings together, such as {outlier.description}"
             words.setdefault(("visit", outlier.pose), text)
         else:
             words["reading", number] = str(outlier)
     return list(words.values())
 
 
-def left_out_with(outliers: Sequence[Outlier], layout: Layout) -> dict[str, IntArray]:
+def readings_of_outliers(outliers: Sequence[Outlier], layout: Layout) -> dict[str, IntArray]:
     """Return the numbers of the readings that go with outliers, by instrument (n,): each alone, or all of its visit.
 
     Args:

@@ -61,7 +61,7 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
             )
     for term in robot.terms:
         for condition in term.depends_on:
-            k = unstated(condition, data)
+            k = first_unstated_visit(condition, data)
             if k is not None:
                 raise DataError(
                     f"{data.labels[k]}: says no {condition.column}, which '{term.parameters[0].name}' depends on;"
@@ -90,7 +90,7 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
         _refuse_one_line(robot, data)
 
 
-def unstated(condition: Condition, data: Measurements) -> int | None:
+def first_unstated_visit(condition: Condition, data: Measurements) -> int | None:
     """Return the first visit of which a condition is not known, where others state it."""
     empty = np.flatnonzero(np.isnan(data.context.get(condition.column, np.zeros(0))))
     return int(empty[0]) if len(empty) else None
@@ -183,8 +183,8 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
 
 def _columns(problem: Problem, evaluation: Evaluation, index: IntArray) -> FloatArray:
     """Return a few rows that have the products of the derivative by parameters (n,), whitened and not scaled."""
-    unknowns = Unknowns.of(problem.robot, np.isin(np.arange(len(problem.robot.parameters)), index))
-    return problem.condensed(evaluation, problem.whitening.start(), unknowns).jacobian / unknowns.scales
+    unknowns = Unknowns.from_robot(problem.robot, np.isin(np.arange(len(problem.robot.parameters)), index))
+    return problem.compressed(evaluation, problem.whitening.start(), unknowns).jacobian / unknowns.scales
 
 
 def _why(problem: Problem) -> str:

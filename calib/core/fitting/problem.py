@@ -24,13 +24,13 @@ from calib.core.base.errors import ComputationError
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import Readings
 from calib.core.numerics.chances import UNLIKELY
-from calib.core.numerics.identifiability import reduced
-from calib.core.numerics.least_squares import TOLERANCE, Solution, minimise
+from calib.core.numerics.identifiability import reduce_rows
+from calib.core.numerics.least_squares import TOLERANCE, LeastSquaresSolution, minimise
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.linear_point import RowStack
 from calib.core.numerics.prior_sizes import Products
 from calib.core.numerics.variance_components import SharedError
-from calib.core.robots.configurations import Configurations, close, configured, describe_open
+from calib.core.robots.configurations import Configurations, close, describe_open, solve_configurations
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed, observe
@@ -51,7 +51,7 @@ class Evaluation:
         configurations: Its assembled visits.
         readings: What was read, of each instrument, by name.
         products: What `Problem.products` remembers: scales of the unknowns, and products for these.
-        factors: What `Problem.condensed` remembers: some unknowns, and factors of the rows of each group by these.
+        factors: What `Problem.compressed` remembers: some unknowns, and factors of the rows of each group by these.
     """
 
     robot: Robot
@@ -73,7 +73,8 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False)
 class Problem(ReadOnlyArrays):
-    """Rows of a fit as functions of the parameters. `of` sets it up, `weighed` and `replace` make changed ones.
+    """Rows of a fit as functions of the parameters. `from_data` sets it up, `with_offset_ratios` and `replace` make
+    changed ones.
 
     Attributes:
         robot: Nominal robot.
@@ -102,7 +103,7 @@ class Problem(ReadOnlyArrays):
     limits: bool = False
 
     @staticmethod
-    def of(
+    def from_data(
         robot: Robot,
         data: Measurements,
         sigma: float | None = None,
@@ -127,14 +128,14 @@ class Problem(ReadOnlyArrays):
             robot, data, sigma, columns, passive, *_as_stated(robot, whitening or Whitening(robot, data, sigma))
         )
 
-    def read_again(self, data: Measurements, passive: FloatArray) -> Problem:
+    def with_readings(self, data: Measurements, passive: FloatArray) -> Problem:
         """Return the problem of other readings of the same visits; no pose is closed again from home.
 
         Args:
             data: The readings; joint values and conditions as before.
             passive: Passive joints near its solution, (n, n_passive) [m or rad].
         """
-        if self.whitening.whitens(data):
+        if self.whitening.applies_to(data):
             return replace(self, data=data, passive=passive)
         return Problem(
             self.robot,
@@ -145,16 +146,16 @@ class Problem(ReadOnlyArrays):
             *_as_stated(self.robot, Whitening(self.robot, data, self.sigma)),
         )
 
-    def weighed(self, ratios: FloatArray) -> Problem:
+    def with_offset_ratios(self, ratios: FloatArray) -> Problem:
         """Return it with rows weighed by these ratios of offsets to the scales of their groups, (n_offsets,)."""
         return replace(self, ratios=ratios, weighing=self.whitening.weighing(ratios))
 
     @property
-    def unstated(self) -> BoolArray:
+    def has_unstated_noise(self) -> BoolArray:
         """Groups whose noise is not stated, (n_groups,)."""
-        return _unstated(self.whitening)
+        return _has_unstated_noise(self.whitening)
 
-    def contradicted(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
+    def contradicted_groups(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
         """Return of which groups noise is stated that scales as found contradict, (n_groups,).
 
         Args:
@@ -165,13 +166,13 @@ class Problem(ReadOnlyArrays):
         left = max(1.0 - len(self.unknowns) / max(int(np.sum(counts)), 1), _LEAST_FREEDOM)
         freedom = np.maximum(efficiency * left * counts, 1e-3)
         chance = scipy.special.chdtrc(freedom, freedom * scales**2)
-        return np.asarray(~self.unstated & (scales > 1.0) & (chance < UNLIKELY))
+        return np.asarray(~self.has_unstated_noise & (scales > 1.0) & (chance < UNLIKELY))
 
     @property
-    def confirmed(self) -> FloatArray:
+    def confirmed_freedom(self) -> FloatArray:
         """Degrees of freedom with which a fleet confirmed the stated noise of groups, (n_groups,); 0 if found."""
         fleet = self.robot.description.fleet
-        return np.where(self.noise_found | self.unstated, 0.0, 0.0 if fleet is None else fleet.noise_freedom)
+        return np.where(self.noise_found | self.has_unstated_noise, 0.0, 0.0 if fleet is None else fleet.noise_freedom)
 
     @property
     def noise_weighs(self) -> bool:
@@ -188,7 +189,7 @@ class Problem(ReadOnlyArrays):
         Raises:
             ComputationError: A loop opens.
         """
-        evaluation = self.evaluate_if_closed(robot, near) or self._evaluated(robot, None)
+        evaluation = self.evaluate_if_closed(robot, near) or self._try_evaluate(robot, None)
         if evaluation is None:
             closed = close(robot, self.data.joints, columns=self._columns_of(robot), limits=self.limits)
             raise ComputationError(describe_open(robot, self.data.joints, closed, self.data.labels))
@@ -196,14 +197,14 @@ class Problem(ReadOnlyArrays):
 
     def evaluate_if_closed(self, robot: Robot, near: Evaluation | None = None) -> Evaluation | None:
         """Evaluate a robot on the data; None where a loop opens."""
-        return self._evaluated(robot, self.passive if near is None else near.configurations.passive)
+        return self._try_evaluate(robot, self.passive if near is None else near.configurations.passive)
 
-    def _evaluated(self, robot: Robot, seed: FloatArray | None) -> Evaluation | None:
+    def _try_evaluate(self, robot: Robot, seed: FloatArray | None) -> Evaluation | None:
         columns = self._columns_of(robot)
         closed = close(robot, self.data.joints, seed, columns, limits=self.limits)
         if not np.all(closed.ok):
             return None
-        configurations = configured(robot, self.data.joints, closed, columns)
+        configurations = solve_configurations(robot, self.data.joints, closed, columns)
         return Evaluation(robot, configurations, self.data.readings)
 
     def _columns_of(self, robot: Robot) -> tuple[FloatArray, ...]:
@@ -221,14 +222,14 @@ class Problem(ReadOnlyArrays):
         chosen = self.unknowns if unknowns is None else unknowns
         rows = self.plain_rows(evaluation, groups, chosen)
         if self.weighing is None and any(known.has(chosen) for known, _ in evaluation.factors):
-            rows.remember(self.condensed(evaluation, groups, chosen).factor)
-        return rows.whitened(self.weighing)
+            rows.remember(self.compressed(evaluation, groups, chosen).factor)
+        return rows.whiten_shared(self.weighing)
 
     def plain_rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
         """Return the rows, (n_rows, n_unknowns), without whitening for shared errors.
 
         Args:
-            evaluation, groups, unknowns: As of `rows`.
+            evaluation, groups, unknowns: Arguments of `rows`.
         """
         chosen = self.unknowns if unknowns is None else unknowns
         jacobian = self.derivative(evaluation, groups, chosen)
@@ -239,7 +240,7 @@ class Problem(ReadOnlyArrays):
         """Return the residuals of all rows, without whitening for shared errors, (n_rows,).
 
         Args:
-            evaluation, groups: As of `rows`.
+            evaluation, groups: Arguments of `rows`.
         """
         return self.whitening.flatten(evaluation.residuals) / self.whitening.row_scale(groups)
 
@@ -249,7 +250,7 @@ class Problem(ReadOnlyArrays):
         """Return the derivative of the rows by some scaled parameters, without whitening for shared errors.
 
         Args:
-            evaluation, groups, unknowns: As of `rows`.
+            evaluation, groups, unknowns: Arguments of `rows`.
             weights: Of each reading, (n_readings,).
 
         Returns:
@@ -260,7 +261,7 @@ class Problem(ReadOnlyArrays):
             columns *= np.sqrt(weights)[self.whitening.layout.reading][:, None]
         return columns
 
-    def condensed(
+    def compressed(
         self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, rows: FloatArray | None = None
     ) -> LinearModel:
         """Return a model of a few rows, (n_few, n_unknowns), that have the products of all.
@@ -268,7 +269,7 @@ class Problem(ReadOnlyArrays):
         They are made of the triangular factors of the rows of each group, which are made once for an evaluation.
 
         Args:
-            evaluation, groups: As of `rows`.
+            evaluation, groups: Arguments of `rows`.
             unknowns: Some parameters.
             rows: The derivative of the rows by these, (n_rows, n_unknowns), if it is there.
         """
@@ -295,7 +296,7 @@ class Problem(ReadOnlyArrays):
         residuals, group = self.residuals(evaluation, groups), self.whitening.layout.group
         members = [group == g for g in range(len(groups))]
         parts = [slice(None) if np.all(mine) else mine for mine in members]  # a slice copies nothing
-        return [scale * reduced(rows[part], residuals[part]) for part, scale in zip(parts, groups, strict=True)]
+        return [scale * reduce_rows(rows[part], residuals[part]) for part, scale in zip(parts, groups, strict=True)]
 
     def products(self, evaluation: Evaluation, groups: FloatArray, rows: FloatArray | None = None) -> Products:
         """Return the products of the rows by the free parameters, whitened by what is stated.
@@ -311,10 +312,10 @@ class Problem(ReadOnlyArrays):
         if not evaluation.products:
             rows = self.derivative(evaluation, groups, self.unknowns) if rows is None else rows
             residuals = self.residuals(evaluation, groups)
-            made = Products.of(rows, residuals, self.whitening.layout.group, len(groups)).times(groups)
+            made = Products.from_rows(rows, residuals, self.whitening.layout.group, len(groups)).times(groups)
             evaluation.products.append((scales, made))
         before, products = evaluation.products[0]
-        return products if np.array_equal(before, scales) else products.resized(scales / before)
+        return products if np.array_equal(before, scales) else products.scale_columns(scales / before)
 
     def solve(
         self,
@@ -324,7 +325,7 @@ class Problem(ReadOnlyArrays):
         *,
         tolerance: float = TOLERANCE,
         weights: FloatArray | None = None,
-    ) -> tuple[Evaluation, Solution]:
+    ) -> tuple[Evaluation, LeastSquaresSolution]:
         """Minimise over some parameters, the others staying as in `start`.
 
         Args:
@@ -337,12 +338,12 @@ class Problem(ReadOnlyArrays):
         Returns:
             The end, and what the solver says of it without the Jacobian, which `rows` gives of the end.
         """
-        way = _Way(self, start, groups, self.unknowns if unknowns is None else unknowns, weights)
+        way = _SolverRows(self, start, groups, self.unknowns if unknowns is None else unknowns, weights)
         solution = minimise(way.residuals, way.jacobian, way.begin, tolerance=tolerance)
         return way.current, replace(solution, jacobian=np.zeros((0, len(way.begin))))
 
 
-class _Way:
+class _SolverRows:
     """The way of one solve: rows where the solver looks, each evaluated once.
 
     Args:
@@ -354,7 +355,7 @@ class _Way:
 
     Attributes:
         begin: u at the start, (n_unknowns,).
-        current: Where the solver is: where it last asked for a derivative.
+        current: Where the solver is: its last derivative.
     """
 
     def __init__(
@@ -369,7 +370,7 @@ class _Way:
         for known, evaluation in self._looked_at:
             if np.array_equal(known, u):
                 return evaluation
-        evaluation = self._problem.evaluate_if_closed(self._unknowns.moved(self.current.robot, u), self.current)
+        evaluation = self._problem.evaluate_if_closed(self._unknowns.robot_at(self.current.robot, u), self.current)
         self._looked_at = [*self._looked_at, (u, evaluation)][-_TRIALS:]
         return evaluation
 
@@ -400,17 +401,17 @@ class _Way:
         if unknowns.families:
             of_all = unknowns is problem.unknowns
             return RowStack(rows, prior, products=partial(self._products, evaluation, rows) if of_all else None)
-        return RowStack(rows, prior, lambda: problem.condensed(evaluation, groups, unknowns, rows).factor)
+        return RowStack(rows, prior, lambda: problem.compressed(evaluation, groups, unknowns, rows).factor)
 
     def _products(self, evaluation: Evaluation, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """J^T J (n, n) and J^T r (n,) of rows (n_rows, n) there."""
-        return self._problem.products(evaluation, self._groups, rows).weighed(self._groups)
+        return self._problem.products(evaluation, self._groups, rows).weigh(self._groups)
 
 
 def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:
     """Whitening, unknowns, groups to find and ratios, before any noise is found."""
-    return whitening, Unknowns.of(robot), _unstated(whitening), np.zeros(whitening.n_offsets)
+    return whitening, Unknowns.from_robot(robot), _has_unstated_noise(whitening), np.zeros(whitening.n_offsets)
 
 
-def _unstated(whitening: Whitening) -> BoolArray:
+def _has_unstated_noise(whitening: Whitening) -> BoolArray:
     return np.array([not group.stated for group in whitening.groups])

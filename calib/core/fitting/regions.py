@@ -58,7 +58,7 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
     cuts = {"where in joint space was measured": block}
     if data.setups is not None and np.ptp(data.setups) > 0:
         cuts["the setup"] = data.setups
-    ratios = {name: left_out(rows, statistics, blocks) for name, blocks in cuts.items()}
+    ratios = {name: scatter_without_blocks(rows, statistics, blocks) for name, blocks in cuts.items()}
     apart = [
         Regions(name, ratio, chance < UNLIKELY / len(cuts))
         for name, (ratio, chance) in ratios.items()
@@ -67,12 +67,12 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
     return max(apart, key=lambda regions: regions.ratio, default=None)
 
 
-def left_out(rows: Rows, statistics: Statistics, block: IntArray) -> tuple[float, float]:
+def scatter_without_blocks(rows: Rows, statistics: Statistics, block: IntArray) -> tuple[float, float]:
     """Return how many times as much as noise explains parameters move without blocks of visits, and the chance of that.
 
     Args:
-        rows: As of `disagreeing`.
-        statistics: As there.
+        rows: Whitened rows at the solution, with the weights of a robust loss.
+        statistics: Statistics of the parameters.
         block: Block of each visit, (n_visits,).
     """
     layout, factors = rows.layout, statistics.factors
@@ -80,4 +80,6 @@ def left_out(rows: Rows, statistics: Statistics, block: IntArray) -> tuple[float
     of_row = block[layout.visit[layout.reading]]
     noise = np.full(layout.n_rows, factor)
     moved: Scatter = scatter(rows.span, rows.residuals, noise, of_row, statistics.freedom)
-    return (moved.ratio, moved.chance) if statistics.shared is None else moved.beyond(statistics.shared)
+    return (
+        (moved.ratio, moved.chance) if statistics.shared_scatter is None else moved.ratio_to(statistics.shared_scatter)
+    )

@@ -27,7 +27,7 @@ from calib.core.base.errors import NotIdentifiableError
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.fitting.starts import Starts
 from calib.core.numerics.chances import EXACT
-from calib.core.numerics.least_squares import Solution
+from calib.core.numerics.least_squares import LeastSquaresSolution
 from calib.core.numerics.losses import Loss, median_length, robust_factors, scale_of, weights_of
 from calib.core.numerics.observability import information
 from calib.core.numerics.statistics import Factors, effective_parameters
@@ -45,31 +45,31 @@ _TOO_FEW_LEFT = (
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class RobustSolution:
     """A minimum, and what weighed its rows.
 
     Attributes:
         problem: As it was solved: with the noise and the sizes of families that were found.
-        at: The parameters there, and what they say of the readings.
+        evaluation: The parameters there, and what they say of the readings.
         groups: Scale of the noise of each group, (n_groups,).
-        solution: What the solver said last.
+        solution: Last report of the solver.
         weights: Of each reading, (n_readings,); None without a robust loss.
         factors: What the residuals say about the noise, with a robust loss.
         settled: Whether the weights of a robust loss stand.
-        starts: Ends of perturbed starts, if they were asked for.
+        starts: Ends of perturbed starts, if requested.
     """
 
     problem: Problem
-    at: Evaluation
+    evaluation: Evaluation
     groups: FloatArray
-    solution: Solution
+    solution: LeastSquaresSolution
     weights: FloatArray | None = None
     factors: Factors | None = None
     settled: bool = True
     starts: Starts | None = None
 
 
-def solve_robust(solved: Solved, loss: Loss) -> Solved:
+def solve_robust(solved: RobustSolution, loss: Loss) -> RobustSolution:
     """Minimise with a robust loss, from a least-squares solution.
 
     Args:
@@ -79,9 +79,9 @@ def solve_robust(solved: Solved, loss: Loss) -> Solved:
     Raises:
         NotIdentifiableError: What the loss leaves of the data does not determine the parameters.
     """
-    problem, at, scale = solved.problem, solved.at, float("nan")
+    problem, at, scale = solved.problem, solved.evaluation, float("nan")
     layout = problem.whitening.layout
-    groups, noise_found = _believed(problem, problem.rows(at, solved.groups), solved.groups)
+    groups, noise_found = _initial_scales(problem, problem.rows(at, solved.groups), solved.groups)
     found_everywhere = bool(np.all(noise_found))
     stages: tuple[Loss, ...] = ("huber",) if loss == "huber" else ("huber", loss)
     for stage in stages:
@@ -98,7 +98,7 @@ def solve_robust(solved: Solved, loss: Loss) -> Solved:
             weights = now
             if settled:
                 break
-            stepped = _stepped(problem, at, rows, step, weights, groups)
+            stepped = _try_step(problem, at, rows, step, weights, groups)
             at = stepped or problem.solve(at, groups, weights=weights)[0]
     if found_everywhere:  # priors weigh against the noise of the median reading
         groups, scale = groups * scale, 1.0
@@ -112,20 +112,20 @@ def solve_robust(solved: Solved, loss: Loss) -> Solved:
     factors = Factors(
         pooled.values * ones, pooled.freedom * n_rows / n_rows.sum(), pooled.effective * ones, pooled.slope
     )
-    return Solved(problem, at, groups, solution, weights, factors, settled, solved.starts)
+    return RobustSolution(problem, at, groups, solution, weights, factors, settled, solved.starts)
 
 
-def _believed(problem: Problem, rows: Rows, groups: FloatArray) -> tuple[FloatArray, BoolArray]:
+def _initial_scales(problem: Problem, rows: Rows, groups: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return scales (n_groups,): the stated ones 1, or as found where the median reading contradicts them; and where.
 
     The second are the groups whose noise is found, (n_groups,).
     """
-    unstated = problem.unstated
+    unstated = problem.has_unstated_noise
     if not problem.noise_weighs or np.all(unstated):
         return groups, unstated
     step = _linear_solution(rows, "huber", None, True)[2]
     scales = groups * _levels(replace(rows, residuals=rows.residuals + rows.jacobian @ step))
-    noise_found = unstated | problem.contradicted(scales, _MEDIAN)
+    noise_found = unstated | problem.contradicted_groups(scales, _MEDIAN)
     return np.where(unstated, groups, np.where(noise_found, scales, 1.0)), noise_found
 
 
@@ -150,14 +150,16 @@ def _median_scales(rows: Rows, groups: FloatArray, noise_found: BoolArray) -> Fl
     return groups * np.where(noise_found, np.maximum(_levels(rows), EXACT), 1.0)
 
 
-def _stepped(
+def _try_step(
     problem: Problem, at: Evaluation, rows: Rows, step: FloatArray, weights: FloatArray, groups: FloatArray
 ) -> Evaluation | None:
     """Return where one Gauss-Newton step leads; None if that lowers nothing."""
-    reached = problem.evaluate_if_closed(problem.unknowns.moved(at.robot, rows.deviations + step), at)
+    reached = problem.evaluate_if_closed(problem.unknowns.robot_at(at.robot, rows.deviations + step), at)
     if reached is None:
         return None
-    return reached if problem.rows(reached, groups).weighted(weights).cost < rows.weighted(weights).cost else None
+    return (
+        reached if problem.rows(reached, groups).with_weights(weights).cost < rows.with_weights(weights).cost else None
+    )
 
 
 def _linear_solution(

@@ -2,7 +2,8 @@
 
 A controller that counts in gon, a range that was mapped, a gear ratio that is wrong: the joint is where q = g x + b,
 and the file has x. The nominal robot is fitted with a gain of each joint that moved, beside its own parameters, which
-take up b. A factor is told where it is off by more than a part in a hundred and by more than its uncertainty allows.
+take up b. A factor is reported where it is off by more than a part in a hundred and by more than its uncertainty
+allows.
 
 When it fails. The fit begins where the file stands, or where a search has brought it: of a joint that is scaled by two
 it may not find the way.
@@ -16,7 +17,7 @@ from dataclasses import dataclass, replace
 from calib.core.base.errors import CalibrationError
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.column_maps import ColumnMap
-from calib.core.fitting.fit import Nearby, fit_data
+from calib.core.fitting.fit import WarmStart, fit_data
 from calib.core.fitting.joint_conventions import uncounted_turns
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.fitting.settings import Settings
@@ -32,7 +33,7 @@ _EXPECTED = 0.3  # size of a gain that is looked for
 
 @dataclass(frozen=True)
 class JointScales:
-    """What a fit with gains says of the scales of joints.
+    """Scales of joints, from a fit with gains.
 
     Attributes:
         map: What makes joint values right; factors of joints whose scale is right are one.
@@ -61,7 +62,7 @@ def joint_scales(robot: Robot, data: Measurements, at: ColumnMap | None = None) 
     own = tuple(section for section in robot.description.terms if section.term != Gain.word)
     try:
         geared = robot.with_terms((*own, *sections))
-        fit = fit_data(geared, Settings(), mapped, nearby=Nearby.no_intervals(geared))
+        fit = fit_data(geared, Settings(), mapped, nearby=WarmStart.without_intervals(geared))
     except CalibrationError:
         return None
     found = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))

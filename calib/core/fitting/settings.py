@@ -9,12 +9,12 @@ from typing import Literal
 import numpy as np
 
 from calib.core.base.errors import DataError, InputError
-from calib.core.numerics.losses import Loss, checked_loss
+from calib.core.numerics.losses import Loss, find_loss
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What was asked of a fit that neither it nor its robot knows, and that the next fit is to be asked again.
+class RequestedOptions:
+    """Options of a fit that neither its settings nor its robot hold, and that a repeated fit needs again.
 
     Attributes:
         fix, free: Names of parameters.
@@ -64,7 +64,7 @@ class Settings:
     def __post_init__(self) -> None:
         if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0):
             raise DataError(f"sigma {self.sigma:g} m: must be a positive number")
-        checked_loss(self.loss)
+        find_loss(self.loss)
         if isinstance(self.folds, str) and self.folds != "setups":
             raise InputError(f"folds '{self.folds}': must be a number of folds, or 'setups'")
         if self.starts < 1:

@@ -33,17 +33,17 @@ from calib.core.base.errors import NotConvergedError, NotIdentifiableError
 from calib.core.base.workers import Progress
 from calib.core.fitting.curvature import mean_square_beyond_linear
 from calib.core.fitting.fitted import Convergence
-from calib.core.fitting.found_noise import left_out, ratios_found, scales_found
+from calib.core.fitting.found_noise import left_out_rms, ratios_found, scales_found
 from calib.core.fitting.problem import Evaluation, Problem
-from calib.core.fitting.robust import Solved, solve_robust
+from calib.core.fitting.robust import RobustSolution, solve_robust
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.starts import explore
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.clusters import Scatter, scatter
-from calib.core.numerics.identifiability import reduced
+from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE
 from calib.core.numerics.prior_sizes import variance_by_sizes
-from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, found_factors, statistics
+from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, find_factors, statistics
 from calib.core.numerics.tall import Span
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
@@ -80,7 +80,7 @@ def place(problem: Problem) -> Evaluation:
         NotConvergedError: They cannot be placed.
     """
     robot = problem.robot
-    places = problem.unknowns.only(problem.unknowns.placement)
+    places = problem.unknowns.select(problem.unknowns.placement)
     if not len(places):
         return problem.evaluate(robot)
     placed, solution = problem.evaluate(register(robot, problem.data)), None
@@ -100,7 +100,7 @@ def place(problem: Problem) -> Evaluation:
     return placed
 
 
-def placed_as(problem: Problem, other: Robot, residuals: Mapping[str, FloatArray]) -> Evaluation | None:
+def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, FloatArray]) -> Evaluation | None:
     """Return what `place` does, from another robot that was placed by the same readings; None if it moves otherwise.
 
     Args:
@@ -122,7 +122,7 @@ def placed_as(problem: Problem, other: Robot, residuals: Mapping[str, FloatArray
     return placed if moves_alike else None
 
 
-def seen_from(problem: Problem, placed: Evaluation) -> Evaluation:
+def reset_unseen(problem: Problem, placed: Evaluation) -> Evaluation:
     """Return a placed robot with what no reading sees from just there put back to where the description has it.
 
     The nominal robot's own errors may place a point where its instrument is blind, such as the end of a draw wire in
@@ -143,7 +143,7 @@ def seen_from(problem: Problem, placed: Evaluation) -> Evaluation:
 def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
     """Scales of all groups, stated or not, as the residuals of placing are."""
     flat, group = problem.whitening.flatten(evaluation.residuals), problem.whitening.layout.group
-    places = problem.unknowns.only(problem.unknowns.placement)
+    places = problem.unknowns.select(problem.unknowns.placement)
     result = groups.copy()
     for g in range(len(result)):
         rows = group == g
@@ -156,7 +156,7 @@ def _is_best_placed(problem: Problem, placed: Evaluation, places: Unknowns) -> b
     """Whether no other place of base and targets promises errors that are smaller by more than `_PLACED`."""
     groups = problem.whitening.start(placed.residuals)
     residuals = problem.residuals(placed, groups)
-    explained = reduced(problem.derivative(placed, groups, places), residuals)[: len(places), -1]
+    explained = reduce_rows(problem.derivative(placed, groups, places), residuals)[: len(places), -1]
     return bool(explained @ explained <= _PLACED * (residuals @ residuals))
 
 
@@ -166,8 +166,8 @@ def solve_from(
     settings: Settings,
     workers: Executor | None = None,
     progress: Progress | None = None,
-) -> Solved:
-    """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for.
+) -> RobustSolution:
+    """Solve with the stated noise or find it; from several starts and with a robust loss, if requested.
 
     Args:
         problem: The problem.
@@ -183,7 +183,7 @@ def solve_from(
     solve = _solve_with_offsets if settings.loss == "none" else to_go_on
     solved = solve(problem, placed)
     if settings.starts > 1:
-        first, begin = (solved.at, solved.solution), placed.robot
+        first, begin = (solved.evaluation, solved.solution), placed.robot
         tried = explore(solved.problem, begin, first, solved.groups, settings.starts, settings.seed, workers, progress)
         best = tried.minima[0]
         if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
@@ -192,7 +192,7 @@ def solve_from(
     return solved if settings.loss == "none" else solve_robust(solved, settings.loss)
 
 
-def _solve_with_offsets(problem: Problem, start: Evaluation) -> Solved:
+def _solve_with_offsets(problem: Problem, start: Evaluation) -> RobustSolution:
     """Solve; where readings of an instrument share offsets, find these, and weigh by them where that helps."""
     plain = _solve_with_noise(problem, start, TOLERANCE)
     if not np.any(problem.whitening.tells_offsets):
@@ -200,22 +200,24 @@ def _solve_with_offsets(problem: Problem, start: Evaluation) -> Solved:
     weighed = _solve_weighed(plain)
     if weighed is None:
         return plain
-    errors, others = (left_out(end.problem, end.at, end.groups) for end in (plain, weighed))
+    errors, others = (left_out_rms(end.problem, end.evaluation, end.groups) for end in (plain, weighed))
     gain, judges = np.log(errors / others), problem.whitening.without_offsets(weighed.problem.ratios)
     return weighed if problem.whitening.layout.poses_of_groups[judges] @ gain[judges] > _GAINED else plain
 
 
-def _solve_weighed(plain: Solved) -> Solved | None:
+def _solve_weighed(plain: RobustSolution) -> RobustSolution | None:
     """Solve with rows weighed for the offsets that are found; None without any, or where they cannot be found."""
     solved = plain
     for _ in range(_NOISE_ROUNDS):
         try:
             problem = solved.problem
-            ratios = ratios_found(problem, solved.at, solved.groups)
+            ratios = ratios_found(problem, solved.evaluation, solved.groups)
             stands = np.all(np.abs(ratios - problem.ratios) <= _RATIOS_STAND * (1.0 + problem.ratios))
             if not np.any(ratios):
                 return None
-            solved = _solve_with_noise(problem.weighed(ratios), solved.at, TOLERANCE if stands else _LOOSE)
+            solved = _solve_with_noise(
+                problem.with_offset_ratios(ratios), solved.evaluation, TOLERANCE if stands else _LOOSE
+            )
         except NotConvergedError:
             return None
         if stands:
@@ -223,7 +225,7 @@ def _solve_weighed(plain: Solved) -> Solved | None:
     return None
 
 
-def _solve_with_noise(problem: Problem, start: Evaluation, exact: float) -> Solved:
+def _solve_with_noise(problem: Problem, start: Evaluation, exact: float) -> RobustSolution:
     """Solve with the stated noise; find what is not stated of it, and what residuals contradict.
 
     Too few readings to find any noise do not contradict what other robots have confirmed.
@@ -231,27 +233,27 @@ def _solve_with_noise(problem: Problem, start: Evaluation, exact: float) -> Solv
     try:
         return _solve_finding_noise(problem, start, exact)
     except NotIdentifiableError:
-        problem = replace(problem, noise_found=problem.unstated)
-        if not np.any(problem.confirmed):
+        problem = replace(problem, noise_found=problem.has_unstated_noise)
+        if not np.any(problem.confirmed_freedom):
             raise
     groups = problem.whitening.start(start.residuals)
     at, solution = problem.solve(start, groups, tolerance=exact)
-    return Solved(problem, at, groups, solution)
+    return RobustSolution(problem, at, groups, solution)
 
 
-def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> Solved:
-    groups, unstated = problem.whitening.start(start.residuals), problem.unstated
+def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> RobustSolution:
+    groups, unstated = problem.whitening.start(start.residuals), problem.has_unstated_noise
     problem = replace(problem, noise_found=unstated)
     if problem.noise_weighs and not np.all(unstated):
-        problem, groups = contradicted(problem, start, groups)
+        problem, groups = release_contradicted_noise(problem, start, groups)
     at, tolerance = start, _LOOSE
     for _ in range(_NOISE_ROUNDS):
         finds = (np.any(problem.noise_found) and problem.noise_weighs) or problem.unknowns.families
         at, solution = problem.solve(at, groups, tolerance=tolerance if finds else exact)
         if not finds:
-            return Solved(problem, at, groups, solution)
+            return RobustSolution(problem, at, groups, solution)
         scales, sizes = scales_found(problem, at, groups)
-        stands = problem.noise_found & ~unstated & ~problem.contradicted(scales)
+        stands = problem.noise_found & ~unstated & ~problem.contradicted_groups(scales)
         if np.any(stands):
             problem = replace(problem, noise_found=problem.noise_found & ~stands)
             groups = np.where(stands, 1.0, scales)
@@ -260,16 +262,18 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> S
         change = float(np.max(np.abs(scales / groups - 1.0)[counts], initial=0.0))
         change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_STAND)
         if change <= _NOISE_STANDS and tolerance == exact:
-            return Solved(problem, at, groups, solution)
+            return RobustSolution(problem, at, groups, solution)
         if change <= 10 * _NOISE_STANDS:
             tolerance = exact
         if change > _NOISE_STANDS:
             groups = scales
-            problem = replace(problem, unknowns=problem.unknowns.rescaled(sizes))
+            problem = replace(problem, unknowns=problem.unknowns.rescale_families(sizes))
     raise NotConvergedError(_NO_NOISE)
 
 
-def contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[Problem, FloatArray]:
+def release_contradicted_noise(
+    problem: Problem, evaluation: Evaluation, groups: FloatArray
+) -> tuple[Problem, FloatArray]:
     """Have the noise found of groups whose statement the linear model contradicts; also return scales to start from.
 
     Args:
@@ -279,11 +283,15 @@ def contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     """
     all_found = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
     scales, _ = scales_found(all_found, evaluation, groups)
-    contradicted = problem.contradicted(scales)
-    return replace(problem, noise_found=problem.unstated | contradicted), np.where(contradicted, scales, groups)
+    contradicted = problem.contradicted_groups(scales)
+    return replace(problem, noise_found=problem.has_unstated_noise | contradicted), np.where(
+        contradicted, scales, groups
+    )
 
 
-def uncertainty_at(solved: Solved, beyond_linear: BeyondLinear | None = None) -> tuple[Rows, Scales, Statistics]:
+def uncertainty_at(
+    solved: RobustSolution, beyond_linear: BeyondLinear | None = None
+) -> tuple[Rows, Scales, Statistics]:
     """Return the rows at a minimum, what is assumed of their noise, and the uncertainty of the parameters.
 
     Args:
@@ -294,23 +302,27 @@ def uncertainty_at(solved: Solved, beyond_linear: BeyondLinear | None = None) ->
         NotIdentifiableError: No degrees of freedom are left.
     """
     problem = solved.problem
-    rows, scales = problem.rows(solved.at, solved.groups), Scales(solved.groups, problem.ratios)
+    rows, scales = problem.rows(solved.evaluation, solved.groups), Scales(solved.groups, problem.ratios)
     layout, unknowns = problem.whitening.layout, problem.unknowns
     robust = solved.factors
-    slowed = rows if robust is None else rows.weighted(np.full(layout.n_readings, robust.slope))
-    span = rows.span if slowed is rows else Span(rows.jacobian, slowed.known.root)
-    factors = robust or found_factors(rows.residuals, span, layout.group, len(layout.groups), problem.confirmed)
+    slowed = rows if robust is None else rows.with_weights(np.full(layout.n_readings, robust.slope))
+    span = rows.span if slowed is rows else Span(rows.jacobian, slowed.posterior_information.root)
+    factors = robust or find_factors(rows.residuals, span, layout.group, len(layout.groups), problem.confirmed_freedom)
     if beyond_linear is None:
-        beyond_linear = BeyondLinear(partial(mean_square_beyond_linear, problem, solved.at, rows, solved.groups))
+        beyond_linear = BeyondLinear(
+            partial(mean_square_beyond_linear, problem, solved.evaluation, rows, solved.groups)
+        )
     uncertainty = statistics(
         span,
         layout.group,
-        slowed.known,
+        slowed.posterior_information,
         factors,
         unknowns.scales,
         unknowns.prior,
         scatter_of_poses(rows, span, factors, solved.weights),
-        variance_by_sizes(slowed.known.root @ slowed.known.root.T, unknowns.family, rows.deviations),
+        variance_by_sizes(
+            slowed.posterior_information.root @ slowed.posterior_information.root.T, unknowns.family, rows.deviations
+        ),
         beyond_linear,
     )
     return rows, scales, uncertainty
@@ -332,7 +344,7 @@ def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weig
     return scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom)
 
 
-def convergence_at(solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
+def convergence_at(solved: RobustSolution, rows: Rows, std: FloatArray) -> Convergence:
     """Judge the end of the iteration by the Gauss-Newton step that is left, in standard deviations.
 
     That is what counts, whether a stopping rule ended the iteration or its limit of evaluations.
@@ -342,7 +354,7 @@ def convergence_at(solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
         rows: The rows there.
         std: Standard deviations of the free parameters, (n_free,) [m, rad].
     """
-    weighted = rows if solved.weights is None else rows.weighted(solved.weights)
+    weighted = rows if solved.weights is None else rows.with_weights(solved.weights)
     away, unknowns = np.abs(weighted.step()), solved.problem.unknowns
     left = unknowns.scales * away / (std + ROUNDING)
     largest = int(np.argmax(left))

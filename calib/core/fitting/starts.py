@@ -20,9 +20,9 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.workers import Progress, in_order
+from calib.core.base.workers import Progress, results_in_order
 from calib.core.fitting.problem import Evaluation, Problem
-from calib.core.numerics.least_squares import Solution
+from calib.core.numerics.least_squares import LeastSquaresSolution
 from calib.core.robots.robot import Robot
 
 _HALVINGS = 5
@@ -31,19 +31,19 @@ _ROUNDING = 1e-7  # residuals below this are rounding [m]
 
 
 @dataclass(frozen=True, eq=False)
-class Minimum:
+class StartMinimum:
     """One end that starts came to.
 
     Attributes:
         robot: The parameters there.
-        solution: What the solver said.
+        solution: Report of the solver.
         cost: Sum of squared residuals and priors, in units of the noise that weighed them.
         rms: Root mean square length of the readings' residuals [SI].
         count: How many starts came there.
     """
 
     robot: Robot
-    solution: Solution
+    solution: LeastSquaresSolution
     cost: float
     rms: float
     count: int
@@ -51,7 +51,7 @@ class Minimum:
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """What the starts found.
+    """Minima found from several starts.
 
     Attributes:
         minima: Lowest cost first.
@@ -60,7 +60,7 @@ class Starts:
         groups: Scale of the noise of each group that all of them assumed, (n_groups,).
     """
 
-    minima: tuple[Minimum, ...]
+    minima: tuple[StartMinimum, ...]
     failed: int
     seed: int
     groups: FloatArray
@@ -74,7 +74,7 @@ class Starts:
 def explore(
     problem: Problem,
     placed: Robot,
-    first: tuple[Evaluation, Solution],
+    first: tuple[Evaluation, LeastSquaresSolution],
     groups: FloatArray,
     n: int,
     seed: int,
@@ -94,12 +94,12 @@ def explore(
         progress: Told after each start.
     """
     rng = np.random.default_rng(seed)
-    distinct: list[tuple[Minimum, FloatArray]] = []
+    distinct: list[tuple[StartMinimum, FloatArray]] = []
     failed = 0
     _add(distinct, problem, groups, first)
     steps = [rng.standard_normal(len(problem.unknowns)) for _ in range(n - 1)]
-    begin = partial(_from, problem, placed, groups)
-    for end in in_order(begin, steps, executor, progress):
+    begin = partial(_solve_from, problem, placed, groups)
+    for end in results_in_order(begin, steps, executor, progress):
         if end is None:
             failed += 1
         else:  # what is sent between processes is the robot alone
@@ -109,11 +109,13 @@ def explore(
 
 
 @one_blas_thread
-def _from(problem: Problem, placed: Robot, groups: FloatArray, step: FloatArray) -> tuple[Robot, Solution] | None:
+def _solve_from(
+    problem: Problem, placed: Robot, groups: FloatArray, step: FloatArray
+) -> tuple[Robot, LeastSquaresSolution] | None:
     """Where one start ends; None where it ends nowhere."""
     base = problem.unknowns.deviations(placed.values)
     for halving in range(_HALVINGS + 1):
-        start = problem.unknowns.moved(placed, base + step / 2**halving)
+        start = problem.unknowns.robot_at(placed, base + step / 2**halving)
         try:
             end, solution = problem.solve(problem.evaluate(start), groups)
         except ComputationError:
@@ -123,7 +125,10 @@ def _from(problem: Problem, placed: Robot, groups: FloatArray, step: FloatArray)
 
 
 def _add(
-    distinct: list[tuple[Minimum, FloatArray]], problem: Problem, groups: FloatArray, end: tuple[Evaluation, Solution]
+    distinct: list[tuple[StartMinimum, FloatArray]],
+    problem: Problem,
+    groups: FloatArray,
+    end: tuple[Evaluation, LeastSquaresSolution],
 ) -> None:
     """Count an end towards the minimum that it belongs to, or as a new one."""
     reached, solution = end
@@ -137,7 +142,7 @@ def _add(
             return
     lengths = [np.sqrt(np.nansum(errors**2, axis=1)) for errors in residuals.values()]
     rms = float(np.sqrt(np.mean(np.concatenate(lengths) ** 2)))
-    distinct.append((Minimum(reached.robot, solution, solution.cost, rms, 1), whitened))
+    distinct.append((StartMinimum(reached.robot, solution, solution.cost, rms, 1), whitened))
 
 
 def _size(whitened: FloatArray) -> float:

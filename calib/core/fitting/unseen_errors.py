@@ -14,7 +14,7 @@ its parameters are known only so well. The noise of the readings there counts, t
       du = C J_k^T (1 - H_k)^-1 r_k
 
   A pose that decides some direction alone, such as the place of a setup of its own, is not among them: no other pose
-  foretells it. Where the same poses told which joint terms there are, and how large, these errors are too small. What
+  predicts it. Where the same poses showed which joint terms there are, and how large, these errors are too small. What
   is expected then, by the model of all terms (`calib.core.fitting.terms.term_sizes`), takes their place, and `limit95`
   changes in proportion.
 
@@ -38,14 +38,14 @@ from dataclasses import replace
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.remembered import remembered
+from calib.core.base.memoize import memoize
 from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import validation_errors
 from calib.core.fitting.validation import readings_at
 from calib.core.numerics.tall import Span
-from calib.core.robots.held import Accuracy, SeenAt
+from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
 from calib.core.rows.rows import Rows
 
 COVERED = 0.95
@@ -58,25 +58,25 @@ def accuracy(fit: Fit) -> Accuracy:
     """Return how far off the robot of a fit is at poses that it has not seen; at those used if there are no others."""
     validation = validation_errors(fit)
     if validation is not None:
-        return of_errors(validation, SeenAt.VALIDATION)
+        return accuracy_of_errors(validation, PoseUse.VALIDATION)
     if fit.folds is not None:
-        return of_errors(fit.folds.errors, SeenAt.FOLDS)
-    foretold = foretold_accuracy(fit)
-    return of_errors(fit.identification, SeenAt.USED) if foretold is None else foretold
+        return accuracy_of_errors(fit.folds.errors, PoseUse.FOLDS)
+    predicted = predicted_accuracy(fit)
+    return accuracy_of_errors(fit.identification, PoseUse.USED) if predicted is None else predicted
 
 
-def foretold_accuracy(fit: Fit) -> Accuracy | None:
+def predicted_accuracy(fit: Fit) -> Accuracy | None:
     """Return how far off poses like those used are, by the module docstring; None where no pose tells."""
-    foretold = left_out_one_by_one(fit)
-    if foretold is None:
+    predicted = leave_one_out_errors(fit)
+    if predicted is None:
         return None
-    seen = of_errors(foretold, SeenAt.ONE_BY_ONE)
+    seen = accuracy_of_errors(predicted, PoseUse.ONE_BY_ONE)
     expected = math.nan if fit.terms is None else fit.terms.expected_rms
     times = expected / seen.rms if expected > 0.0 < seen.rms else 1.0
     return replace(seen, rms=times * seen.rms, limit95=times * seen.limit95)
 
 
-def of_errors(errors: ErrorSet, poses: SeenAt) -> Accuracy:
+def accuracy_of_errors(errors: ErrorSet, poses: PoseUse) -> Accuracy:
     """Return how large errors are, before and after, at which poses."""
     part = errors.main_part
     lengths = np.sqrt(np.nansum(errors.errors("after", part.name) ** 2, axis=1))
@@ -95,46 +95,48 @@ def limit95(lengths: FloatArray) -> float:
     return float(np.sort(lengths)[k - 1]) if k <= len(lengths) else math.nan
 
 
-@remembered
+@memoize
 @one_blas_thread
-def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
+def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
     """Return errors of poses that were used, each predicted by the fit of all others; None if that tells of none."""
     data, rows = fit.identification.data, fit.weighted_rows
     if rows is fit.rows:
-        moved, decided = _moved(rows)
+        moved, decided = _prediction_shifts(rows)
     else:
         seen = Span(fit.rows.jacobian, fit.root)
-        moved, decided = rows.left_out(rows.layout.pose_of_row).moved(rows.residuals, seen=seen, alone=_DECIDES)
-    read = fit.whitening.read(moved, fit.scales)
+        moved, decided = rows.leave_out_blocks(rows.layout.pose_of_row).shifts_without_block(
+            rows.residuals, seen=seen, alone=_DECIDES
+        )
+    read = fit.whitening.unwhiten_rows(moved, fit.scales)
     after = {name: errors + read.get(name, 0.0) for name, errors in fit.identification.after.items()}
-    foretold = np.isin(data.pose_numbers, np.flatnonzero(decided > _DECIDES), invert=True)
+    predictable = np.isin(data.pose_numbers, np.flatnonzero(decided > _DECIDES), invert=True)
     whole = replace(fit.identification, after=after)
-    return at_visits(whole, np.flatnonzero(foretold)) if np.any(foretold) else None
+    return errors_at_visits(whole, np.flatnonzero(predictable)) if np.any(predictable) else None
 
 
-@remembered
-def _moved(rows: Rows) -> tuple[FloatArray, FloatArray]:
-    """What `LeftOut.moved` says of poses; what is known of a fit is known of its copies, which hold the same rows."""
-    return rows.left_out(rows.layout.pose_of_row).moved(rows.residuals, alone=_DECIDES)
+@memoize
+def _prediction_shifts(rows: Rows) -> tuple[FloatArray, FloatArray]:
+    """Shifts of poses by `LeftOut.moved`; copies of a fit share them, as they hold the same rows."""
+    return rows.leave_out_blocks(rows.layout.pose_of_row).shifts_without_block(rows.residuals, alone=_DECIDES)
 
 
-def moved_left_out(fit: Fit) -> float:
+def rms_shift_left_out(fit: Fit) -> float:
     """Return the root mean square by which predictions of poses that were used move where the pose itself is left out.
 
-    Of the main part of the readings [SI], over the poses that `left_out_one_by_one` tells of; NaN if there are none.
+    Of the main part of the readings [SI], over the poses that `leave_one_out_errors` tells of; NaN if there are none.
     """
-    foretold, whole = left_out_one_by_one(fit), fit.identification
-    if foretold is None:
+    predicted, whole = leave_one_out_errors(fit), fit.identification
+    if predicted is None:
         return math.nan
     used = whole
-    if len(foretold.data) < len(whole.data):
-        used = at_visits(whole, np.flatnonzero(np.isin(whole.data.names, foretold.data.names)))
-    part = foretold.main_part.name
-    moved = foretold.errors("after", part) - used.errors("after", part)
+    if len(predicted.data) < len(whole.data):
+        used = errors_at_visits(whole, np.flatnonzero(np.isin(whole.data.names, predicted.data.names)))
+    part = predicted.main_part.name
+    moved = predicted.errors("after", part) - used.errors("after", part)
     return float(np.sqrt(np.mean(np.nansum(moved**2, axis=1))))
 
 
-def at_visits(errors: ErrorSet, visits: IntArray) -> ErrorSet:
+def errors_at_visits(errors: ErrorSet, visits: IntArray) -> ErrorSet:
     """Return errors at some of the visits (n,)."""
     if len(visits) == len(errors.data):
         return errors

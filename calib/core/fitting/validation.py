@@ -17,7 +17,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import InputError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.workers import Progress, in_order
+from calib.core.base.workers import Progress, results_in_order
 from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import repeated_poses, shuffled_poses
 from calib.core.fitting.error_sets import ErrorSet, Folds
@@ -93,7 +93,7 @@ def cross_validate(
     singular: FloatArray = np.empty(len(data))
     rms, converged = [], True
     instruments: tuple[Instrument, ...] = ()
-    fitted = in_order(partial(_left_out, fit, data), folds, executor, progress)
+    fitted = results_in_order(partial(_leave_out_fold, fit, data), folds, executor, progress)
     for held, (errors, well) in zip(folds, fitted, strict=True):
         instruments = errors.instruments
         for whole, part in ((before, errors.before), (after, errors.after)):
@@ -109,7 +109,7 @@ def cross_validate(
 
 
 @one_blas_thread
-def _left_out(fit: FitBoth, data: Measurements, held: IntArray) -> tuple[ErrorSet, bool]:
+def _leave_out_fold(fit: FitBoth, data: Measurements, held: IntArray) -> tuple[ErrorSet, bool]:
     """Errors at the visits of one fold (n_in_fold,) by the fit of all others, and whether that converged."""
     fitted = fit(data.subset(np.setdiff1d(np.arange(len(data)), held)), data.subset(held))
     assert fitted.validation is not None

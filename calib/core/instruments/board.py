@@ -177,7 +177,7 @@ class Board(Section):
         return f"{self.kind} of {self.columns} x {self.rows} {shapes}, {sizes}"
 
 
-def checked_board(content: object, where: str) -> Board:
+def validate_board(content: object, where: str) -> Board:
     """Return the board that the content of a file or of an option means.
 
     Args:
@@ -220,8 +220,8 @@ def read_board(text: str, where: str, folder: Path | None = None) -> Board:
         content = read_yaml(path, "a board (YAML: kind, columns, rows, sizes), or its short form")
         inner = content.get("board") if isinstance(content, dict) else None
         if isinstance(content, dict) and "target_type" in content:
-            return checked_board(_of_kalibr(content, str(path)), str(path))
-        return checked_board(inner if isinstance(inner, dict) else content, str(path))
+            return validate_board(_board_of_kalibr(content, str(path)), str(path))
+        return validate_board(inner if isinstance(inner, dict) else content, str(path))
     if not colon and kind not in BOARD_KINDS:
         raise DescriptionError(f"{where}: is neither a YAML file nor a kind of board{nearest(kind, BOARD_KINDS)}")
     if kind not in _SHORT:
@@ -233,10 +233,10 @@ def read_board(text: str, where: str, folder: Path | None = None) -> Board:
     if not (times and columns.isdigit() and rows.isdigit()) or not (len(values) == len(keys) - 2 or optional):
         raise DescriptionError(f"{where}: write it as {kind}:COLUMNSxROWS:{':'.join(key.upper() for key in keys[2:])}")
     sizes = dict(zip(keys[2:], values, strict=False))
-    return checked_board({"kind": kind, "columns": int(columns), "rows": int(rows)} | sizes, where)
+    return validate_board({"kind": kind, "columns": int(columns), "rows": int(rows)} | sizes, where)
 
 
-def _of_kalibr(content: dict[str, Any], where: str) -> dict[str, Any]:
+def _board_of_kalibr(content: dict[str, Any], where: str) -> dict[str, Any]:
     """A target file of Kalibr in the words of boards; its tags are counted from the bottom left.
 
     Raises:

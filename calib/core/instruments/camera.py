@@ -63,27 +63,27 @@ def project(points: FloatArray, intrinsics: FloatArray) -> tuple[FloatArray, Flo
     Returns:
         Pixels (n, 2), their derivative by the points (n, 2, 3), and by the intrinsics (n, 2, 9).
     """
-    plane, by_point = _on_plane(points)
-    bent, by_plane, by_number = _distorted(plane, intrinsics[4:])
+    plane, by_point = _project_on_plane(points)
+    distorted, by_plane, by_number = _distort(plane, intrinsics[4:])
     focal = intrinsics[:2]
     by_intrinsics = np.zeros((len(points), 2, 9))
-    by_intrinsics[:, [0, 1], [0, 1]] = bent
+    by_intrinsics[:, [0, 1], [0, 1]] = distorted
     by_intrinsics[:, [0, 1], [2, 3]] = 1.0
     by_intrinsics[:, :, 4:] = focal[:, None] * by_number
-    return bent * focal + intrinsics[2:4], focal[:, None] * (by_plane @ by_point), by_intrinsics
+    return distorted * focal + intrinsics[2:4], focal[:, None] * (by_plane @ by_point), by_intrinsics
 
 
-def in_front(points: FloatArray) -> BoolArray:
+def is_in_front(points: FloatArray) -> BoolArray:
     """Return which points (n, 3) a camera at the origin may see."""
     return points[:, 2] > _GRAZING * np.linalg.norm(points, axis=1)
 
 
-def in_lens(points: FloatArray, intrinsics: FloatArray) -> BoolArray:
+def is_in_lens(points: FloatArray, intrinsics: FloatArray) -> BoolArray:
     """Return which points (n, 3) [m] lie where the distortion grows outwards: further out, it folds the image back."""
     k1, k2, k3 = intrinsics[[4, 5, 8]]
     turns = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # r^2 where d(r + k1 r^3 + k2 r^5 + k3 r^7) / dr = 0
     real = turns.real[(np.abs(turns.imag) < 1e-12) & (turns.real > 0)]
-    return np.sum(_on_plane(points)[0] ** 2, axis=1) < np.min(real, initial=np.inf)
+    return np.sum(_project_on_plane(points)[0] ** 2, axis=1) < np.min(real, initial=np.inf)
 
 
 def rays(pixels: FloatArray, intrinsics: FloatArray) -> FloatArray:
@@ -91,15 +91,15 @@ def rays(pixels: FloatArray, intrinsics: FloatArray) -> FloatArray:
     distorted = (pixels - intrinsics[2:4]) / intrinsics[:2]
     plane = distorted.copy()
     for _ in range(_ROUNDS):
-        bent, by_plane, _ = _distorted(plane, intrinsics[4:])
-        step = np.linalg.solve(by_plane, (distorted - bent)[:, :, None])[:, :, 0]
+        distorted_plane, by_plane, _ = _distort(plane, intrinsics[4:])
+        step = np.linalg.solve(by_plane, (distorted - distorted_plane)[:, :, None])[:, :, 0]
         plane = plane + np.clip(step, -0.2, 0.2)
         if np.max(np.abs(step), initial=0.0) < _SETTLED:
             break
     return plane
 
 
-def _on_plane(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _project_on_plane(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """M and its derivative by the points, (n, 2) and (n, 2, 3)."""
     length = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
     unit = points / length[:, None]
@@ -115,7 +115,7 @@ def _on_plane(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return plane, by_unit @ onto
 
 
-def _distorted(plane: FloatArray, numbers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _distort(plane: FloatArray, numbers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """d, its derivative by m, and by k1 k2 p1 p2 k3: (n, 2), (n, 2, 2), (n, 2, 5)."""
     k1, k2, p1, p2, k3 = numbers
     size = np.sum(plane**2, axis=1)
@@ -184,7 +184,7 @@ def view_poses(points: FloatArray, seen: FloatArray, view: IntArray, n_views: in
     k = len(starts)
     body, rays_, present = (np.repeat(array, k, axis=0) for array in (body, rays_, present))
     poses = _first_poses(body, rays_, present, np.tile(starts, (n_views, 1, 1)))
-    poses, miss = _settled(poses, body, rays_, present)
+    poses, miss = _refine_poses(poses, body, rays_, present)
     miss = miss.reshape(n_views, k)
     best = np.argmin(miss, axis=1)
     best_poses = poses.reshape(n_views, k, 4, 4)[np.arange(n_views), best]
@@ -217,7 +217,7 @@ def _errors(poses: FloatArray, body: FloatArray, seen: FloatArray, present: Bool
     return (errors * weight).reshape(n, 2 * width), (by_pose * weight[:, :, None]).reshape(n, 2 * width, 6)
 
 
-def _settled(
+def _refine_poses(
     poses: FloatArray, body: FloatArray, seen: FloatArray, present: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Poses after damped Gauss-Newton steps, and their squared errors (n,)."""
@@ -300,15 +300,15 @@ def image_coverage(pixels: FloatArray, size: tuple[int, int]) -> float:
     x, y = (np.clip((pixels[:, k] / size[k] * _CELLS).astype(int), 0, _CELLS - 1) for k in (0, 1))
     seen = np.zeros((_CELLS, _CELLS), dtype=bool)
     seen[y, x] = True
-    return float(np.mean(_filled(seen)))
+    return float(np.mean(_fill_gaps(seen)))
 
 
-def _filled(seen: BoolArray) -> BoolArray:
+def _fill_gaps(seen: BoolArray) -> BoolArray:
     """Fields between two that were seen, along a row and along a column."""
 
-    def between(rows: BoolArray) -> BoolArray:
+    def between_true(rows: BoolArray) -> BoolArray:
         before = np.maximum.accumulate(rows, axis=1)
         after = np.maximum.accumulate(rows[:, ::-1], axis=1)[:, ::-1]
         return before & after
 
-    return seen | (between(seen) & between(seen.T).T)
+    return seen | (between_true(seen) & between_true(seen.T).T)

@@ -22,7 +22,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.instruments.camera import LEAST_POINTS, cube_rotations, plane_errors, resection, view_poses
-from calib.core.instruments.hand_eye import fixed_poses
+from calib.core.instruments.hand_eye import solve_poses
 from calib.core.numerics.rigid import cross_matrices
 
 _VIEWS = 25
@@ -39,7 +39,7 @@ Places = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """What a camera saw.
+    """Poses of boards and points in the frame of a camera.
 
     Attributes:
         links: L_i of each sighting, (n, 4, 4) [m].
@@ -53,7 +53,7 @@ class Sightings:
     rays: FloatArray
     view: IntArray
 
-    def some(self, chosen: IntArray) -> Sightings:
+    def select(self, chosen: IntArray) -> Sightings:
         """Return those with these numbers, (n,); views keep their numbers."""
         return Sightings(self.links[chosen], self.points[chosen], self.rays[chosen], self.view[chosen])
 
@@ -66,23 +66,24 @@ def guesses(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list
         now: The places as they are.
         known: Which of them are known.
     """
-    sample = sightings.some(np.unique(np.linspace(0, len(sightings.view) - 1, _POINTS).astype(np.intp)))
+    sample = sightings.select(np.unique(np.linspace(0, len(sightings.view) - 1, _POINTS).astype(np.intp)))
     tried = [now, *_from_views(sightings, now, known), *_from_points(sample, now, known)]
     tried.sort(key=lambda places: _typical(sample, places))
-    improved = [_improved(sample, places, known) for places in tried[:_IMPROVED]]
+    improved = [_refine_places(sample, places, known) for places in tried[:_IMPROVED]]
     improved = [
-        _improved(sightings, places, known) for places in sorted(improved, key=lambda p: _typical(sample, p))[:_KEPT]
+        _refine_places(sightings, places, known)
+        for places in sorted(improved, key=lambda p: _typical(sample, p))[:_KEPT]
     ]
     improved.sort(key=lambda places: _typical(sightings, places))
     if any(known):
         return improved
     only_camera = sorted(_from_points(sample, now, (False, True)), key=lambda places: _typical(sample, places))
-    return improved + [_improved(sightings, places, (False, True)) for places in only_camera[:1]]
+    return improved + [_refine_places(sightings, places, (False, True)) for places in only_camera[:1]]
 
 
 def seen_points(sightings: Sightings, places: Places) -> FloatArray:
     """Return the points in the camera's frame, (n, 3) [m]."""
-    return _in_camera(sightings, places)[0]
+    return _points_in_camera(sightings, places)[0]
 
 
 def _from_views(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
@@ -107,8 +108,8 @@ def _from_views(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> 
     generator = np.random.default_rng(_SEED)
     n = min(needed + 1, len(solved))
     subsets = np.array([generator.choice(solved, n, replace=False) for _ in range(_TRIALS)])
-    guesses = fixed_poses(links[subsets], poses[subsets], now, known)
-    return [fixed_poses(links[solved], poses[solved], now, known), *zip(*guesses, strict=True)]
+    guesses = solve_poses(links[subsets], poses[subsets], now, known)
+    return [solve_poses(links[solved], poses[solved], now, known), *zip(*guesses, strict=True)]
 
 
 def _from_points(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
@@ -132,7 +133,7 @@ def _homogeneous(points: FloatArray) -> FloatArray:
     return np.hstack([points, np.ones((len(points), 1))])
 
 
-def _in_camera(sightings: Sightings, places: Places) -> tuple[FloatArray, FloatArray]:
+def _points_in_camera(sightings: Sightings, places: Places) -> tuple[FloatArray, FloatArray]:
     """Points in the camera's frame (n, 3), and how the body is turned in it (n, 3, 3)."""
     poses = np.linalg.inv(places[0]) @ sightings.links @ places[1]
     return np.einsum("kab,kb->ka", poses[:, :3], _homogeneous(sightings.points)), poses[:, :3, :3]
@@ -140,26 +141,26 @@ def _in_camera(sightings: Sightings, places: Places) -> tuple[FloatArray, FloatA
 
 def _typical(sightings: Sightings, places: Places) -> float:
     """Median error of the rays: some may be mistaken."""
-    errors, _ = plane_errors(_in_camera(sightings, places)[0], sightings.rays)
+    errors, _ = plane_errors(_points_in_camera(sightings, places)[0], sightings.rays)
     return float(np.median(np.sum(errors**2, axis=1)))
 
 
-def _improved(sightings: Sightings, places: Places, known: tuple[bool, bool]) -> Places:
+def _refine_places(sightings: Sightings, places: Places, known: tuple[bool, bool]) -> Places:
     """Least squares over the places that are not known; far-off sightings count less."""
     free = np.repeat(np.logical_not(known), 6)
     scale = max(np.sqrt(_typical(sightings, places)), 1e-6)
 
-    def moved(x: FloatArray) -> Places:
+    def places_at(x: FloatArray) -> Places:
         step = np.zeros(12)
         step[free] = x
-        return _stepped(places[0], step[:6]), _stepped(places[1], step[6:])
+        return _step_pose(places[0], step[:6]), _step_pose(places[1], step[6:])
 
     def errors(x: FloatArray) -> FloatArray:
-        return plane_errors(_in_camera(sightings, moved(x))[0], sightings.rays)[0].ravel()
+        return plane_errors(_points_in_camera(sightings, places_at(x))[0], sightings.rays)[0].ravel()
 
     def jacobian(x: FloatArray) -> FloatArray:
-        at = moved(x)
-        points, turned = _in_camera(sightings, at)
+        at = places_at(x)
+        points, turned = _points_in_camera(sightings, at)
         by_point = plane_errors(points, sightings.rays)[1]
         n = len(points)
         by_camera = np.concatenate([-np.tile(np.eye(3), (n, 1, 1)), cross_matrices(points)], axis=2)
@@ -182,10 +183,10 @@ def _improved(sightings: Sightings, places: Places, known: tuple[bool, bool]) ->
         max_nfev=_STEPS,
         x_scale="jac",
     )
-    return moved(found_x.x)
+    return places_at(found_x.x)
 
 
-def _stepped(pose: FloatArray, step: FloatArray) -> FloatArray:
+def _step_pose(pose: FloatArray, step: FloatArray) -> FloatArray:
     """A pose moved and turned in its own axes."""
     change = np.eye(4)
     change[:3, :3], change[:3, 3] = pin.exp3(step[3:]), step[:3]

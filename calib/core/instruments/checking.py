@@ -41,20 +41,24 @@ def check_kind(
     n = len(seen.translation) if isinstance(seen, View) else len(seen)
     own = np.array([p.nominal_si for p in instrument.unknowns]) if unknowns is None else unknowns
     more = np.zeros((n, 0)) if details is None else details
-    said = f"{type(instrument).__qualname__} '{instrument.name}'"
+    subject = f"{type(instrument).__qualname__} '{instrument.name}'"
     values = instrument.predict(seen, own, more)
     _require(
-        np.ndim(values) == 2 and len(values) == n, f"{said}: predict gives {np.shape(values)}, not ({n}, n_values)"
+        np.ndim(values) == 2 and len(values) == n, f"{subject}: predict gives {np.shape(values)}, not ({n}, n_values)"
     )
     _require(
-        bool(np.isfinite(values).all()), f"{said}: predict gives numbers that are not finite in views that it sees"
+        bool(np.isfinite(values).all()), f"{subject}: predict gives numbers that are not finite in views that it sees"
     )
     cells = instrument.cells(values)
     names = [column.name for column in instrument.columns()]
-    _require(sorted(cells) == sorted(names), f"{said}: cells gives columns {sorted(cells)}, and columns says {names}")
+    _require(
+        sorted(cells) == sorted(names), f"{subject}: cells gives columns {sorted(cells)}, and columns says {names}"
+    )
     if names:
         again = instrument.values(cells)
-        _require(np.allclose(again, values, rtol=1e-9, atol=1e-12), f"{said}: values(cells(values)) are other values")
+        _require(
+            np.allclose(again, values, rtol=1e-9, atol=1e-12), f"{subject}: values(cells(values)) are other values"
+        )
     pairs: IntArray = np.zeros(n, dtype=np.intp)
 
     def compare(at: View | FloatArray, numbers: FloatArray, read: FloatArray) -> Comparison | JointComparison:
@@ -68,28 +72,32 @@ def check_kind(
         ("the derivative by what it sees", by_seen, (n, instrument.n_rows, len(columns))),
         ("by_unknown", exact.by_unknown, (n, instrument.n_rows, len(own))),
     ):
-        _require(np.shape(found) == shape, f"{said}: compare gives {what} of shape {np.shape(found)}, not {shape}")
-        _require(bool(np.isfinite(found).all()), f"{said}: compare gives {what} that are not finite")
+        _require(np.shape(found) == shape, f"{subject}: compare gives {what} of shape {np.shape(found)}, not {shape}")
+        _require(bool(np.isfinite(found).all()), f"{subject}: compare gives {what} that are not finite")
     axes = [f"{part.name}.{axis}" for part in instrument.parts for axis in part.axes]
-    _require(np.allclose(exact.residuals, 0, atol=1e-9), f"{said}: residuals of its own predictions are not zero")
+    _require(np.allclose(exact.residuals, 0, atol=1e-9), f"{subject}: residuals of its own predictions are not zero")
     noise = np.eye(instrument.n_rows) * _STEP
     for row, change in enumerate(noise):
-        off = compare(seen, own, instrument.moved(values, np.tile(change, (n, 1)))).residuals
+        off = compare(seen, own, instrument.with_errors(values, np.tile(change, (n, 1)))).residuals
         _require(
-            np.allclose(off, -change, atol=_NEAR * _STEP * 10), f"{said}: moved does not move row {axes[row]} alone"
+            np.allclose(off, -change, atol=_NEAR * _STEP * 10), f"{subject}: moved does not move row {axes[row]} alone"
         )
     for k, column in enumerate(columns):
-        ends = [compare(_moved(seen, k, sign * _STEP), own, values).residuals for sign in (1, -1)]
-        _same(by_seen[:, :, k], (ends[0] - ends[1]) / (2 * _STEP), by_seen, f"{said}: derivative by {column}", axes)
+        ends = [compare(_view_after_step(seen, k, sign * _STEP), own, values).residuals for sign in (1, -1)]
+        _require_same(
+            by_seen[:, :, k], (ends[0] - ends[1]) / (2 * _STEP), by_seen, f"{subject}: derivative by {column}", axes
+        )
     for k, parameter in enumerate(instrument.unknowns):
         step = np.where(np.arange(len(own)) == k, _STEP * max(parameter.sigma_si, _STEP), 0.0)
         ends = [compare(seen, own + sign * step, values).residuals for sign in (1, -1)]
         found = exact.by_unknown[:, :, k]
-        _same(found, (ends[0] - ends[1]) / (2 * step[k]), found, f"{said}: derivative by {parameter.name}", axes)
+        _require_same(
+            found, (ends[0] - ends[1]) / (2 * step[k]), found, f"{subject}: derivative by {parameter.name}", axes
+        )
 
 
-def _moved(seen: View | FloatArray, k: int, step: float) -> View | FloatArray:
-    """What is seen after component k of the twist, or the joint, has moved."""
+def _view_after_step(seen: View | FloatArray, k: int, step: float) -> View | FloatArray:
+    """The view after a step of component k of the twist, or of the joint."""
     if not isinstance(seen, View):
         return np.asarray(seen + step)
     change = step * np.eye(3)[k % 3]
@@ -98,17 +106,17 @@ def _moved(seen: View | FloatArray, k: int, step: float) -> View | FloatArray:
     return View(scipy.spatial.transform.Rotation.from_rotvec(change).as_matrix() @ seen.rotation, seen.translation)
 
 
-def _same(given: FloatArray, found: FloatArray, all_of_it: FloatArray, said: str, axes: list[str]) -> None:
+def _require_same(given: FloatArray, found: FloatArray, all_of_it: FloatArray, subject: str, axes: list[str]) -> None:
     """Raise where derivatives (n, n_rows) differ by more than rounding makes."""
     off = np.abs(given - found) - _NEAR * max(float(np.max(np.abs(all_of_it), initial=0.0)), 1e-3)
     if np.max(off, initial=0.0) > 0:
         i, row = np.unravel_index(int(np.argmax(off)), off.shape)
         raise ComputationError(
-            f"{said}, row {axes[row]}, is {given[i, row]:.9g} at view {i + 1}; central differences of the residuals"
+            f"{subject}, row {axes[row]}, is {given[i, row]:.9g} at view {i + 1}; central differences of the residuals"
             f" give {found[i, row]:.9g}"
         )
 
 
-def _require(right: bool, said: str) -> None:
+def _require(right: bool, message: str) -> None:
     if not right:
-        raise ComputationError(said)
+        raise ComputationError(message)

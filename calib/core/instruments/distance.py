@@ -87,14 +87,14 @@ class Distance(Relation):
     offset: OwnLength = KNOWN_ZERO
 
     @classmethod
-    def of(cls, name: str, section: DistanceSection) -> Distance:
+    def from_section(cls, name: str, section: DistanceSection) -> Distance:
         """Return the instrument that an entry of a robot description means."""
         end, own = section.end, tuple[Place, ...]()
         if end is not None:
             unknown = LENGTH_COMPONENTS if end.position == "unknown" else ()
             own = (Place(f"{name}_end", end.frame, end.xyz, unknown=unknown, sigma=end.sigma),)
         unknowns = section.offset.parameters(f"{name}.offset")
-        noise = Noise((PartNoise.of(section.sigma, 1),))
+        noise = Noise((PartNoise.from_sigma(section.sigma, 1),))
         return cls(name, section.target or name, own, section.offset, noise=noise, unknowns=unknowns)
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:

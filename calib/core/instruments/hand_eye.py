@@ -26,7 +26,7 @@ _ROUNDS = 50
 _SETTLED = 1e-9
 
 
-def fixed_rotations(
+def solve_rotations(
     links: FloatArray, seen: FloatArray, first: FloatArray | None = None, second: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the rotations (C, M) for which C A_i = L_i M fits best, (..., 3, 3) each.
@@ -39,16 +39,16 @@ def fixed_rotations(
     """
     form = np.einsum("...kad,...kbc->...abdc", links, seen).reshape(*links.shape[:-3], 9, 9)
     if first is not None:
-        return first, _best(np.swapaxes(form, -1, -2), first) if second is None else second
+        return first, _best_rotation(np.swapaxes(form, -1, -2), first) if second is None else second
     if second is not None:
-        return _best(form, second), second
+        return _best_rotation(form, second), second
     form = form[..., None, :, :]  # of either sign
     lines = linalg.svd(form)[2][..., 0, :].reshape(*form.shape[:-2], 3, 3)
     second = nearest_rotation(lines * np.array([1.0, -1.0])[:, None, None])
     first, moving = second, np.ones(second.shape[:-2], dtype=bool)
     for _ in range(_ROUNDS):
-        next_first = _best(form, second)
-        next_second = _best(np.swapaxes(form, -1, -2), next_first)
+        next_first = _best_rotation(form, second)
+        next_second = _best_rotation(np.swapaxes(form, -1, -2), next_first)
         settled = np.max(np.abs(next_second - second), axis=(-2, -1)) < _SETTLED
         chosen = moving[..., None, None]
         first, second = np.where(chosen, next_first, first), np.where(chosen, next_second, second)
@@ -67,12 +67,12 @@ def _times(form: FloatArray, rotation: FloatArray) -> FloatArray:
     return (form @ rotation.reshape(*rotation.shape[:-2], 9, 1)).reshape(*rotation.shape[:-2], 3, 3)
 
 
-def _best(form: FloatArray, rotation: FloatArray) -> FloatArray:
+def _best_rotation(form: FloatArray, rotation: FloatArray) -> FloatArray:
     """The other rotation for which the form is largest, (..., 3, 3)."""
     return nearest_rotation(_times(form, rotation))
 
 
-def fixed_poses(
+def solve_poses(
     links: FloatArray, seen: FloatArray, now: tuple[FloatArray, FloatArray], known: tuple[bool, bool]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the poses (C, M) for which C A_i = L_i M fits best, (..., 4, 4) each [m].
@@ -84,7 +84,7 @@ def fixed_poses(
         known: Which of them are known.
     """
     first, second = (np.tile(pose, (*links.shape[:-3], 1, 1)) for pose in now)
-    first[..., :3, :3], second[..., :3, :3] = fixed_rotations(
+    first[..., :3, :3], second[..., :3, :3] = solve_rotations(
         links[..., :3, :3],
         seen[..., :3, :3],
         first[..., :3, :3] if known[0] else None,

@@ -74,7 +74,7 @@ class JointReading(JointInstrument):
     offset: float = 0.0
 
     @classmethod
-    def of(cls, name: str, section: JointReadingSection) -> JointReading:
+    def from_section(cls, name: str, section: JointReadingSection) -> JointReading:
         """Return the instrument that an entry of a robot description means."""
         dimension, prior = section.dimension, section.number("sigma_zero")
         offset = section.number("offset") or 0.0
@@ -87,7 +87,7 @@ class JointReading(JointInstrument):
             prior=prior is not None,
             placement=True,
         )
-        noise = Noise((PartNoise.of(section.number("sigma"), 1),))
+        noise = Noise((PartNoise.from_sigma(section.number("sigma"), 1),))
         unknowns = (zero,) if section.zero == "unknown" else ()
         return cls(name, section.joint, dimension, offset, noise=noise, unknowns=unknowns)
 
@@ -108,7 +108,7 @@ class JointReading(JointInstrument):
     def compare(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> JointComparison:
         """Return errors of the joint, and how it and the zero move them."""
         n = len(readings)
-        residuals = self._nearest(self.predict(joint, unknowns, readings.details) - readings.values)
+        residuals = self._nearest_turn(self.predict(joint, unknowns, readings.details) - readings.values)
         return JointComparison(residuals, np.ones((n, 1)), np.ones((n, 1, len(unknowns))))
 
     def first_unknowns(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> FloatArray:
@@ -123,7 +123,7 @@ class JointReading(JointInstrument):
         turns = np.round((np.median(off) - mean) / (2 * np.pi))
         return np.array([mean + 2 * np.pi * turns])
 
-    def _nearest(self, off: FloatArray) -> FloatArray:
+    def _nearest_turn(self, off: FloatArray) -> FloatArray:
         if self.dimension == "length":
             return off
         return np.mod(off + np.pi, 2 * np.pi) - np.pi

@@ -56,7 +56,7 @@ class Part:
 
     @property
     def readings(self) -> str:
-        """What its readings are called in a sentence."""
+        """Name of the readings in a sentence."""
         return self.plural or f"{self.name}s"
 
 
@@ -105,7 +105,7 @@ def placed(name: str, section: PlaceSection | PosedSection, unknown: tuple[Compo
 
 @dataclass(frozen=True, eq=False)
 class View(ReadOnlyArrays):
-    """What n readings are about.
+    """Frames and joint values that n readings depend on.
 
     Attributes:
         rotation: R_ab of frame b seen from frame a, (n, 3, 3).
@@ -118,7 +118,7 @@ class View(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class Readings(ReadOnlyArrays):
-    """What one instrument read. Nothing is averaged.
+    """Readings of one instrument. Nothing is averaged.
 
     Attributes:
         visits: To which visit of the robot each reading belongs, (n,).
@@ -184,7 +184,7 @@ class JointComparison(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What is known before anything is fitted, for a first guess at unknown places.
+    """Data for a first guess at unknown places, before anything is fitted.
 
     Attributes:
         readings: Of the instrument, n of them.
@@ -253,7 +253,7 @@ class Instrument(ABC):
 
     @classmethod
     @abstractmethod
-    def of(cls, name: str, section: Any) -> Instrument:
+    def from_section(cls, name: str, section: Any) -> Instrument:
         """Return the instrument that an entry of a robot description means.
 
         Args:
@@ -309,7 +309,7 @@ class Instrument(ABC):
         """Return columns that say in words what was looked at."""
         return ()
 
-    def looked_at(
+    def parse_texts(
         self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
     ) -> tuple[Sequence[bool], IntArray, FloatArray]:
         """Say from the text columns which rows are readings of this instrument, along which pair, with which details.
@@ -357,7 +357,7 @@ class Instrument(ABC):
     def compare(self, seen: Any, unknowns: FloatArray, readings: Readings) -> Comparison | JointComparison:
         """Compare what it would read with what it read, (n, n_rows): see `Comparison` and `JointComparison`."""
 
-    def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
+    def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return values (n, n_values) changed by small errors of their rows (n, n_rows) [SI]: what noise does."""
         return values + change
 

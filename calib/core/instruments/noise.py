@@ -69,7 +69,7 @@ class PartNoise:
         return self.std is not None or self.beam is not None
 
     @staticmethod
-    def of(sigma: float | tuple[float, ...] | Beam | None, n_rows: int) -> PartNoise:
+    def from_sigma(sigma: float | tuple[float, ...] | Beam | None, n_rows: int) -> PartNoise:
         """Return the noise that a description states in one of its forms."""
         if isinstance(sigma, Beam):
             return PartNoise(beam=sigma)

@@ -26,7 +26,7 @@ from pydantic import model_validator
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.sections import ANGLE_COMPONENTS
-from calib.core.instruments.hand_eye import fixed_rotations
+from calib.core.instruments.hand_eye import solve_rotations
 from calib.core.instruments.kind import (
     Column,
     Comparison,
@@ -48,8 +48,8 @@ from calib.core.instruments.rotations import (
     rotation_errors,
     rotation_matrices,
     rotation_vectors,
-    turned_by,
-    written_rotations,
+    turn_by,
+    write_rotations,
 )
 from calib.core.numerics.rigid import cross_matrices, nearest_rotation
 
@@ -93,10 +93,10 @@ class Orientation(FrameInstrument):
     rotation: Form = "quaternion"
 
     @classmethod
-    def of(cls, name: str, section: OrientationSection) -> Orientation:
+    def from_section(cls, name: str, section: OrientationSection) -> Orientation:
         """Return the instrument that an entry of a robot description means."""
         gravity = section.axes == "gravity"
-        noise = Noise((PartNoise.of(section.sigma, 2 if gravity else 3),))
+        noise = Noise((PartNoise.from_sigma(section.sigma, 2 if gravity else 3),))
         return cls(name, section.target or name, gravity, section.rotation, noise=noise)
 
     @property
@@ -115,7 +115,7 @@ class Orientation(FrameInstrument):
 
     def cells(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the columns of rotation vectors (n, 3), or of tilts (n, 2) [rad]."""
-        columns = values if self.gravity else written_rotations(self.rotation, values)
+        columns = values if self.gravity else write_rotations(self.rotation, values)
         return {column.name: columns[:, k] for k, column in enumerate(self.columns())}
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
@@ -126,17 +126,19 @@ class Orientation(FrameInstrument):
         """Return errors of orientation or tilt, and how dw moves them."""
         if self.gravity:
             down = _down(view.rotation)
-            residuals = _within_half_turn(_tilts(down) - readings.values)
-            by_turn: FloatArray = _by_direction(down) @ view.rotation.transpose(0, 2, 1) @ cross_matrices(_DOWN[None])
+            residuals = _wrap_half_turn(_tilts(down) - readings.values)
+            by_turn: FloatArray = (
+                _tilt_derivative(down) @ view.rotation.transpose(0, 2, 1) @ cross_matrices(_DOWN[None])
+            )
         else:
             residuals, by_turn = rotation_errors(view.rotation, readings.values)
         by_twist = np.zeros((len(readings), self.n_rows, 6))
         by_twist[:, :, 3:] = by_turn
         return Comparison(residuals, by_twist, np.zeros((len(readings), self.n_rows, 0)))
 
-    def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
+    def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return orientations or tilts with errors."""
-        return _within_half_turn(values + change) if self.gravity else turned_by(values, change)
+        return _wrap_half_turn(values + change) if self.gravity else turn_by(values, change)
 
     def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
         """Yield rotations that were read otherwise."""
@@ -151,7 +153,7 @@ class Orientation(FrameInstrument):
         """Return the orientations of measurement frame and sensor that fit best, pair by pair."""
         pairs = range(len(scene.pairs))
         used = [k for k in pairs if np.any(scene.readings.pairs == k)]
-        guesses = [guess for k in used for guess in self._of_pair(scene, k)]
+        guesses = [guess for k in used for guess in self._guess_of_pair(scene, k)]
         if len(used) < 2 or not guesses:
             return tuple(guesses)
         together: dict[str, FloatArray] = {}
@@ -159,7 +161,7 @@ class Orientation(FrameInstrument):
             together = {**guess.places, **together}  # places of several setups: as the first that shows them says
         return (Guess(together),)
 
-    def _of_pair(self, scene: Scene, number: int) -> tuple[Guess, ...]:
+    def _guess_of_pair(self, scene: Scene, number: int) -> tuple[Guess, ...]:
         names = scene.pairs[number]
         known = [not any(c in ANGLE_COMPONENTS for c in scene.unknown[name]) for name in names]
         chosen = (scene.readings.pairs == number) & np.isfinite(scene.readings.values).all(axis=1)
@@ -168,7 +170,7 @@ class Orientation(FrameInstrument):
         first, second = (scene.places[name].copy() for name in names)
         links, values = scene.links[chosen][:, :3, :3], scene.readings.values[chosen]
         if not self.gravity:
-            first[:3, :3], second[:3, :3] = fixed_rotations(
+            first[:3, :3], second[:3, :3] = solve_rotations(
                 links,
                 rotation_matrices(values),
                 first[:3, :3] if known[0] else None,
@@ -192,7 +194,7 @@ def _tilts(down: FloatArray) -> FloatArray:
     return np.stack([np.arctan2(-down[:, 1], -down[:, 2]), np.arctan2(down[:, 0], -down[:, 2])], axis=1)
 
 
-def _by_direction(down: FloatArray) -> FloatArray:
+def _tilt_derivative(down: FloatArray) -> FloatArray:
     """Derivative of the tilts by g, (n, 2, 3)."""
     x, y, z = down.T
     across, along = np.maximum(y**2 + z**2, _SMALLEST), np.maximum(x**2 + z**2, _SMALLEST)
@@ -210,7 +212,7 @@ def _directions(tilts: FloatArray) -> FloatArray:
     return down / np.linalg.norm(down, axis=1)[:, None]
 
 
-def _within_half_turn(angles: FloatArray) -> FloatArray:
+def _wrap_half_turn(angles: FloatArray) -> FloatArray:
     return np.mod(angles + np.pi, 2 * np.pi) - np.pi
 
 
@@ -239,11 +241,11 @@ def _level(
                 down = mean / max(float(np.linalg.norm(mean)), 1e-12)
             if np.max(np.abs(down - last)) < _SETTLED:
                 break
-        solutions.append((_turned_to(frame, down), mounted))
+        solutions.append((_turn_towards(frame, down), mounted))
     return solutions
 
 
-def _turned_to(frame: FloatArray, down: FloatArray) -> FloatArray:
+def _turn_towards(frame: FloatArray, down: FloatArray) -> FloatArray:
     """Turn a frame by the smallest angle so that its own down points along a direction, (3, 3)."""
     now = frame @ _DOWN
     axis, cosine = np.cross(now, down), float(now @ down)

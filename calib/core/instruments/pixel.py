@@ -25,7 +25,7 @@ from calib.core.base.errors import DataError, nearest
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import DISPLAY_UNIT, Dimension
 from calib.core.instruments.board import Board
-from calib.core.instruments.camera import NAMES, in_front, in_lens, project, rays
+from calib.core.instruments.camera import NAMES, is_in_front, is_in_lens, project, rays
 from calib.core.instruments.camera_places import Sightings, guesses, seen_points
 from calib.core.instruments.kind import (
     Column,
@@ -70,7 +70,7 @@ class Pixel(FrameInstrument):
     focus: tuple[float, float] | None = None
 
     @classmethod
-    def of(cls, name: str, section: PixelSection) -> Pixel:
+    def from_section(cls, name: str, section: PixelSection) -> Pixel:
         """Return the instrument that an entry of a robot description means."""
         numbers = section.intrinsics.model_dump()
         sigmas = {} if section.unknown_intrinsics is None else section.unknown_intrinsics.model_dump()
@@ -87,7 +87,7 @@ class Pixel(FrameInstrument):
             section.columns or name,
             section.board,
             section.focus,
-            noise=Noise((PartNoise.of(section.sigma, 2),)),
+            noise=Noise((PartNoise.from_sigma(section.sigma, 2),)),
             unknowns=unknowns,
         )
 
@@ -107,7 +107,7 @@ class Pixel(FrameInstrument):
         """Return `point`."""
         return ("point",)
 
-    def looked_at(
+    def parse_texts(
         self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
     ) -> tuple[Sequence[bool], IntArray, FloatArray]:
         """Say which point each row is about: the detail is its number."""
@@ -133,16 +133,16 @@ class Pixel(FrameInstrument):
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return pixels, (n, 2); NaN for points that have no image."""
-        points, numbers = _in_camera(view, self._body(details)), self.numbers(unknowns)
-        pixels, seen = self._seen(points, numbers)
+        points, numbers = _points_in_camera(view, self._body(details)), self.numbers(unknowns)
+        pixels, seen = self._project(points, numbers)
         if self.board is not None:
-            seen &= self._found(self.board, view, numbers)
+            seen &= self._is_detected(self.board, view, numbers)
         return np.where(seen[:, None], pixels, np.nan)
 
-    def _seen(self, points: FloatArray, numbers: FloatArray) -> tuple[FloatArray, BoolArray]:
+    def _project(self, points: FloatArray, numbers: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Pixels of points in the camera's frame, (n, 2), and which of them are sharp and in the image, (n,)."""
         pixels = project(points, numbers)[0]
-        seen = in_front(points) & in_lens(points, numbers)
+        seen = is_in_front(points) & is_in_lens(points, numbers)
         if self.image is not None:
             margin = 0.0 if self.board is None else _MARGIN * max(self.image)
             seen &= np.all((pixels >= margin - 0.5) & (pixels <= np.array(self.image) - 0.5 - margin), axis=1)
@@ -150,7 +150,7 @@ class Pixel(FrameInstrument):
             seen &= (points[:, 2] >= self.focus[0]) & (points[:, 2] <= self.focus[1])
         return pixels, seen
 
-    def _found(self, board: Board, view: View, numbers: FloatArray) -> BoolArray:
+    def _is_detected(self, board: Board, view: View, numbers: FloatArray) -> BoolArray:
         """Whether a board would be found in the photograph of each reading, (n,)."""
         if len(view.translation) == 0:
             return np.zeros(0, dtype=bool)
@@ -159,7 +159,7 @@ class Pixel(FrameInstrument):
         rotation, translation = view.rotation[first], view.translation[first]
         body_points = np.array(list(self.points_of_body.values()))
         points = np.einsum("kab,jb->kja", rotation, body_points) + translation[:, None]
-        seen = self._seen(points.reshape(-1, 3), numbers)[1].reshape(points.shape[:2])
+        seen = self._project(points.reshape(-1, 3), numbers)[1].reshape(points.shape[:2])
         middle = points.mean(axis=1)
         facing = np.einsum("ka,ka->k", rotation[:, :, 2], middle) > _STEEPEST * np.linalg.norm(middle, axis=1)
         large = np.min(numbers[:2]) * board.smallest >= _SMALLEST * middle[:, 2]
@@ -169,14 +169,14 @@ class Pixel(FrameInstrument):
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
         """Return errors in the image, and how the twist and unknown intrinsics move them."""
         body = self._body(readings.details)
-        pixels, by_point, by_number = project(_in_camera(view, body), self.numbers(unknowns))
+        pixels, by_point, by_number = project(_points_in_camera(view, body), self.numbers(unknowns))
         turned = np.einsum("kab,kb->ka", view.rotation, body)
         by_twist = np.concatenate([by_point, -by_point @ cross_matrices(turned)], axis=2)
         return Comparison(pixels - readings.values, by_twist, by_number[:, :, self._unknown_numbers])
 
     def point_seen(self, view: View, details: FloatArray) -> FloatArray:
         """Return the point of the body that each pixel shows, seen from the camera, (n, 3) [m]."""
-        return _in_camera(view, self._body(details))
+        return _points_in_camera(view, self._body(details))
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return guesses at the places of camera and target.
@@ -222,7 +222,7 @@ class Pixel(FrameInstrument):
         )
 
     def _check(self, sightings: Sightings, guessed: Sequence[tuple[FloatArray, FloatArray]]) -> None:
-        away = min(int(np.sum(~in_front(seen_points(sightings, places)))) for places in guessed)
+        away = min(int(np.sum(~is_in_front(seen_points(sightings, places)))) for places in guessed)
         if away > _MOSTLY * len(sightings.view):
             raise DataError(
                 f"camera '{self.name}': {away} of the {len(sightings.view)} points that it saw lie behind it as it is"
@@ -246,7 +246,7 @@ class Pixel(FrameInstrument):
         return numbers
 
 
-def _in_camera(view: View, body: FloatArray) -> FloatArray:
+def _points_in_camera(view: View, body: FloatArray) -> FloatArray:
     return np.einsum("kab,kb->ka", view.rotation, body) + view.translation
 
 

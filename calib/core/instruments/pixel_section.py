@@ -16,7 +16,7 @@ from calib.core.base.errors import DescriptionError
 from calib.core.base.files import read_text
 from calib.core.base.sections import Length, PosedSection, PositiveLength, Section
 from calib.core.base.units import per_si, split_column
-from calib.core.instruments.board import Board, checked_board, read_board
+from calib.core.instruments.board import Board, read_board, validate_board
 from calib.core.instruments.kind import InstrumentSection
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -37,7 +37,7 @@ def _board(given: Any, info: ValidationInfo) -> Any:
     try:
         if isinstance(given, str):
             return read_board(given, f"board: {given}", _folder(info))
-        return checked_board(given, "board")
+        return validate_board(given, "board")
     except DescriptionError as error:
         raise ValueError(str(error).removeprefix("board: ")) from None
 

@@ -25,8 +25,8 @@ from calib.core.instruments.rotations import (
     rotation_errors,
     rotation_matrices,
     rotation_vectors,
-    turned_by,
-    written_rotations,
+    turn_by,
+    write_rotations,
 )
 
 
@@ -57,9 +57,9 @@ class Pose(FrameInstrument):
     rotation: Form = "quaternion"
 
     @classmethod
-    def of(cls, name: str, section: PoseSection) -> Pose:
+    def from_section(cls, name: str, section: PoseSection) -> Pose:
         """Return the instrument that an entry of a robot description means."""
-        noise = Noise((PartNoise.of(section.sigma, 3), PartNoise.of(section.sigma_angle, 3)))
+        noise = Noise((PartNoise.from_sigma(section.sigma, 3), PartNoise.from_sigma(section.sigma_angle, 3)))
         return cls(name, section.target or name, section.rotation, noise=noise)
 
     def columns(self) -> tuple[Column, ...]:
@@ -74,7 +74,7 @@ class Pose(FrameInstrument):
 
     def cells(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the columns of positions and rotation vectors, (n, 6) [m, rad]."""
-        columns = np.hstack([values[:, :3], written_rotations(self.rotation, values[:, 3:])])
+        columns = np.hstack([values[:, :3], write_rotations(self.rotation, values[:, 3:])])
         return {column.name: columns[:, k] for k, column in enumerate(self.columns())}
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
@@ -91,9 +91,9 @@ class Pose(FrameInstrument):
         residuals = np.hstack([view.translation - readings.values[:, :3], turned])
         return Comparison(residuals, by_twist, np.zeros((n, 6, 0)))
 
-    def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
+    def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return poses with errors of position and orientation."""
-        return np.hstack([values[:, :3] + change[:, :3], turned_by(values[:, 3:], change[:, 3:])])
+        return np.hstack([values[:, :3] + change[:, :3], turn_by(values[:, 3:], change[:, 3:])])
 
     def points(self, values: FloatArray) -> FloatArray:
         """Return the positions."""

@@ -39,9 +39,9 @@ class Position(FrameInstrument):
     together: str = ""
 
     @classmethod
-    def of(cls, name: str, section: PositionSection) -> Position:
+    def from_section(cls, name: str, section: PositionSection) -> Position:
         """Return the instrument that an entry of a robot description means."""
-        return cls(name, section.target or name, noise=Noise((PartNoise.of(section.sigma, 3),)))
+        return cls(name, section.target or name, noise=Noise((PartNoise.from_sigma(section.sigma, 3),)))
 
     @property
     def group(self) -> str:

@@ -96,7 +96,7 @@ class Relation(FrameInstrument):
         """Return `<name>`, which says what a row is about; nothing where that is but one."""
         return (self.name,) if self.touches or len(self.named) > 1 else ()
 
-    def looked_at(
+    def parse_texts(
         self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
     ) -> tuple[Sequence[bool], IntArray, FloatArray]:
         """Say what each row is about; an empty cell is no reading."""
@@ -135,10 +135,10 @@ class Relation(FrameInstrument):
         """Return f with derivatives by differences."""
         n, width = len(readings), len(unknowns)
 
-        def by(moved: Callable[[float], FloatArray]) -> FloatArray:
+        def difference_quotient(moved: Callable[[float], FloatArray]) -> FloatArray:
             return np.asarray(sum(weight * moved(k * _STEP) for k, weight in _WEIGHTS) / _STEP)
 
-        def shifted(component: int, step: float) -> FloatArray:
+        def misses_after_step(component: int, step: float) -> FloatArray:
             change = step * np.eye(3)[component % 3]
             if component < 3:
                 return self.misses(View(view.rotation, view.translation + change), unknowns, readings)
@@ -147,10 +147,10 @@ class Relation(FrameInstrument):
 
         by_twist, by_unknown = np.zeros((n, self.n_rows, 6)), np.zeros((n, self.n_rows, width))
         for component in range(6):
-            by_twist[:, :, component] = by(lambda step, c=component: shifted(c, step))  # type: ignore[misc]
+            by_twist[:, :, component] = difference_quotient(lambda step, c=component: misses_after_step(c, step))  # type: ignore[misc]
         for k, parameter in enumerate(self.unknowns):
             unit = parameter.sigma_si * np.eye(width)[k]
-            change = by(lambda step, unit=unit: self.misses(view, unknowns + step * unit, readings))  # type: ignore[misc]
+            change = difference_quotient(lambda step, unit=unit: self.misses(view, unknowns + step * unit, readings))  # type: ignore[misc]
             by_unknown[:, :, k] = change / parameter.sigma_si
         by_twist[np.abs(by_twist) < _ROUNDING * np.nanmax(np.abs(by_twist), initial=0.0)] = 0.0
         return Comparison(self.misses(view, unknowns, readings), by_twist, by_unknown)
@@ -162,35 +162,35 @@ class Relation(FrameInstrument):
         if not len(scene.readings) or not (open_ or self.unknowns):
             return ()
         few = np.unique(np.linspace(0, len(scene.readings) - 1, _FEW).astype(np.intp))
-        tried = [_improved(self, scene, start, open_, few, _TRIED) for start in self._starts(scene, names)]
+        tried = [_refine_guess(self, scene, start, open_, few, _TRIED) for start in self._starts(scene, names)]
         every = np.arange(len(scene.readings))
         kept = [each[1] for each in sorted(tried, key=lambda each: each[0])[:_KEPT]]
-        best = sorted((_improved(self, scene, s, open_, every, _IMPROVED) for s in kept), key=lambda each: each[0])
+        best = sorted((_refine_guess(self, scene, s, open_, every, _IMPROVED) for s in kept), key=lambda each: each[0])
         return tuple(guess for _, guess in best)
 
     def _starts(self, scene: Scene, names: list[str]) -> Iterator[Guess]:
         """Where places are said to be, and turned as a cube may be where no orientation is expected."""
         places = {name: scene.places[name] for name in names}
         yield Guess(places, scene.unknowns)
-        said = {place.name: place.sigma_angle for place in self.own}
+        sigmas = {place.name: place.sigma_angle for place in self.own}
         for name in names:
-            if set(ANGLE_COMPONENTS) <= set(scene.unknown[name]) and said.get(name) is None:
+            if set(ANGLE_COMPONENTS) <= set(scene.unknown[name]) and sigmas.get(name) is None:
                 for turn in cube_rotations()[1:]:
                     turned = places[name].copy()
                     turned[:3, :3] = turned[:3, :3] @ turn
                     yield Guess(places | {name: turned}, scene.unknowns)
 
 
-def _improved(
+def _refine_guess(
     kind: Relation, scene: Scene, start: Guess, open_: list[tuple[str, int]], chosen: IntArray, most: int
 ) -> tuple[float, Guess]:
-    """What is left of f, as a sum of moderate powers, and the least squares of some readings from a start."""
+    """The remaining f, as a sum of moderate powers, and the least-squares guess from a start by some readings."""
     readings, n_own = scene.readings.subset(chosen), len(kind.unknowns)
     scales = np.array([parameter.sigma_si for parameter in kind.unknowns])
     looks = [(k, np.flatnonzero(readings.pairs == k)) for k in np.unique(readings.pairs)]
     parts = [(scene.pairs[k], own, scene.links[chosen[own]], readings.subset(own)) for k, own in looks]
 
-    def moved(x: FloatArray) -> Guess:
+    def guess_at(x: FloatArray) -> Guess:
         places, steps = dict(start.places), dict[str, FloatArray]()
         for (name, k), number in zip(open_, x[n_own:], strict=True):
             steps.setdefault(name, np.zeros(6))[k] = number
@@ -202,7 +202,7 @@ def _improved(
         return Guess(places, start.unknowns + scales * x[:n_own])
 
     def misses(x: FloatArray) -> FloatArray:
-        at, result = moved(x), np.zeros((len(readings), kind.n_rows))
+        at, result = guess_at(x), np.zeros((len(readings), kind.n_rows))
         assert at.unknowns is not None  # of `moved`
         for (a, b), own, links, part in parts:
             seen = np.linalg.inv(at.places[a]) @ links @ at.places[b]
@@ -214,4 +214,4 @@ def _improved(
     fitted = scipy.optimize.least_squares(
         lambda x: np.concatenate([misses(x) / scale, _STAY * x]), zero, loss="soft_l1", max_nfev=most
     ).x
-    return float(np.sum(np.sqrt(np.abs(misses(fitted))))), moved(fitted)
+    return float(np.sum(np.sqrt(np.abs(misses(fitted))))), guess_at(fitted)

@@ -59,7 +59,7 @@ def read_rotations(name: str, form: Form, numbers: FloatArray) -> FloatArray:
     return vectors
 
 
-def written_rotations(form: Form, vectors: FloatArray) -> FloatArray:
+def write_rotations(form: Form, vectors: FloatArray) -> FloatArray:
     """Return rotation vectors (n, 3) [rad] as numbers (n, k) in this form: the way back."""
     rotations = scipy.spatial.transform.Rotation.from_rotvec(vectors.copy())
     if form == "quaternion":
@@ -78,7 +78,7 @@ def other_rotations(form: Form, vectors: FloatArray) -> Iterator[tuple[str, Floa
         form: As it was read.
         vectors: Rotation vectors (n, 3) [rad] of complete readings.
     """
-    numbers = written_rotations(form, vectors)
+    numbers = write_rotations(form, vectors)
     yield "its rotations were inverse (the frame seen from the sensor)", -vectors
     if form == "quaternion":
         for order, names in (((1, 2, 3, 0), "qw qx qy qz"), ((3, 0, 1, 2), "qy qz qw qx")):
@@ -121,7 +121,7 @@ def rotation_matrices(vectors: FloatArray) -> FloatArray:
     return scipy.spatial.transform.Rotation.from_rotvec(vectors.copy()).as_matrix()
 
 
-def turned_by(vectors: FloatArray, change: FloatArray) -> FloatArray:
+def turn_by(vectors: FloatArray, change: FloatArray) -> FloatArray:
     """Return rotation vectors (n, 3) turned by small errors in the axes of the measurement frame, (n, 3) [rad]."""
     turned = scipy.spatial.transform.Rotation.from_rotvec(change.copy()) * scipy.spatial.transform.Rotation.from_rotvec(
         vectors.copy()

@@ -12,8 +12,8 @@ Where the places are, and the ball on its link, is mostly not known. First value
 system, R_k t + t_k = s in every pose (R_k, t_k) of the ball's link; an artefact is then laid onto its sockets; planes
 and spheres are laid through the ball's centres.
 
-When it fails. A ball whose link hardly turns is not told apart from the sockets: the linear system keeps it near where
-the description has it. A turn about the line of all points of an artefact moves none of them and is not free.
+When it fails. A ball whose link hardly turns is not distinguished from the sockets: the linear system keeps it near
+where the description has it. A turn about the line of all points of an artefact moves none of them and is not free.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Touch(Relation):
     tolerance: float | None = None
 
     @classmethod
-    def of(cls, name: str, section: TouchSection) -> Touch:
+    def from_section(cls, name: str, section: TouchSection) -> Touch:
         """Return the instrument that an entry of a robot description means."""
         piece, part = section.artefact, _PARTS[section.surface]
         places = section.places.items() if piece is None else ()
@@ -83,7 +83,7 @@ class Touch(Relation):
             section.radius,
             tuple(radius or OwnLength() for _, radius in radii),
             None if piece is None else piece.tolerance,
-            noise=Noise((PartNoise.of(section.sigma, len(part.axes)),)),
+            noise=Noise((PartNoise.from_sigma(section.sigma, len(part.axes)),)),
             unknowns=unknowns,
         )
 

@@ -27,14 +27,14 @@ _FLAT = 1e-3  # width over length below which points lie on one line
 
 
 class Touching(Protocol):
-    """What is asked of an instrument that touches: see `calib.core.instruments.touch.Touch`."""
+    """Interface of an instrument that touches: see `calib.core.instruments.touch.Touch`."""
 
     @property
     def surface(self) -> Surface:
-        """What sort of surfaces it touches."""
+        """Kind of the touched surfaces."""
 
     @property
-    def touched(self) -> tuple[str, ...]:
+    def touched_names(self) -> tuple[str, ...]:
         """Names of what it touches."""
 
     @property
@@ -65,8 +65,8 @@ def first_touches(touch: Touching, scene: Scene) -> Guess:
     return _planes(touch, scene) if touch.surface == "plane" else _spheres(touch, scene)
 
 
-def _looked(scene: Scene) -> tuple[list[tuple[str, int]], IntArray]:
-    """What was touched: name of the place and detail, each once; and which of these each reading is, (n,)."""
+def _touched_things(scene: Scene) -> tuple[list[tuple[str, int]], IntArray]:
+    """Touched things, each once, as place and detail; and the index of the thing of each reading, (n,)."""
     which = scene.readings.details[:, 0].astype(np.intp)
     keys: dict[tuple[str, int], int] = {}
     pairs = zip(scene.readings.pairs.tolist(), which.tolist(), strict=True)
@@ -75,24 +75,24 @@ def _looked(scene: Scene) -> tuple[list[tuple[str, int]], IntArray]:
 
 
 def _sockets(touch: Touching, scene: Scene) -> Guess:
-    keys, number = _looked(scene)
+    keys, number = _touched_things(scene)
     targets = list(dict.fromkeys(b for _, b in scene.pairs))
     target = np.array([targets.index(b) for _, b in scene.pairs], dtype=np.intp)[scene.readings.pairs]
-    inside = _in_place(touch)
+    inside = _homogeneous_places(touch)
     believed = np.array([(scene.places[a] @ inside[detail])[:3] for a, detail in keys])
     open_ = _open(scene, [a for a, _ in keys])
     if touch.points_of_artefact:
         open_ = np.array([[bool(scene.unknown[a])] * 3 for a, _ in keys])
     balls = Points(np.array([scene.places[b][:3, 3] for b in targets]), _open(scene, targets))
     positions, ball_positions = sockets_and_targets(scene.links, number, target, Points(believed, open_), balls)
-    places = _moved(scene, targets, ball_positions)
+    places = _moved_places(scene, targets, ball_positions)
     if touch.points_of_artefact:
         return Guess(places | _artefacts(touch, scene, keys, positions))
-    return Guess(places | _moved(scene, [a for a, _ in keys], positions))
+    return Guess(places | _moved_places(scene, [a for a, _ in keys], positions))
 
 
 def _planes(touch: Touching, scene: Scene) -> Guess:
-    keys, number = _looked(scene)
+    keys, number = _touched_things(scene)
     balls, places = _balls(scene), {}
     for k, (a, _) in enumerate(keys):
         lengths = [axis for axis, name in enumerate(LENGTH_COMPONENTS) if name in scene.unknown[a]]
@@ -104,8 +104,8 @@ def _planes(touch: Touching, scene: Scene) -> Guess:
 
 
 def _spheres(touch: Touching, scene: Scene) -> Guess:
-    keys, number = _looked(scene)
-    balls, unknowns, inside = _balls(scene), scene.unknowns.copy(), _in_place(touch)
+    keys, number = _touched_things(scene)
+    balls, unknowns, inside = _balls(scene), scene.unknowns.copy(), _homogeneous_places(touch)
     centres: dict[tuple[str, int], FloatArray] = {}
     radii: dict[int, list[float]] = {}
     for k, (a, detail) in enumerate(keys):
@@ -126,14 +126,14 @@ def _spheres(touch: Touching, scene: Scene) -> Guess:
     fitted, positions = list(centres), np.array(list(centres.values())).reshape(-1, 3)
     if touch.points_of_artefact:
         return Guess(_artefacts(touch, scene, fitted, positions), unknowns)
-    return Guess(_moved(scene, [a for a, _ in fitted], positions), unknowns)
+    return Guess(_moved_places(scene, [a for a, _ in fitted], positions), unknowns)
 
 
 def _artefacts(
     touch: Touching, scene: Scene, keys: list[tuple[str, int]], positions: FloatArray
 ) -> dict[str, FloatArray]:
     """Poses of the artefact, in every setup, from positions of its points, (m, 3) [m]."""
-    inside, places = _in_place(touch)[:, :3], {}
+    inside, places = _homogeneous_places(touch)[:, :3], {}
     for a in dict.fromkeys(name for name, _ in keys):
         if scene.unknown[a]:
             index = [k for k, (name, _) in enumerate(keys) if name == a]
@@ -144,9 +144,9 @@ def _artefacts(
     return places
 
 
-def _in_place(touch: Touching) -> FloatArray:
+def _homogeneous_places(touch: Touching) -> FloatArray:
     """Each thing that is touched in its place, as homogeneous coordinates, (m, 4) [m]."""
-    points = np.array(touch.points_of_artefact or [(0.0, 0.0, 0.0)] * len(touch.touched))
+    points = np.array(touch.points_of_artefact or [(0.0, 0.0, 0.0)] * len(touch.touched_names))
     return np.column_stack([points, np.ones(len(points))])
 
 
@@ -156,7 +156,7 @@ def _balls(scene: Scene) -> FloatArray:
     return np.einsum("nij,nj->ni", scene.links, centres)[:, :3]
 
 
-def _moved(scene: Scene, names: list[str], positions: FloatArray) -> dict[str, FloatArray]:
+def _moved_places(scene: Scene, names: list[str], positions: FloatArray) -> dict[str, FloatArray]:
     """Poses of places with these positions, (m, 3) [m]."""
     places = {}
     for name, position in zip(names, positions, strict=True):

@@ -41,12 +41,12 @@ class TouchedSection(PlaceSection):
         """Return it as a place."""
         unknown: tuple[Component, ...] = ()
         if self.position == "unknown":
-            unknown = LENGTH_COMPONENTS if surface != "plane" else (self.along_normal(),)
+            unknown = LENGTH_COMPONENTS if surface != "plane" else (self.normal_component(),)
         if self.orientation == "unknown":
             unknown += ("rx", "ry")
         return placed(name, self, unknown)
 
-    def along_normal(self) -> Component:
+    def normal_component(self) -> Component:
         """Return the axis of the link that is nearest to the normal of a plane: along it, the plane is placed."""
         roll, pitch, yaw = self.rpy
         normal = (

@@ -29,10 +29,10 @@ chance of 90 %, or the number of poses that a given change takes, are known befo
 
 Unlike poses. The noise that a calibration finds is, for the most part, what its model leaves out. At poses drawn as
 those that were used it is another error at each pose, as noise is. Elsewhere, or where poses crowd together
-(`calib.core.data.pose_groups.drawn_alike`), it may be one error of all, though no larger. Then the n rows read there
-tell as much as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be off
-there as if k of the N rows used had decided them: N / k times C. If the readings agree by this, nothing says that the
-robot has changed, and the verdict is about the poses. If a change stands out even so, the robot has drifted.
+(`calib.core.data.pose_groups.are_drawn_alike`), it may be one error of all, though no larger. Then the n rows read
+there tell as much as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be
+off there as if k of the N rows used had decided them: N / k times C. If the readings agree by this, nothing says that
+the robot has changed, and the verdict is about the poses. If a change stands out even so, the robot has drifted.
 
 Millimetres. The mean square of distances sums squares of unequal size. It is judged as an F of the same mean and
 variance, at a chance of 0.1 %, so that no verdict contradicts the distances beside it.
@@ -41,7 +41,7 @@ Noise. Readings that repeat a pose show noise without model. Where they scatter 
 scatter as noise the readings agree, the instrument or the robot's repeatability is worse, and no calibration helps.
 
 When it fails. Readings far from the rest are left out first, up to one in twenty, and named. Several changes at once
-are not told apart: that is a new calibration's work.
+are not distinguished: that is a new calibration's work.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Acceptance:
-    """What new measurements say about a calibrated robot.
+    """Verdict of new measurements on a calibrated robot.
 
     Attributes:
         verdict: `agrees`, `drifted`, `noisier`, `unlike poses` or `calibrate again`.
@@ -81,7 +81,7 @@ class Acceptance:
         freedom: Degrees of freedom of the ratio.
         placed: How many degrees of freedom placing base and targets took.
         changes: Every candidate, the one with the largest z first.
-        alike: Significant changes that explain the readings as well as the first one, itself included.
+        like_before: Significant changes that explain the readings as well as the first one, itself included.
         outliers: Labels of readings that were left out.
         errors: Prediction minus read, without the outliers, after placing base and targets where they are unknown.
         promised: Expected root mean square distance of measured from predicted positions [m]; NaN without positions.
@@ -89,7 +89,8 @@ class Acceptance:
         limit: What the distance exceeds in one of a thousand cases, if the robot is as calibrated [m].
         coverage_factor: How many standard deviations of a change make half its 95 % interval.
         unlike: Whether the poses lie otherwise than those of the calibration, and that counted.
-        again: Poses of the calibration that settle it if they are measured again; none if nothing is left to settle.
+        repeated_visits: Poses of the calibration that settle it if they are measured again; none if nothing is left to
+            settle.
     """
 
     verdict: str
@@ -102,7 +103,7 @@ class Acceptance:
     freedom: int
     placed: int
     changes: tuple[Change, ...]
-    alike: tuple[str, ...]
+    like_before: tuple[str, ...]
     outliers: tuple[str, ...]
     errors: ErrorSet
     promised: float
@@ -110,7 +111,7 @@ class Acceptance:
     limit: float
     coverage_factor: float
     unlike: bool
-    again: tuple[str, ...]
+    repeated_visits: tuple[str, ...]
 
     def __repr__(self) -> str:
         return (
@@ -144,23 +145,23 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
         DataError: Too few readings to judge anything.
         UnreachablePoseError: A pose cannot be assembled.
     """
-    promise = Promise.of(calibrated)
+    promise = Promise.from_calibration(calibrated)
     data = as_measurements(promise.robot, data)
-    system = System.of(promise, data, same_setup)
+    system = System.from_promise(promise, data, same_setup)
     system, left_out = without_outliers(system)
     outliers = tuple(data.labels[system.rows.layout.visit[k]] for k in left_out)
     if left_out:  # base and targets are placed without them too
-        system = System.of(promise, data.of_readings(system.numbers_without(left_out)), same_setup)
-    tests = _Tests.of(system)
+        system = System.from_promise(promise, data.with_readings(system.numbers_without(left_out)), same_setup)
+    tests = _Tests.from_system(system)
     verdict, unlike = "agrees", False
     if tests.fail:
-        verdict = tests.explained
+        verdict = tests.verdict_of_unexplained
         if tests.p_drift >= _LEVEL and _is_noise(promise, system):
             verdict = "noisier"
         elif system.unlike:
-            unlike, system = True, system.elsewhere(system.errors.data, same_setup)
-            tests = _Tests.of(system)
-            verdict = tests.explained if tests.fail else "unlike poses"
+            unlike, system = True, system.with_common_error(system.errors.data, same_setup)
+            tests = _Tests.from_system(system)
+            verdict = tests.verdict_of_unexplained if tests.fail else "unlike poses"
     low, high = scipy.special.fdtri(tests.independent, promise.freedom, [0.025, 0.975])
     changes = tests.changes
     again = () if verdict in ("agrees", "noisier") or not changes else poses_that_settle(promise, changes[0])
@@ -173,7 +174,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
         tests.p_drift,
         tests.p_rest,
         system.freedom,
-        system.placed,
+        system.placement_rank,
         changes,
         tuple(c.name for c in changes if c.significant and c.z**2 > changes[0].z ** 2 - _SUPPORT),
         outliers,
@@ -192,7 +193,7 @@ class _Tests:
     """Chances of what new readings show, if the robot is as calibrated.
 
     Attributes:
-        p_value, p_drift, p_rest, changes: As of `Acceptance`.
+        p_value, p_drift, p_rest, changes: Chances and candidates of an `Acceptance`.
         independent: How many independent squares stand behind the ratio.
         far: Whether distances are larger than in one of a thousand cases.
     """
@@ -205,7 +206,7 @@ class _Tests:
     far: bool
 
     @staticmethod
-    def of(system: System) -> _Tests:
+    def from_system(system: System) -> _Tests:
         """Make them."""
         promise, changes = system.promise, system.changes()
         independent = system.freedom / promise.shared**2
@@ -224,7 +225,7 @@ class _Tests:
         return self.p_value < _LEVEL or self.p_drift < _LEVEL or self.far
 
     @property
-    def explained(self) -> str:
+    def verdict_of_unexplained(self) -> str:
         """The verdict of readings that chance does not explain."""
         return "drifted" if self.p_drift < _LEVEL <= self.p_rest else "calibrate again"
 
@@ -250,11 +251,11 @@ def visible_changes(
         poses: Where will be measured, or joint values (n, n_actuated) [m or rad].
         same_setup: As in `verify`.
     """
-    promise = Promise.of(calibrated)
+    promise = Promise.from_calibration(calibrated)
     data = simulate(promise.robot, poses, 0.0, np.random.default_rng(0))  # no noise is drawn
     scale = {c.name: c.scale for c in candidates(promise.robot)}
-    system = System.of(promise, data, same_setup)
-    changes = (system.elsewhere(data, same_setup) if system.unlike else system).changes()
+    system = System.from_promise(promise, data, same_setup)
+    changes = (system.with_common_error(data, same_setup) if system.unlike else system).changes()
     nothing = [replace(change, value=np.nan, z=np.nan, p_value=np.nan) for change in changes]
     return tuple(sorted(nothing, key=lambda change: six_digits(change.visible / scale[change.name])))
 
@@ -275,7 +276,7 @@ def poses_needed(
     Raises:
         DataError: No such candidate, or no size.
     """
-    promise = Promise.of(calibrated)
+    promise = Promise.from_calibration(calibrated)
     planned = as_poses(promise.robot, poses)
     if not (np.isfinite(size) and size != 0):
         raise DataError(f"change of '{name}': {size:g} is not a change; give a number other than zero")

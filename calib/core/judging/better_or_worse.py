@@ -90,30 +90,30 @@ def comparisons(fit: Fit) -> Iterator[UnusedErrors]:
 
 
 def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> UnusedErrors:
-    before, rows = fit.whitened(errors)
+    before, rows = fit.whitened_residuals_and_rows(errors)
     scaled = fit.statistics.covariance / np.outer(fit.unknowns.scales, fit.unknowns.scales)
     product = rows.jacobian.T @ rows.jacobian @ (covariance * scaled)
     squares = float(before @ before), float(rows.residuals @ rows.residuals)
     change, expected = squares[1] - squares[0], float(np.trace(product))
     pose = np.unique(rows.layout.pose_of_row, return_inverse=True)[1]
-    if fit.statistics.shared is not None:
+    if fit.statistics.shared_scatter is not None:
         left = rows.residuals if squares[1] < squares[0] else before
-        felt = np.stack([np.bincount(pose, column * left) for column in rows.jacobian.T], axis=1)
-        mixed = float(np.sum((felt @ (covariance * scaled)) * felt))
+        sums = np.stack([np.bincount(pose, column * left) for column in rows.jacobian.T], axis=1)
+        mixed = float(np.sum((sums @ (covariance * scaled)) * sums))
     else:
         mixed = max(1.0, min(squares) / rows.layout.n_read) * expected
-    spread = _spread(product, mixed, fit.statistics.freedom)
+    spread = _margin_above_mean(product, mixed, fit.statistics.freedom)
     return UnusedErrors(
         name,
         errors.rms("before"),
         errors.rms("after"),
         errors.main_part.dimension,
-        better=change < min(0.0, expected - spread) or _grown(pose, rows.residuals, before),
-        worse=change > expected + spread or _grown(pose, before, rows.residuals),
+        better=change < min(0.0, expected - spread) or _has_grown(pose, rows.residuals, before),
+        worse=change > expected + spread or _has_grown(pose, before, rows.residuals),
     )
 
 
-def _grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
+def _has_grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
     """Whether errors of rows (n_rows,), pose by pose, have grown by more than `HARM`, beyond chance."""
     squares: list[FloatArray] = [np.bincount(pose, errors**2).astype(float) for errors in (before, after)]
     return bool(np.sum(squares[1]) > HARM**2 * np.sum(squares[0])) and surely_positive(squares[1] - squares[0])
@@ -125,7 +125,7 @@ def surely_positive(changes: FloatArray) -> bool:
     return spread > 0 and bool(scipy.special.stdtr(n - 1, -np.mean(changes) / spread * np.sqrt(n)) < UNLIKELY)
 
 
-def _spread(product: FloatArray, mixed: float, freedom: float) -> float:
+def _margin_above_mean(product: FloatArray, mixed: float, freedom: float) -> float:
     """Return how far above its mean T goes with `UNLIKELY`.
 
     Args:

@@ -16,7 +16,7 @@ from calib.core.judging.effects import has_time, scale
 from calib.core.judging.error_budget import ENOUGH_REPEATS
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.rules_reach import terms_beyond
-from calib.core.rows.told_positions import ToldPositions
+from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 NO_MATTER = 0.25
 """Errors that a scale makes where it begins to show, over the noise, below which they do not matter."""
@@ -49,14 +49,14 @@ def _scale(fit: Fit) -> Iterator[str]:
 
 
 def _whose_noise(fit: Fit) -> Iterator[str]:
-    """What the robot may do beside the model, where the noise was neither stated nor measured by repeats."""
+    """Lines on errors beside the model, where the noise was neither stated nor measured by repeats."""
     estimate = fit.first_noise
     measured = repeatability(fit.identification)[1] >= ENOUGH_REPEATS
     if estimate.stated is None and not measured and estimate.group.part.is_position:
         data, by_noise = fit.identification.data, replace(fit.uncertainty, joint_error=0.0)
-        frame = ToldPositions.of(fit.robot, by_noise, data.joints)
-        known = frame.at(data.joints, data.conditions, fit.identification.passive, turns=False)
-        predicted = float(np.mean(known.located**2))
+        frame = ReportedUncertainty.from_robot(fit.robot, by_noise, data.joints)
+        known = frame.predict(data.joints, data.conditions, fit.identification.passive, turns=False)
+        predicted = float(np.mean(known.reported_distance**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))
         yield (
             "scatter of the robot (play, changing loads): it looks like noise of the instrument, which was not stated"

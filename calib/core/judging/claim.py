@@ -29,12 +29,12 @@ the pose makes itself better known: cov r_k = f^2 (1 - H_k), so that with the st
 docs/verdict.md.
 
 Like those measured. Poses that were not used may lie elsewhere: in a setup that was not used, or apart from all poses
-used (`calib.core.data.pose_groups.apart`). Are more of them apart than chance explains (one case in a thousand), errors
-there say little about the claim.
+used (`calib.core.data.pose_groups.is_apart`). Are more of them apart than chance explains (one case in a thousand),
+errors there say little about the claim.
 
 When it fails. New poses unlike those measured may be worse by what the model leaves out there: in another region, under
 another load, at another place of what was touched. What changes in the course of the measurement goes on changing after
-it. Poses that are copies of others foretell each other.
+it. Copies of a pose predict each other.
 """
 
 from __future__ import annotations
@@ -52,24 +52,24 @@ import scipy
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.contributions import Contributions, Sureness, contributions_to
 from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
-from calib.core.base.words import listed
-from calib.core.data.pose_groups import APART, apart
+from calib.core.base.words import listing
+from calib.core.data.pose_groups import APART, is_apart
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import validation_errors
 from calib.core.fitting.outliers import Outlier
 from calib.core.fitting.unseen_errors import (
     COVERED,
-    at_visits,
-    foretold_accuracy,
-    left_out_one_by_one,
-    moved_left_out,
-    of_errors,
+    accuracy_of_errors,
+    errors_at_visits,
+    leave_one_out_errors,
+    predicted_accuracy,
+    rms_shift_left_out,
 )
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import comparisons, surely_positive
 from calib.core.numerics.chances import UNLIKELY
-from calib.core.robots.held import Accuracy, SeenAt
+from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
 
 MORE = 1.25
 """Errors at poses that were not used, over those claimed, up to which a claim holds."""
@@ -77,7 +77,7 @@ _HALF = 0.5  # part of what a joint's limits allow, below which its reach is tol
 
 
 class Benefit(Enum):
-    """What a calibration does to poses that it has not used."""
+    """The effect of a calibration on poses that it has not used."""
 
     BETTER = "better"
     WORSE = "worse"
@@ -89,7 +89,7 @@ class ErrorElsewhere:
     """How far off a robot is expected to be at other poses than those measured.
 
     Attributes:
-        rms, limit95: As of `Accuracy`, in the unit of the claim.
+        rms, limit95: Root mean square and 95 % limit of the error, in the unit of the claim.
         times: How many times as far as at the poses measured.
     """
 
@@ -98,7 +98,7 @@ class ErrorElsewhere:
     times: float
 
     @staticmethod
-    def of(rms: float, limit95: float, known: float, known_there: float) -> ErrorElsewhere:
+    def from_claim(rms: float, limit95: float, known: float, known_there: float) -> ErrorElsewhere:
         """Return it by the module docstring.
 
         Args:
@@ -127,23 +127,23 @@ class SeenUnused:
 
 @dataclass(frozen=True)
 class Claim:
-    """What a calibration claims.
+    """The claim of a calibration.
 
     Attributes:
-        told: How far off the robot is at poses like those measured. `before` is NaN if only places were sought, which
+        at_measured_poses: Error at poses like those measured. `before` is NaN if only places were sought, which
             the robot before has by all poses, those left out among them.
         unused: The same as seen at poses that had no part in the fit.
         gain: What becomes of poses that were not used.
         region: Which poses it is about, in words.
-        narrow: Joints that moved through less than half of their range at these poses, and how far.
+        joints_moved_little: Joints that moved through less than half of their range, and how far.
         find_known: Returns `known`, which takes as long as half of the rest of a verdict.
     """
 
-    told: Accuracy
+    at_measured_poses: Accuracy
     unused: tuple[SeenUnused, ...]
     gain: Benefit
     region: str
-    narrow: tuple[str, ...]
+    joints_moved_little: tuple[str, ...]
     find_known: Callable[[], float] = field(compare=False, repr=False)
 
     @cached_property
@@ -154,13 +154,13 @@ class Claim:
         """
         return self.find_known()
 
-    def at(self, known: float) -> ErrorElsewhere:
+    def error_at(self, known: float) -> ErrorElsewhere:
         """Return how far off the robot is at poses where positions are known to `known` (root mean square) [m]."""
-        return ErrorElsewhere.of(self.told.rms, self.told.limit95, self.known, known)
+        return ErrorElsewhere.from_claim(self.at_measured_poses.rms, self.at_measured_poses.limit95, self.known, known)
 
     @property
     def contains(self) -> Contributions:
-        """What its numbers contain."""
+        """Contributions that the numbers contain."""
         return contributions_to(Sureness.CLAIM)
 
     @property
@@ -171,37 +171,40 @@ class Claim:
     @property
     def words(self) -> str:
         """The claim as a sentence."""
-        told = self.told
-        subject = "The tool is" if told.is_position else f"{told.readings.capitalize()} are"
-        if np.isfinite(told.limit95):
-            off = f"within {told.shown(told.limit95)} of where the model says, 95 % of the time, {self.region}"
+        measured = self.at_measured_poses
+        subject = "The tool is" if measured.is_position else f"{measured.readings.capitalize()} are"
+        if np.isfinite(measured.limit95):
+            off = (
+                f"within {measured.in_unit(measured.limit95)} of where the model says, 95 % of the time, {self.region}"
+            )
         else:
-            off = f"off by {told.shown(told.rms)} RMS, {self.region}"
+            off = f"off by {measured.in_unit(measured.rms)} RMS, {self.region}"
         shown = "".join(
-            f" At {seen.accuracy.where}: RMS {seen.accuracy.shown(seen.accuracy.rms)}, {kept.shown(kept.rms)} without"
+            f" At {seen.accuracy.pose_words}: RMS {seen.accuracy.in_unit(seen.accuracy.rms)},"
+            f" {kept.in_unit(kept.rms)} without"
             " outliers."
             for seen in self.unused
             if (kept := seen.without_outliers)
         )
-        narrow = f" Joints that moved through less than half of their range: {listed(self.narrow)}."
-        return f"{subject} {off}.{shown}{narrow if self.narrow else ''}"
+        narrow = f" Joints that moved through less than half of their range: {listing(self.joints_moved_little)}."
+        return f"{subject} {off}.{shown}{narrow if self.joints_moved_little else ''}"
 
     def to_dict(self) -> dict[str, object]:
         """Return the entry of `result.json`; errors in the unit of errors."""
-        told, scale = self.told, error_scale(self.told.dimension)
+        measured, scale = self.at_measured_poses, error_scale(self.at_measured_poses.dimension)
         return {
-            "part": told.part,
-            "unit": ERROR_UNIT[told.dimension],
-            "dimension": told.dimension,
-            "is_position": told.is_position,
-            "readings": told.readings,
-            "limit95": scale * told.limit95,
-            "rms": scale * told.rms,
-            "rms_before": scale * told.before if np.isfinite(told.before) else None,
-            "n_poses": told.n_poses,
+            "part": measured.part,
+            "unit": ERROR_UNIT[measured.dimension],
+            "dimension": measured.dimension,
+            "is_position": measured.is_position,
+            "readings": measured.readings,
+            "limit95": scale * measured.limit95,
+            "rms": scale * measured.rms,
+            "rms_before": scale * measured.before if np.isfinite(measured.before) else None,
+            "n_poses": measured.n_poses,
             "known": scale * self.known,
             "region": self.region,
-            "joints_moved_little": list(self.narrow),
+            "joints_moved_little": list(self.joints_moved_little),
             "not_used": [
                 {
                     "poses": seen.accuracy.poses.name.lower(),
@@ -229,18 +232,18 @@ class Claim:
         def error(number: float | None) -> float:
             return np.nan if number is None else float(number) / scale
 
-        def seen(of: Mapping[str, Any], poses: SeenAt) -> Accuracy:
+        def seen(of: Mapping[str, Any], poses: PoseUse) -> Accuracy:
             before, rms, limit95 = (error(of.get(key)) for key in ("rms_before", "rms", "limit95"))
             n_poses, part = int(of["n_poses"]), str(entry["part"])
             readings = str(entry.get("readings", f"readings ({part})"))
             return Accuracy(poses, n_poses, part, dimension, before, rms, limit95, is_position, readings)
 
         def unused(other: Mapping[str, Any]) -> SeenUnused:
-            accuracy, kept = seen(other, SeenAt[other["poses"].upper()]), error(other.get("rms_without_outliers"))
+            accuracy, kept = seen(other, PoseUse[other["poses"].upper()]), error(other.get("rms_without_outliers"))
             return SeenUnused(accuracy, None if np.isnan(kept) else replace(accuracy, rms=kept), bool(other["holds"]))
 
         return cls(
-            seen(entry, SeenAt.ONE_BY_ONE),
+            seen(entry, PoseUse.ONE_BY_ONE),
             tuple(map(unused, entry["not_used"])),
             Benefit(entry["gain"]),
             str(entry["region"]),
@@ -251,41 +254,43 @@ class Claim:
 
 def claim_of(fit: Fit) -> Claim | None:
     """Return what a fit claims; None where its data do not tell (they were computed, or each pose stands alone)."""
-    foretold = None if fit.computed else left_out_one_by_one(fit)
-    told = foretold_accuracy(fit)
-    if foretold is None or told is None:
+    predicted = None if fit.computed else leave_one_out_errors(fit)
+    measured = predicted_accuracy(fit)
+    if predicted is None or measured is None:
         return None
     if np.all(fit.unknowns.placement):
-        told = replace(told, before=float("nan"))
+        measured = replace(measured, before=float("nan"))
     unused = []
     validation = validation_errors(fit)
     if validation is not None:
-        unused.append((validation, SeenAt.VALIDATION, findings.validation_outliers(fit)))
+        unused.append((validation, PoseUse.VALIDATION, findings.validation_outliers(fit)))
     if fit.folds is not None:
-        unused.append((fit.folds.errors, SeenAt.FOLDS, findings.outliers(fit)))
+        unused.append((fit.folds.errors, PoseUse.FOLDS, findings.outliers(fit)))
     seen = list[SeenUnused]()
     for errors, where, outliers in unused:
-        accuracy = of_errors(errors, where)
-        if (accuracy.part, accuracy.dimension) == (told.part, told.dimension):
-            more = accuracy.rms > _most(fit, told, accuracy) * told.rms
-            kept = _but_for_few(fit, told, errors, where, outliers) if more else None
+        accuracy = accuracy_of_errors(errors, where)
+        if (accuracy.part, accuracy.dimension) == (measured.part, measured.dimension):
+            more = accuracy.rms > _most(fit, measured, accuracy) * measured.rms
+            kept = _accuracy_without_outliers(fit, measured, errors, where, outliers) if more else None
             seen.append(SeenUnused(accuracy, kept, not more or kept is not None))
     region = f"at poses like the {fit.identification.data.n_poses} measured"
-    return Claim(told, tuple(seen), _gain(fit, foretold), region, _narrow(fit), partial(_known, fit, told))
+    return Claim(measured, tuple(seen), _gain(fit, predicted), region, _narrow(fit), partial(_known, fit, measured))
 
 
-def _but_for_few(
-    fit: Fit, told: Accuracy, errors: ErrorSet, where: SeenAt, outliers: Sequence[Outlier]
+def _accuracy_without_outliers(
+    fit: Fit, measured: Accuracy, errors: ErrorSet, where: PoseUse, outliers: Sequence[Outlier]
 ) -> Accuracy | None:
     """Return how far off unused poses are without a few outliers, if the claim holds for them; else None."""
     gone = {outlier.pose for outlier in outliers}
     if not 0 < len(gone) <= (1.0 - COVERED) * len(errors.data):
         return None
-    accuracy = of_errors(at_visits(errors, np.setdiff1d(np.arange(len(errors.data)), list(gone))), where)
-    lengths = np.sqrt(np.nansum(errors.errors("after", told.part) ** 2, axis=1))
-    beyond = int(np.sum(lengths > MORE * told.limit95))
+    accuracy = accuracy_of_errors(
+        errors_at_visits(errors, np.setdiff1d(np.arange(len(errors.data)), list(gone))), where
+    )
+    lengths = np.sqrt(np.nansum(errors.errors("after", measured.part) ** 2, axis=1))
+    beyond = int(np.sum(lengths > MORE * measured.limit95))
     few = beyond == 0 or scipy.special.bdtrc(beyond - 1, len(lengths), 1.0 - COVERED) >= UNLIKELY
-    return accuracy if few and accuracy.rms <= _most(fit, told, accuracy) * told.rms else None
+    return accuracy if few and accuracy.rms <= _most(fit, measured, accuracy) * measured.rms else None
 
 
 def unlike_measured(fit: Fit) -> BoolArray:
@@ -294,26 +299,28 @@ def unlike_measured(fit: Fit) -> BoolArray:
         return np.zeros(0, dtype=bool)
     used, other = fit.identification.data, fit.validation.data
     if used.setups is None or other.setups is None:
-        return apart(other.joints, used.joints)
-    return apart(other.joints, used.joints) | ~np.isin(other.setups, used.setups)
+        return is_apart(other.joints, used.joints)
+    return is_apart(other.joints, used.joints) | ~np.isin(other.setups, used.setups)
 
 
-def elsewhere(unlike: BoolArray) -> bool:
+def is_elsewhere(unlike: BoolArray) -> bool:
     """Return whether more visits are unlike those measured, (n_visits,), than chance explains."""
     return bool(scipy.special.bdtrc(np.sum(unlike) - 1, len(unlike), APART) < UNLIKELY) if np.any(unlike) else False
 
 
-def _known(fit: Fit, told: Accuracy) -> float:
+def _known(fit: Fit, measured: Accuracy) -> float:
     """Return `Claim.known`."""
-    if not told.is_position:
+    if not measured.is_position:
         return float("nan")
-    return math.hypot(float(np.sqrt(np.mean(fit.identification_uncertainty.located**2))), moved_left_out(fit))
+    return math.hypot(
+        float(np.sqrt(np.mean(fit.identification_uncertainty.reported_distance**2))), rms_shift_left_out(fit)
+    )
 
 
-def _most(fit: Fit, told: Accuracy, seen: Accuracy) -> float:
+def _most(fit: Fit, measured: Accuracy, seen: Accuracy) -> float:
     """Return how many times the error claimed another one may be."""
-    coordinates = 1 if fit.statistics.shared is not None else len(fit.identification.main_part.axes)
-    bound = scipy.special.fdtri(coordinates * seen.n_poses, coordinates * told.n_poses, 1.0 - UNLIKELY)
+    coordinates = 1 if fit.statistics.shared_scatter is not None else len(fit.identification.main_part.axes)
+    bound = scipy.special.fdtri(coordinates * seen.n_poses, coordinates * measured.n_poses, 1.0 - UNLIKELY)
     return max(MORE, float(np.sqrt(bound)))
 
 
@@ -323,13 +330,13 @@ def _squares(errors: ErrorSet, state: str) -> FloatArray:
     return np.asarray(np.nansum(np.square(lengths).reshape(len(lengths), -1), axis=1))
 
 
-def _gain(fit: Fit, foretold: ErrorSet) -> Benefit:
+def _gain(fit: Fit, predicted: ErrorSet) -> Benefit:
     compared = list(comparisons(fit))
     if any(comparison.worse for comparison in compared):
         return Benefit.WORSE
     if compared:
         return Benefit.BETTER if any(comparison.better for comparison in compared) else Benefit.NONE
-    change = _squares(foretold, "after") - _squares(foretold, "before")
+    change = _squares(predicted, "after") - _squares(predicted, "before")
     return Benefit.WORSE if surely_positive(change) else Benefit.BETTER if surely_positive(-change) else Benefit.NONE
 
 

@@ -14,7 +14,7 @@ PARTS_PER_MILLION = 1e6
 
 
 class Trait(Enum):
-    """What is true of some kinds of effects."""
+    """A property that some kinds of effects have."""
 
     IN_COURSE = "changes in the course of the measurement, and goes on changing after it"
     MOVED = "is of what moved beside the robot: its base, an instrument or a target"

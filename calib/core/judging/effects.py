@@ -64,7 +64,7 @@ class EffectSetting:
         """Its measurements."""
         return self.fit.identification.data
 
-    def whitened(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
+    def whiten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
         """Return what effects do to the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
         rows: FloatArray = (
             self.fit.whitening.flatten(arrays) / self.fit.whitening.row_scale(self.fit.scales.groups)[:, None]
@@ -80,7 +80,7 @@ class EffectSetting:
     @cached_property
     def joint_columns(self) -> FloatArray:
         """What the rows gain for an error of 1 of each joint, (n_rows, n_actuated)."""
-        return self.whitened(self.fit.by_joint)
+        return self.whiten(self.fit.joint_derivative)
 
     def size(self, rows: FloatArray) -> FloatArray:
         """Return the root mean square of whitened rows (n_rows, k) over the readings of `dimension`, (k,) [SI]."""
@@ -102,12 +102,12 @@ class EffectSetting:
 
     @property
     def metre(self) -> float:
-        """What a whitened row of a position is in metres; of the first kind of rows where no positions are."""
+        """Size of a whitened position row [m]; of the first kind of rows where there are no positions."""
         return float(self.fit.scales.groups[self._first] * self.fit.whitening.groups[self._first].typical)
 
     @property
     def dimension(self) -> Dimension:
-        """What `metre` measures."""
+        """Dimension of `metre`."""
         return self.fit.whitening.groups[self._first].part.dimension
 
     @property
@@ -216,14 +216,14 @@ def wave_orders(phase: FloatArray) -> range:
 
 def effects(setting: EffectSetting) -> Iterator[Effects]:
     """Yield every effect."""
-    yield from _of_frames(setting)
-    yield from _of_targets(setting)
-    yield from _of_joints(setting)
+    yield from _frame_effects(setting)
+    yield from _target_effects(setting)
+    yield from _joint_effects(setting)
 
 
 def scale(setting: EffectSetting) -> FloatArray:
     """Return what the rows gain if every length is read too long, (n_rows, 1) for a part of 1."""
-    return setting.whitened({name: -lengths for name, lengths in _lengths(setting).items()})
+    return setting.whiten({name: -lengths for name, lengths in _lengths(setting).items()})
 
 
 def gains(setting: EffectSetting) -> FloatArray:
@@ -231,8 +231,8 @@ def gains(setting: EffectSetting) -> FloatArray:
     return setting.joint_columns * (setting.data.joints - np.mean(setting.data.joints, axis=0))[setting.visit]
 
 
-def _of_frames(setting: EffectSetting) -> Iterator[Effects]:
-    shifts, turns = setting.whitened(_shifts(setting)), setting.whitened(_turns(setting))
+def _frame_effects(setting: EffectSetting) -> Iterator[Effects]:
+    shifts, turns = setting.whiten(_shifts(setting)), setting.whiten(_turns(setting))
     lengths, visit = scale(setting), setting.visit
     for axis, name in enumerate("xyz"):
         yield Effects(Kind.AXIS, name, shifts[:, axis : axis + 1], visit)
@@ -244,7 +244,7 @@ def _of_frames(setting: EffectSetting) -> Iterator[Effects]:
     yield Effects(Kind.GROWTH, "xyz", lengths, visit, by_visit=in_course)
 
 
-def _of_targets(setting: EffectSetting) -> Iterator[Effects]:
+def _target_effects(setting: EffectSetting) -> Iterator[Effects]:
     """Targets that slip, at places that part the visits evenly, and targets that move with other links."""
     order = np.argsort(setting.course, kind="stable")
     rank = np.empty(len(order), dtype=np.intp)
@@ -253,14 +253,14 @@ def _of_targets(setting: EffectSetting) -> Iterator[Effects]:
     late = (rank[:, None] >= firsts).astype(float)[:, :, None]
     slips = [f"from {setting.data.labels[order[first]]} on" for first in firsts]
     for target in dict.fromkeys(name for _, name, _ in _seen_targets(setting)):
-        own, *others = (setting.whitened(moved) for moved in _moved_target(setting, target))
+        own, *others = (setting.whiten(moved) for moved in _moved_target(setting, target))
         for joint, moved in zip(_other_joints(setting.fit.robot, target), others, strict=True):
             before = setting.fit.robot.mechanism.origin_names[joint - 1]
             yield Effects(Kind.LINK, target, moved, setting.visit, (before,))
         yield Effects(Kind.SLIP, target, own, setting.visit, slips, late)
 
 
-def _of_joints(setting: EffectSetting) -> Iterator[Effects]:
+def _joint_effects(setting: EffectSetting) -> Iterator[Effects]:
     robot, data, visit = setting.fit.robot, setting.data, setting.visit
     names, in_course, directions = robot.joint_names, _curves(setting.course), data.approach_directions
     still = unmoved_joints(robot, data.joints)
@@ -290,7 +290,7 @@ def _position_rows(instrument: Instrument) -> list[int]:
 
 
 def _shifts(setting: EffectSetting) -> dict[str, FloatArray]:
-    """What shifts of the measurement frame along x, y and z do to readings, (n, n_rows, 3) each."""
+    """Derivative of readings by shifts of the measurement frame along x, y and z, (n, n_rows, 3) each."""
     result: dict[str, FloatArray] = {}
     for name, readings in setting.data.readings.items():
         instrument = setting.fit.robot.instrument(name)
@@ -302,7 +302,7 @@ def _shifts(setting: EffectSetting) -> dict[str, FloatArray]:
 
 
 def _turns(setting: EffectSetting) -> dict[str, FloatArray]:
-    """What turns of the measurement frame about x, y and z do to readings, (n, n_rows, 3) [m per rad] each."""
+    """Derivative of readings by turns of the measurement frame, (n, n_rows, 3) [m per rad] each."""
     result, points = _shifts(setting), _points(setting)
     for name, arms in points.items():
         rows = _position_rows(setting.fit.robot.instrument(name))

@@ -45,7 +45,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Part
 from calib.core.judging.repeatability import repeatability
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import RANK_TOLERANCE, reduced, unit_columns
+from calib.core.numerics.identifiability import RANK_TOLERANCE, reduce_rows, unit_columns
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import observe
 from calib.core.rows.rows import Layout, Rows
@@ -71,7 +71,7 @@ class CauseShare:
 
 @dataclass(frozen=True)
 class ErrorBudget:
-    """What made the error before.
+    """Causes of the error before calibration.
 
     Attributes:
         used: Whether of the readings that were used, corrected for that; else of those that were not.
@@ -95,18 +95,18 @@ class ErrorBudget:
 
 
 @dataclass(frozen=True, eq=False)
-class _Path:
+class _ErrorPath:
     """Readings on the way: sums over the rows of each reading, and what the covariance needs.
 
     Attributes:
         before: |e(0)|^2 of each reading, (n_readings,).
-        removed: s_k of each reading and cause, (n_readings, n_causes).
+        explained_by_cause: s_k of each reading and cause, (n_readings, n_causes).
         gradient: Of the sum of s_k by the unknowns, (n_causes, n_free).
         pose: Pose of each reading, (n_readings,).
     """
 
     before: FloatArray
-    removed: FloatArray
+    explained_by_cause: FloatArray
     gradient: FloatArray
     pose: IntArray
 
@@ -133,8 +133,8 @@ def error_budget(fit: Fit) -> ErrorBudget:
     members = np.array([of_parameter == cause for cause in causes])
     layout = rows.layout
     counted = np.array([group.part.name == errors.main_part.name for group in layout.groups] + [False])[layout.group]
-    path = _along(fit, errors, members, layout, counted)
-    n, width, removed = len(path.before), int(np.sum(counted)), path.removed
+    path = _integrate(fit, errors, members, layout, counted)
+    n, width, removed = len(path.before), int(np.sum(counted)), path.explained_by_cause
     if fit.validation is None:
         leverage = _leverage(rows, unknowns, members, counted)
         left = float(np.sum(path.before) - np.sum(removed))
@@ -167,7 +167,7 @@ def error_budget(fit: Fit) -> ErrorBudget:
     )
 
 
-def _along(fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, counted: BoolArray) -> _Path:
+def _integrate(fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, counted: BoolArray) -> _ErrorPath:
     """Integrate over the way from before to after.
 
     Args:
@@ -186,7 +186,7 @@ def _along(fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, count
     of_counted = slice(None) if np.all(counted) else counted
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
-        jacobian, residuals = _seen(robot, errors, unknowns, layout)
+        jacobian, residuals = _batches(robot, errors, unknowns, layout)
         by_places, moved = jacobian[of_counted][:, unknowns.placement], (jacobian @ steps)[of_counted]
         root, total = _root_of_span(by_places), np.sum(moved, axis=1)
         absorbed = by_places @ (root @ (root.T @ (by_places.T @ total)))
@@ -195,31 +195,31 @@ def _along(fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, count
         removed[of_counted] -= weight * residuals[of_counted, None] * moved
         for k, column in enumerate((total - absorbed, absorbed, *moved.T)):
             pulling[of_counted, k] += weight / 2.0 * column
-    pulled = _seen(after, errors, unknowns, layout)[0][of_counted].T @ pulling[of_counted]
+    pulled = _batches(after, errors, unknowns, layout)[0][of_counted].T @ pulling[of_counted]
     gradient = members * pulled[:, 0] + pulled[:, 2:].T
     gradient[places] += pulled[:, 1]
     chosen = np.unique(layout.reading[counted])
     squares = np.where(counted, _flat(errors.before, layout), 0.0) ** 2
     columns = (np.bincount(layout.reading, column) for column in (squares, *removed.T))
     sums: FloatArray = np.stack([column[chosen] for column in columns], axis=1).astype(float)
-    return _Path(sums[:, 0], sums[:, 1:], gradient, layout.pose[chosen])
+    return _ErrorPath(sums[:, 0], sums[:, 1:], gradient, layout.pose[chosen])
 
 
-def _seen(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout) -> tuple[FloatArray, FloatArray]:
+def _batches(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout) -> tuple[FloatArray, FloatArray]:
     """Derivative (n_rows, n_free) and residuals (n_rows,) of all rows, under a robot on the way."""
     data = errors.data
     conditions = data.conditions if robot.terms else None
     configurations = robot.assemble(data.joints, errors.passive, data.labels, conditions)
     observed = observe(robot, configurations, data.readings, index=unknowns.index)
-    jacobian = _flat({name: block.by(unknowns.index) for name, block in observed.items()}, layout)
+    jacobian = _flat({name: block.derivative_by(unknowns.index) for name, block in observed.items()}, layout)
     return jacobian, _flat({name: block.residuals for name, block in observed.items()}, layout)
 
 
 def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:
     """Return h_k of the module docstring, (n_causes,)."""
     n = rows.jacobian.shape[1]  # of rows alone that count: sums over them stay as they are
-    jacobian = rows.factor[:n, :-1] if np.all(counted) else reduced(rows.jacobian[counted])
-    pulled = (jacobian @ rows.known.root) @ rows.known.root.T
+    jacobian = rows.factor[:n, :-1] if np.all(counted) else reduce_rows(rows.jacobian[counted])
+    pulled = (jacobian @ rows.posterior_information.root) @ rows.posterior_information.root.T
     placing = jacobian[:, unknowns.placement] @ _root_of_span(jacobian[:, unknowns.placement])
     absorbed = placing.T @ jacobian
     leverage: FloatArray = members @ np.sum((jacobian - placing @ absorbed) * pulled, axis=0)
@@ -234,7 +234,9 @@ def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
 
 def _root_of_span(columns: FloatArray) -> FloatArray:
     """Return K (k, rank) of orthonormal directions A K of what columns A (n, k) span; rounding counts as zero."""
-    unit, lengths = unit_columns(reduced(columns))  # a turn of a target does not move its point: a column of rounding
+    unit, lengths = unit_columns(
+        reduce_rows(columns)
+    )  # a turn of a target does not move its point: a column of rounding
     _, s, right = linalg.svd(unit, full_matrices=False)
     kept = s > RANK_TOLERANCE * np.max(s, initial=0.0)
     return np.asarray((right[kept] / s[kept, None]).T / lengths[:, None])

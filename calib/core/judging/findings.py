@@ -1,6 +1,6 @@
 """What a fit shows beside its numbers: readings far off, patterns that noise does not make, what made the error.
 
-Each finding is a function of a fit, made when it is first asked for.
+Each finding is a function of a fit, made at first use.
 """
 
 from __future__ import annotations
@@ -10,36 +10,36 @@ from dataclasses import replace
 import numpy as np
 
 from calib.core.base.errors import ComputationError, UnreachablePoseError
-from calib.core.base.remembered import remembered
+from calib.core.base.memoize import memoize
 from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fit import errors_on
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.outliers import Outlier, left_out_with, outliers_of
+from calib.core.fitting.outliers import Outlier, outliers_of, readings_of_outliers
 from calib.core.judging import residual_patterns
 from calib.core.judging.effect_kinds import Kind, Pattern, Trait
 from calib.core.judging.effects import EffectSetting, effects
 from calib.core.judging.error_budget import ErrorBudget, error_budget
 from calib.core.judging.linear_fit import LinearFit
 from calib.core.numerics import linalg
-from calib.core.numerics.losses import Studentised
+from calib.core.numerics.losses import StudentisedErrors
 
 _LEAST_FACTOR = 1e-3  # found over assumed noise of a group, over that of all, below which a group has none
 
 
-@remembered
-def studentised(fit: Fit) -> Studentised:
+@memoize
+def studentise_errors(fit: Fit) -> StudentisedErrors:
     """Return how far off every reading is that was used; see `calib.core.numerics.losses`."""
     factors, number = fit.statistics.factors.values, fit.rows.layout.group
     # groups whose stated noise is off by different factors are judged by what each of them really has
     relative = np.maximum(factors / _factor(fit), _LEAST_FACTOR)
     divisor = np.where(number >= 0, relative[number], 1.0)
     rows = replace(fit.rows, residuals=fit.rows.residuals / divisor)
-    return rows.studentised(fit.root, fit.weights, fit.statistics.freedom)
+    return rows.studentise(fit.root, fit.weights, fit.statistics.freedom)
 
 
-@remembered
-def validation_studentised(fit: Fit) -> Studentised | None:
+@memoize
+def validation_studentised(fit: Fit) -> StudentisedErrors | None:
     """Return how far off every reading is that was not used; None without them."""
     rows = fit.validation_rows
     if rows is None:
@@ -47,8 +47,8 @@ def validation_studentised(fit: Fit) -> Studentised | None:
     known = fit.covariance.values / np.outer(fit.unknowns.scales, fit.unknowns.scales)
     values, vectors = linalg.eigh(known)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    scale = studentised(fit).scale / _factor(fit)
-    return rows.studentised(root, np.zeros(rows.layout.n_readings), fit.statistics.freedom, scale)
+    scale = studentise_errors(fit).scale / _factor(fit)
+    return rows.studentise(root, np.zeros(rows.layout.n_readings), fit.statistics.freedom, scale)
 
 
 def _factor(fit: Fit) -> float:
@@ -56,13 +56,13 @@ def _factor(fit: Fit) -> float:
     return max(float(np.sqrt(np.mean(fit.statistics.factors.values**2))), 1e-30)
 
 
-@remembered
+@memoize
 def outliers(fit: Fit) -> tuple[Outlier, ...]:
     """Return readings that were used and lie further off than noise explains, worst first."""
-    return outliers_of(studentised(fit), fit.identification, fit.rows.layout)
+    return outliers_of(studentise_errors(fit), fit.identification, fit.rows.layout)
 
 
-@remembered
+@memoize
 def validation_outliers(fit: Fit) -> tuple[Outlier, ...]:
     """Return readings that were not used and lie further off than noise and uncertainty explain, worst first."""
     rows, far_off = fit.validation_rows, validation_studentised(fit)
@@ -71,7 +71,7 @@ def validation_outliers(fit: Fit) -> tuple[Outlier, ...]:
     return outliers_of(far_off, fit.validation, rows.layout)
 
 
-@remembered
+@memoize
 def excluded_errors(fit: Fit) -> ErrorSet | None:
     """Return the errors of the readings that were left out as outliers, by the fit without them.
 
@@ -79,38 +79,38 @@ def excluded_errors(fit: Fit) -> ErrorSet | None:
     """
     if fit.with_all is None:
         return None
-    gone = left_out_with(fit.excluded, fit.with_all.rows.layout)
+    gone = readings_of_outliers(fit.excluded, fit.with_all.rows.layout)
     try:
-        return errors_on(fit.placed, fit.robot, fit.with_all.identification.data.of_readings(gone))
+        return errors_on(fit.placed, fit.robot, fit.with_all.identification.data.with_readings(gone))
     except (UnreachablePoseError, ComputationError):
         return None
 
 
-@remembered
+@memoize
 def setting(fit: Fit) -> EffectSetting:
     """Return what effects that the model may leave out are made of."""
     return EffectSetting(fit)
 
 
-@remembered
+@memoize
 def linear(fit: Fit) -> LinearFit:
     """Return the fit as a linear model, in which effects are looked for."""
     factors = fit.statistics.factors
     factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
     rows = fit.weighted_rows
-    shared = fit.statistics.shared
+    shared = fit.statistics.shared_scatter
     pose_freedom = np.inf if shared is None else shared.freedom
     return LinearFit(rows, rows.span, fit.statistics.freedom, factor, pose_freedom)
 
 
-@remembered
+@memoize
 @one_blas_thread
 def patterns(fit: Fit) -> tuple[Pattern, ...]:
     """Return systematic patterns that were looked for in the residuals, most significant first."""
     return () if fit.computed else residual_patterns.patterns(linear(fit), setting(fit))
 
 
-@remembered
+@memoize
 @one_blas_thread
 def changes(fit: Fit) -> tuple[Pattern, ...]:
     """Return what surely changes in the course of the measurement, beside all that follows the values of joints.
@@ -131,7 +131,7 @@ def changes(fit: Fit) -> tuple[Pattern, ...]:
     return tuple(p for p in residual_patterns.patterns(beside, setting(fit), in_course) if p.significant)
 
 
-@remembered
+@memoize
 @one_blas_thread
 def budget(fit: Fit) -> ErrorBudget | None:
     """Return what made the error before, and what is left: of the readings that were not used, or of all there are.

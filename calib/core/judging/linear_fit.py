@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
-from calib.core.numerics.clusters import LeftOut
+from calib.core.numerics.clusters import LeftOutBlocks
 from calib.core.numerics.tall import Span
 from calib.core.rows.rows import Rows
 
@@ -39,7 +39,7 @@ class LinearFit:
 
     def after_fit(self, effect: FloatArray) -> FloatArray:
         """Return M Z, what a fit leaves of effects Z (n_rows, n_effects) on the residuals, (n_rows, n_effects)."""
-        return effect - self.span.times(self.span.pulled(effect))
+        return effect - self.span.times(self.span.transposed_product(effect))
 
     def beside(self, effects: FloatArray) -> LinearFit:
         """Return the fit as it would be if effects Z (n_rows, k) were parameters too, as far as they can be seen."""
@@ -54,7 +54,7 @@ class LinearFit:
         return replace(
             self,
             rows=replace(self.rows, residuals=residuals),
-            span=self.span.beside(absorbed),
+            span=self.span.with_columns(absorbed),
             freedom=self.freedom - fewer,
             pose_freedom=self.pose_freedom - fewer,
         )
@@ -76,9 +76,9 @@ class LinearFit:
         return sizes, deviations
 
     @cached_property
-    def without_poses(self) -> LeftOut:
+    def without_poses(self) -> LeftOutBlocks:
         """The fit with poses left out in turn."""
-        return LeftOut(self.span, self.rows.layout.pose_of_row)
+        return LeftOutBlocks(self.span, self.rows.layout.pose_of_row)
 
     @cached_property
     def square(self) -> float:

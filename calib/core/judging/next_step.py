@@ -13,7 +13,7 @@ from calib.core.fitting.validation import stretches
 from calib.core.judging.reasons import Answer
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.judging.verdict import judge
-from calib.core.robots.held import Holds
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.parametrisation import result_use
 from calib.core.robots.robot_files import lost_by
 
@@ -31,7 +31,7 @@ ROBOT, DATA, FOLDER, AGAIN = "ROBOT", "DATA", "DIR", "DIR-2"
 
 @dataclass(frozen=True)
 class NextStep:
-    """What to do next.
+    """The next step that the user is advised to take.
 
     Attributes:
         aim: What it is for, in words that begin with a verb.
@@ -48,10 +48,12 @@ class NextStep:
 
     @property
     def needs_folder(self) -> bool:
-        """Whether it uses the result folder, and does not write it."""
+        """Whether the step reads the result folder, and does not write it."""
         return FOLDER in self.aim or FOLDER in self.command.removesuffix(f"--out {FOLDER}").split()
 
-    def typed(self, robot: str, data: Sequence[str], folder: str, options: Mapping[str, Sequence[str]]) -> str:
+    def with_file_names(
+        self, robot: str, data: Sequence[str], folder: str, options: Mapping[str, Sequence[str]]
+    ) -> str:
         """Return the sentence with the files that were typed in place of `ROBOT`, `DATA` and `DIR`.
 
         Args:
@@ -65,17 +67,19 @@ class NextStep:
             word for name, values in options.items() if name not in (*words, *self.without) for word in (name, *values)
         ]
         end = words.index("--out") if "--out" in words else len(words)
-        said = (*words[:end], *more, *words[end:])
-        return f"{self.aim.replace(FOLDER, folder)}: {' '.join(files.get(word, shlex.quote(word)) for word in said)}"
+        replaced = (*words[:end], *more, *words[end:])
+        return (
+            f"{self.aim.replace(FOLDER, folder)}: {' '.join(files.get(word, shlex.quote(word)) for word in replaced)}"
+        )
 
 
 def next_step(fit: Fit) -> NextStep:
     """Return what answers the first reason of the verdict, or how the result is tested or used."""
-    verdict, done = judge(fit), _done(fit)
+    verdict, done = judge(fit), _tried_answers(fit)
     answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
     open_answers = [answer for answer in answers if answer is not Answer.LOOK and answer not in done]
     if Answer.CORRECT in open_answers:  # what else is seen comes from the mistake
-        return _again(fit, "correct the data or the description as the reasons say, and fit again")
+        return _repeat_fit(fit, "correct the data or the description as the reasons say, and fit again")
     data = fit.identification.data
     if Answer.ADD_TERMS in open_answers and len(stretches(data, LEAST_POSES)) < LEAST_POSES:
         open_answers = [Answer.OTHER_POSES if answer is Answer.ADD_TERMS else answer for answer in open_answers]
@@ -83,36 +87,36 @@ def next_step(fit: Fit) -> NextStep:
         open_answers = [Answer.OTHER_POSES if answer is Answer.TRY_STARTS else answer for answer in open_answers]
     first = Answer.LEAVE_OUT if Answer.LEAVE_OUT in open_answers else next(iter(open_answers), None)
     if first in _OPTIONS:  # outliers come first: what they do looks like noise, and like joint terms
-        return _again(fit, *_OPTIONS[first], noise_stands=first is not Answer.STATE_NOISE)
+        return _repeat_fit(fit, *_OPTIONS[first], noise_stands=first is not Answer.STATE_NOISE)
     if first is Answer.OTHER_POSES:
         return NextStep("see what these poses do not determine, and measure others", f"calib check {ROBOT} {DATA}")
     if verdict.grade != "FAIL" and fit.validation is None and fit.folds is None:
         aim = "test the result on poses that the fit does not use"
-        return _again(fit, aim, "--validate", "0.25", folder=FOLDER)
+        return _repeat_fit(fit, aim, "--validate", "0.25", folder=FOLDER)
     if answers:
         return NextStep("look at the largest errors", f"calib view {ROBOT} --result {FOLDER}")
     return _use(fit)
 
 
-def _done(fit: Fit) -> set[Answer]:
-    """What this fit has tried already, so that it would lead nowhere."""
+def _tried_answers(fit: Fit) -> set[Answer]:
+    """Answers that this fit has tried already."""
     by_auto = fit.terms is not None and fit.terms.automatic
     tried = {Answer.LEAVE_OUT: fit.with_all is not None, Answer.ADD_TERMS: by_auto, Answer.TRY_STARTS: bool(fit.starts)}
     return {answer for answer, was in tried.items() if was}
 
 
-def _again(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stands: bool = True) -> NextStep:
+def _repeat_fit(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stands: bool = True) -> NextStep:
     """Return a fit with the options of this one, as far as it knows them, and another."""
     options = {} if fit.sigma_given is None or not noise_stands else {"--sigma-mm": f"{millimetres(fit.sigma_given):g}"}
     options |= {} if fit.loss == "none" else {"--loss": fit.loss}
     options |= {} if fit.terms is None else {"--terms": fit.terms.requested}
     options |= {} if fit.starts is None else {"--starts": str(fit.starts.total)}
     options |= {} if fit.with_all is None else {"--exclude-outliers": ""}
-    options |= fit.asked.options() | ({"--seed": str(fit.seed)} if fit.seed else {})
+    options |= fit.requested_options.options() | ({"--seed": str(fit.seed)} if fit.seed else {})
     options |= {words[0]: " ".join(words[1:])} if words else {}
-    said = (shlex.quote(word) for option in options.items() for word in option if word)
+    options_text = (shlex.quote(word) for option in options.items() for word in option if word)
     without = () if noise_stands else ("--sigma-mm",)
-    return NextStep(aim, " ".join(("calib fit", ROBOT, DATA, *said, "--out", folder)), without)
+    return NextStep(aim, " ".join(("calib fit", ROBOT, DATA, *options_text, "--out", folder)), without)
 
 
 def _use(fit: Fit) -> NextStep:
@@ -127,7 +131,7 @@ def _use(fit: Fit) -> NextStep:
     if not lost_by(fit.robot, Holds.ORIGINS):
         return NextStep(f"use {FOLDER}/calibrated.urdf, or correct a program for the real robot", program)
     origins, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
-    both = f"{whole.shown(whole.rms)} with them, {origins.shown(origins.rms)} without, RMS at {whole.where}"
+    both = f"{whole.in_unit(whole.rms)} with them, {origins.in_unit(origins.rms)} without, RMS at {whole.pose_words}"
     if fit.terms is not None and whole.rms > origins.rms:
-        return _again(fit, f"leave the joint terms out, which make it no better ({both})", "--terms", "none")
+        return _repeat_fit(fit, f"leave the joint terms out, which make it no better ({both})", "--terms", "none")
     return NextStep(f"correct a program by the whole model, whose joint terms a URDF cannot hold ({both})", program)

@@ -17,7 +17,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.units import Dimension
 from calib.core.data.measurements import Measurements
-from calib.core.data.pose_groups import drawn_alike
+from calib.core.data.pose_groups import are_drawn_alike
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import numbers_by_instrument
@@ -43,7 +43,7 @@ _JOINT_STEP = 1e-3  # unit in which joint zeros are looked at [rad, or character
 
 @dataclass(frozen=True, eq=False)
 class Promise:
-    """What a calibration says of its robot.
+    """Predictions of a calibration for new readings of its robot.
 
     Attributes:
         robot: The calibrated robot.
@@ -66,7 +66,7 @@ class Promise:
     names: tuple[str, ...]
 
     @staticmethod
-    def of(calibrated: Fit | Promise | HasPromise) -> Promise:
+    def from_calibration(calibrated: Fit | Promise | HasPromise) -> Promise:
         """Return what a fit or a loaded result promises.
 
         Raises:
@@ -77,7 +77,7 @@ class Promise:
         if isinstance(calibrated, Fit):
             sigma = {(noise.group.name, noise.group.part.name): noise.sigma for noise in calibrated.noise}
             statistics = calibrated.statistics
-            shared = 1.0 if statistics.shared is None else statistics.shared.ratio
+            shared = 1.0 if statistics.shared_scatter is None else statistics.shared_scatter.ratio
             data, covariance = calibrated.identification.data, calibrated.covariance.values
             decided, names = statistics.effective_parameters, tuple(map(str, data.names))
             return Promise(calibrated.robot, covariance, statistics.freedom, sigma, shared, decided, data.joints, names)
@@ -88,7 +88,7 @@ class Promise:
             f" {type(calibrated).__name__}"
         )
 
-    def elsewhere(self, n_rows: int) -> Promise:
+    def with_common_error(self, n_rows: int) -> Promise:
         """Return what it promises where errors that it left unexplained may be one error of n rows, though no larger.
 
         In a region of its own, such errors move parameters as if only as few rows as parameters had decided them; and
@@ -102,11 +102,11 @@ class Promise:
 
 @runtime_checkable
 class HasPromise(Protocol):
-    """What knows its promise by itself, such as a loaded result."""
+    """An object with a promise of its own, such as a loaded result."""
 
     @property
     def promise(self) -> Promise:
-        """What its calibration promises."""
+        """Promise of the calibration."""
 
 
 @dataclass(frozen=True)
@@ -133,13 +133,13 @@ class Change:
 
     @property
     def significant(self) -> bool:
-        """Whether it is more than chance among all that were looked for."""
+        """Whether the change is significant among all changes that were tested."""
         return self.p_value < FALSE_ALARM / 2
 
 
 @dataclass(frozen=True)
-class Changeable:
-    """What can change.
+class PossibleChanges:
+    """Changes of a robot that new readings can show.
 
     Attributes:
         name: The parameter, or `zero of JOINT`.
@@ -156,24 +156,24 @@ class Changeable:
     scale: float
 
 
-def candidates(robot: Robot) -> list[Changeable]:
+def candidates(robot: Robot) -> list[PossibleChanges]:
     """Return what can change: parameters of the robot's origins, and zeros of its joints."""
     free = np.flatnonzero(robot.is_free)
     parameters = [
-        Changeable(p.name, p.dimension, k, False, p.sigma_si)
+        PossibleChanges(p.name, p.dimension, k, False, p.sigma_si)
         for k, p in enumerate(robot.parameters[i] for i in free)
         if not p.placement and not p.family and free[k] < robot.n_origin_parameters
     ]
     mechanism = robot.mechanism
     return parameters + [
-        Changeable(f"zero of {name}", mechanism.dimensions[name], j, True, _JOINT_STEP * float(scale))
+        PossibleChanges(f"zero of {name}", mechanism.dimensions[name], j, True, _JOINT_STEP * float(scale))
         for j, (name, scale) in enumerate(zip(robot.joint_names, mechanism.joint_scale, strict=True))
     ]
 
 
 @dataclass(frozen=True)
-class Expected:
-    """What a calibration expects of the distances between measured and predicted positions.
+class ExpectedDistances:
+    """Expected distances between measured and predicted positions after a calibration.
 
     Attributes:
         rms: Their root mean square [m]; NaN without positions.
@@ -203,7 +203,7 @@ class System:
         promise: What is judged.
         rows: The linear model: r by the known unknowns J L, which have a prior, and by the places P, of length 1.
         candidate_columns: Columns of the candidates, (n_rows, n_candidates).
-        errors: As of `Acceptance`.
+        errors: Errors of the readings after placing base and targets, without outliers.
         expected: Of the distances between measured and predicted positions.
     """
 
@@ -211,19 +211,19 @@ class System:
     rows: Rows
     candidate_columns: FloatArray
     errors: ErrorSet = field(repr=False)
-    expected: Expected
+    expected: ExpectedDistances
 
     @staticmethod
-    def of(promise: Promise, data: Measurements, same_setup: bool) -> System:
+    def from_promise(promise: Promise, data: Measurements, same_setup: bool) -> System:
         """Set it up.
 
         Raises:
             DataError: Too few readings.
         """
-        robot = promise.robot if same_setup else place(Problem.of(promise.robot, data)).robot
+        robot = promise.robot if same_setup else place(Problem.from_data(promise.robot, data)).robot
         configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
         observed = observe(robot, configurations, data.readings, joints=True)
-        whitening, unknowns = Whitening(robot, data), Unknowns.of(robot)
+        whitening, unknowns = Whitening(robot, data), Unknowns.from_robot(robot)
         scales = whitening.start({name: block.residuals for name, block in observed.items()})
         for g, group in enumerate(whitening.groups):
             if (group.name, group.part.name) in promise.sigma:
@@ -243,14 +243,14 @@ class System:
             replace(rows, jacobian=columns, prior=prior, deviations=np.zeros(columns.shape[1])),
             candidate_columns,
             ErrorSet(data, robot.instruments, errors, errors, robot.singular_values(configurations)),
-            _expected(promise, robot, observed, kept, root * unknowns.scales[kept, None]),
-        ).checked(data)
+            _expected_distances(promise, robot, observed, kept, root * unknowns.scales[kept, None]),
+        ).require_readings(data)
 
     def numbers_without(self, readings: Sequence[int]) -> dict[str, IntArray]:
         """Return which readings of each instrument are not among some, (n_own,)."""
         return numbers_by_instrument(np.setdiff1d(np.arange(self.rows.layout.n_readings), readings), self.rows.layout)
 
-    def checked(self, data: Measurements) -> System:
+    def require_readings(self, data: Measurements) -> System:
         """Return it; with nothing left to judge by, raise `DataError`."""
         if self.promise.freedom < 1:
             raise DataError(
@@ -269,12 +269,12 @@ class System:
         weights = 1.0 * ~np.isin(np.arange(self.rows.layout.n_readings), readings)
         of_rows = weights[self.rows.layout.reading]
         layout = replace(self.rows.layout, group=np.where(of_rows > 0, self.rows.layout.group, -1))
-        rows = replace(self.rows.weighted(weights), layout=layout)
+        rows = replace(self.rows.with_weights(weights), layout=layout)
         return replace(self, rows=rows, candidate_columns=self.candidate_columns * of_rows[:, None])
 
-    def _left(self, rows: FloatArray) -> FloatArray:
-        """What of [rows; 0] is orthogonal to X, (n_rows + k, ...)."""
-        root, jacobian = self.rows.known.root, self.rows.jacobian
+    def _orthogonal_part(self, rows: FloatArray) -> FloatArray:
+        """The part of [rows; 0] that is orthogonal to X, (n_rows + k, ...)."""
+        root, jacobian = self.rows.posterior_information.root, self.rows.jacobian
         step = root @ (root.T @ (jacobian.T @ rows))
         return np.concatenate([rows - jacobian @ step, -self.rows.prior.times(step)])
 
@@ -286,21 +286,21 @@ class System:
     @property
     def freedom(self) -> int:
         """Degrees of freedom m."""
-        return self.n_rows - self.placed
+        return self.n_rows - self.placement_rank
 
     @property
-    def placed(self) -> int:
+    def placement_rank(self) -> int:
         """Rank of the columns of the places beside the known unknowns."""
-        return self.rows.known.root.shape[1] - int(np.sum(self.rows.prior.has))
+        return self.rows.posterior_information.root.shape[1] - int(np.sum(self.rows.prior.has))
 
     @cached_property
     def square(self) -> float:
         """Q, the sum of squares that is chi-square with `freedom`."""
-        return float(np.sum(self._left(self.rows.residuals) ** 2))
+        return float(np.sum(self._orthogonal_part(self.rows.residuals) ** 2))
 
     def worst(self) -> tuple[int, float]:
         """Return the reading that lies furthest off, and the chance of that among so many."""
-        layout, left = self.rows.layout, self._left(self.rows.residuals)[: len(self.rows.residuals)]
+        layout, left = self.rows.layout, self._orthogonal_part(self.rows.residuals)[: len(self.rows.residuals)]
         widths, used = np.maximum(layout.width, 1), np.ones(layout.n_readings)
         # the scale is known with as many degrees of freedom as the promise; there, half of them are counted
         judged = studentised(left, self.rows.span, layout.reading, widths, used, 2.0 * self.promise.freedom, 1.0)
@@ -311,19 +311,19 @@ class System:
     @cached_property
     def unlike(self) -> bool:
         """Whether the poses lie otherwise than those that were used."""
-        return len(self.promise.joints) > 0 and not drawn_alike(self.errors.data.joints, self.promise.joints)
+        return len(self.promise.joints) > 0 and not are_drawn_alike(self.errors.data.joints, self.promise.joints)
 
-    def elsewhere(self, data: Measurements, same_setup: bool) -> System:
+    def with_common_error(self, data: Measurements, same_setup: bool) -> System:
         """Return it as it is where what the calibration left unexplained may be one error of all readings.
 
         Args:
             data, same_setup: Of which it was made.
         """
-        return System.of(self.promise.elsewhere(self.n_rows), data, same_setup)
+        return System.from_promise(self.promise.with_common_error(self.n_rows), data, same_setup)
 
     def changes(self) -> tuple[Change, ...]:
         """Return candidates that the readings see, those with the largest z first."""
-        left, listed = self._left(self.candidate_columns), candidates(self.promise.robot)
+        left, listed = self._orthogonal_part(self.candidate_columns), candidates(self.promise.robot)
         size, full_size = np.linalg.norm(left, axis=0), np.linalg.norm(self.candidate_columns, axis=0)
         visible = np.flatnonzero(size > 1e-6 * np.maximum(full_size, 1e-300))
         if len(visible) == 0:
@@ -390,9 +390,9 @@ def _noncentrality(level: float, freedom: float) -> float:
     return float(scipy.optimize.brentq(lambda d: 1.0 - scipy.special.nctdtr(freedom, d, limit) - POWER, 0.0, most))
 
 
-def _expected(
+def _expected_distances(
     promise: Promise, robot: Robot, observed: Mapping[str, Observed], kept: BoolArray, root: FloatArray
-) -> Expected:
+) -> ExpectedDistances:
     """Return what is expected of the distances between measured and predicted positions.
 
     Args:
@@ -411,10 +411,10 @@ def _expected(
             rows = [r for r, k in enumerate(instrument.part_of_row) if k == index]
             n_readings = len(derivatives.residuals)
             n += n_readings
-            slopes.append(derivatives.by(free)[:, rows].reshape(-1, len(free)))
+            slopes.append(derivatives.derivative_by(free)[:, rows].reshape(-1, len(free)))
             square += len(rows) * n_readings * promise.sigma.get((instrument.group, part.name), np.nan) ** 2
     if not n:
-        return Expected(float("nan"), float("nan"), float("nan"))
+        return ExpectedDistances(float("nan"), float("nan"), float("nan"))
     slope = np.concatenate(slopes)
     placed = linalg.svd(unit_columns(slope[:, ~kept])[0], full_matrices=False)
     basis = placed[0][:, placed[1] > RANK_TOLERANCE]
@@ -426,4 +426,4 @@ def _expected(
     left_open, total = float(np.trace(along)), square + float(np.trace(along))
     # variances of squares: of noise in `left` directions, of what is left open, and of both in one direction
     variance = square * (promise.shared**2 * square + 2.0 * left_open) / max(left, 1) + float(np.sum(along**2))
-    return Expected(float(np.sqrt(total / n)), float(np.sqrt(left_open / n)), total**2 / max(variance, 1e-300))
+    return ExpectedDistances(float(np.sqrt(total / n)), float(np.sqrt(left_open / n)), total**2 / max(variance, 1e-300))

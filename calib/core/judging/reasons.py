@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
 from typing import Any, Literal, Self
 
-from calib.core.base.other_words import Hinting, UnknownOptionError
+from calib.core.base.other_words import HintedObject, UnknownOptionError
 from calib.core.judging.claim import Claim
 
 Grade = Literal["PASS", "CHECK", "FAIL"]
 
 
 class Answer(Enum):
-    """What answers a reason: see `calib.core.judging.next_step`."""
+    """A kind of answer to a reason: see `calib.core.judging.next_step`."""
 
     CORRECT = "correct the data or the description"
     LEAVE_OUT = "fit without outliers"
@@ -134,7 +134,7 @@ class Code(StrEnum):
             text: What was found, and what to do.
             grade: Where it is not that of the table; a FAIL is never counted.
             counted: Where it is not that of the table.
-            answer: Likewise.
+            answer: Where it is not that of the table.
         """
         applied = grade or self.grade
         counts = self.counted if counted is None else counted
@@ -142,7 +142,7 @@ class Code(StrEnum):
 
 
 @dataclass(frozen=True)
-class Verdict(Hinting):
+class Verdict(HintedObject):
     """The judgement of a fit.
 
     Attributes:
@@ -210,5 +210,5 @@ class Verdict(Hinting):
             own = Reason(grade, name, text)
             reasons.append(own if code is None else replace(own, code=code, counted=code.counted, answer=code.answer))
         claim = entry["claim"]
-        told = None if claim is None or "dimension" not in claim else Claim.from_dict(claim)
-        return cls(entry["grade"], tuple(reasons), tuple(entry["not_covered"]), told)
+        claimed = None if claim is None or "dimension" not in claim else Claim.from_dict(claim)
+        return cls(entry["grade"], tuple(reasons), tuple(entry["not_covered"]), claimed)

@@ -49,7 +49,7 @@ class IsoFigure:
 
     @property
     def is_angle(self) -> bool:
-        """Whether it is an angle."""
+        """Whether the figure is an angle."""
         return "_" in self.name
 
 
@@ -96,7 +96,7 @@ class PoseScatter:
     after: FloatArray
 
 
-def _repeated(errors: ErrorSet, part_name: str = "") -> list[PoseScatter]:
+def _pose_scatters(errors: ErrorSet, part_name: str = "") -> list[PoseScatter]:
     """Errors (n, 3) of a part, of positions if none is named, of readings at poses that were read more than once."""
     result = []
     for instrument, part, rows in errors.parts():
@@ -120,7 +120,7 @@ def _repeated(errors: ErrorSet, part_name: str = "") -> list[PoseScatter]:
 
 def repeats(errors: ErrorSet) -> Repeats | None:
     """Return accuracy and repeatability; None where no point was read more than once at a pose."""
-    several = _repeated(errors)
+    several = _pose_scatters(errors)
     if not several:
         return None
     return Repeats(
@@ -137,7 +137,7 @@ def repeatability(errors: ErrorSet) -> tuple[float, int]:
 
     NaN and 0 where no point was read more than once at a pose.
     """
-    several = _repeated(errors)
+    several = _pose_scatters(errors)
     freedom = sum(scatter.after.shape[1] * (len(scatter.after) - 1) for scatter in several)
     if freedom == 0:
         return float("nan"), 0
@@ -145,7 +145,7 @@ def repeatability(errors: ErrorSet) -> tuple[float, int]:
     return float(np.sqrt(squares / freedom)), freedom
 
 
-def beyond_repeatability(errors: ErrorSet, n_effective: float) -> tuple[float, float]:
+def pose_error_over_repeatability(errors: ErrorSet, n_effective: float) -> tuple[float, float]:
     """Return what pose means are off, as noise of one reading, over the scatter of repeats, and the chance of that.
 
     If the model leaves nothing out, the mean of n readings is off by what one reading scatters over the root of n. NaN
@@ -156,7 +156,7 @@ def beyond_repeatability(errors: ErrorSet, n_effective: float) -> tuple[float, f
         n_effective: Parameters that they decided.
     """
     deviation, n_free = repeatability(errors)
-    several = _repeated(errors)
+    several = _pose_scatters(errors)
     freedom = 3.0 * len(several) - n_effective
     if not (np.isfinite(deviation) and deviation > 0 and freedom >= 1 - 1e-9):
         return float("nan"), 1.0
@@ -183,13 +183,13 @@ def iso_figures(errors: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFig
         rng: Source of the draws that make intervals.
     """
     names = dict(zip(errors.data.pose_numbers.tolist(), errors.data.names, strict=True))
-    several = _repeated(errors)
+    several = _pose_scatters(errors)
     figures: list[IsoFigure] = []
     for scatter in several:
         label, n = names[scatter.pose], len(scatter.after)
         figures.append(IsoFigure("AP", label, n, iso9283.pose_accuracy(-scatter.after)))
         figures.append(IsoFigure("RP", label, n, iso9283.pose_repeatability(-scatter.after, rng)))
-    turned = _repeated(errors, "orientation")
+    turned = _pose_scatters(errors, "orientation")
     for scatter in turned:
         for k, axis in enumerate(("rx", "ry", "rz")):
             label, n = names[scatter.pose], len(scatter.after)
@@ -204,7 +204,7 @@ def iso_figures(errors: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFig
 def _distances(errors: ErrorSet, several: list[PoseScatter], names: Mapping[int, str]) -> list[IsoFigure]:
     """AD and RD of the two poses of one instrument that are furthest apart, cycle by cycle."""
     best: tuple[float, PoseScatter, PoseScatter, FloatArray] | None = None
-    commanded = [_commanded(errors, scatter) for scatter in several]
+    commanded = [_mean_prediction(errors, scatter) for scatter in several]
     for (a, start), (b, end) in combinations(enumerate(several), 2):
         apart: FloatArray = commanded[b] - commanded[a]
         if start.instrument == end.instrument and (best is None or np.linalg.norm(apart) > best[0]):
@@ -221,7 +221,7 @@ def _distances(errors: ErrorSet, several: list[PoseScatter], names: Mapping[int,
     ]
 
 
-def _commanded(errors: ErrorSet, scatter: PoseScatter) -> FloatArray:
+def _mean_prediction(errors: ErrorSet, scatter: PoseScatter) -> FloatArray:
     """Mean position that was predicted, (3,) [m]."""
     instrument = next(i for i in errors.instruments if i.name == scatter.instrument)
     read = instrument.points(errors.data.readings[scatter.instrument].values[scatter.readings])

@@ -45,7 +45,7 @@ from calib.core.judging.effects import Effects, EffectSetting, effects
 from calib.core.judging.linear_fit import ABSORBED, LinearFit
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, FALSE_ALARM
-from calib.core.numerics.tall import in_parts
+from calib.core.numerics.tall import slices
 
 SMALLEST_EFFECT = 0.1
 """Least root mean square of an effect, over that of the noise, that is worth a finding."""
@@ -136,8 +136,8 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
     kept = _kept(tested)
     noise = float(setting.size(np.full((len(residuals.span), 1), residuals.factor))[0])
     result = []
-    for part in in_parts(len(kept), max(_NUMBERS_AT_ONCE // len(residuals.span), 1)):
-        explained = _explained(residuals, kept[part])
+    for part in slices(len(kept), max(_NUMBERS_AT_ONCE // len(residuals.span), 1)):
+        explained = _effects_with_residuals(residuals, kept[part])
         for (tests, row), column, size in zip(kept[part], explained.T, setting.size(explained).tolist(), strict=True):
             kind, c = tests.effects.kind, tests.coefficients[row]
             p = min(1.0, _chance(residuals, tests, row, column, FALSE_ALARM / times[kind.family]) * times[kind.family])
@@ -164,7 +164,7 @@ def _kept(tested: Iterable[_Tests]) -> list[tuple[_Tests, int]]:
     return list(kept.values())
 
 
-def _explained(residuals: LinearFit, kept: Sequence[tuple[_Tests, int]]) -> FloatArray:
+def _effects_with_residuals(residuals: LinearFit, kept: Sequence[tuple[_Tests, int]]) -> FloatArray:
     """Return M Z c of each effect, (n_rows, n_effects), which takes less time for several than `after_fit`."""
     absorbed = np.stack([tests.absorbed[row] @ tests.coefficients[row] for tests, row in kept], axis=1)
     whole = [tests.effects.times(int(tests.numbers[row]), tests.coefficients[row]) for tests, row in kept]
@@ -303,4 +303,4 @@ def _chance(residuals: LinearFit, tests: _Tests, row: int, explained: FloatArray
     result = chance(left)
     if result >= limit:
         return result
-    return chance(left + residuals.without_poses.moved(left, beside=basis)[0])
+    return chance(left + residuals.without_poses.shifts_without_block(left, beside=basis)[0])

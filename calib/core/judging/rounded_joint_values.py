@@ -25,10 +25,10 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.units import DISPLAY_UNIT, PER_SI, Dimension, quantity_text
-from calib.core.base.words import listed
+from calib.core.base.words import listing
 from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
-from calib.core.numerics.clusters import of_equal_length
+from calib.core.numerics.clusters import blocks_of_equal_length
 from calib.core.robots.robot import Robot
 
 _STEPS = tuple(round(figure * 10.0**power, 12) for power in range(2, -6, -1) for figure in (5.0, 2.0, 1.0))
@@ -39,7 +39,7 @@ _UNITS: dict[Dimension, tuple[str, ...]] = {"angle": ("deg", "rad"), "length": (
 
 @dataclass(frozen=True)
 class Rounding:
-    """What digits and residuals say.
+    """Rounding of joint values, by their digits and by the residuals.
 
     Attributes:
         steps: Of the joints that have any, in words.
@@ -68,7 +68,7 @@ def rounding(fit: Fit) -> Rounding | None:
         if step > 0:
             words[quantity_text(float(step), dimension, units=DISPLAY_UNIT)] = None
     scatter = steps / np.sqrt(12.0)
-    return Rounding(listed(list(words), " and "), *_score(fit, scatter))
+    return Rounding(listing(list(words), " and "), *_score(fit, scatter))
 
 
 def joint_steps(robot: Robot, joints: FloatArray) -> FloatArray:
@@ -106,7 +106,7 @@ def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:
     mean = square = statistic = 0.0
     through = np.zeros((linear.span.shape[1], linear.span.shape[1]))
     twice = 0.0
-    for rows in of_equal_length(visit):  # some visits, (n_visits, n_rows_of_each)
+    for rows in blocks_of_equal_length(visit):  # some visits, (n_visits, n_rows_of_each)
         across = by_joint[rows].transpose(0, 2, 1)
         ap, aa = np.matmul(across, linear.span[rows]), np.matmul(across, across.transpose(0, 2, 1))
         statistic += float(np.sum(np.matmul(across, linear.rows.residuals[rows][:, :, None]) ** 2))

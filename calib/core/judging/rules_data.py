@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.units import millimetres, quantity_text
-from calib.core.base.words import counted, joints_named, listed
+from calib.core.base.words import count_noun, joints_named, listing
 from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.core.fitting.fitted import Fit
@@ -20,7 +20,7 @@ from calib.core.fitting.pose_checks import tied_joints, unmoved_joints
 from calib.core.judging import findings
 from calib.core.judging.copied_readings import copied_visits, reading_keys
 from calib.core.judging.reasons import Answer, Code, Reason
-from calib.core.judging.repeatability import beyond_repeatability
+from calib.core.judging.repeatability import pose_error_over_repeatability
 from calib.core.judging.rounded_joint_values import rounding
 from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.numerics.losses import HIGH_LEVERAGE
@@ -71,17 +71,17 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
     n_moved = len(fit.nominal.joint_names) - len(still)
     unseen = sum(len(names) - count for names, count in tied)
     if unseen > max(n_moved - (len(data) - 1), 0):  # fewer poses than joints cannot show more
-        groups = [f"{joints_named(*names)} along {counted(count, 'direction')}" for names, count in tied]
+        groups = [f"{joints_named(*names)} along {count_noun(count, 'direction')}" for names, count in tied]
         yield Code.JOINTS_MOVE_TOGETHER.says(
-            f"joints moved only together: {listed(groups, '; ')}. The error of each of them alone comes from priors."
+            f"joints moved only together: {listing(groups, '; ')}. The error of each of them alone comes from priors."
             " Move each of these joints by itself"
         )
     limit = fit.nominal.description.singularity_limit
     near = [data.labels[k] for k in np.flatnonzero(fit.identification.singular_value < limit)]
     if near:
         yield Code.NEAR_SINGULAR.says(
-            f"{counted(len(near), 'pose is', 'poses are')} near a singularity of the loops (smallest singular value"
-            f" below {limit:g}): {listed(near)}; leave {'it' if len(near) == 1 else 'them'} out"
+            f"{count_noun(len(near), 'pose is', 'poses are')} near a singularity of the loops (smallest singular value"
+            f" below {limit:g}): {listing(near)}; leave {'it' if len(near) == 1 else 'them'} out"
         )
 
 
@@ -95,10 +95,10 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
         )
 
 
-def few_shared(fit: Fit) -> Iterator[Reason]:
+def check_shared_errors(fit: Fit) -> Iterator[Reason]:
     """Count poses whose readings share errors."""
     statistics = fit.statistics
-    if statistics.shared is not None and statistics.interval_freedom < FEW_SHARED:
+    if statistics.shared_scatter is not None and statistics.interval_freedom < FEW_SHARED:
         yield Code.TOO_FEW_POSES.says(
             "too few poses: the readings of a pose share errors, so that intervals come from only"
             f" {statistics.interval_freedom:.1f} independent errors. Measure several times as many poses, not more"
@@ -120,7 +120,7 @@ def moves_as_one(fit: Fit) -> Iterator[Reason]:
             rigid |= {names[a], names[b]}
     if rigid:
         yield Code.MOVES_AS_ONE.says(
-            f"the distances between targets {listed([name for name in names if name in rigid])} are the same at every"
+            f"the distances between targets {listing([name for name in names if name in rigid])} are the same at every"
             f" pose, to {1e6 * RIGID:g} um, while readings are off by {millimetres(fit.sigma):.3g} mm per axis: these"
             " targets were computed from one measured pose. Intervals count each pose once. Give that pose itself,"
             " with an instrument of kind pose"
@@ -136,9 +136,9 @@ def outliers(fit: Fit) -> Iterator[Reason]:
         if outlying and not (where and moved_frame(fit)):
             rows = fit.validation_rows if where else fit.rows
             n = rows.layout.n_readings if rows else 0
-            words = listed(outliers_in_words(outlying), "; ", 2)
+            words = listing(outliers_in_words(outlying), "; ", 2)
             yield Code.OUTLIERS.says(
-                f"{counted(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
+                f"{count_noun(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
                 f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"
                 + ("" if where else f"; --exclude-outliers fits without {'it' if len(outlying) == 1 else 'them'}"),
                 counted=_share(outlying, rows) < COSTLY or (bool(where) and len(outlying) <= FEW_OF * n),
@@ -156,7 +156,7 @@ def outliers(fit: Fit) -> Iterator[Reason]:
             )
 
 
-def used_for_both(fit: Fit) -> Iterator[Reason]:
+def check_validation_poses(fit: Fit) -> Iterator[Reason]:
     """Look for validation poses that the fit has used."""
     if fit.validation is None:
         return
@@ -168,7 +168,7 @@ def used_for_both(fit: Fit) -> Iterator[Reason]:
     if any(same_reading) or np.sum(same_pose) > USED_FOR_BOTH * len(other):
         overlap = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
         yield Code.USED_FOR_BOTH.says(
-            f"{sum(same_reading) or np.sum(same_pose)} of {counted(len(other), 'validation pose')} {overlap}: they"
+            f"{sum(same_reading) or np.sum(same_pose)} of {count_noun(len(other), 'validation pose')} {overlap}: they"
             " prove little; validate with other poses"
         )
 
@@ -197,14 +197,15 @@ def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
     return float(np.sum(squares[[outlier.reading for outlier in outlying]]) / max(float(np.sum(squares)), 1e-300))
 
 
-def copied(fit: Fit) -> Iterator[Reason]:
+def check_copies(fit: Fit) -> Iterator[Reason]:
     """Look for readings that are in the data more than once, to the last digit."""
     data = fit.identification.data
     copies = np.zeros(0, dtype=np.intp) if fit.computed else copied_visits(fit.nominal, data)
     if len(copies) >= COPIED * len(data) and len(copies):
         yield Code.COPIED.says(
-            f"{len(copies)} of {counted(len(data), 'reading')} are copies of others to the last digit, so intervals are"
-            f" too narrow: {listed([data.labels[k] for k in copies])}. Leave the copies out"
+            f"{len(copies)} of {count_noun(len(data), 'reading')} are copies of others to the last digit, so"
+            f" intervals are"
+            f" too narrow: {listing([data.labels[k] for k in copies])}. Leave the copies out"
         )
 
 
@@ -234,7 +235,7 @@ def dead_readings(fit: Fit) -> Iterator[Reason]:
 
 def repeats(fit: Fit) -> Iterator[Reason]:
     """Compare residuals with the scatter of repeats."""
-    ratio, p_value = beyond_repeatability(fit.identification, fit.statistics.effective_parameters)
+    ratio, p_value = pose_error_over_repeatability(fit.identification, fit.statistics.effective_parameters)
     if ratio > BEYOND_REPEATS and p_value < UNLIKELY:
         yield Code.REPEATABILITY.says(
             f"means of repeats are off by {ratio:.1f} times what their scatter explains: the model leaves something"
@@ -242,7 +243,7 @@ def repeats(fit: Fit) -> Iterator[Reason]:
         )
 
 
-def rounded(fit: Fit) -> Iterator[Reason]:
+def check_rounding(fit: Fit) -> Iterator[Reason]:
     """See whether joint values were rounded to so few digits that this makes much of the noise."""
     steps = None if fit.computed else rounding(fit)
     if steps is not None and ROUNDED < steps.part < ALL_ROUNDED and steps.chance < FALSE_ALARM:
@@ -260,17 +261,17 @@ def leverage(fit: Fit) -> Iterator[Reason]:
 
     A curve follows each pose a little; what an error at any of them spoils is as local as at the others.
     """
-    deciding = findings.studentised(fit).largest_leverage > HIGH_LEVERAGE
+    deciding = findings.studentise_errors(fit).largest_leverage > HIGH_LEVERAGE
     lasting = fit.unknowns.family < 0
     if np.any(deciding) and not np.all(lasting):
-        rows = fit.rows.only(lasting)
-        root = rows.weighted(fit.weights).known.root
-        deciding &= rows.studentised(root, fit.weights, fit.statistics.freedom).largest_leverage > HIGH_LEVERAGE
+        rows = fit.rows.select_parameters(lasting)
+        root = rows.with_weights(fit.weights).posterior_information.root
+        deciding &= rows.studentise(root, fit.weights, fit.statistics.freedom).largest_leverage > HIGH_LEVERAGE
     high = _visits(fit, np.flatnonzero(deciding))
     if high and fit.statistics.freedom >= FEW:
         yield Code.LEVERAGE.says(
-            f"{counted(len(high), 'pose decides its', 'poses decide their')} own prediction, so an error there would"
-            f" not show: {listed(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}"
+            f"{count_noun(len(high), 'pose decides its', 'poses decide their')} own prediction, so an error there would"
+            f" not show: {listing(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}"
         )
 
 

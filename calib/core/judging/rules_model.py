@@ -11,18 +11,18 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, millimetres
-from calib.core.base.words import counted, joints_named, listed
+from calib.core.base.words import count_noun, joints_named, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import moved_frame
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import HARM, comparisons
-from calib.core.judging.claim import Benefit, Claim, elsewhere, unlike_measured
+from calib.core.judging.claim import Benefit, Claim, is_elsewhere, unlike_measured
 from calib.core.judging.effect_kinds import Trait, describe
 from calib.core.judging.reasons import Answer, Code, Reason
-from calib.core.judging.rules_noise import LEFT_OUT, impossible, in_words, measured_space
+from calib.core.judging.rules_noise import LEFT_OUT, impossible, measured_space, noise_in_words
 from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.placement import Placement
-from calib.core.robots.held import Accuracy, Holds, SeenAt
+from calib.core.robots.accuracy_of_files import Accuracy, Holds, PoseUse
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import lost_by
 from calib.core.rows.registration import registration
@@ -53,7 +53,7 @@ OTHER_MINIMUM = 10.0
 """Difference of the cost within which another minimum explains the data as well."""
 
 
-def not_converged(fit: Fit) -> Iterator[Reason]:
+def check_convergence(fit: Fit) -> Iterator[Reason]:
     """Judge how the iteration ended."""
     end = fit.convergence
     advice = "check units, joint order and signs, or try --starts"
@@ -65,7 +65,7 @@ def not_converged(fit: Fit) -> Iterator[Reason]:
         )
     elif end.receding:
         text = (
-            f"not converged: these poses do not determine {listed(end.receding)}: the farther the fit moves"
+            f"not converged: these poses do not determine {listing(end.receding)}: the farther the fit moves"
             f" {'it' if len(end.receding) == 1 else 'them'}, the farther there is to go"
         )
         advice = f"measure poses that differ more, or hold what they do not determine (--fix {end.receding[0]})"
@@ -73,19 +73,19 @@ def not_converged(fit: Fit) -> Iterator[Reason]:
         text = f"not converged: parameter {end.parameter} would still move by {end.step_left:.2g} standard deviations"
     else:
         text = f"not converged: {end.message}"
-    for name in _at_limit(fit):
+    for name in _joints_at_limit(fit):
         text += f"; passive {joints_named(name)} is at its limit in the URDF, which may be too narrow"
     yield Code.NOT_CONVERGED.says(f"{text}; {advice}")
 
 
-def _at_limit(fit: Fit) -> list[str]:
+def _joints_at_limit(fit: Fit) -> list[str]:
     """Name the passive joints that are at a limit at a pose."""
     mechanism, passive = fit.robot.mechanism, fit.configurations.passive
     gaps = np.minimum(passive - mechanism.lower, mechanism.upper - passive)
     return [mechanism.passive[k] for k in np.flatnonzero(np.any(gaps < _AT_LIMIT, axis=0))]
 
 
-def not_assembled(fit: Fit) -> Iterator[Reason]:
+def check_assembly(fit: Fit) -> Iterator[Reason]:
     """Assemble the calibrated robot afresh."""
     if not fit.assembles:
         yield Code.NOT_ASSEMBLED.says(
@@ -154,25 +154,27 @@ def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
     worse, further = ("", "") if misplaced else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
     anew = "" if moved is None or misplaced else ", their frame placed anew,"
     for accuracy in (seen.accuracy for seen in claim.unused if not seen.holds):
-        times, claimed = accuracy.rms / claim.told.rms, claim.told
+        times, claimed = accuracy.rms / claim.at_measured_poses.rms, claim.at_measured_poses
         if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not needless:
             yield Code.WORSE_ON_VALIDATION.says(
-                f"the calibration makes the robot worse at {accuracy.where}{anew}: {accuracy.shown(accuracy.rms)} RMS"
-                f" after, {accuracy.shown(accuracy.before)} before, and {times:.1f} times what it claims"
-                f" ({claimed.shown(claimed.rms)}){worse}",
+                f"the calibration makes the robot worse at {accuracy.pose_words}{anew}:"
+                f" {accuracy.in_unit(accuracy.rms)} RMS"
+                f" after, {accuracy.in_unit(accuracy.before)} before, and {times:.1f} times what it claims"
+                f" ({claimed.in_unit(claimed.rms)}){worse}",
                 answer=Answer.HOLD_OUT if moved else None,
             )
         else:
             yield Code.VALIDATION.says(
-                f"{accuracy.where}{anew} are {times:.1f} times as far off as claimed ({accuracy.shown(accuracy.rms)}"
-                f" RMS; claimed: {claimed.shown(claimed.rms)}){'' if misplaced else _where(fit, accuracy)}{further}"
+                f"{accuracy.pose_words}{anew} are {times:.1f} times as far off as claimed"
+                f" ({accuracy.in_unit(accuracy.rms)}"
+                f" RMS; claimed: {claimed.in_unit(claimed.rms)}){'' if misplaced else _where(fit, accuracy)}{further}"
             )
 
 
 def _where(fit: Fit, accuracy: Accuracy) -> str:
     """Say so if more validation poses than chance explains are unlike those measured."""
     unlike = unlike_measured(fit)
-    if accuracy.poses is not SeenAt.VALIDATION or fit.validation is None or not elsewhere(unlike):
+    if accuracy.poses is not PoseUse.VALIDATION or fit.validation is None or not is_elsewhere(unlike):
         return ""
     setups = [data.setups for data in (fit.identification.data, fit.validation.data)]
     if setups[0] is not None and setups[1] is not None and not np.any(np.isin(setups[1], setups[0])):
@@ -205,7 +207,9 @@ def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
     if targets:
         wrong = [k for k, name in enumerate(seen) if robot.description.targets[name].position == "known"]
         places += " and " if places else "targets: "
-        places += listed([f"{seen[k]}: set position: unknown, or xyz: [{_xyz(placed.points[k])}]" for k in wrong], "; ")
+        places += listing(
+            [f"{seen[k]}: set position: unknown, or xyz: [{_xyz(placed.points[k])}]" for k in wrong], "; "
+        )
     what = " and ".join(["base: pose: known"] * base + ["position: known"] * targets)
     return code, (
         f"{what} does not fit these measurements (RMS {millimetres(stated.rms):.4g} mm; placed by the"
@@ -255,7 +259,8 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
     if chance > UNLIKELY:
         evidence += f"{'; ' if evidence else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
         yield Code.NOTHING_TO_CORRECT.says(
-            f"nothing to correct: {evidence}. Measurements with {in_words(fit.first_noise, fit.sigma)} of noise show no"
+            f"nothing to correct: {evidence}. Measurements with {noise_in_words(fit.first_noise, fit.sigma)} of noise"
+            f" show no"
             " error of the nominal robot"
         )
     elif entries and all(entry.after >= entry.before for entry in entries):
@@ -301,7 +306,8 @@ def files_hold_less(fit: Fit) -> Iterator[Reason]:
         origins, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
         yield Code.FILE_HOLDS_LESS.says(
             f"a URDF cannot hold joint terms. The origins in calibrated.urdf are those that fit best without them:"
-            f" {origins.words}. Nominal robot: {origins.shown(origins.before)}; whole model: {whole.shown(whole.rms)}"
+            f" {origins.words}. Nominal robot: {origins.in_unit(origins.before)}; whole model:"
+            f" {whole.in_unit(whole.rms)}"
         )
 
 
@@ -338,14 +344,14 @@ def systematic(fit: Fit) -> Iterator[Reason]:
             if kinds is not staying:
                 in_claim &= worst.size < AT_END * left and (kinds is misplaced or grows < AFTER * left)
             yield Code.SYSTEMATIC.says(
-                f"a systematic error remains: {listed(words, '; ', _MOST_PATTERNS)}. Intervals of parameters do not"
+                f"a systematic error remains: {listing(words, '; ', _MOST_PATTERNS)}. Intervals of parameters do not"
                 f" include it{advice}",
                 answer=Answer.CORRECT if moved or kinds is misplaced else None,
                 counted=in_claim,
             )
 
 
-def other_minima(fit: Fit) -> Iterator[Reason]:
+def check_minima(fit: Fit) -> Iterator[Reason]:
     """Look at what perturbed starts found."""
     if fit.starts is None:
         return
@@ -356,7 +362,7 @@ def other_minima(fit: Fit) -> Iterator[Reason]:
     near = [other for other in others if other.cost - best.cost < OTHER_MINIMUM * unit]
     if near:
         yield Code.OTHER_MINIMUM.says(
-            f"{counted(len(near), 'other minimum explains', 'other minima explain')} the data as well (RMS"
+            f"{count_noun(len(near), 'other minimum explains', 'other minima explain')} the data as well (RMS"
             f" {millimetres(near[0].rms):.4g} mm against {millimetres(best.rms):.4g} mm): the measurements do not show"
             " which of them is the robot; measure poses that differ more"
         )

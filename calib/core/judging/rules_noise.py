@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.core.base.errors import CalibrationError
-from calib.core.base.remembered import remembered
+from calib.core.base.memoize import memoize
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit, NoiseEstimate
@@ -56,17 +56,18 @@ def noise(fit: Fit) -> Iterator[Reason]:
         )
     elif fit.computed:
         yield Code.NO_NOISE.says(
-            f"noise found: {in_words(fit.first_noise, sigma, 1)}, less than any sensor has; these data were computed,"
+            f"noise found: {noise_in_words(fit.first_noise, sigma, 1)}, less than any sensor has; these data were"
+            f" computed,"
             " not measured, and the intervals say nothing about a real robot. Give measured readings, or simulated ones"
             " that have noise"
         )
     else:
         for estimate in fit.noise:
             if _impossible(fit, estimate):
-                yield _beyond_space(fit, estimate)
+                yield _no_fit_reason(fit, estimate)
             elif estimate.freedom > 0:
                 yield from (
-                    _against_usual(fit, estimate) if estimate.stated is None else _against_statement(fit, estimate)
+                    _check_usual_noise(fit, estimate) if estimate.stated is None else _check_statement(fit, estimate)
                 )
 
 
@@ -79,11 +80,11 @@ def misread(fit: Fit) -> Iterator[Reason]:
         readers = [name for name in data.readings if fit.nominal.instrument(name).group == estimate.group.name]
         meaning = next(filter(None, (_other_meaning(fit.nominal, data, name) for name in readers)), "")
         if estimate.sigma > estimate.group.part.largest:
-            beyond = f", more than any such instrument has ({in_words(estimate, estimate.group.part.largest)})"
+            beyond = f", more than any such instrument has ({noise_in_words(estimate, estimate.group.part.largest)})"
         if meaning or beyond:
             yield Code.MISREAD.says(
                 f"noise found of {estimate.group.name}, {estimate.group.part.name}, is"
-                f" {in_words(estimate, estimate.sigma)} per axis{beyond}: the numbers mean something else;"
+                f" {noise_in_words(estimate, estimate.sigma)} per axis{beyond}: the numbers mean something else;"
                 f" {meaning or 'look at their order, form, unit and frame'}"
             )
 
@@ -121,22 +122,24 @@ def _nominal_error(robot: Robot, data: Measurements, name: str) -> float:
     return float(np.sqrt(np.mean(observed[name].residuals[:, rows] ** 2)))
 
 
-def in_words(estimate: NoiseEstimate, size: float, digits: int = 3) -> str:
+def noise_in_words(estimate: NoiseEstimate, size: float, digits: int = 3) -> str:
     """A noise [SI] in the unit of its group."""
     return quantity_text(size, estimate.group.part.dimension, f".{digits}g")
 
 
-def _of(fit: Fit, estimate: NoiseEstimate) -> str:
+def _group_noise_in_words(fit: Fit, estimate: NoiseEstimate) -> str:
     return f" of {estimate.group.name}, {estimate.group.part.name}," if len(fit.noise) > 1 else ""
 
 
-def _against_usual(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
+def _check_usual_noise(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
     usual = estimate.group.part.usual
     if estimate.sigma > usual:
         none_fits = all(other.stated is None and other.sigma > GROSS * other.group.part.usual for other in fit.noise)
         yield Code.NOISE.says(
-            f"noise found{_of(fit, estimate)} is {in_words(estimate, estimate.sigma)} per axis, more than such an"
-            f" instrument has ({in_words(estimate, usual)} at most): the model does not explain the measurements, and"
+            f"noise found{_group_noise_in_words(fit, estimate)} is {noise_in_words(estimate, estimate.sigma)} per"
+            f" axis, more than such an"
+            f" instrument has ({noise_in_words(estimate, usual)} at most): the model does not explain the"
+            f" measurements, and"
             " what it leaves out may have changed the parameters; look for what is missing or wrong in the"
             " description of the instrument, and check the result with another instrument",
             grade="FAIL" if none_fits and not _proven_by_another(fit) else "CHECK",
@@ -157,12 +160,12 @@ def unproven(fit: Fit) -> bool:
     Args:
         fit: A fit that was judged with no such poses, or with some that prove nothing.
     """
-    beyond = [] if fit.computed else [estimate for estimate in fit.noise if _beyond_statement(estimate)]
+    beyond = [] if fit.computed else [estimate for estimate in fit.noise if _is_above_statement(estimate)]
     provable = bool(beyond) and all(_may_be_left_out(fit, estimate) for estimate in beyond)
     return provable and not any(comparison.better or comparison.worse for comparison in comparisons(fit))
 
 
-def _beyond_statement(estimate: NoiseEstimate) -> bool:
+def _is_above_statement(estimate: NoiseEstimate) -> bool:
     if estimate.stated is None or estimate.freedom <= 0:
         return False
     ratio = estimate.sigma / estimate.stated
@@ -175,17 +178,17 @@ def impossible(fit: Fit) -> bool:
 
 
 def _impossible(fit: Fit, estimate: NoiseEstimate) -> bool:
-    stated = estimate.stated is not None and not _beyond_statement(estimate)
+    stated = estimate.stated is not None and not _is_above_statement(estimate)
     return estimate.freedom > 0 and not stated and not _may_be_left_out(fit, estimate)
 
 
-def _beyond_space(fit: Fit, estimate: NoiseEstimate) -> Reason:
-    of, found = _of(fit, estimate), in_words(estimate, estimate.sigma)
+def _no_fit_reason(fit: Fit, estimate: NoiseEstimate) -> Reason:
+    of, found = _group_noise_in_words(fit, estimate), noise_in_words(estimate, estimate.sigma)
     if estimate.stated is None:
         text = f"noise found{of} is {found} per axis"
     else:
         times = estimate.sigma / estimate.stated
-        text = f"noise found{of} is {times:.1f} times what was stated ({_beside_stated(estimate)})"
+        text = f"noise found{of} is {times:.1f} times what was stated ({_stated_noise_text(estimate)})"
     return Code.NOISE.says(
         f"{text}: the model does not explain the measurements; a healthy robot does not leave more than"
         f" {100 * _most(estimate):g} % of the measured space ({millimetres(_spread(fit)):.4g} mm): check units, joint"
@@ -195,17 +198,17 @@ def _beyond_space(fit: Fit, estimate: NoiseEstimate) -> Reason:
     )
 
 
-def _beside_stated(estimate: NoiseEstimate) -> str:
-    found, stated = in_words(estimate, estimate.sigma), in_words(estimate, estimate.stated or np.nan)
+def _stated_noise_text(estimate: NoiseEstimate) -> str:
+    found, stated = noise_in_words(estimate, estimate.sigma), noise_in_words(estimate, estimate.stated or np.nan)
     return f"{found} per axis where {stated} was stated"
 
 
 def _first_answer(fit: Fit) -> Answer:
-    """What answers noise that no healthy robot leaves: a few readings can make all of it."""
+    """First answer to noise that no healthy robot leaves: a few readings can make all of it."""
     return Answer.LEAVE_OUT if findings.outliers(fit) else Answer.CORRECT
 
 
-def left_too_much(fit: Fit) -> bool:
+def is_noise_too_large(fit: Fit) -> bool:
     """Whether noise, stated or not, is so large that a mistake in the data may be the cause."""
     ratios = [estimate.sigma / estimate.stated for estimate in fit.noise if estimate.stated]
     return not fit.computed and (fit.sigma > LEFT_OUT * _spread(fit) or max(ratios, default=0.0) > GROSS_RATIO)
@@ -221,13 +224,13 @@ def _most(estimate: NoiseEstimate) -> float:
     return LEFT_OUT if estimate.stated is not None else NOT_STATED * LEFT_OUT
 
 
-def _against_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
+def _check_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
     stated = estimate.stated or 1.0
     ratio = estimate.sigma / stated
     chi = chi_square(ratio, estimate.freedom)
-    numbers, of = _beside_stated(estimate), _of(fit, estimate)
-    if _beyond_statement(estimate):
-        yield _beyond(fit, estimate, f"noise found{of} is {ratio:.1f} times what was stated ({numbers})")
+    numbers, of = _stated_noise_text(estimate), _group_noise_in_words(fit, estimate)
+    if _is_above_statement(estimate):
+        yield _noise_above_statement(fit, estimate, f"noise found{of} is {ratio:.1f} times what was stated ({numbers})")
     elif chi.p_larger < UNLIKELY:
         text = f"noise found{of} is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
         yield Code.NOISE.says(
@@ -239,7 +242,7 @@ def _against_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
         yield Code.NOISE.says(f"{text}: {advice}", answer=Answer.STATE_NOISE)
 
 
-def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
+def _noise_above_statement(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
     """Judge a noise that is far above its statement."""
     text += ": the model does not explain the measurements;"
     compared = list(comparisons(fit))
@@ -266,7 +269,7 @@ def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
     return Code.NOISE.says(text, grade="FAIL")
 
 
-@remembered
+@memoize
 def measured_space(fit: Fit) -> float:
     """Root mean square distance of measured positions from their centre [m], of the widest instrument; inf without."""
     errors = fit.identification

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
+from calib.core.base.memoize import memoize
 from calib.core.base.parameter import Parameter
-from calib.core.base.remembered import remembered
 from calib.core.base.units import PER_SI
-from calib.core.base.words import joints_named, listed
+from calib.core.base.words import joints_named, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.judging import findings
@@ -18,9 +18,9 @@ from calib.core.judging.effects import gains, scale
 from calib.core.judging.reasons import Code, Reason
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
-from calib.core.numerics.identifiability import reduced_with, unit_columns
+from calib.core.numerics.identifiability import extend_reduced, unit_columns
 from calib.core.numerics.observability import information
-from calib.core.numerics.tall import in_parts
+from calib.core.numerics.tall import slices
 from calib.core.robots.joint_errors import columns_of_terms, driven_by
 from calib.core.robots.terms.one_coefficient import Gain
 from calib.core.robots.terms.term import Context
@@ -69,7 +69,7 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
             far.append((away, parameter))
     if impossible:
         impossible.sort(key=lambda entry: -entry[0])
-        words = listed([f"{parameter.name} ({away:.0f} sigma)" for away, parameter in impossible])
+        words = listing([f"{parameter.name} ({away:.0f} sigma)" for away, parameter in impossible])
         yield Code.FAR_FROM_NOMINAL.says(
             f"parameters are more than {IMPOSSIBLE:g} times as far from nominal as their stated sigma allows: {words}."
             " No error of the stated size explains this: check signs, zeros and order of the joint columns, and units."
@@ -77,7 +77,7 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
         )
     elif far:
         far.sort(key=lambda entry: -entry[0])
-        words = listed([f"{parameter.name} ({away:.1f} sigma)" for away, parameter in far])
+        words = listing([f"{parameter.name} ({away:.1f} sigma)" for away, parameter in far])
         yield Code.AT_BOUNDS.says(
             f"parameters are more than {PLAUSIBLE:g} times as far from nominal as their stated sigma allows: {words};"
             " check zero positions and units. If such an error is possible, state a larger sigma in the description"
@@ -95,7 +95,7 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     """
     if fit.computed:
         return
-    left, n_measured = _left_of_scales(fit)
+    left, n_measured = _residuals_of_scales(fit)
     if not np.any(left[:, 0]):
         return
     scaled, part = _cost_with(left[:, :1], left[:, -1], n_measured, is_scale=True)
@@ -106,26 +106,27 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
     if alone - scaled > max(SCALED_SIGMAS**2, MOST * (alone - by_noise)) and scaled < geared:
         yield Code.LENGTHS_SCALED.says(
-            f"all measured lengths are {_scaled(part)} in the description: no robot is that far off. Look at the unit"
+            f"all measured lengths are {_scale_sentence(part)} in the description: no robot is that far off. Look at"
+            f" the unit"
             " of the measurements, the scale of the instrument and the size of the artefact"
         )
 
 
-@remembered
-def _left_of_scales(fit: Fit) -> tuple[FloatArray, int]:
-    """What `_left_by_parameters` says of one scale of all lengths, and of a gain of each joint."""
+@memoize
+def _residuals_of_scales(fit: Fit) -> tuple[FloatArray, int]:
+    """`_residuals_beside_parameters` for one scale of all lengths, and for a gain of each joint."""
     setting = findings.setting(fit)
-    return _left_by_parameters(fit, np.hstack([scale(setting), gains(setting)]))
+    return _residuals_beside_parameters(fit, np.hstack([scale(setting), gains(setting)]))
 
 
-def _scaled(part: float) -> str:
+def _scale_sentence(part: float) -> str:
     """Say how long measured lengths are beside those of the description, which fit once they are scaled by 1 + part."""
     if abs(part) > MANIFOLD:
         return f"{1.0 / max(1.0 + part, _NOTHING):.3g} times as long as"
     return f"{100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than"
 
 
-def _left_by_parameters(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int]:
+def _residuals_beside_parameters(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int]:
     """Return what the parameters leave of further columns, and of the residuals as the last, over the noise found.
 
     Args:
@@ -139,13 +140,13 @@ def _left_by_parameters(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int]
     linear, inside, n = findings.linear(fit), ~fit.unknowns.placement, len(fit.unknowns)
     rows, tried = linear.rows, np.hstack([columns, linear.rows.residuals[:, None]])
     known = information(rows.factor[:n, :-1] / linear.factor, np.eye(n)[inside])
-    told = np.zeros((n, tried.shape[1]))
-    told[inside, -1] = rows.deviations[inside]
-    step = -known.root @ (known.root.T @ (rows.jacobian.T @ tried / linear.factor**2 + told))
+    left = np.zeros((n, tried.shape[1]))
+    left[inside, -1] = rows.deviations[inside]
+    step = -known.root @ (known.root.T @ (rows.jacobian.T @ tried / linear.factor**2 + left))
     measured: FloatArray = np.zeros((0, tried.shape[1]))
-    for part in in_parts(len(tried)):
-        measured = reduced_with(measured, (tried[part] + rows.jacobian[part] @ step) / linear.factor)
-    return np.vstack([measured, (told + step)[inside]]), len(measured)
+    for part in slices(len(tried)):
+        measured = extend_reduced(measured, (tried[part] + rows.jacobian[part] @ step) / linear.factor)
+    return np.vstack([measured, (left + step)[inside]]), len(measured)
 
 
 def _cost_with(
@@ -178,20 +179,20 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
     moved[np.isin(names, unmoved_joints(fit.nominal, fit.identification.data.joints))] = 0.0
     scales = np.zeros(len(names))
     left = findings.linear(fit).sizes(moved * gains(findings.setting(fit)))
-    for parts, deviations in (left, _scaled_by_terms(fit)):
+    for parts, deviations in (left, _gain_errors(fit)):
         sure = np.abs(parts) / np.maximum(deviations, EXACT)
         scales += np.where(sure > max(SCALED_SIGMAS, _SUREST * np.max(sure)), parts, 0.0)
     scaled = np.flatnonzero(np.abs(scales) > JOINT_SCALED)
     if len(scaled):
         factors = [f"{joints_named(names[j])} {1.0 + scales[j]:.4g} times as far" for j in scaled]
         yield Code.JOINT_SCALED.says(
-            f"joints do not move as far as their values say: {listed(factors)}. No gear is off by more than"
+            f"joints do not move as far as their values say: {listing(factors)}. No gear is off by more than"
             f" {100 * JOINT_SCALED:g} %: look at the unit and the range of these columns, and at the gear ratios of the"
             " controller and of the description"
         )
 
 
-def _scaled_by_terms(fit: Fit) -> tuple[FloatArray, FloatArray]:
+def _gain_errors(fit: Fit) -> tuple[FloatArray, FloatArray]:
     """By which part each joint moves too far by the terms of its own error, and its standard deviation, (n_actuated,).
 
     That is the slope of the straight line through its errors at the poses used.
@@ -219,7 +220,7 @@ def large_terms(fit: Fit) -> Iterator[Reason]:
     """
     tried = () if fit.terms is None else fit.terms.tried
     large = [term for term in tried if term.added and term.size > UNUSUAL and not issubclass(TERMS[term.term], Gain)]
-    words = listed([f"{term.term} ({term.size:.0f} times)" for term in large])
+    words = listing([f"{term.term} ({term.size:.0f} times)" for term in large])
     if words:
         yield Code.LARGE_TERMS.says(
             f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}; look for a"
@@ -232,7 +233,7 @@ def unlike_fleet(fit: Fit) -> Iterator[Reason]:
     fleet = fit.nominal.description.fleet
     if fleet is not None and fleet.unlike:
         whole = len(fleet.unlike) == len(fleet.parameters)
-        extent = "in every parameter" if whole else f"in {listed(fleet.unlike)}"
+        extent = "in every parameter" if whole else f"in {listing(fleet.unlike)}"
         yield Code.UNLIKE_FLEET.says(
             f"this robot is unlike the {fleet.robots} robots of its fleet {extent}: the fleet's prior was not used"
             " there, so more poses are needed; look for a repair, a crash, another model or another convention"
@@ -275,6 +276,6 @@ def loose(fit: Fit) -> Iterator[Reason]:
     ]
     if loose:
         yield Code.NOT_LINEAR.says(
-            f"hardly determined angles: {listed(loose)}. The model is not linear over such a range, so their intervals"
+            f"hardly determined angles: {listing(loose)}. The model is not linear over such a range, so their intervals"
             " mean nothing. Measure poses that differ more, or hold these parameters"
         )

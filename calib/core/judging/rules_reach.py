@@ -9,21 +9,21 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.remembered import remembered
+from calib.core.base.memoize import memoize
 from calib.core.base.units import DISPLAY_UNIT, millimetres, quantity_text
-from calib.core.base.words import counted, joints_named, listed
+from calib.core.base.words import count_noun, joints_named, listing
 from calib.core.data.tolerances import stated_tolerance
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.joint_conventions import wrapped_terms
 from calib.core.fitting.pose_checks import unmoved_joints
-from calib.core.fitting.terms.joint_curves import beyond_learned
+from calib.core.fitting.terms.joint_curves import is_beyond_learned
 from calib.core.judging.claim import Claim
 from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.numerics.halton import halton
-from calib.core.robots.configurations import Configurations, configured
+from calib.core.robots.configurations import Configurations, solve_configurations
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
-from calib.core.rows.prediction import beside_common_motion, order_of_joints, other_combinations
+from calib.core.rows.prediction import order_of_joints, recombined_joints, without_common_motion
 
 BEYOND_LIMIT = 0.01
 """How far beyond a joint's limit a pose must be to be named [rad, or characteristic lengths]."""
@@ -41,7 +41,7 @@ _SAMPLED = 200  # poses at which uncertainties are looked at
 def one_corner(fit: Fit) -> Iterator[Reason]:
     """See how much of what its limits allow (or a turn, without limits) each joint has moved."""
     robot, reach = fit.nominal, np.ptp(fit.identification.data.joints, axis=0)
-    allowed = _allowed(robot)
+    allowed = _joint_ranges(robot)
     known = np.isfinite(allowed) & (allowed > 0)
     part = np.max(reach[known] / allowed[known], initial=0.0)
     if np.all(known) and 0 < part < CORNER:
@@ -51,16 +51,16 @@ def one_corner(fit: Fit) -> Iterator[Reason]:
         )
 
 
-def moved_little(fit: Fit) -> Iterator[Reason]:
+def check_joint_motion(fit: Fit) -> Iterator[Reason]:
     """Look for joints that moved so little that positions are unknown where they move further."""
     data, robot = fit.identification.data, fit.nominal
-    allowed = _allowed(robot)
+    allowed = _joint_ranges(robot)
     part = np.ptp(data.joints, axis=0) / allowed
     still = np.isin(robot.joint_names, unmoved_joints(robot, data.joints))
     if np.all(part[~still] < CORNER):  # that is one corner
         return
     for j in np.flatnonzero((part < CORNER) & ~still):
-        elsewhere = _elsewhere(fit, int(j), float(allowed[j]))
+        elsewhere = _poses_over_range(fit, int(j), float(allowed[j]))
         at_used = _uncertain_at_used(fit)
         away = _uncertain(_relative(fit, elsewhere), fit.covariance.values)[0] if len(elsewhere.actuated) else 0.0
         if away > _well_known(fit, at_used):
@@ -78,8 +78,8 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
     """See whether the poses that were not used lie where the poses used tell little."""
     if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
         return
-    at_used = _rms(fit.identification_uncertainty.located)
-    away = float(np.median(fit.validation_uncertainty.located))
+    at_used = _rms(fit.identification_uncertainty.reported_distance)
+    away = float(np.median(fit.validation_uncertainty.reported_distance))
     if away > _well_known(fit, at_used):
         yield Code.VALIDATED_ELSEWHERE.says(
             f"validation poses lie far from the poses used: positions are known to {millimetres(away):.2g} mm there,"
@@ -88,7 +88,7 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
         )
 
 
-def _elsewhere(fit: Fit, j: int, allowed: float) -> Configurations:
+def _poses_over_range(fit: Fit, j: int, allowed: float) -> Configurations:
     """Poses that were used with one joint spread over its limits, as far as they close."""
     used = fit.identification.data.joints
     q = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(np.intp))].copy()
@@ -99,19 +99,19 @@ def _elsewhere(fit: Fit, j: int, allowed: float) -> Configurations:
 
 
 def _as_far_as_closed(robot: Robot, q: FloatArray) -> Configurations:
-    """Those of the poses q (n, n_actuated) [m or rad] that close."""
+    """Configurations of the poses q (n, n_actuated) [m or rad] that close."""
     closed = robot.close(q)
     which = np.flatnonzero(closed.ok)
-    return configured(robot, q[which], closed.at(which))
+    return solve_configurations(robot, q[which], closed.select(which))
 
 
-@remembered
+@memoize
 def _uncertain_at_used(fit: Fit) -> float:
     """Root mean square uncertainty of positions at poses that were used, as many of them as are looked at [m]."""
     data, passive = fit.identification.data, fit.identification.passive
     used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
     near = None if passive is None else passive[used]
-    configurations = fit.robot.assemble(data.joints[used], near, context=data.conditions.at(used))
+    configurations = fit.robot.assemble(data.joints[used], near, context=data.conditions.select(used))
     return _uncertain(_relative(fit, configurations), fit.covariance.values)[0]
 
 
@@ -125,7 +125,7 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
+def check_joint_limits(fit: Fit) -> Iterator[Reason]:
     """Look for joint values that the robot's own limits exclude."""
     data, robot = fit.identification.data, fit.nominal
     lower, upper = robot.urdf.limits(robot.joint_names)
@@ -134,9 +134,9 @@ def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
     if len(beyond):
         joints = [robot.joint_names[j] for j in np.flatnonzero(np.max(excess, axis=0) > BEYOND_LIMIT)]
         yield Code.BEYOND_JOINT_LIMITS.says(
-            f"{counted(len(beyond), 'pose lies', 'poses lie')} beyond the URDF's limits of"
+            f"{count_noun(len(beyond), 'pose lies', 'poses lie')} beyond the URDF's limits of"
             f" {joints_named(*joints)}:"
-            f" {listed([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
+            f" {listing([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
             " limits"
         )
 
@@ -147,28 +147,28 @@ def turns_not_counted(fit: Fit) -> Iterator[Reason]:
         yield Code.TURNS_NOT_COUNTED.says(words)
 
 
-def _allowed(robot: Robot) -> FloatArray:
+def _joint_ranges(robot: Robot) -> FloatArray:
     """Range of each actuated joint, a turn at most, (n_actuated,) [m or rad]; infinite where nothing says."""
     lower, upper = robot.urdf.limits(robot.joint_names)
     turns = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
     return np.asarray(np.minimum(upper - lower, np.where(turns, 2 * np.pi, np.inf)))
 
 
-def beyond_curves(fit: Fit) -> Iterator[Reason]:
+def check_curve_ranges(fit: Fit) -> Iterator[Reason]:
     """Look for validation poses at joint values where no curve of a joint was learned, and where that matters."""
     if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
         return
-    outside = beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
-    at_used = _rms(fit.identification_uncertainty.located)
-    away = np.max(fit.validation_uncertainty.located, axis=1)
+    outside = is_beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
+    at_used = _rms(fit.identification_uncertainty.reported_distance)
+    away = np.max(fit.validation_uncertainty.reported_distance, axis=1)
     outside[away <= _well_known(fit, at_used)] = False
     poses = np.flatnonzero(np.any(outside, axis=1))
     if len(poses):
         joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
         yield Code.BEYOND_CURVES.says(
-            f"{counted(len(poses), 'validation pose lies', 'validation poses lie')} where no error curve of"
+            f"{count_noun(len(poses), 'validation pose lies', 'validation poses lie')} where no error curve of"
             f" {joints_named(*joints)} was learned:"
-            f" {listed([fit.validation.data.labels[k] for k in poses])}. The curve is unknown there: measure there too"
+            f" {listing([fit.validation.data.labels[k] for k in poses])}. The curve is unknown there: measure there too"
             " before you rely on it"
         )
 
@@ -186,7 +186,7 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
 
 def terms_untested(fit: Fit) -> Iterator[Reason]:
     """Look for joint terms that leave positions uncertain where no joint leaves the values measured."""
-    accuracy = _widened(fit, other_combinations(fit.identification.data.joints, _SAMPLED))
+    accuracy = _widening_sentence(fit, recombined_joints(fit.identification.data.joints, _SAMPLED))
     if accuracy:
         yield Code.TERMS_UNTESTED.says(
             f"the poses used hardly determine the joint terms at other combinations of the same joint values: positions"
@@ -199,20 +199,20 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
     """Say how sure positions are where joints go beyond the values from which terms were learned."""
     q = fit.identification.data.joints
     lower, upper = fit.nominal.urdf.limits(fit.nominal.joint_names)
-    half = _allowed(fit.nominal) / 2
+    half = _joint_ranges(fit.nominal) / 2
     low, high = np.maximum(lower, np.mean(q, axis=0) - half), np.minimum(upper, np.mean(q, axis=0) + half)
     bounded = np.isfinite(half)
     low, high = np.where(bounded, low, q.min(axis=0)), np.where(bounded, high, q.max(axis=0))
     order, signs = order_of_joints(q)
     sample = halton(_SAMPLED, len(low))[:, order]
-    accuracy = _widened(fit, low + (high - low) * np.where(signs < 0, 1 - sample, sample))
+    accuracy = _widening_sentence(fit, low + (high - low) * np.where(signs < 0, 1 - sample, sample))
     if accuracy:
         yield (
             f"joint values beyond those measured: over what the joints' limits allow, positions are known to {accuracy}"
         )
 
 
-def _widened(fit: Fit, q: FloatArray) -> str:
+def _widening_sentence(fit: Fit, q: FloatArray) -> str:
     """How sure positions at q (n, n_actuated) are beside those at the poses used, where joint terms widen them so much.
 
     Base and tool placed anew: where they stand is no matter of the terms.
@@ -225,7 +225,7 @@ def _widened(fit: Fit, q: FloatArray) -> str:
         return ""
     covariance, flat = fit.covariance.values, _relative(fit, configurations)
     at_used = _uncertain_at_used(fit)
-    away, alone = _uncertain(flat, covariance, _given(covariance, terms))
+    away, alone = _uncertain(flat, covariance, _covariance_given(covariance, terms))
     if away <= max(_well_known(fit, at_used), WIDENED * alone):
         return ""
     return f"{millimetres(away):.2g} mm RMS there, and to {millimetres(at_used):.2g} mm at the poses used"
@@ -233,8 +233,8 @@ def _widened(fit: Fit, q: FloatArray) -> str:
 
 def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
     """How positions move with the unknowns beside what moves all of them as one body, (3 n, n_unknowns)."""
-    linear, targets = linearise(fit.robot, configurations), fit.robot.located
-    rows = beside_common_motion(linear.positions[:, targets], linear.jacobian[:, targets])
+    linear, targets = linearise(fit.robot, configurations), fit.robot.reported_targets
+    rows = without_common_motion(linear.positions[:, targets], linear.jacobian[:, targets])
     return rows.reshape(-1, rows.shape[-1])[:, fit.unknowns.index]
 
 
@@ -244,7 +244,7 @@ def _uncertain(flat: FloatArray, *covariances: FloatArray) -> list[float]:
     return [float(np.sqrt(max(3.0 * float(np.sum(products * covariance)), 0.0))) for covariance in covariances]
 
 
-def _given(covariance: FloatArray, known: BoolArray) -> FloatArray:
+def _covariance_given(covariance: FloatArray, known: BoolArray) -> FloatArray:
     """Covariance of all unknowns if some of them were known (n,): that of the others, and zeros."""
     size = np.sqrt(np.diag(covariance))
     size = np.where(size > 0, size, 1.0)
@@ -258,7 +258,7 @@ def _given(covariance: FloatArray, known: BoolArray) -> FloatArray:
     return np.asarray(result * np.outer(size, size))
 
 
-def above_tolerance(fit: Fit, claim: Claim) -> Iterator[Reason]:
+def check_tolerance(fit: Fit, claim: Claim) -> Iterator[Reason]:
     """Compare the claim with the tolerance that the description or the measurements state, the smallest of them."""
     every = [fit.identification.data, *([] if fit.validation is None else [fit.validation.data])]
     stated = {data.path: stated_tolerance(data.comments, data.path) for data in every}
@@ -267,15 +267,17 @@ def above_tolerance(fit: Fit, claim: Claim) -> Iterator[Reason]:
     if not known:
         return
     path = min(known, key=lambda name: known[name])
-    told, allowed = claim.told, f"the tolerance of {millimetres(known[path]):.4g} mm ({path})"
-    if not told.is_position or told.dimension != "length":
+    measured, allowed = claim.at_measured_poses, f"the tolerance of {millimetres(known[path]):.4g} mm ({path})"
+    if not measured.is_position or measured.dimension != "length":
         yield Code.TOLERANCE.says(
             f"whether the tool is within {allowed} is not known: positions were not measured", answer=Answer.LOOK
         )
-    elif not np.isfinite(told.limit95):
+    elif not np.isfinite(measured.limit95):
         yield Code.TOLERANCE.says(
-            f"{counted(told.n_poses, 'pose')} are too few to tell whether the tool is within {allowed}",
+            f"{count_noun(measured.n_poses, 'pose')} are too few to tell whether the tool is within {allowed}",
             answer=Answer.OTHER_POSES,
         )
-    elif told.limit95 > known[path]:
-        yield Code.TOLERANCE.says(f"the claim is {told.shown(told.limit95)} (95 % of the time), above {allowed}")
+    elif measured.limit95 > known[path]:
+        yield Code.TOLERANCE.says(
+            f"the claim is {measured.in_unit(measured.limit95)} (95 % of the time), above {allowed}"
+        )

@@ -49,7 +49,9 @@ def poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
 
 
 def _system(promise: Promise, joints: FloatArray) -> System:
-    return System.of(promise, simulate(promise.robot, joints, 0.0, np.random.default_rng(0)), same_setup=False)
+    return System.from_promise(
+        promise, simulate(promise.robot, joints, 0.0, np.random.default_rng(0)), same_setup=False
+    )
 
 
 def _visible(promise: Promise, joints: FloatArray, change: Change) -> float:

@@ -10,7 +10,7 @@ one fit of thirty (measured: docs/verdict.md).
 
 Rules of other packages come in by entry points of the group `calib.reasons`: functions of a fit that yield reasons.
 
-A `JudgedFit` is a fit that can be asked what it is worth: it has findings and verdict as attributes.
+A `JudgedFit` is a fit that knows its worth: it has findings and verdict as attributes.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from typing import Self
 import numpy as np
 
 from calib.core.base.errors import InputError
-from calib.core.base.registry import installed
-from calib.core.base.remembered import remembered
+from calib.core.base.memoize import memoize
+from calib.core.base.registry import list_entry_points
 from calib.core.base.threads import one_blas_thread
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.fitting.fitted import Fit
@@ -49,8 +49,8 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.worse_on_validation,
     rules_data.dead_readings,
     rules_model.residuals_grew,
-    rules_model.not_converged,
-    rules_model.not_assembled,
+    rules_model.check_convergence,
+    rules_model.check_assembly,
     rules_noise.misread,
     rules_noise.noise,
     rules_data.doubtful_readings,
@@ -60,15 +60,15 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_parameters.far_from_nominal,
     rules_data.poses_that_say_little,
     rules_reach.one_corner,
-    rules_reach.moved_little,
+    rules_reach.check_joint_motion,
     rules_reach.far_validation,
-    rules_reach.beyond_joint_limits,
+    rules_reach.check_joint_limits,
     rules_reach.terms_untested,
     rules_parameters.large_terms,
     rules_parameters.unlike_fleet,
     rules_reach.turns_not_counted,
     rules_data.too_few_poses,
-    rules_data.few_shared,
+    rules_data.check_shared_errors,
     rules_data.moves_as_one,
     rules_parameters.unclear_rank,
     rules_parameters.loose,
@@ -76,13 +76,13 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.files_hold_less,
     rules_model.systematic,
     rules_reach.blocks_disagree,
-    rules_reach.beyond_curves,
-    rules_data.rounded,
+    rules_reach.check_curve_ranges,
+    rules_data.check_rounding,
     rules_data.outliers,
-    rules_data.used_for_both,
-    rules_data.copied,
+    rules_data.check_validation_poses,
+    rules_data.check_copies,
     rules_data.repeats,
-    rules_model.other_minima,
+    rules_model.check_minima,
     rules_data.leverage,
 )
 _ORDER = ("FAIL", "CHECK", "PASS")
@@ -92,7 +92,7 @@ _NOTHING_FITS = {Code.NOT_CONVERGED, Code.NOT_ASSEMBLED, Code.NOISE_AS_LARGE_AS_
 _MOVED = {Code.AT_BOUNDS}  # what a base that stands a little elsewhere does
 
 
-@remembered
+@memoize
 @one_blas_thread
 def judge(fit: Fit) -> Verdict:
     """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK.
@@ -106,10 +106,10 @@ def judge(fit: Fit) -> Verdict:
     if claim is not None and Code.WORSE_ON_VALIDATION not in codes:
         reasons = [*rules_model.claim_broken(fit, claim, needless=needless), *reasons]
     if claim is not None:
-        reasons += rules_reach.above_tolerance(fit, claim)
-    reasons = [reason for reason in reasons if reason.code not in _contradicted(reasons)]
+        reasons += rules_reach.check_tolerance(fit, claim)
+    reasons = [reason for reason in reasons if reason.code not in _superseded_codes(reasons)]
     nothing_fits = bool(codes & _NOTHING_FITS) and not fit.convergence.receding  # of these the poses are the cause
-    gross = nothing_fits or rules_noise.left_too_much(fit)
+    gross = nothing_fits or rules_noise.is_noise_too_large(fit)
     scaled = any(reason.code == Code.JOINT_SCALED for reason in reasons)
     mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma, gross=False) if scaled else ""
     elsewhere = rules_model.places_elsewhere(fit) if not mistake and (gross or codes & _MOVED) else None
@@ -131,8 +131,8 @@ def judge(fit: Fit) -> Verdict:
     return Verdict(grade, tuple(reasons), not_covered(fit), claim)
 
 
-def _contradicted(reasons: Sequence[Reason]) -> set[Code]:
-    """What others take back, or say of its cause.
+def _superseded_codes(reasons: Sequence[Reason]) -> set[Code]:
+    """Codes of reasons that other reasons supersede or explain.
 
     No gain, where there is harm; patterns, and scales of joints, in residuals that are as large as the robot; noise as
     large as it, where it did not move; instruments that disagree, where a column was copied over another.
@@ -150,7 +150,7 @@ def _contradicted(reasons: Sequence[Reason]) -> set[Code]:
 
 def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
     """Ask the rules of other packages, in the order of their names."""
-    for entry in installed("calib.reasons"):
+    for entry in list_entry_points("calib.reasons"):
         whose = f"reason '{entry.name}' of the verdict ({entry.value})"
         try:
             given = list(entry.load()(fit))
@@ -167,18 +167,18 @@ def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JudgedFit(Fit):
-    """A fit with its findings and its verdict, each made when it is first asked for."""
+    """A fit with its findings and its verdict, each made at first use."""
 
     with_all: JudgedFit | None = None
 
     @classmethod
-    def of(cls, fit: Fit) -> Self:
+    def from_fit(cls, fit: Fit) -> Self:
         """Return a fit with what it is worth."""
         values = {field.name: getattr(fit, field.name) for field in fields(fit)}
         if fit.with_all is not None:
-            values["with_all"] = JudgedFit.of(fit.with_all)
+            values["with_all"] = JudgedFit.from_fit(fit.with_all)
         if fit.reduced is not None:
-            values["reduced"] = {holds: JudgedFit.of(other) for holds, other in fit.reduced.items()}
+            values["reduced"] = {holds: JudgedFit.from_fit(other) for holds, other in fit.reduced.items()}
         return cls(**values)
 
     def __repr__(self) -> str:
@@ -198,17 +198,19 @@ class JudgedFit(Fit):
         None where nothing is claimed, or nothing about positions.
 
         Args:
-            poses, context: As of `predict`.
+            poses, context: Commands (n, n_actuated) [m or rad], and their conditions.
 
         Raises:
-            DataError, UnreachablePoseError: As of `predict`.
+            DataError, UnreachablePoseError: The poses are not valid, or a loop stays open.
         """
         claim = self.verdict.claim
-        if claim is None or not claim.told.is_position:
+        if claim is None or not claim.at_measured_poses.is_position:
             return None
-        told = as_poses(self.robot, poses)
-        known = self.told_positions.at(told.joints, told.conditions if context is None else context)
-        return claim.at(float(np.sqrt(np.mean(known.located**2))))
+        given_poses = as_poses(self.robot, poses)
+        known = self.reported_uncertainty.predict(
+            given_poses.joints, given_poses.conditions if context is None else context
+        )
+        return claim.error_at(float(np.sqrt(np.mean(known.reported_distance**2))))
 
     @property
     def outliers(self) -> tuple[Outlier, ...]:
@@ -227,7 +229,7 @@ class JudgedFit(Fit):
 
     @property
     def budget(self) -> ErrorBudget | None:
-        """What made the error before, and what is left; None where the robot cannot be assembled on the way."""
+        """Causes of the error before and after calibration; None where the robot cannot be assembled on the way."""
         return findings.budget(self)
 
     @property

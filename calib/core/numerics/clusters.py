@@ -65,7 +65,7 @@ class Scatter(ReadOnlyArrays):
     freedom: float
     total_freedom: float
 
-    def beyond(self, finer: Scatter) -> tuple[float, float]:
+    def ratio_to(self, finer: Scatter) -> tuple[float, float]:
         """Return the ratio beside that of the smaller blocks within, and the chance of it.
 
         Args:
@@ -90,7 +90,7 @@ def scatter(
     k, noisy = span.shape[1], False
     core, leverage = np.zeros((k, k)), np.zeros((k, k))
     moved = mean = squares = decided_parts = fourth = 0.0
-    for rows in of_equal_length(block):
+    for rows in blocks_of_equal_length(block):
         values, errors, turned = directions(span[rows], residuals[rows])
         along = turned.reshape(-1, k)  # of all blocks, one after another
         level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
@@ -122,7 +122,7 @@ def _products(rows: FloatArray) -> FloatArray:
     return rows.T @ rows
 
 
-def of_equal_length(block: IntArray) -> Iterator[IntArray]:
+def blocks_of_equal_length(block: IntArray) -> Iterator[IntArray]:
     """Yield the rows of blocks that have equally many, some at once, (n_blocks, n_rows_of_each).
 
     Args:
@@ -159,12 +159,12 @@ def directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, Flo
     values, vectors = linalg.eigh(np.matmul(across, span))
     values, turned = np.clip(values, 0.0, 1.0), np.swapaxes(vectors, -1, -2)
     size = np.sqrt(values)
-    felt = np.matmul(turned, np.matmul(across, errors))[..., 0]
-    errors = np.where(size > 0, felt / np.where(size > 0, size, 1.0), 0.0)
+    components = np.matmul(turned, np.matmul(across, errors))[..., 0]
+    errors = np.where(size > 0, components / np.where(size > 0, size, 1.0), 0.0)
     return values, errors, size[..., None] * turned
 
 
-class LeftOut:
+class LeftOutBlocks:
     """Blocks left out in turn, of a fit and of others that have further parameters each.
 
     Without block b, the solution in the coordinates of T is c_b = U_b^T (1 - H_b)^-1 r_b further on, r_b being its
@@ -177,7 +177,7 @@ class LeftOut:
 
     def __init__(self, span: FloatArray | Span, block: IntArray) -> None:
         self._span, self._block = span, block
-        self._hats = [(rows, self._hat(rows)) for rows in of_equal_length(block)]
+        self._hats = [(rows, self._hat(rows)) for rows in blocks_of_equal_length(block)]
 
     def _hat(self, rows: IntArray) -> FloatArray | None:
         """H_b of blocks (n, m, m); None where it is larger than what it is made of."""
@@ -186,7 +186,7 @@ class LeftOut:
         own = self._span[rows]
         return np.matmul(own, own.transpose(0, 2, 1))
 
-    def moved(
+    def shifts_without_block(
         self,
         residuals: FloatArray,
         *,

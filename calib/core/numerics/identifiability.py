@@ -97,7 +97,7 @@ class Rank(ReadOnlyArrays):
         return text
 
 
-def reduced(rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
+def reduce_rows(rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
     """Return at most n_columns rows with the same singular values and null space: the R of a QR factorisation.
 
     Of very many rows, R of some and the next ones takes the place of both, so that no copy of all is made. LAPACK's
@@ -108,11 +108,11 @@ def reduced(rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
         rows: (n_rows, n_columns).
         right: One more column, (n_rows,).
     """
-    return reduced_with(np.zeros((0, rows.shape[1] + (right is not None))), rows, right)
+    return extend_reduced(np.zeros((0, rows.shape[1] + (right is not None))), rows, right)
 
 
-def reduced_with(factor: FloatArray, rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
-    """Return what `reduced` gives of rows below others.
+def extend_reduced(factor: FloatArray, rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
+    """Return what `reduce_rows` gives of rows below others.
 
     Args:
         factor: What it gave of the others, (n, n_columns), with `right` (n, n_columns + 1).
@@ -204,7 +204,7 @@ def eliminate(scaled_jacobian: FloatArray, order: Sequence[int] = ()) -> Elimina
         scaled_jacobian: Columns that can be compared, such as unit columns, (n_rows, n_columns).
         order: Columns to prefer for dropping where condition numbers tie, first one first.
     """
-    factor = reduced(scaled_jacobian)
+    factor = reduce_rows(scaled_jacobian)
     rank = numerical_rank(factor)
     columns = list(range(factor.shape[1]))
     dropped: list[int] = []

@@ -120,7 +120,7 @@ _LIMIT, _RECEDES, _COST_STANDS, _STEP_VANISHES = (
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class LeastSquaresSolution:
     """Where the iteration ended.
 
     Attributes:
@@ -152,12 +152,12 @@ def minimise(
     scaling: Literal["unit", "jacobian"] = "unit",
     tolerance: float = TOLERANCE,
     max_evaluations: int = MAX_EVALUATIONS,
-) -> Solution:
+) -> LeastSquaresSolution:
     """Minimise the sum of squared residuals.
 
     Args:
         residuals: x (n,) -> r (m,); NaN where r has no value.
-        jacobian: x (n,) -> dr/dx (m, n), as an array or above a prior; asked for only where r was finite, and where the
+        jacobian: x (n,) -> dr/dx (m, n), as an array or above a prior; computed only where r was finite, and where the
             iteration goes back to.
         start: Where to begin, (n,).
         scaling: D of the module docstring.
@@ -170,24 +170,24 @@ def minimise(
     values = residuals(start)
     if not np.all(np.isfinite(values)):
         raise ComputationError("the fit cannot start: the residuals have no value at the starting point")
-    path = _Path(LinearPoint(start, values, jacobian(start)), scaling, tolerance)
-    evaluations, message, recedes = 1, path.ended(), False
+    path = _Iteration(LinearPoint(start, values, jacobian(start)), scaling, tolerance)
+    evaluations, message, recedes = 1, path.stopping_rule(), False
     while not (message or recedes) and evaluations < max_evaluations:
         x = path.trial()
         values = residuals(x)
         evaluations += 1
-        bent = path.bent(values)
-        if bent is not None and evaluations < max_evaluations:
-            bent_values = residuals(bent)
+        curved = path.curved_trial(values)
+        if curved is not None and evaluations < max_evaluations:
+            curved_values = residuals(curved)
             evaluations += 1
-            if _cost(bent_values) < _cost(values):
-                x, values = bent, bent_values
-        evaluations += path.go_on(x, values, jacobian)
-        message, recedes = path.ended(), evaluations >= _PATIENCE and path.recedes
+            if _cost(curved_values) < _cost(values):
+                x, values = curved, curved_values
+        evaluations += path.take_step(x, values, jacobian)
+        message, recedes = path.stopping_rule(), evaluations >= _PATIENCE and path.recedes
     evaluations += path.go_back(jacobian)
     best, converged = path.current, bool(message)
     message = message or (_RECEDES if recedes else _LIMIT)
-    return Solution(best.x, best.residuals, best.given, best.cost, converged, evaluations, message, recedes)
+    return LeastSquaresSolution(best.x, best.residuals, best.given, best.cost, converged, evaluations, message, recedes)
 
 
 def _cost(values: FloatArray) -> float:
@@ -195,7 +195,7 @@ def _cost(values: FloatArray) -> float:
     return float(values @ values) if np.all(np.isfinite(values)) else np.inf
 
 
-class _Path:
+class _Iteration:
     """Where the iteration is, and what it remembers.
 
     Args:
@@ -262,7 +262,7 @@ class _Path:
         """The point with the lowest cost."""
         return self.current if self._left is None else self._left[0]
 
-    def ended(self) -> str:
+    def stopping_rule(self) -> str:
         """Return which stopping rule is met; nothing if none is."""
         if self._left is not None:
             return ""
@@ -277,11 +277,11 @@ class _Path:
         current = self.current
         curvature = current.curvature(self._past) if 2.0 * current.decrease <= current.cost else None
         self._step, self._promised = current.step(curvature, self._radius, self._scale)
-        back = self._back(self._expected_bend()) if np.isfinite(self._radius) and self._past else None
+        back = self._back(self._extrapolated_curvature()) if np.isfinite(self._radius) and self._past else None
         self._taken = self._step if back is None else self._step + back
         return np.asarray(current.x + self._taken)
 
-    def _expected_bend(self) -> FloatArray:
+    def _extrapolated_curvature(self) -> FloatArray:
         """Return how the rows bend along the next step if they bend as along the last one, (m,)."""
         before = self._past[-1]
         last = self.current.x - before.x
@@ -291,9 +291,9 @@ class _Path:
 
     def _back(self, bend: FloatArray) -> FloatArray | None:
         """Return what takes a bend away, (n,)."""
-        return self.current.straightened(bend, _BEND * self._length(self._step), self._scale)
+        return self.current.correct_curvature(bend, _BEND * self._length(self._step), self._scale)
 
-    def bent(self, values: FloatArray) -> FloatArray | None:
+    def curved_trial(self, values: FloatArray) -> FloatArray | None:
         """Return where to look as well, (n,), after a trial point with these residuals (m,); None for nowhere."""
         reached, promised = _cost(values), self.current.cost - self._promised
         if self._left is not None or (np.isfinite(self._radius) and not self._stays) or self._promises_little:
@@ -303,7 +303,9 @@ class _Path:
         back = self._back(values - self.current.residuals - self.current.jacobian.times(self._taken))
         return None if back is None else np.asarray(self.current.x + self._step + back)
 
-    def go_on(self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray | RowStack]) -> int:
+    def take_step(
+        self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray | RowStack]
+    ) -> int:
         """Take the step to x (n,) with these residuals (m,), or stay; return how many further evaluations that took."""
         reached, length = _cost(values), min(self._length(self._step), self._radius)
         self._undone = not reached < self.lowest.cost
@@ -323,7 +325,7 @@ class _Path:
             self._radius, self._left, self._away = _LONGER * self._left[1], None, 0
         else:
             promised = self.current.cost - self._promised
-            self._radius = self._adapted(trial, (self.current.cost - reached) / promised if promised > 0 else 0.0)
+            self._radius = self._next_radius(trial, (self.current.cost - reached) / promised if promised > 0 else 0.0)
             self._past = [*self._past, self.current][-_KEPT:]
         self.current = trial
         self._rescale(trial)
@@ -337,7 +339,7 @@ class _Path:
         jacobian(self.current.x)  # tells where the path is
         return 1
 
-    def _adapted(self, trial: LinearPoint, part: float) -> float:
+    def _next_radius(self, trial: LinearPoint, part: float) -> float:
         """Return the radius after a step that lowered the cost, by this part of what the model promised."""
         if np.isinf(self._radius):
             return self._radius

@@ -142,7 +142,7 @@ def orth(matrix: FloatArray, rcond: float | None = None) -> FloatArray:
 
     Args:
         matrix: (m, n).
-        rcond: As of `lstsq`.
+        rcond: Part of the largest singular value below which others count as zero.
     """
     left, values, _ = svd(matrix, full_matrices=False)
     cut = max(matrix.shape) * _EPSILON if rcond is None else rcond

@@ -1,7 +1,7 @@
 """The linear model of a fit: residuals r + J d of whitened rows around a point, and what is known of d before them.
 
 Unknowns are scaled, u = (p - p_expected) / s; d is their change from where they are. The rows are those of all readings
-(`calib.core.rows.rows`), or a few that have the same products. What is asked of it:
+(`calib.core.rows.rows`), or a few that have the same products. Its use:
 
     factor       the triangular factor of [J r], from which all sums over rows follow
     known        what rows and priors determine, with T T^T = (J^T J + P^T P)^-1
@@ -18,8 +18,8 @@ from typing import Self
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.numerics.clusters import LeftOut
-from calib.core.numerics.identifiability import reduced
+from calib.core.numerics.clusters import LeftOutBlocks
+from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.observability import Information, information
 from calib.core.numerics.prior import Prior
 from calib.core.numerics.tall import Span
@@ -38,7 +38,7 @@ class RowGroups(ReadOnlyArrays):
     counts: IntArray
 
     @staticmethod
-    def of(group: IntArray, n_groups: int) -> RowGroups:
+    def from_groups(group: IntArray, n_groups: int) -> RowGroups:
         """Return that of rows (n_rows,) which stand for themselves."""
         return RowGroups(group, np.bincount(group[group >= 0], minlength=n_groups))
 
@@ -64,7 +64,7 @@ class LinearModel:
     @cached_property
     def factor(self) -> FloatArray:
         """The triangular factor of [J r], all that a linear model needs: (n_free + 1, n_free + 1) or fewer rows."""
-        return reduced(self.jacobian, self.residuals)
+        return reduce_rows(self.jacobian, self.residuals)
 
     def remember(self, factor: FloatArray) -> None:
         """Take over `factor` (n_free + 1, n_free + 1), where it is known."""
@@ -72,28 +72,28 @@ class LinearModel:
 
     @property
     def _triangle(self) -> FloatArray:
-        """That of J, (n_free, n_free) or fewer rows."""
+        """Triangular factor of J, (n_free, n_free) or fewer rows."""
         return self.factor[: self.jacobian.shape[1], :-1]
 
     @cached_property
-    def known(self) -> Information:
-        """What these rows and the priors determine."""
+    def posterior_information(self) -> Information:
+        """Information of these rows and the priors."""
         return information(self._triangle, self.prior.rows)
 
     @cached_property
-    def alone(self) -> Information:
-        """What these rows determine without priors."""
+    def data_information(self) -> Information:
+        """Information of these rows without priors."""
         return information(self._triangle)
 
     @cached_property
     def span(self) -> Span:
         """U = J T of these rows, with T of what they and the priors determine, (n_rows, rank)."""
-        return Span(self.jacobian, self.known.root)
+        return Span(self.jacobian, self.posterior_information.root)
 
     def step(self, residuals: FloatArray | None = None) -> FloatArray:
         """Return the step d to the minimum, (n_free,), with other residuals (n_rows,) if given."""
         right = self.residuals if residuals is None else residuals
-        root, pull = self.known.root, self.jacobian.T @ right + self.prior.pull(self.deviations)
+        root, pull = self.posterior_information.root, self.jacobian.T @ right + self.prior.pull(self.deviations)
         return -root @ (root.T @ pull)
 
     @property
@@ -101,16 +101,16 @@ class LinearModel:
         """Sum of the squares of residuals and priors."""
         return float(self.residuals @ self.residuals) + self.prior.cost(self.deviations)
 
-    def only(self, chosen: BoolArray) -> Self:
+    def select_parameters(self, chosen: BoolArray) -> Self:
         """Return the rows by some of the parameters, (n_free,)."""
         jacobian, deviations = self.jacobian[:, chosen], self.deviations[chosen]
-        return replace(self, jacobian=jacobian, prior=self.prior.only(chosen), deviations=deviations)
+        return replace(self, jacobian=jacobian, prior=self.prior.select(chosen), deviations=deviations)
 
     def at(self, places: IntArray | BoolArray) -> LinearModel:
         """Return some of the rows: their places (k,), or a mask (n_rows,)."""
-        groups = RowGroups.of(self.layout.group[places], len(self.layout.counts))
+        groups = RowGroups.from_groups(self.layout.group[places], len(self.layout.counts))
         return LinearModel(self.residuals[places], self.jacobian[places], self.prior, self.deviations, groups)
 
-    def left_out(self, block: IntArray) -> LeftOut:
+    def leave_out_blocks(self, block: IntArray) -> LeftOutBlocks:
         """Return the model with blocks of rows (n_rows,) left out in turn."""
-        return LeftOut(self.span, block)
+        return LeftOutBlocks(self.span, block)

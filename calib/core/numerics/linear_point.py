@@ -19,7 +19,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import reduced, reduced_with
+from calib.core.numerics.identifiability import extend_reduced, reduce_rows
 from calib.core.numerics.prior import Prior
 
 ON_RADIUS = 0.1
@@ -72,8 +72,8 @@ class RowStack:
     def reduced(self, right: FloatArray) -> FloatArray:
         """Return the triangular factor of it and one more column (m,), (n + 1, n + 1) or fewer rows."""
         if self.factor is None:
-            return reduced(self.whole, right)
-        return reduced_with(self.factor(), self.prior.rows, right[len(self.rows) :])
+            return reduce_rows(self.whole, right)
+        return extend_reduced(self.factor(), self.prior.rows, right[len(self.rows) :])
 
     def gram(self, right: FloatArray) -> FloatArray:
         """Return the products of its columns and one more (m,) with each other, (n + 1, n + 1)."""
@@ -81,7 +81,7 @@ class RowStack:
         gram = np.zeros((n + 1, n + 1))
         known = self.products or (lambda: (self.rows.T @ self.rows, self.rows.T @ right[:n_rows]))
         gram[:n, :n], gram[:n, n] = known()
-        self.prior.added_to(gram[:n, :n])
+        self.prior.add_to(gram[:n, :n])
         gram[:n, n] += self.prior.rows.T @ right[n_rows:]
         gram[n, :n], gram[n, n] = gram[:n, n], right @ right
         return gram
@@ -99,7 +99,7 @@ class LinearPoint:
     def __init__(self, x: FloatArray, residuals: FloatArray, jacobian: FloatArray | RowStack) -> None:
         self.x, self.residuals, self.given, self.jacobian = x, residuals, jacobian, RowStack.of(jacobian)
         self.cost = float(residuals @ residuals)
-        self.triangle, self.projected, self.unseen = _reduced(self.jacobian, residuals)
+        self.triangle, self.projected, self.unseen = _reduce(self.jacobian, residuals)
 
     @cached_property
     def sees_all(self) -> bool:
@@ -111,12 +111,12 @@ class LinearPoint:
     def newton(self) -> FloatArray:
         """Newton's step f; the shortest one where the rows do not see every direction, (n,)."""
         if self.sees_all:
-            return -_solved(self.triangle, self.projected)
+            return -_solve_triangular(self.triangle, self.projected)
         return np.asarray(-linalg.lstsq(self.triangle, self.projected, rcond=_SINGULAR))
 
     @cached_property
     def decrease(self) -> float:
-        """What the linear model promises of the cost, |R f|^2."""
+        """Decrease of the cost by the linear model, |R f|^2."""
         return float(np.sum((self.triangle @ self.newton) ** 2))
 
     def curvature(self, past: list[LinearPoint]) -> FloatArray | None:
@@ -127,45 +127,45 @@ class LinearPoint:
         left = self.residuals + self.jacobian.times(self.newton)
         pulls = np.stack([point.jacobian.pulled(left) for point in points], axis=1)
         steps = (self.triangle @ np.diff([point.x for point in points], axis=0).T)[:, ::-1]  # the last step first
-        images = _solved(self.triangle, np.diff(pulls, axis=1), transposed=True)[:, ::-1]
+        images = _solve_triangular(self.triangle, np.diff(pulls, axis=1), transposed=True)[:, ::-1]
         length = np.linalg.norm(steps, axis=0) + np.finfo(float).tiny
         along, factor = np.linalg.qr(steps / length)
         says_more = np.abs(np.diag(factor)) > _DEPENDENT
         count = len(says_more) if np.all(says_more) else int(np.argmin(says_more))
         along, factor = along[:, :count], factor[:count, :count]
-        images = _solved(factor, (images / length)[:, :count].T, transposed=True).T  # K times `along`
+        images = _solve_triangular(factor, (images / length)[:, :count].T, transposed=True).T  # K times `along`
         inside = along.T @ images
         outside = (images - along @ inside) @ along.T
         return np.asarray(outside + outside.T + along @ (inside + inside.T) @ along.T / 2)
 
     def step(self, curvature: FloatArray | None, limit: float, scale: FloatArray) -> tuple[FloatArray, float]:
         """Return the step d to the minimum of the model where |D d| <= limit, (n,), and the cost there."""
-        step, bent = self.newton, np.zeros((1, 1)) if curvature is None else curvature
-        hessian = np.eye(len(self.triangle)) + bent
+        step, second_derivative = self.newton, np.zeros((1, 1)) if curvature is None else curvature
+        hessian = np.eye(len(self.triangle)) + second_derivative
         if curvature is not None:
             try:
                 root = np.linalg.cholesky(hessian)
                 image = scipy.linalg.cho_solve((root, True), self.triangle @ self.newton)
-                step = _solved(self.triangle, image)
+                step = _solve_triangular(self.triangle, image)
             except np.linalg.LinAlgError:  # there is no minimum
                 step = np.full(len(step), np.inf)
                 limit = min(limit, float(_BOLD * np.linalg.norm(scale * self.newton)))
         if not np.linalg.norm(scale * step) <= limit:
-            step = self._within(hessian, self.projected, limit, scale)
+            step = self._minimum_within(hessian, self.projected, limit, scale)
         image = self.triangle @ step
         return step, self.unseen + float(np.sum((self.projected + image) ** 2) + image @ (hessian @ image - image))
 
-    def straightened(self, bend: FloatArray, limit: float, scale: FloatArray) -> FloatArray | None:
+    def correct_curvature(self, bend: FloatArray, limit: float, scale: FloatArray) -> FloatArray | None:
         """Return the step c that takes a bend of the residuals (m,) away, |D c| <= limit, (n,); None if unknown."""
         if not self.sees_all:
             return None
-        right = _solved(self.triangle, self.jacobian.pulled(bend), transposed=True)
-        step = -_solved(self.triangle, right)
+        right = _solve_triangular(self.triangle, self.jacobian.pulled(bend), transposed=True)
+        step = -_solve_triangular(self.triangle, right)
         if np.linalg.norm(scale * step) <= limit:
             return np.asarray(step)
-        return self._within(np.eye(len(step)), right, limit, scale)
+        return self._minimum_within(np.eye(len(step)), right, limit, scale)
 
-    def _within(self, hessian: FloatArray, right: FloatArray, limit: float, scale: FloatArray) -> FloatArray:
+    def _minimum_within(self, hessian: FloatArray, right: FloatArray, limit: float, scale: FloatArray) -> FloatArray:
         """Return the minimum of a model in the ball, (n,), as -(H + l D^2)^-1 g, with l >= 0 found by bisection.
 
         Args:
@@ -198,20 +198,20 @@ class LinearPoint:
         return np.asarray((vectors @ step) / scale)
 
 
-def _solved(triangle: FloatArray, right: FloatArray, *, transposed: bool = False) -> FloatArray:
+def _solve_triangular(triangle: FloatArray, right: FloatArray, *, transposed: bool = False) -> FloatArray:
     """Solve R x = b, or R^T x = b, for (n,) or (n, k); SciPy's own function takes ten times as long to call."""
     solution: FloatArray = scipy.linalg.lapack.dtrtrs(triangle, right, trans=transposed)[0]
     return solution
 
 
-def _reduced(jacobian: RowStack, residuals: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+def _reduce(jacobian: RowStack, residuals: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return R, Q^T r, and the square of r that no step takes away, to first order."""
     n = jacobian.rows.shape[1]
     if n >= _MANY:
         products = jacobian.gram(residuals)
         triangle, failed = scipy.linalg.lapack.dpotrf(products[:n, :n])
         if not failed and scipy.linalg.lapack.dtrcon(triangle)[0] >= _EXACT:
-            projected = _solved(triangle, products[:n, n], transposed=True)
+            projected = _solve_triangular(triangle, products[:n, n], transposed=True)
             return triangle, projected, max(float(products[n, n] - projected @ projected), 0.0)
     factor = jacobian.reduced(residuals)
     return factor[:n, :n], factor[:n, n], float(np.sum(factor[n:, n] ** 2))

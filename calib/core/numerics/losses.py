@@ -65,7 +65,7 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import InputError, nearest
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
-from calib.core.numerics.clusters import of_equal_length
+from calib.core.numerics.clusters import blocks_of_equal_length
 from calib.core.numerics.statistics import Factors
 from calib.core.numerics.tall import Span
 from calib.core.numerics.variance_components import require_freedom
@@ -81,7 +81,7 @@ _SMALLEST = 1e-6  # eigenvalue of V below which a direction has no residual left
 _NO_NOISE = 1e-12
 
 
-def checked_loss(name: str) -> Loss:
+def find_loss(name: str) -> Loss:
     """Return the loss of this name; an unknown one is an `InputError`."""
     for loss in LOSSES:
         if loss == name:
@@ -99,10 +99,10 @@ def constant(loss: Loss, k: int) -> float:
 
 def median_length(widths: IntArray) -> FloatArray:
     """Return the median length of normal residuals of these numbers of rows, (n_readings,)."""
-    return _by_width(lambda k: float(np.sqrt(2.0 * scipy.special.gammaincinv(0.5 * k, 0.5))), widths)
+    return _values_by_width(lambda k: float(np.sqrt(2.0 * scipy.special.gammaincinv(0.5 * k, 0.5))), widths)
 
 
-def _by_width(function: Callable[[int], float], widths: IntArray) -> FloatArray:
+def _values_by_width(function: Callable[[int], float], widths: IntArray) -> FloatArray:
     """A number for each reading that depends on its rows alone."""
     different, index = np.unique(widths, return_inverse=True)
     return np.array([function(int(k)) for k in different])[index.ravel()]
@@ -128,7 +128,7 @@ def weights(loss: Loss, distance: FloatArray, c: FloatArray | float) -> FloatArr
 
 def weights_of(loss: Loss, distance: FloatArray, widths: IntArray) -> FloatArray:
     """Return the weights of readings of these numbers of rows, (n_readings,)."""
-    return weights(loss, distance, _by_width(lambda k: constant(loss, k), widths))
+    return weights(loss, distance, _values_by_width(lambda k: constant(loss, k), widths))
 
 
 def slopes(loss: Loss, distance: FloatArray, c: FloatArray | float, k: IntArray | int) -> FloatArray:
@@ -179,10 +179,10 @@ def robust_factors(loss: Loss, distances: FloatArray, widths: IntArray, scale: f
         NotIdentifiableError: The loss leaves no degrees of freedom.
     """
     n_rows = float(np.sum(widths))
-    c = _by_width(lambda k: constant(loss, k), widths)
+    c = _values_by_width(lambda k: constant(loss, k), widths)
     w, slope = weights(loss, distances / scale, c), slopes(loss, distances / scale, c, widths)
-    expected_weight = _by_width(lambda k: _normal_moments(loss, k)[0], widths)
-    expected_square = _by_width(lambda k: _normal_moments(loss, k)[1], widths)
+    expected_weight = _values_by_width(lambda k: _normal_moments(loss, k)[0], widths)
+    expected_square = _values_by_width(lambda k: _normal_moments(loss, k)[1], widths)
     counted = min(n_rows, float(np.sum(widths * w / expected_weight)))
     freedom = counted - n_effective
     require_freedom(freedom, int(n_rows))
@@ -223,7 +223,7 @@ def _mean(function: Callable[[float], float], kink: float, k: int) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Studentised(ReadOnlyArrays):
+class StudentisedErrors(ReadOnlyArrays):
     """Every reading of a set judged.
 
     Attributes:
@@ -260,7 +260,7 @@ def studentised(
     weights: FloatArray,
     freedom: float,
     scale: float | None = None,
-) -> Studentised:
+) -> StudentisedErrors:
     """Judge every reading.
 
     Args:
@@ -273,7 +273,7 @@ def studentised(
         scale: Scale of T, if it is known from other readings.
     """
     size, leverages, largest = np.empty((3, len(widths)))
-    for rows in of_equal_length(reading):
+    for rows in blocks_of_equal_length(reading):
         own, number = span[rows], reading[rows[:, 0]]
         leverage = np.matmul(own, own.transpose(0, 2, 1))
         values, vectors = linalg.eigh(
@@ -288,7 +288,7 @@ def studentised(
     scale = max(scale, _NO_NOISE)
     ratio = size / scale
     chance = _chance(ratio, widths, freedom)
-    return Studentised(ratio, leverages, largest, chance, scale)
+    return StudentisedErrors(ratio, leverages, largest, chance, scale)
 
 
 def _chance(ratio: FloatArray, widths: IntArray, freedom: FloatArray | float) -> FloatArray:

@@ -60,8 +60,8 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
-from calib.core.numerics.clusters import of_equal_length
-from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows, Part
+from calib.core.numerics.clusters import blocks_of_equal_length
+from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
 _DECIDES = 1e-6  # part of a direction that other poses decide, from which they foretell it
 _RIDGE = 1e-12  # of its diagonal, added to a matrix that rounding might make singular
@@ -84,7 +84,7 @@ class MixedModel(ReadOnlyArrays):
     """
 
     rows: MixedRows
-    parts: tuple[Part, ...]
+    parts: tuple[FamilyPart, ...]
     x: FloatArray
     y: FloatArray
     spread: FloatArray
@@ -94,7 +94,7 @@ class MixedModel(ReadOnlyArrays):
     turns: tuple[FloatArray, ...]
 
     @staticmethod
-    def of(rows: MixedRows, least: float = 0.0) -> MixedModel:
+    def from_rows(rows: MixedRows, least: float = 0.0) -> MixedModel:
         """Rotate rows, and condense their columns.
 
         Args:
@@ -104,14 +104,14 @@ class MixedModel(ReadOnlyArrays):
         numbers = [*range(int(np.max(rows.family, initial=-1)) + 1), KNOWN, FLAT]
         members = [np.flatnonzero(rows.family == number) for number in numbers]
         parts = tuple(
-            Part.of(places, rows.columns[:, places], number, least)
+            FamilyPart.from_columns(places, rows.columns[:, places], number, least)
             for number, places in zip(numbers, members, strict=True)
             if len(places)
         )
         x = np.concatenate([rows.columns[:, part.members] @ part.kept for part in parts], axis=1)
         y, spread = rows.values.copy(), np.zeros(len(x))
         poses, turns = list[IntArray](), list[FloatArray]()
-        for places, turn, spread_there in _turned(rows):
+        for places, turn, spread_there in _rotate_rows(rows):
             back, spread[places] = turn.transpose(0, 2, 1), spread_there
             x[places], y[places] = np.matmul(back, x[places]), np.matmul(back, y[places, None])[:, :, 0]
             poses, turns = [*poses, *places], [*turns, *turn]
@@ -124,9 +124,9 @@ class MixedModel(ReadOnlyArrays):
         return self.rows.levers.shape[1] > 0
 
     @cached_property
-    def unstated(self) -> IntArray:
+    def unstated_groups(self) -> IntArray:
         """Groups whose noise is found, (n,)."""
-        return np.flatnonzero(~self.rows.stated)
+        return np.flatnonzero(~self.rows.has_stated_noise)
 
     @cached_property
     def has_prior(self) -> FloatArray:
@@ -135,8 +135,8 @@ class MixedModel(ReadOnlyArrays):
 
     def sizes(self, logs: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return sizes of families (n_families,), noise of the groups (n_groups,) and d from logarithms (n_sizes,)."""
-        noise = np.ones(len(self.rows.stated))
-        noise[self.unstated] = np.exp(logs[self.n_families : self.n_families + len(self.unstated)])
+        noise = np.ones(len(self.rows.has_stated_noise))
+        noise[self.unstated_groups] = np.exp(logs[self.n_families : self.n_families + len(self.unstated_groups)])
         return np.exp(logs[: self.n_families]), noise, float(np.exp(logs[-1])) if self.scatters else 0.0
 
     def coefficients(self, condensed: FloatArray) -> FloatArray:
@@ -154,7 +154,7 @@ class MixedModel(ReadOnlyArrays):
         parts = tuple(part.empty if part.family >= 0 and families[part.family] else part for part in self.parts)
         return replace(self, parts=parts, x=self.x[:, kept], family=self.family[kept])
 
-    def solved(self, logs: FloatArray) -> SolvedModel:
+    def solve(self, logs: FloatArray) -> SolvedModel:
         """Solve it with sizes whose logarithms are given, (n_sizes,)."""
         families, noise, scatter = self.sizes(logs)
         variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
@@ -173,17 +173,17 @@ class MixedModel(ReadOnlyArrays):
         return SolvedModel(self, logs, scale, variance, z, upper, inverse, v, left, 0.5 * (determinant + cost))
 
 
-def _turned(rows: MixedRows) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
+def _rotate_rows(rows: MixedRows) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
     """Yield rows of poses that have equally many of the same groups, (m, k), and their Q (m, k, k) and l (m, k)."""
-    for every in of_equal_length(rows.pose):
+    for every in blocks_of_equal_length(rows.pose):
         groups = rows.group[every]
         for pattern in np.unique(groups, axis=0):
             places = every[np.all(groups == pattern, axis=1)]
             turn, spread = np.tile(np.eye(len(pattern)), (len(places), 1, 1)), np.zeros(places.shape)
             for g in np.unique(pattern) if rows.levers.shape[1] else ():
                 own = np.flatnonzero(pattern == g)
-                felt = rows.levers[places[:, own]]
-                values, turn[:, own[:, None], own] = linalg.eigh(np.matmul(felt, felt.transpose(0, 2, 1)))
+                levers = rows.levers[places[:, own]]
+                values, turn[:, own[:, None], own] = linalg.eigh(np.matmul(levers, levers.transpose(0, 2, 1)))
                 spread[:, own] = np.maximum(values, 0.0)
             yield places, turn, spread
 
@@ -222,7 +222,7 @@ class SolvedModel(ReadOnlyArrays):
         return scipy.linalg.blas.dtrsm(1.0, self.upper, self.z, side=1)
 
     @cached_property
-    def _spanned(self) -> FloatArray:
+    def _span(self) -> FloatArray:
         """V^-1/2 T, (n_rows, n)."""
         return scipy.linalg.blas.dtrsm(1.0, self.upper, self._spread, side=1, trans_a=1)
 
@@ -242,14 +242,14 @@ class SolvedModel(ReadOnlyArrays):
         model = self.model
         _, noise, scatter = model.sizes(self.logs)
         group = model.rows.group
-        shares = [2.0 * np.where(group == g, noise[g] ** 2, 0.0) / self.variance for g in model.unstated]
+        shares = [2.0 * np.where(group == g, noise[g] ** 2, 0.0) / self.variance for g in model.unstated_groups]
         if model.scatters:
             shares.append(2.0 * scatter**2 * model.spread / self.variance)
         return np.array(shares).reshape(-1, len(group))
 
     @property
     def gradient(self) -> FloatArray:
-        """That of `cost` by the logarithms of the sizes, (n_sizes,)."""
+        """Gradient of `cost` by the logarithms of the sizes, (n_sizes,)."""
         of_families = self._members @ (1.0 - np.diag(self.inverse) - self.v**2)
         return np.concatenate([of_families, 0.5 * self._shares @ (1.0 - self._leverage - self.left**2)])
 
@@ -259,7 +259,7 @@ class SolvedModel(ReadOnlyArrays):
         shares, members = self._shares, self._members
         families = 2.0 * members @ self.inverse**2 @ members.T
         families += np.diag(2.0 * members @ (1.0 - 2.0 * np.diag(self.inverse)))
-        mixed = members @ (shares @ self._spanned**2).T
+        mixed = members @ (shares @ self._span**2).T
         weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]
         seen = np.array([(rows.T @ rows).ravel() for rows in weighed]).reshape(len(shares), -1)
         noise = 0.5 * ((shares * (1.0 - 2.0 * self._leverage)) @ shares.T + seen @ seen.T)
@@ -272,7 +272,7 @@ class SolvedModel(ReadOnlyArrays):
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """That of u of the condensed columns, (n, n)."""
+        """Covariance of u of the condensed columns, (n, n)."""
         return self.scale[:, None] * self.inverse * self.scale
 
     def left_out_squares(self, block: IntArray, weight: FloatArray) -> FloatArray:
@@ -287,23 +287,23 @@ class SolvedModel(ReadOnlyArrays):
         weights, squares = weight[self.model.rows.group], np.zeros(int(np.max(block)) + 1)
         for k in range(len(squares)):
             places = np.concatenate([self.model.poses[pose] for pose in np.flatnonzero(block == k)])
-            values, vectors = self._kept_without(places)
-            told = values > _DECIDES
-            error = (vectors[:, told] / values[told]) @ (vectors[:, told].T @ self.left[places])
+            values, vectors = self._remaining_rows(places)
+            determined = values > _DECIDES
+            error = (vectors[:, determined] / values[determined]) @ (vectors[:, determined].T @ self.left[places])
             squares[k] = np.sum(weights[places] * self.variance[places] * error**2)
         return squares
 
-    def _kept_without(self, places: IntArray) -> tuple[FloatArray, FloatArray]:
+    def _remaining_rows(self, places: IntArray) -> tuple[FloatArray, FloatArray]:
         """Eigenvalues (k,) and eigenvectors (k, k) of V^1/2 Q V^1/2 of some rows."""
-        return linalg.eigh(np.eye(len(places)) - self._spanned[places] @ self.z[places].T)
+        return linalg.eigh(np.eye(len(places)) - self._span[places] @ self.z[places].T)
 
-    def left_out(self) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
+    def left_out_errors(self) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
         """Yield of each pose its rows (k,), and of these the error (k,) and its covariance (k, k).
 
         The pose is predicted by all others. A pose that alone decides a direction is left out.
         """
         for places, turn in zip(self.model.poses, self.model.turns, strict=True):
-            values, vectors = self._kept_without(places)
+            values, vectors = self._remaining_rows(places)
             if values[0] > _DECIDES:
                 unit = np.sqrt(self.variance[places])
                 root = turn @ (unit[:, None] * vectors / np.sqrt(values))

@@ -25,7 +25,7 @@ class MixedRows(ReadOnlyArrays):
         values: y, whitened, (n_rows,).
         family: Family of each column from 0 on, or `FLAT` or `KNOWN`, (n_columns,).
         group: Group of the noise of each row, (n_rows,).
-        stated: Whether the noise of each group is 1, (n_groups,).
+        has_stated_noise: Whether the noise of each group is 1, (n_groups,).
         pose: Of each row, (n_rows,).
         levers: H: derivatives by what scatters from pose to pose, (n_rows, n_scattering); no columns without scatter.
     """
@@ -34,12 +34,14 @@ class MixedRows(ReadOnlyArrays):
     values: FloatArray
     family: IntArray
     group: IntArray
-    stated: BoolArray
+    has_stated_noise: BoolArray
     pose: IntArray
     levers: FloatArray
 
     @staticmethod
-    def of(model: LinearModel, family: IntArray, stated: BoolArray, pose: IntArray, levers: FloatArray) -> MixedRows:
+    def from_linear_problem(
+        model: LinearModel, family: IntArray, stated: BoolArray, pose: IntArray, levers: FloatArray
+    ) -> MixedRows:
         """Return the rows of a linear model around some deviations from what is expected.
 
         Args:
@@ -55,13 +57,13 @@ class MixedRows(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class Part(ReadOnlyArrays):
+class FamilyPart(ReadOnlyArrays):
     """Columns that are replaced by components of them.
 
     Attributes:
         members: Their places, (n,).
         kept: Components that the rows see, (n, n_kept).
-        family: As of `MixedRows`.
+        family: Number of the family of each column.
     """
 
     members: IntArray
@@ -69,12 +71,12 @@ class Part(ReadOnlyArrays):
     family: int
 
     @property
-    def empty(self) -> Part:
+    def empty(self) -> FamilyPart:
         """The same columns, with coefficients of zero."""
-        return Part(self.members, np.zeros((len(self.members), 0)), self.family)
+        return FamilyPart(self.members, np.zeros((len(self.members), 0)), self.family)
 
     @staticmethod
-    def of(members: IntArray, columns: FloatArray, family: int, least: float = 0.0) -> Part:
+    def from_columns(members: IntArray, columns: FloatArray, family: int, least: float = 0.0) -> FamilyPart:
         """Return that of the columns of a family, (n_rows, n); without components shorter than `least`."""
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
@@ -82,10 +84,10 @@ class Part(ReadOnlyArrays):
             values, vectors = _principal(columns / lengths)
             seen = values > _UNSEEN**2 * values[-1]
             kept = vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None]
-            return Part(members, kept, family)
+            return FamilyPart(members, kept, family)
         values, vectors = _principal(columns)
         seen = values > max(_ASIDE**2 * values[-1], least**2 if family >= 0 else 0.0)
-        return Part(members, vectors[:, seen], family)
+        return FamilyPart(members, vectors[:, seen], family)
 
 
 def _principal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -38,7 +38,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArra
 from calib.core.base.parameter import Parameter
 from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
-from calib.core.numerics.identifiability import rank_of, reduced
+from calib.core.numerics.identifiability import rank_of, reduce_rows
 
 _SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter by which a group is told
 ZERO = 1e-6
@@ -68,7 +68,7 @@ def null_groups(
 
     Args:
         scaled_jacobian: (n_rows, n_columns).
-        dropped: Columns that are held or dropped. Groups are told with one of them first where one moves enough, and
+        dropped: Columns that are held or dropped. Groups are listed with one of them first where one moves enough, and
             with as few others of them as possible.
         lengths: What each column was divided by after it was scaled by its sigma, (n_columns,); 1 if not given.
     """
@@ -113,7 +113,7 @@ def natural_coefficients(group: UnseenGroup, parameters: Sequence[Parameter]) ->
 
 def _null_space(scaled_jacobian: FloatArray) -> FloatArray:
     """Orthonormal basis, (n_columns, nullity)."""
-    factor = reduced(scaled_jacobian)
+    factor = reduce_rows(scaled_jacobian)
     _, values, directions = linalg.svd(factor)
     return directions[rank_of(values, factor.shape[1]).rank :].T
 
@@ -157,9 +157,9 @@ def shortest_basis(basis: FloatArray, avoided: BoolArray) -> FloatArray:
         tried += comb(n, size)
         if tried > _MOST_SUPPORTS or len(chosen) == k:
             break
-        _extend(chosen, list(_of_size(complement, size)), avoided, k)
+        _extend(chosen, list(_elementary_vectors(complement, size)), avoided, k)
     if len(chosen) < k:
-        _extend(chosen, [v for j in range(n) for v in _programmed(basis, j, avoided)], avoided, k)
+        _extend(chosen, [v for j in range(n) for v in _vectors_by_programs(basis, j, avoided)], avoided, k)
     if len(chosen) < k:
         _extend(chosen, list(_echelon(basis)), avoided, k)
     return np.array(chosen)
@@ -180,7 +180,7 @@ def _extend(chosen: list[FloatArray], candidates: list[FloatArray], avoided: Boo
             chosen.append(unit)
 
 
-def _of_size(complement: FloatArray, size: int) -> Iterator[FloatArray]:
+def _elementary_vectors(complement: FloatArray, size: int) -> Iterator[FloatArray]:
     """All elementary vectors with `size` entries."""
     n, rank = complement.shape
     supports = combinations(range(n), size)
@@ -197,7 +197,7 @@ def _of_size(complement: FloatArray, size: int) -> Iterator[FloatArray]:
             yield vector
 
 
-def _programmed(basis: FloatArray, pivot: int, avoided: BoolArray) -> Iterator[FloatArray]:
+def _vectors_by_programs(basis: FloatArray, pivot: int, avoided: BoolArray) -> Iterator[FloatArray]:
     """Elementary vectors with an entry at `pivot`, from the linear program and from its second round."""
     n, k = basis.shape
     weights = np.where(avoided, 1.05, 1.0) + 1e-4 * np.arange(n)
@@ -215,7 +215,7 @@ def _programmed(basis: FloatArray, pivot: int, avoided: BoolArray) -> Iterator[F
         if solution.status != 0:
             return
         vector = basis @ solution.x[:k]
-        polished = _on_support(basis, np.abs(vector) > ZERO * np.max(np.abs(vector)))
+        polished = _vector_on_support(basis, np.abs(vector) > ZERO * np.max(np.abs(vector)))
         if polished is not None:
             yield polished
         weighed = weights / (np.abs(vector) + 0.1)
@@ -233,11 +233,11 @@ def _echelon(basis: FloatArray) -> Iterator[FloatArray]:
         work[:, others] -= np.outer(work[:, column], work[row, others])
     for vector in work.T:
         kept = np.where(np.abs(vector) > ZERO * np.max(np.abs(vector)), vector, 0.0)
-        polished = _on_support(basis, kept != 0)
+        polished = _vector_on_support(basis, kept != 0)
         yield kept if polished is None else polished
 
 
-def _on_support(basis: FloatArray, support: BoolArray) -> FloatArray | None:
+def _vector_on_support(basis: FloatArray, support: BoolArray) -> FloatArray | None:
     """The vector that is exactly zero outside `support`; None unless it is the only one, and full there."""
     outside = basis[~support]
     _, s, vt = linalg.svd(outside) if len(outside) else (None, np.zeros(0), np.eye(basis.shape[1]))

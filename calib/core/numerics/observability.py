@@ -44,7 +44,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays, hold
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import PER_SI
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import Rank, inverse_of_triangle, numerical_rank, rank_of, reduced
+from calib.core.numerics.identifiability import Rank, inverse_of_triangle, numerical_rank, rank_of, reduce_rows
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 OUTSIDE = 1e-6
@@ -137,7 +137,7 @@ def task_index(position_errors: FloatArray) -> TaskIndex:
 
 @dataclass(frozen=True, eq=False)
 class Information(ReadOnlyArrays):
-    """What stacked rows determine.
+    """Information of stacked rows about the parameters.
 
     Attributes:
         factor: The triangular factor R of the rows, (n_parameters, n_parameters) or fewer rows.
@@ -146,7 +146,7 @@ class Information(ReadOnlyArrays):
     factor: FloatArray
 
     @cached_property
-    def _decomposed(self) -> tuple[Rank, FloatArray]:
+    def _decomposition(self) -> tuple[Rank, FloatArray]:
         """The rank, and V^T of all directions, (n_parameters, n_parameters)."""
         _, values, directions = linalg.svd(self.factor)
         return rank_of(values, self.factor.shape[1]), directions
@@ -154,12 +154,12 @@ class Information(ReadOnlyArrays):
     @property
     def rank(self) -> Rank:
         """Rank of the rows."""
-        return self._decomposed[0]
+        return self._decomposition[0]
 
     @property
     def directions(self) -> FloatArray:
         """Orthonormal basis V of what they determine, (n_parameters, rank)."""
-        rank, directions = self._decomposed
+        rank, directions = self._decomposition
         return directions[: rank.rank].T
 
     @property
@@ -225,8 +225,8 @@ def information(rows: FloatArray, priors: FloatArray | None = None) -> Informati
         priors: P, (n_priors, n_parameters), of `calib.core.numerics.prior`; none if not given.
     """
     rows, above = rows.reshape(-1, rows.shape[-1]), priors is not None and len(priors) > 0
-    factor = rows if above and len(rows) <= rows.shape[1] else reduced(rows)
+    factor = rows if above and len(rows) <= rows.shape[1] else reduce_rows(rows)
     if priors is not None and above:
-        factor = reduced(np.vstack([factor, priors]))
+        factor = reduce_rows(np.vstack([factor, priors]))
     hold(factor)
     return Information(factor)

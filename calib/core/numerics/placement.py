@@ -34,9 +34,9 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import reduced, reduced_with
+from calib.core.numerics.identifiability import extend_reduced, reduce_rows
 from calib.core.numerics.rigid import cross_matrices, rotations_by
-from calib.core.numerics.tall import in_parts
+from calib.core.numerics.tall import slices
 
 _TURNS = cross_matrices(np.eye(3))  # [e_k]x
 _RANK = 1e-9  # turning of a link below which it tells nothing of its point [rad]
@@ -109,8 +109,8 @@ def place(
     system = _system(points, weights, guess, frame_known)
     noise, search = 0.0, _Search(system, guess.rotation)
     for _ in range(_NOISE_ROUNDS):
-        rotation = guess.rotation if frame_known else search.best(noise)
-        moved = _reduced(system, noise).moved(rotation)
+        rotation = guess.rotation if frame_known else search.best_rotation(noise)
+        moved = _eliminate_translation(system, noise).translation_at(rotation)
         squares = float(np.sum(system.errors(rotation, moved) ** 2))
         estimate = float(np.sqrt(squares / max(3 * len(points) * len(weights) - len(moved) - 6 * (not frame_known), 1)))
         if noise == 0.0 and squares > (rough_beyond * system.weight) ** 2:
@@ -169,7 +169,7 @@ class _System:
 
 def _system(points: Sequence[MovingPoint], weights: FloatArray, guess: pin.SE3, frame_known: bool) -> _System:
     free = np.array([point.sigma > 0 for point in points], dtype=bool)
-    n_free, parts = int(free.sum()), list(in_parts(len(weights)))  # rows of all readings at once take much memory
+    n_free, parts = int(free.sum()), list(slices(len(weights)))  # rows of all readings at once take much memory
     mean = np.zeros((3, n_free + 10))
     if frame_known:
         mean[:, -1] = guess.translation
@@ -181,7 +181,7 @@ def _system(points: Sequence[MovingPoint], weights: FloatArray, guess: pin.SE3, 
     for part in parts:
         rows = np.sqrt(weights[part])[:, None, None] * (_plain_rows(points, free, part) - mean)
         squares += float(np.sum(rows[..., n_free:-1] ** 2))
-        factor = reduced_with(factor, rows.reshape(-1, n_free + 10))
+        factor = extend_reduced(factor, rows.reshape(-1, n_free + 10))
     extent = float(np.sqrt(squares / weights.sum() / len(points) / 3))
     sigma = np.concatenate([point.sigma[point.sigma > 0] for point in points])
     return _System(factor, mean, free, sigma, float(np.sqrt(weights.sum() * len(points))), extent)
@@ -210,12 +210,12 @@ class _Reduced:
     F: FloatArray
     f: FloatArray
 
-    def moved(self, rotation: FloatArray) -> FloatArray:
+    def translation_at(self, rotation: FloatArray) -> FloatArray:
         """Return dp at R (3, 3), (n_free,) [m]."""
         return self.D @ rotation.ravel() - self.d
 
 
-def _reduced(system: _System, noise: float, weak: float = 0.0) -> _Reduced:
+def _eliminate_translation(system: _System, noise: float, weak: float = 0.0) -> _Reduced:
     """Solve for dp, of equally good ones the smallest; `weak` is how much every |dp| counts at least."""
     n_free = len(system.sigma)
     distances = np.zeros((n_free, n_free + 10))
@@ -242,7 +242,7 @@ class _Search:
         self._ends: FloatArray | None = None  # of the first search, without noise, the lowest first
         self._squares: FloatArray = np.zeros(0)
 
-    def best(self, noise: float) -> FloatArray:
+    def best_rotation(self, noise: float) -> FloatArray:
         """Return the rotation, (3, 3), for a noise [m]."""
         rows = self._rows(noise)
         if self._ends is None:
@@ -250,27 +250,27 @@ class _Search:
             ends, squares = _descend(rows, starts)
             order = np.argsort(squares, kind="stable")
             self._ends, self._squares = ends[order], squares[order]
-            return _ended(self._system, noise, self._ends[0])
+            return _finish_descent(self._system, noise, self._ends[0])
         ends, squares = _descend(rows, self._ends[:1])
         others = np.max(np.abs(self._ends - self._ends[0]), axis=(1, 2)) > _SAME
         others &= self._squares <= squares[0]
         if np.any(others):
             more, of_more = _descend(rows, self._ends[others])
             ends, squares = np.concatenate([ends, more]), np.concatenate([squares, of_more])
-        return _ended(self._system, noise, ends[np.argmin(squares)])
+        return _finish_descent(self._system, noise, ends[np.argmin(squares)])
 
     def _rows(self, noise: float) -> FloatArray:
-        """What is to be small, as of `_descend`; distances to all guesses count a little."""
+        """Rows to minimise, in the form of `_descend`; distances to all guesses count a little."""
         system = self._system
-        searched = _reduced(system, noise, _POINT_WEIGHT * system.weight)
+        searched = _eliminate_translation(system, noise, _POINT_WEIGHT * system.weight)
         turn = _TURN_WEIGHT * system.weight * max(system.extent, _SMALLEST)
         near = turn * np.column_stack([np.eye(9), self._guess.ravel()])
-        return reduced(np.vstack([np.column_stack([searched.F, searched.f]), near]))
+        return reduce_rows(np.vstack([np.column_stack([searched.F, searched.f]), near]))
 
 
-def _ended(system: _System, noise: float, rotation: FloatArray) -> FloatArray:
+def _finish_descent(system: _System, noise: float, rotation: FloatArray) -> FloatArray:
     """Return the rotation (3, 3) that a descent ended near, without the distances that count a little."""
-    exact = _reduced(system, noise)
+    exact = _eliminate_translation(system, noise)
     least = _OPEN * system.weight * _SMALLEST
     for _ in range(_LAST_STEPS):
         left, values, right = linalg.svd(_slope(exact.F, rotation), full_matrices=False)

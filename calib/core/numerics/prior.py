@@ -23,7 +23,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArra
 
 @dataclass(frozen=True, eq=False)
 class Prior(ReadOnlyArrays):
-    """What is known of scaled parameters before measuring.
+    """Prior of scaled parameters.
 
     Attributes:
         has: Which of them have a prior, those that are known together included, (n,).
@@ -36,7 +36,7 @@ class Prior(ReadOnlyArrays):
     correlations: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @cached_property
-    def _alone(self) -> IntArray:
+    def _own_prior_parameters(self) -> IntArray:
         """Parameters that have a prior of their own."""
         return np.setdiff1d(np.flatnonzero(self.has), self.together)
 
@@ -62,7 +62,7 @@ class Prior(ReadOnlyArrays):
         """Return P matrix, (n_priors, ...), of a matrix or vector (n, ...)."""
         if not len(self.together):
             return matrix[self.has]
-        return np.concatenate([matrix[self._alone], self._whitening @ matrix[self.together]])
+        return np.concatenate([matrix[self._own_prior_parameters], self._whitening @ matrix[self.together]])
 
     @cached_property
     def rows(self) -> FloatArray:
@@ -76,16 +76,16 @@ class Prior(ReadOnlyArrays):
             pull[self.together] = self._precision @ u[self.together]
         return pull
 
-    def added_to(self, matrix: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
+    def add_to(self, matrix: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
         """Return matrix + P^T P, (n, n), of u over their sizes (n,) if given; the matrix itself is used up."""
         over = np.ones(len(self.has)) if sizes is None else 1.0 / sizes
-        matrix[self._alone, self._alone] += over[self._alone] ** 2
+        matrix[self._own_prior_parameters, self._own_prior_parameters] += over[self._own_prior_parameters] ** 2
         if len(self.together):
             known = over[self.together]
             matrix[np.ix_(self.together, self.together)] += known[:, None] * self._precision * known
         return matrix
 
-    def only(self, chosen: BoolArray | IntArray) -> Prior:
+    def select(self, chosen: BoolArray | IntArray) -> Prior:
         """Return that of some parameters, whatever the others are; a mask (n,), or places (k,)."""
         places = np.arange(len(self.has))[chosen]
         kept = np.flatnonzero(np.isin(places, self.together))
@@ -94,7 +94,7 @@ class Prior(ReadOnlyArrays):
 
     def share(self, rows: FloatArray, squares: FloatArray) -> float:
         """Return |P A|^2 of a matrix A, from its rows `together` (n_together, k) and the squares of all rows (n,)."""
-        share = float(np.sum(squares[self._alone]))
+        share = float(np.sum(squares[self._own_prior_parameters]))
         return share + float(np.sum((self._whitening @ rows) ** 2)) if len(self.together) else share
 
     def cost(self, u: FloatArray) -> float:

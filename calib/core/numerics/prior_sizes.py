@@ -101,7 +101,7 @@ class Products:
     count: IntArray
 
     @staticmethod
-    def of(jacobian: FloatArray, residuals: FloatArray, group: IntArray, n_groups: int) -> Products:
+    def from_rows(jacobian: FloatArray, residuals: FloatArray, group: IntArray, n_groups: int) -> Products:
         """Return those of rows (n_rows, n_free) and residuals (n_rows,), by the group of each row (n_rows,)."""
         n = jacobian.shape[1]
         gram, pull, square = np.zeros((n_groups, n, n)), np.zeros((n_groups, n)), np.zeros(n_groups)
@@ -115,7 +115,9 @@ class Products:
     def of_model(model: LinearModel) -> Products:
         """Return those of the rows of a linear model."""
         counts = model.layout.counts
-        return replace(Products.of(model.jacobian, model.residuals, model.layout.group, len(counts)), count=counts)
+        return replace(
+            Products.from_rows(model.jacobian, model.residuals, model.layout.group, len(counts)), count=counts
+        )
 
     def times(self, scales: FloatArray) -> Products:
         """Return those of rows times the scales of their groups, (n_groups,)."""
@@ -123,11 +125,11 @@ class Products:
         gram, pull = squares[:, None, None] * self.gram, squares[:, None] * self.pull
         return Products(gram, pull, squares * self.square, self.count)
 
-    def resized(self, factor: FloatArray) -> Products:
+    def scale_columns(self, factor: FloatArray) -> Products:
         """Return those of columns times a factor of each, (n_free,)."""
         return Products(factor[:, None] * self.gram * factor, self.pull * factor, self.square, self.count)
 
-    def weighed(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def weigh(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return J^T J (n_free, n_free) and J^T y (n_free,) of all rows over the scales of their groups (n_groups,)."""
         weights = 1.0 / scales**2
         gram = weights[0] * self.gram[0]  # a product of all groups with their weights takes four times as long
@@ -135,7 +137,7 @@ class Products:
             gram += weight * more
         return gram, weights @ self.pull
 
-    def left(self, step: FloatArray) -> FloatArray:
+    def squared_residuals(self, step: FloatArray) -> FloatArray:
         """Return |y + J step|^2 of each group, (n_groups,), for a step (n_free,)."""
         return np.maximum(self.square + 2.0 * self.pull @ step + self.gram @ step @ step, 0.0)
 
@@ -151,7 +153,7 @@ def inverse_root(matrix: FloatArray) -> FloatArray:
     return inverse_of_triangle(upper)
 
 
-def found_with_families(
+def find_noise_with_families(
     products: Products,
     prior: Prior,
     deviations: FloatArray,
@@ -169,7 +171,7 @@ def found_with_families(
 
     Args:
         products: Of the rows, whitened by what is stated.
-        prior, deviations: As of `LinearModel`.
+        prior, deviations: Prior of the columns, and u at the rows, (n_free,).
         sought: Which groups' scales are to be found, (n_groups,).
         family: Family of each parameter, -1 for none, (n_free,).
         start: Scales of the groups to start from, (n_groups,).
@@ -182,10 +184,10 @@ def found_with_families(
     alone = int(np.sum(products.count > 0)) == 1
     for _ in range(_ROUNDS):
         factor = np.append(sizes, 1.0)[family]  # everything else is over these
-        gram, pull = products.weighed(scales)
-        root = inverse_root(prior.added_to(gram, factor))
+        gram, pull = products.weigh(scales)
+        root = inverse_root(prior.add_to(gram, factor))
         step = -root @ (root.T @ (pull + prior.pull(deviations / factor) / factor))
-        reached, left = (deviations + step) / factor, products.left(step)
+        reached, left = (deviations + step) / factor, products.squared_residuals(step)
         variances = np.einsum("ij,ij->i", root, root) / factor**2
         inverse = None if alone else root @ root.T
         change = np.ones(len(start))

@@ -31,7 +31,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
 
-_TOLD = 1e-3  # singular values below this part of the largest tell nothing
+_DETERMINED = 1e-3  # singular values below this part of the largest tell nothing
 _SMALLEST = 1e-9  # length below which there is none [m]
 _AS_GOOD = 2.0  # misses within this factor of the smallest do not tell mirror images apart
 
@@ -76,12 +76,12 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
     q = points - middle
     squares = np.sum(q**2, axis=1) - lengths**2
     left, values, right = linalg.svd(2.0 * q, full_matrices=False)
-    n_told = int(np.sum(values > max(_TOLD * values[0], _SMALLEST)))
-    along = (left.T @ (squares - squares.mean()))[:n_told] / values[:n_told]
+    n_determined = int(np.sum(values > max(_DETERMINED * values[0], _SMALLEST)))
+    along = (left.T @ (squares - squares.mean()))[:n_determined] / values[:n_determined]
     candidates = []
-    for kept in sorted({n_told, min(n_told, 2)}):
+    for kept in sorted({n_determined, min(n_determined, 2)}):
         inside = right[:kept].T @ along[:kept]
-        away = _across(right[:kept], near - middle, -float(squares.mean()) - float(inside @ inside))
+        away = _perpendicular_vector(right[:kept], near - middle, -float(squares.mean()) - float(inside @ inside))
         candidates += [middle + inside] if kept == 3 else [middle + inside + away, middle + inside - away]
     misses = [float(np.linalg.norm(np.linalg.norm(points - candidate, axis=1) - lengths)) for candidate in candidates]
     good = [
@@ -92,8 +92,8 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
     return min(good, key=lambda candidate: float(np.linalg.norm(candidate - near)))
 
 
-def _across(directions: FloatArray, near: FloatArray, square: float) -> FloatArray:
-    """The vector across told directions (k, 3) that has this squared length and points where `near` (3,) is."""
+def _perpendicular_vector(directions: FloatArray, near: FloatArray, square: float) -> FloatArray:
+    """The vector across determined directions (k, 3) that has this squared length and points where `near` (3,) is."""
     across = near - directions.T @ (directions @ near)
     if len(directions) == 2:
         across = np.cross(directions[0], directions[1]) * (
@@ -118,7 +118,7 @@ def common_offset(points: FloatArray, distances: FloatArray, near: FloatArray, o
     columns = 2.0 * np.column_stack([q, distances.mean() - distances])
     squares = np.sum(q**2, axis=1) - distances**2
     guess = np.append(near - middle, offset)
-    change = linalg.lstsq(columns, squares - squares.mean() - columns @ guess, rcond=_TOLD)
+    change = linalg.lstsq(columns, squares - squares.mean() - columns @ guess, rcond=_DETERMINED)
     return offset + float(change[3])
 
 
@@ -128,5 +128,5 @@ def centre_of_sphere(points: FloatArray, near: FloatArray) -> tuple[FloatArray, 
     q = points - middle
     squares = np.sum(q**2, axis=1)
     columns, guess = 2.0 * q, near - middle
-    x = guess + linalg.lstsq(columns, squares - squares.mean() - columns @ guess, rcond=_TOLD)
+    x = guess + linalg.lstsq(columns, squares - squares.mean() - columns @ guess, rcond=_DETERMINED)
     return middle + x, float(np.sqrt(x @ x + squares.mean()))

@@ -57,10 +57,10 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: Bo
         start: Logarithms of the sizes to begin with, (n_sizes,); by the module docstring if not given.
         zero: Sizes that are held at their bound, (n_sizes,); none if not given.
     """
-    bounds = _Bounds.of(model)
+    bounds = _Bounds.from_model(model)
     none = np.zeros(len(bounds.least), dtype=bool) if zero is None else zero
     begin = np.clip(bounds.first if start is None else start, bounds.least, None)
-    at = model.solved(np.where(none, bounds.least, begin))
+    at = model.solve(np.where(none, bounds.least, begin))
     damping = 1e-3
     for _ in range(_ROUNDS):
         gradient = at.gradient + _slope(at)
@@ -68,7 +68,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: Bo
         if not np.any(free) or np.max(np.abs(gradient[free])) < _STANDS / 2.0:
             break
         information = at.information + np.diag(_curvature(at))
-        better, damping = _better(at, gradient, information, free, bounds, damping)
+        better, damping = _try_step(at, gradient, information, free, bounds, damping)
         if better is None:
             break
         gain = _cost(at) - _cost(better)
@@ -77,7 +77,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: Bo
             break
         damping *= 0.3
     falling = (at.gradient + _slope(at) > 0.0) & (at.logs < bounds.first + np.log(_SMALL))
-    without = model.solved(np.where(falling, bounds.least, at.logs))
+    without = model.solve(np.where(falling, bounds.least, at.logs))
     return without if np.any(falling) and _cost(without) <= _cost(at) else at
 
 
@@ -92,7 +92,7 @@ def scatter_beside_noise(at: SolvedModel) -> float:
 
     counts what noise has to do with it. It is d^2 where noise is stated, and where rows tell the two apart well.
     """
-    bounds, square = _Bounds.of(at.model), float(np.exp(2.0 * at.logs[-1]))
+    bounds, square = _Bounds.from_model(at.model), float(np.exp(2.0 * at.logs[-1]))
     squares = 2.0 * np.exp(2.0 * at.logs)
     known = at.information / np.outer(squares, squares) + np.diag(np.exp(-4.0 * bounds.most))
     confused = _mean_beyond(square, np.linalg.inv(known)[-1, -1]) - _mean_beyond(square, 1.0 / known[-1, -1])
@@ -106,7 +106,7 @@ def _mean_beyond(value: float, variance: float) -> float:
     return std * float(np.exp(-0.5 * (value / std) ** 2) / np.sqrt(2.0 * np.pi) / scipy.special.ndtr(value / std))
 
 
-def _better(
+def _try_step(
     at: SolvedModel, gradient: FloatArray, information: FloatArray, free: BoolArray, bounds: _Bounds, damping: float
 ) -> tuple[SolvedModel | None, float]:
     """Where a step leads that lowers the cost, and its damping; None if none does."""
@@ -116,14 +116,14 @@ def _better(
         damped = inner + np.diag(damping * np.diag(inner) + 5e-3)
         step[free] = -np.linalg.solve(damped, gradient[free])
         logs = np.clip(at.logs + np.clip(step, -_STEP, _STEP), bounds.least, bounds.most)
-        tried = at.model.solved(logs)
+        tried = at.model.solve(logs)
         if _cost(tried) < _cost(at):
             return tried, damping
         damping = max(6.0 * damping, 1e-2)
     return None, damping
 
 
-def drawn_sizes(at: SolvedModel, n: int, rng: np.random.Generator) -> FloatArray:
+def draw_sizes(at: SolvedModel, n: int, rng: np.random.Generator) -> FloatArray:
     """Return logarithms of sizes that the rows do not exclude, (n, n_sizes): draws of the module docstring.
 
     Args:
@@ -133,13 +133,13 @@ def drawn_sizes(at: SolvedModel, n: int, rng: np.random.Generator) -> FloatArray
     """
     lower = np.linalg.cholesky(information_by_size(at))
     steps = scipy.linalg.solve_triangular(lower.T, rng.standard_normal((len(at.logs), n)), lower=False).T
-    bounds = _Bounds.of(at.model)
+    bounds = _Bounds.from_model(at.model)
     return np.clip(np.log(np.abs(np.exp(at.logs) + steps) + 1e-300), bounds.least, bounds.most)
 
 
 def least_sizes(model: MixedModel) -> FloatArray:
     """Return logarithms of sizes that are as good as zero, (n_sizes,)."""
-    return _Bounds.of(model).least
+    return _Bounds.from_model(model).least
 
 
 def information_by_size(at: SolvedModel) -> FloatArray:
@@ -148,7 +148,7 @@ def information_by_size(at: SolvedModel) -> FloatArray:
     information = at.information / np.outer(sizes, sizes)
     more = np.maximum(at.gradient, 0.0) / sizes**2
     more[:n] += 2.0 / (1.0 + sizes[:n] ** 2) ** 2
-    more[n:] += np.exp(-2.0 * _Bounds.of(at.model).most[n:])
+    more[n:] += np.exp(-2.0 * _Bounds.from_model(at.model).most[n:])
     return information + np.diag(more)
 
 
@@ -165,10 +165,10 @@ class _Bounds(ReadOnlyArrays):
     most: FloatArray
 
     @staticmethod
-    def of(model: MixedModel) -> _Bounds:
+    def from_model(model: MixedModel) -> _Bounds:
         flat = model.x[:, model.family == FLAT]
         left = model.y - flat @ linalg.lstsq(flat, model.y) if flat.shape[1] else model.y
-        squares = [float(np.mean(left[model.rows.group == g] ** 2)) for g in model.unstated]
+        squares = [float(np.mean(left[model.rows.group == g] ** 2)) for g in model.unstated_groups]
         if model.scatters:
             squares.append(float(np.mean(left**2)) / max(float(np.mean(model.spread)), _NOTHING))
         most = 0.5 * np.log(np.array(squares) + _NOTHING)

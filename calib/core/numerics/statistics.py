@@ -26,7 +26,7 @@ A robust loss changes what a residual tells: see `calib.core.fitting.robust`, wh
 
 What readings see of a direction that only a prior holds bends with it: `calib.core.fitting.curvature` says what that
 adds to the variance in intervals. It is no part of C, nor of std; it takes longer than all the rest, so that it is
-computed when intervals are first asked for.
+computed with the first intervals.
 
 Intervals are value +- t std, widened as said, with Student's t at 97.5 % and the degrees of freedom above, because the
 noise is found from the same residuals; with those of the scatter of poses, where that counts and they are fewer. The
@@ -56,7 +56,7 @@ from calib.core.numerics.chances import UNLIKELY
 from calib.core.numerics.clusters import Scatter
 from calib.core.numerics.observability import Information
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.tall import Span, in_parts, squares_of_rows
+from calib.core.numerics.tall import Span, slices, squares_of_rows
 from calib.core.numerics.variance_components import require_freedom
 
 DECIDED_BY_DATA = 0.9
@@ -69,7 +69,7 @@ _ENOUGH = 0.5  # degrees of freedom of a group below which its own rows say noth
 
 @dataclass(frozen=True, eq=False)
 class Factors(ReadOnlyArrays):
-    """What the residuals say about the assumed noise.
+    """Factors by which the assumed noise is off, by the residuals.
 
     Attributes:
         values: f of each group of rows, (n_groups,).
@@ -91,7 +91,7 @@ class Factors(ReadOnlyArrays):
 
 
 class BeyondLinear:
-    """Mean square of what parameters are off beyond the linear model, computed when it is first asked for.
+    """Mean square of what parameters are off beyond the linear model, computed at first use.
 
     Args:
         compute: Returns it, (n_free,) [m^2, rad^2].
@@ -108,10 +108,10 @@ class BeyondLinear:
         return values
 
     def __reduce__(self) -> tuple[Any, ...]:  # what it is computed from would go to other processes, too
-        return _beyond_linear_of, (self.values,)
+        return _excess_from, (self.values,)
 
 
-def _beyond_linear_of(values: FloatArray) -> BeyondLinear:
+def _excess_from(values: FloatArray) -> BeyondLinear:
     return BeyondLinear(lambda: values)
 
 
@@ -150,21 +150,21 @@ class Statistics(ReadOnlyArrays):
         return half
 
     @property
-    def shared(self) -> Scatter | None:
+    def shared_scatter(self) -> Scatter | None:
         """How poses scatter, where that is by more than independent readings would; else None."""
-        return _beyond_chance(self.poses)
+        return _scatter_beyond_chance(self.poses)
 
     @property
     def interval_freedom(self) -> float:
         """Degrees of freedom of the intervals."""
-        return self.freedom if self.shared is None else min(self.freedom, self.shared.freedom)
+        return self.freedom if self.shared_scatter is None else min(self.freedom, self.shared_scatter.freedom)
 
     @property
     def coverage_factor(self) -> float:
         """How many standard deviations make half a 95 % interval."""
         return float(scipy.special.stdtrit(self.interval_freedom, 0.975))
 
-    def widened(self, factor: float) -> Statistics:
+    def widen(self, factor: float) -> Statistics:
         """Return them with deviations and intervals so many times as wide; see `calib.core.fitting.regions`."""
         return replace(self, std=factor * self.std, wider=factor * self.wider)
 
@@ -181,7 +181,7 @@ class Statistics(ReadOnlyArrays):
         return np.clip(unit, -1.0, 1.0)
 
 
-def _beyond_chance(poses: Scatter | None) -> Scatter | None:
+def _scatter_beyond_chance(poses: Scatter | None) -> Scatter | None:
     return poses if poses is not None and poses.ratio > 1.0 and poses.chance < UNLIKELY else None
 
 
@@ -259,7 +259,7 @@ def effective_parameters(known: Information, prior: Prior) -> float:
     return float(known.root.shape[1] - np.trace(prior_shares(known, prior)))
 
 
-def found_factors(
+def find_factors(
     residuals: FloatArray,
     span: FloatArray | Span,
     groups: IntArray,
@@ -316,13 +316,13 @@ def statistics(
     root = known.root
     share = prior_shares(known, prior)
     core = share.copy()  # with a robust loss J counts times the root of the slope in T, and in the scatter
-    shared = _beyond_chance(poses)
+    shared = _scatter_beyond_chance(poses)
     if shared is not None:
         core += shared.core
     elif len(factors.effective) == 1:  # what the priors have no share in is of these rows
         core += factors.slope * factors.effective[0] ** 2 * (np.eye(len(share)) - share)
     else:
-        for part in in_parts(len(span)):
+        for part in slices(len(span)):
             pulled, number = span[part], groups[part]
             for group, factor in enumerate(factors.effective):
                 own = pulled[number == group]

@@ -47,7 +47,7 @@ class Span:
             known = (some.reshape(-1, some.shape[-1]) @ self.root).reshape(*some.shape[:-1], self.root.shape[1])
         return known if self.more is None else np.concatenate([known, self.more[rows]], axis=-1)
 
-    def beside(self, more: FloatArray) -> Span:
+    def with_columns(self, more: FloatArray) -> Span:
         """Return it with further columns, (n_rows, n_more)."""
         return Span(self.jacobian, self.root, more if self.more is None else np.hstack([self.more, more]))
 
@@ -57,13 +57,13 @@ class Span:
         known = self.jacobian @ (self.root @ columns[:n])
         return np.asarray(known if self.more is None else known + self.more @ columns[n:])
 
-    def pulled(self, columns: FloatArray) -> FloatArray:
+    def transposed_product(self, columns: FloatArray) -> FloatArray:
         """Return U^T times columns (n_rows, ...), (k, ...)."""
         known = self.root.T @ (self.jacobian.T @ columns)
         return known if self.more is None else np.concatenate([known, self.more.T @ columns])
 
 
-def in_parts(n_rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
+def slices(n_rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
     """Yield which rows to look at together, one part after another; none of no rows."""
     return (slice(start, min(start + at_once, n_rows)) for start in range(0, n_rows, at_once))
 
@@ -71,7 +71,7 @@ def in_parts(n_rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
 def squares_of_rows(matrix: FloatArray | Span) -> FloatArray:
     """Return the sum of the squares of each row, (n_rows,)."""
     result = np.empty(len(matrix))
-    for part in in_parts(len(matrix)):
+    for part in slices(len(matrix)):
         rows = matrix[part]
         result[part] = np.einsum("ij,ij->i", rows, rows)
     return result

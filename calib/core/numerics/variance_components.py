@@ -35,7 +35,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, UNLIKELY
-from calib.core.numerics.identifiability import reduced
+from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.linear_model import LinearModel
 
 _ROUNDS = 60
@@ -66,45 +66,45 @@ class SharedError:
         _, self._block, counts = np.unique(block[self._order], return_inverse=True, return_counts=True)
         self._place = np.arange(len(block)) - np.repeat(np.cumsum(counts) - counts, counts)
         self._shape = len(counts), int(counts.max())
-        self._columns = self._packed(columns)
+        self._columns = self._pack(columns)
         self._left, self._values, self._right = linalg.svd(self._columns, full_matrices=False)
 
-    def _packed(self, rows: FloatArray) -> FloatArray:
+    def _pack(self, rows: FloatArray) -> FloatArray:
         """Rows block by block, filled up with zeros, (n_blocks, most rows, k)."""
         packed = np.zeros((*self._shape, rows.shape[1]))
         packed[self._block, self._place] = rows[self._order]
         return packed
 
-    def _unpacked(self, packed: FloatArray) -> FloatArray:
+    def _unpack(self, packed: FloatArray) -> FloatArray:
         result = np.empty((len(self._order), packed.shape[2]))
         result[self._order] = packed[self._block, self._place]
         return result
 
     def whiten(self, rows: FloatArray) -> FloatArray:
         """Return (I + C C^T)^(-1/2) rows, (n_rows,) or (n_rows, k)."""
-        return self._stretched(rows, 1.0 / np.sqrt(1.0 + self._values**2))
+        return self._stretch(rows, 1.0 / np.sqrt(1.0 + self._values**2))
 
     def unwhiten(self, rows: FloatArray) -> FloatArray:
         """Return (I + C C^T)^(1/2) rows, (n_rows,) or (n_rows, k): the way back."""
-        return self._stretched(rows, np.sqrt(1.0 + self._values**2))
+        return self._stretch(rows, np.sqrt(1.0 + self._values**2))
 
-    def _stretched(self, rows: FloatArray, factors: FloatArray) -> FloatArray:
+    def _stretch(self, rows: FloatArray, factors: FloatArray) -> FloatArray:
         """Return rows times a factor along each direction of C in a block, (n_blocks, k)."""
-        packed = self._packed(rows[:, None] if rows.ndim == 1 else rows)
+        packed = self._pack(rows[:, None] if rows.ndim == 1 else rows)
         along = np.matmul(self._left.transpose(0, 2, 1), packed)
         packed += np.matmul(self._left, (factors - 1.0)[:, :, None] * along)
-        result = self._unpacked(packed)
+        result = self._unpack(packed)
         return result[:, 0] if rows.ndim == 1 else result
 
     def diagonal(self) -> FloatArray:
         """Return the diagonal of (I + C C^T)^-1, (n_rows,)."""
         loss = self._values**2 / (1.0 + self._values**2)
         kept = 1.0 - np.sum(self._left**2 * loss[:, None, :], axis=2)
-        return self._unpacked(kept[:, :, None])[:, 0]
+        return self._unpack(kept[:, :, None])[:, 0]
 
-    def felt(self, rows: FloatArray) -> FloatArray:
+    def joint_errors(self, rows: FloatArray) -> FloatArray:
         """Return C^T rows, block by block, (n_blocks, n_joints, k), from (n_rows, k)."""
-        return np.matmul(self._columns.transpose(0, 2, 1), self._packed(rows))
+        return np.matmul(self._columns.transpose(0, 2, 1), self._pack(rows))
 
     def traces(self) -> FloatArray:
         """Return the diagonal of the sum over blocks of C^T (I + C C^T)^-1 C, (n_joints,)."""
@@ -117,7 +117,7 @@ class SharedError:
 
     def variances(self) -> FloatArray:
         """Return the diagonal of I + C C^T, (n_rows,)."""
-        return 1.0 + self._unpacked(np.sum(self._columns**2, axis=2, keepdims=True))[:, 0]
+        return 1.0 + self._unpack(np.sum(self._columns**2, axis=2, keepdims=True))[:, 0]
 
     def log_determinant(self) -> float:
         """Return log det (I + C C^T)."""
@@ -126,7 +126,7 @@ class SharedError:
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """What was found.
+    """Variance components that were estimated.
 
     Attributes:
         scales: s_g, (n_groups,).
@@ -139,7 +139,7 @@ class Components:
     log_likelihood: float
 
 
-def found_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Components:
+def find_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Components:
     """Find the scales without a shared error.
 
     Only the triangular factor of each group's rows is needed, so that a round costs next to nothing.
@@ -154,7 +154,7 @@ def found_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Co
     """
     members, counts = [model.layout.group == g for g in range(len(start))], model.layout.counts
     parts = [slice(None) if np.all(rows) else rows for rows in members]  # a slice copies nothing
-    factors = [reduced(model.jacobian[rows], model.residuals[rows]) for rows in parts]
+    factors = [reduce_rows(model.jacobian[rows], model.residuals[rows]) for rows in parts]
     scales = start.copy()
 
     def scaled() -> LinearModel:
@@ -163,7 +163,7 @@ def found_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Co
 
     for _ in range(_ROUNDS):
         now = scaled()
-        known, step = now.known, now.step()
+        known, step = now.posterior_information, now.step()
         change = np.ones(len(start))
         for g in map(int, np.flatnonzero(sought & (counts > 0))):
             factor = factors[g] / scales[g]
@@ -179,10 +179,10 @@ def found_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Co
     step = now.step()
     cost = float(np.sum((now.jacobian @ step + now.residuals) ** 2)) + _prior_cost(model, step)
     determinant = 2.0 * float(np.sum(counts * np.log(scales)))
-    return Components(scales, np.zeros(0), -0.5 * (determinant + now.known.log_determinant + cost))
+    return Components(scales, np.zeros(0), -0.5 * (determinant + now.posterior_information.log_determinant + cost))
 
 
-def found_components(
+def find_components(
     model: LinearModel,
     start: FloatArray,
     sought: BoolArray,
@@ -207,7 +207,7 @@ def found_components(
     if np.any(known > 0):
         without = _with_shared(model, start, sought, known, columns, block)
     else:
-        without = replace(found_scales(model, start, sought), shared=known)
+        without = replace(find_scales(model, start, sought), shared=known)
     if np.all(without.scales[sought] < EXACT) and np.any(sought):
         return without
     read = model.layout.group >= 0
@@ -234,12 +234,12 @@ def _rise(model: LinearModel, components: Components, columns: FloatArray, new: 
     shared = SharedError(columns * components.shared / divisor[:, None], block)
     n_free = model.jacobian.shape[1]
     white = shared.whiten(np.hstack([model.jacobian, model.residuals[:, None], columns[:, new]]) / divisor[:, None])
-    known, step = _solved_fast(model, white[:, : n_free + 1])
+    known, step = _solve_by_cholesky(model, white[:, : n_free + 1])
     tried = SharedError(white[:, n_free + 1 :], block)
-    felt = np.sum(tried.felt((white[:, :n_free] @ step + white[:, n_free])[:, None]) ** 2, axis=(0, 2))
+    squares = np.sum(tried.joint_errors((white[:, :n_free] @ step + white[:, n_free])[:, None]) ** 2, axis=(0, 2))
     sizes = tried.squares()
-    traced = np.sum(sizes, axis=0) - np.sum(tried.felt(white[:, :n_free] @ known.root) ** 2, axis=(0, 2))
-    scores = (felt - traced) / np.sqrt(2.0 * np.sum(sizes**2, axis=0))
+    traced = np.sum(sizes, axis=0) - np.sum(tried.joint_errors(white[:, :n_free] @ known.root) ** 2, axis=(0, 2))
+    scores = (squares - traced) / np.sqrt(2.0 * np.sum(sizes**2, axis=0))
     return float(np.sum(np.maximum(scores, 0.0) ** 2))
 
 
@@ -255,7 +255,7 @@ def _with_shared(
         shared = SharedError(columns * tau / divisor[:, None], block)
         rows, residuals = model.jacobian / divisor[:, None], model.residuals / divisor
         white = shared.whiten(np.hstack([rows, residuals[:, None]]))
-        known, step = _solved_fast(model, white)
+        known, step = _solve_by_cholesky(model, white)
         cost = float(np.sum((white[:, :-1] @ step + white[:, -1]) ** 2)) + _prior_cost(model, step)
         determinant = 2.0 * float(np.sum(np.log(divisor[read]))) + shared.log_determinant()
         likelihood = -0.5 * (determinant + known.log_determinant + cost)
@@ -264,9 +264,9 @@ def _with_shared(
         squares = np.bincount(number[read], left[read] ** 2, n_groups)
         freedom = np.bincount(number[read], (shared.diagonal() - np.sum(pulled**2, axis=1))[read], n_groups)
         change = np.where(sought & (freedom > 0.5), np.sqrt(squares / np.maximum(freedom, 0.5)), 1.0)
-        traced = shared.traces() - np.sum(shared.felt(pulled) ** 2, axis=(0, 2))
-        felt = np.sum(shared.felt(left[:, None]) ** 2, axis=(0, 2))
-        growth = np.where((tau > 0) & (traced > 0), np.sqrt(felt / np.maximum(traced, 1e-300)), 1.0)
+        traced = shared.traces() - np.sum(shared.joint_errors(pulled) ** 2, axis=(0, 2))
+        shared_squares = np.sum(shared.joint_errors(left[:, None]) ** 2, axis=(0, 2))
+        growth = np.where((tau > 0) & (traced > 0), np.sqrt(shared_squares / np.maximum(traced, 1e-300)), 1.0)
         gone = (growth < 1.0) & (np.sum(shared.squares(), axis=0) < _GONE**2 * len(block))
         growth = np.where(gone, 1.0, growth)
         scales, tau = np.maximum(scales * change, EXACT / 10), np.where(gone, 0.0, tau * growth)
@@ -283,9 +283,9 @@ class _Root:
     log_determinant: float
 
 
-def _solved_fast(model: LinearModel, rows: FloatArray) -> tuple[_Root, FloatArray]:
-    """What rows [J y] and the priors determine, by Cholesky's factors, which do for finding noise, and the step."""
-    matrix = model.prior.added_to(rows[:, :-1].T @ rows[:, :-1])
+def _solve_by_cholesky(model: LinearModel, rows: FloatArray) -> tuple[_Root, FloatArray]:
+    """Root of the covariance of rows [J y] and priors, by Cholesky's factors, which suffice here, and the step."""
+    matrix = model.prior.add_to(rows[:, :-1].T @ rows[:, :-1])
     lower = np.linalg.cholesky(matrix)
     root = scipy.linalg.solve_triangular(lower, np.eye(len(matrix)), lower=True).T
     pull = rows[:, :-1].T @ rows[:, -1] + model.prior.pull(model.deviations)

@@ -8,7 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
-from calib.core.base.words import as_data, counted, listed, plain_text, text_table
+from calib.core.base.words import as_data, count_noun, listing, plain_text, text_table
 from calib.core.fitting.error_sets import error_table
 from calib.core.judging.acceptance import Acceptance
 from calib.core.judging.promise import POWER, Change
@@ -17,7 +17,7 @@ from calib.core.numerics.chances import FALSE_ALARM
 
 _SHOWN, _WIDTH = 5, 120  # changes; characters of a line
 _LARGEST = 1.0  # detectable size from which no linear model can look for a change [m or rad]
-_SAID = {
+_SENTENCES = {
     "agrees": "AGREES: the robot is as accurate as its calibration claims",
     "drifted": "DRIFTED: one change of the robot explains the readings",
     "noisier": "NOISIER: readings of one pose scatter more than expected, which no calibration can correct",
@@ -36,15 +36,16 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
         missing: What they lack.
     """
     data = acceptance.errors.data
-    parts: list[str | Table] = [_SAID[acceptance.verdict], *_errors(acceptance), *_drift(acceptance)]
-    if acceptance.again:
+    parts: list[str | Table] = [_SENTENCES[acceptance.verdict], *_errors(acceptance), *_drift(acceptance)]
+    if acceptance.repeated_visits:
         parts.append(
-            f"To settle it, measure {counted(len(acceptance.again), 'pose')} of the calibration again:"
-            f" {listed(acceptance.again, ', ', len(acceptance.again))}. A difference at these poses is a change of"
+            f"To settle it, measure {count_noun(len(acceptance.repeated_visits), 'pose')} of the calibration again:"
+            f" {listing(acceptance.repeated_visits, ', ', len(acceptance.repeated_visits))}. A difference at these"
+            f" poses is a change of"
             " the robot"
         )
     if acceptance.outliers:
-        parts.append(f"Left out, further off than noise explains: {listed(acceptance.outliers, '; ')}")
+        parts.append(f"Left out, further off than noise explains: {listing(acceptance.outliers, '; ')}")
     parts += ["", _heading(acceptance.changes), _changes(acceptance.changes)]
     if figures:
         parts += [
@@ -52,7 +53,7 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
             "ISO 9283 with 95 % intervals; commanded is what the calibrated robot predicts",
             _iso_table(figures),
         ]
-    lines = [_said_of_placing(acceptance), *missing] if figures and acceptance.placed else missing
+    lines = [_placing_sentence(acceptance), *missing] if figures and acceptance.placed else missing
     parts += [f"ISO 9283: {'; '.join(lines)}"] if lines else []
     stated = conditions(data.comments)
     parts += [f"{key}: {stated[key]}" for key in CONDITIONS if key in stated]
@@ -61,7 +62,7 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
 
 def plan_report(changes: Sequence[Change], data: str, n: int) -> str:
     """Return the smallest changes that n poses of a file will show as text."""
-    title = f"Smallest changes that {counted(n, 'pose')} of {data} show with a chance of {100 * POWER:.0f} %"
+    title = f"Smallest changes that {count_noun(n, 'pose')} of {data} show with a chance of {100 * POWER:.0f} %"
     return plain_text([title, _changes(changes, with_values=False)], _WIDTH, wrap=True).rstrip()
 
 
@@ -86,11 +87,11 @@ def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Seque
             "promised_limit_mm": millimetres(acceptance.limit),
             "coverage_factor": acceptance.coverage_factor,
             "unlike_poses": acceptance.unlike,
-            "measure_again": list(acceptance.again),
+            "measure_again": list(acceptance.repeated_visits),
             "errors": error_table(
                 acceptance.errors.errors("after", acceptance.errors.main_part.name), acceptance.errors.main_part
             ),
-            "alike": list(acceptance.alike),
+            "alike": list(acceptance.like_before),
             "outliers": list(acceptance.outliers),
             "changes": changes_as_data(acceptance.changes),
             "iso9283": [
@@ -127,7 +128,7 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
 
 
 def _errors(acceptance: Acceptance) -> list[str]:
-    """What was measured beside what was expected: the ratio that decides, and the same in millimetres."""
+    """Measured over expected errors: the ratio that decides, and both in millimetres."""
     lines = [
         f"Residuals are {acceptance.ratio:.3f} times as large as expected, each direction weighted by its uncertainty."
         f" If the robot is unchanged, that is between {acceptance.low95:.2f} and {acceptance.high95:.2f} in 95 of 100"
@@ -146,7 +147,7 @@ def _errors(acceptance: Acceptance) -> list[str]:
         promised, left_open = millimetres(acceptance.promised), millimetres(acceptance.left_open)
         noise = float(np.sqrt(max(promised**2 - left_open**2, 0.0)))
         lines.append(
-            f"Position errors over {counted(data.n_poses, 'pose')}: {rms:.4f} mm RMS,"
+            f"Position errors over {count_noun(data.n_poses, 'pose')}: {rms:.4f} mm RMS,"
             f" {table['max']:.4f} mm at worst; expected: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
             f" uncertainty of the calibration {left_open:.4f} mm), at most {millimetres(acceptance.limit):.4f} mm"
         )
@@ -173,17 +174,17 @@ def _drift(acceptance: Acceptance) -> list[str]:
     if acceptance.verdict != "drifted":
         rest = f"the rest has p = {acceptance.p_rest:.2g}"
         return [f"A change of {first.name} by {size} does not explain the readings: {rest}"]
-    others = [name for name in acceptance.alike if name != first.name]
+    others = [name for name in acceptance.like_before if name != first.name]
     chances = f"p = {acceptance.p_drift:.2g}, the rest {acceptance.p_rest:.2g}"
     lines = [f"{first.name} has changed by {size}, {interval}; {chances}"]
     if acceptance.ratio <= acceptance.high95:
         lines.append("Residuals are no larger than chance explains, but what they have in common is this change")
     if others:
-        lines.append(f"These readings cannot tell it from a change of {listed(others)}")
+        lines.append(f"These readings cannot tell it from a change of {listing(others)}")
     return lines
 
 
-def _said_of_placing(acceptance: Acceptance) -> str:
+def _placing_sentence(acceptance: Acceptance) -> str:
     return (
         f"base and targets were placed by these readings, so AP has {acceptance.placed} degrees of freedom less;"
         " with --same-setup it has all"
@@ -192,7 +193,7 @@ def _said_of_placing(acceptance: Acceptance) -> str:
 
 def _heading(changes: Sequence[Change]) -> str:
     n = sum(change.significant for change in changes)
-    which = f"{counted(n, 'is', 'are')} significant" if n else "none is significant"
+    which = f"{count_noun(n, 'is', 'are')} significant" if n else "none is significant"
     return f"Changes that were looked for, by size over standard deviation; {which}"
 
 

@@ -37,7 +37,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.parameter import Parameter, index_of
-from calib.core.base.words import counted, distinct_names
+from calib.core.base.words import count_noun, distinct_names
 from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import HARDLY
@@ -57,7 +57,7 @@ _ERRORS = {
 
 @dataclass(frozen=True, eq=False)
 class _Result:
-    """What is compared of a result: its name, and what its folder gives."""
+    """The compared parts of a result: its name, and the content of its folder."""
 
     name: str
     loaded: LoadedResult
@@ -95,7 +95,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
         DataError: A folder holds no result, or one of another robot.
     """
     if len(results) < 2:
-        raise InputError(f"{counted(len(results), 'result')} given; give two or more to compare")
+        raise InputError(f"{count_noun(len(results), 'result')} given; give two or more to compare")
     for given in results:
         if not isinstance(given, (Fit, Path, str)):
             raise InputError(
@@ -105,7 +105,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     folders = [Path(result).resolve() for result in results if not isinstance(result, Fit)]
     if len(set(folders)) < len(folders):
         raise InputError("a result folder is given twice; give each once")
-    loaded = [_read(result, f"fit {k + 1}") for k, result in enumerate(results)]
+    loaded = [_read_result(result, f"fit {k + 1}") for k, result in enumerate(results)]
     for result in loaded[1:]:
         if geometry(result.loaded.robot) != geometry(loaded[0].loaded.robot):
             raise DataError(f"{result.name}: is the result of another robot than {loaded[0].name}; their URDFs differ")
@@ -116,7 +116,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     ]
     pairs = list(combinations(loaded, 2))
     notes = [note for first, other in pairs for note in _notes(first, other)]
-    tested = [_tested(first, other) for first, other in pairs]
+    tested = [_p_values(first, other) for first, other in pairs]
     names = list(dict.fromkeys(name for result in loaded for name in (p.name for p in result.loaded.robot.parameters)))
     raw = np.array([[p_values.get(name, np.nan) for name in names] for p_values, _ in tested])
     corrected = holm(raw.ravel()).reshape(raw.shape)
@@ -179,7 +179,7 @@ def difference_covariance(first: FloatArray, second: FloatArray, precision: Floa
     return first + second - shared - shared.T
 
 
-def _read(result: Fit | Path | str, name: str) -> _Result:
+def _read_result(result: Fit | Path | str, name: str) -> _Result:
     if not isinstance(result, Fit):
         return _Result(str(result), load_result(result, failed_too=True))
     loaded = LoadedResult(name, result.nominal, result.robot, to_dict(result), {})
@@ -199,7 +199,7 @@ def _why_not(first: _Result, other: _Result) -> str:
         return f"the fit of {' and '.join(failed)} failed"
     used = [result.readings.get("identification", {}).keys() for result in (first, other)]
     shared = len(used[0] & used[1])
-    return f"both used the same {counted(shared, 'reading')}" if shared else ""
+    return f"both used the same {count_noun(shared, 'reading')}" if shared else ""
 
 
 def _notes(first: _Result, other: _Result) -> list[str]:
@@ -211,19 +211,21 @@ def _notes(first: _Result, other: _Result) -> list[str]:
     only = sorted(set(first.free) ^ set(other.free))
     if only:
         notes.append(
-            f"{pair}: {counted(len(only), 'parameter')} free in one alone ({only[0]}); this may make others differ."
+            f"{pair}: {count_noun(len(only), 'parameter')} free in one alone ({only[0]}); this may make others differ."
         )
     if "CHECK" in {result.grade for result in (first, other)}:
         notes.append(f"{pair}: a verdict is CHECK; where errors are systematic, too many differences count as real.")
     return notes
 
 
-def _tested(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
+def _p_values(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
     """p-values by name, not corrected, and that of all together."""
     common = [name for name in first.free if name in other.free]
     if _why_not(first, other) or not common:
         return {}, np.nan
-    (value_a, cov_a, sigma_a), (value_b, cov_b, sigma_b) = (_of_common(result, common) for result in (first, other))
+    (value_a, cov_a, sigma_a), (value_b, cov_b, sigma_b) = (
+        _common_parameters(result, common) for result in (first, other)
+    )
     shared = np.isfinite(sigma_a) & (sigma_a == sigma_b)
     both = difference_covariance(cov_a, cov_b, np.where(shared, 1.0 / np.where(shared, sigma_a, 1.0) ** 2, 0.0))
     variance, total = np.diag(both), np.diag(cov_a) + np.diag(cov_b)
@@ -242,7 +244,7 @@ def _tested(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
     return dict(zip(common, map(float, p), strict=True)), together
 
 
-def _of_common(result: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _common_parameters(result: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values, covariance, and sigmas of priors that are known beforehand (NaN: none) of these free parameters [SI]."""
     place = [result.free.index(name) for name in common]
     values = result.loaded.robot.values[[index_of(result.loaded.robot.parameters, name) for name in common]]
@@ -266,7 +268,7 @@ def _errors(
     if same:
         sizes = tuple(np.sqrt([squares[key] for key in same]) for squares in unseen)
         rms = tuple(float(np.sqrt(np.mean(errors**2))) for errors in sizes)
-        return rms, unit, (f"the same {counted(len(same), 'reading')} not used",) * len(results), sizes
+        return rms, unit, (f"the same {count_noun(len(same), 'reading')} not used",) * len(results), sizes
     values, where = [], []
     for result in results:
         best = next((name for name in _ERRORS if name in result.loaded.content["errors"]), None)

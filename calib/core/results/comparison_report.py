@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.words import as_data, counted, listed, plain_text, text_table
+from calib.core.base.words import as_data, count_noun, listing, plain_text, text_table
 from calib.core.numerics.chances import HARDLY
 
 _SHOWN = 20
@@ -64,16 +64,16 @@ class Pair:
         if not self.tested:
             return f"{' and '.join(self.names)}: not tested."
         if np.isnan(self.together):  # places alone were sought
-            moved = f"put elsewhere: {listed(self.moved)}" if self.moved else "nothing was put elsewhere"
+            moved = f"put elsewhere: {listing(self.moved)}" if self.moved else "nothing was put elsewhere"
             return f"{' and '.join(self.names)}: {moved}."
         if self.real:
-            outcome = f"{counted(len(self.real), 'parameter')} of the robot differ{'s' * (len(self.real) == 1)}"
-            outcome += f", {listed(self.real)}"
+            outcome = f"{count_noun(len(self.real), 'parameter')} of the robot differ{'s' * (len(self.real) == 1)}"
+            outcome += f", {listing(self.real)}"
         elif self.together < HARDLY:
             outcome = "the robot differs, but no single parameter is proven to"
         else:
             outcome = "no parameter of the robot differs"
-        places = f"; put elsewhere: {listed(self.moved)}" if self.moved else ""
+        places = f"; put elsewhere: {listing(self.moved)}" if self.moved else ""
         return f"{' and '.join(self.names)}: {outcome} (all together p {p_text(self.together)}){places}."
 
 
@@ -108,7 +108,7 @@ class ResultComparison:
     notes: tuple[str, ...]
 
     @property
-    def together(self) -> tuple[float, ...]:
+    def joint_p_values(self) -> tuple[float, ...]:
         """p-value of all parameters of the robot together, against the first result, for each of the others."""
         return tuple(pair.together for pair in self.pairs[: len(self.names) - 1])
 
@@ -127,7 +127,7 @@ class ResultComparison:
                 self.names, self.verdicts, self.n_poses, self.errors, self.errors_on, strict=True
             )
         ]
-        ranked = self.ranked()
+        ranked = self.rank_differences()
         table = text_table(("parameter", "unit", *self.names, "p"), ("parameter", "unit"), plain=True)
         for column in table.columns:
             column.overflow = "fold"
@@ -141,16 +141,16 @@ class ResultComparison:
         more = len(self.differences) - len(shown)
         tested = [pair.sentence() for pair in self.pairs if pair.tested]
         kinds = "with less certain differences, or without a test" if tested else "without a test"
-        lines = [f"... and {counted(more, 'parameter')} {kinds}"] if more else []
+        lines = [f"... and {count_noun(more, 'parameter')} {kinds}"] if more else []
         answer = [*tested, *self.notes]  # a note says why a pair was not tested
         key = f"values +- 95 %; * differs from {self.names[0]}; p is corrected for the number of tests"
         return plain_text(["\n".join([*answer, "", *heads]) + "\n", table, *lines, key], _WIDTH, wrap=True)
 
-    def ranked(self) -> list[Difference]:
+    def rank_differences(self) -> list[Difference]:
         """Return the differences that were tested, the surest first; if none was, all, the least alike first."""
         tested = [difference for difference in self.differences if np.any(np.isfinite(difference.p_values))]
         if not tested:
-            return sorted(self.differences, key=lambda difference: -_apart(difference))
+            return sorted(self.differences, key=lambda difference: -_distance_in_half_widths(difference))
         return sorted(tested, key=lambda difference: np.nanmin([*difference.p_values, 2.0]))
 
     def conclusion(self) -> str:
@@ -184,7 +184,7 @@ class ResultComparison:
                     }
                     for difference in self.differences
                 ],
-                "p_values_together": self.together,
+                "p_values_together": self.joint_p_values,
                 "pairs": [
                     {"results": pair.names, "real": pair.real, "moved": pair.moved, "p_together": pair.together}
                     for pair in self.pairs
@@ -195,7 +195,7 @@ class ResultComparison:
         )
 
 
-def _apart(difference: Difference) -> float:
+def _distance_in_half_widths(difference: Difference) -> float:
     """Return the largest distance to the first result in half widths of both intervals; 0 where one has none."""
     first, *others = difference.rows
     known = [row for row in others if row is not None and row["high95"] is not None]

@@ -12,34 +12,34 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
-from calib.core.base.other_words import Hinting
+from calib.core.base.other_words import HintedObject
 from calib.core.base.registry import brought
 from calib.core.base.units import error_scale
-from calib.core.base.words import counted, listed, titled_html
+from calib.core.base.words import count_noun, html_with_title, listing
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Poses
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.estimates import Correlation, Covariance, Estimates
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.terms.joint_curves import beyond_learned
+from calib.core.fitting.terms.joint_curves import is_beyond_learned
 from calib.core.judging.promise import Promise
 from calib.core.judging.reasons import Code, Verdict
 from calib.core.judging.verdict import JudgedFit
 from calib.core.results.report_text import verdict_lines
-from calib.core.results.saved_fit import evaluated_fit
-from calib.core.robots.held import Holds
+from calib.core.results.saved_fit import evaluate_fit
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from calib.core.rows.known_robot import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty
-from calib.core.rows.told_positions import ToldPositions
+from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 _DIGITS = 9  # of joint values and readings that are the same in two files [SI]
 
 
 class CalibratedRobot:
-    """What has a calibrated robot, and writes it for other programs: a fit, and a loaded result."""
+    """Base of objects with a calibrated robot that write it for other programs: a fit, and a loaded result."""
 
     robot: Robot
 
@@ -55,7 +55,7 @@ class CalibratedRobot:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedResult(Hinting, CalibratedRobot):
+class LoadedResult(HintedObject, CalibratedRobot):
     """A fit that was saved.
 
     Attributes:
@@ -82,7 +82,7 @@ class LoadedResult(Hinting, CalibratedRobot):
         return list(self.parameters)
 
     def _repr_html_(self) -> str:
-        return titled_html(self.robot.name, (repr(self)[1:-1],), self.parameters.rows())
+        return html_with_title(self.robot.name, (repr(self)[1:-1],), self.parameters.rows())
 
     @cached_property
     def fit(self) -> JudgedFit:
@@ -92,11 +92,11 @@ class LoadedResult(Hinting, CalibratedRobot):
             ComputationError: It does not come back from the folder.
             DataError: An earlier version wrote the folder, without measurements.
         """
-        return evaluated_fit(self.nominal, self.saved["fit"], self.path)
+        return evaluate_fit(self.nominal, self.saved["fit"], self.path)
 
     @property
     def parameters(self) -> Estimates:
-        """What was found of each parameter, by name."""
+        """Estimates of the parameters by name."""
         return self.fit.parameters
 
     @property
@@ -111,7 +111,7 @@ class LoadedResult(Hinting, CalibratedRobot):
 
     @property
     def verdict(self) -> Verdict:
-        """PASS, CHECK or FAIL, with reasons, as the fit said.
+        """PASS, CHECK or FAIL, with reasons, as in the fit.
 
         Raises:
             DataError: The folder does not hold it.
@@ -152,13 +152,13 @@ class LoadedResult(Hinting, CalibratedRobot):
 
     @property
     def promise(self) -> Promise:
-        """What its calibration predicts of new readings, for `calib.verify`."""
-        return Promise.of(self.fit)
+        """Predictions of the calibration for new readings, for `calib.verify`."""
+        return Promise.from_calibration(self.fit)
 
     @property
-    def told_positions(self) -> ToldPositions:
+    def reported_uncertainty(self) -> ReportedUncertainty:
         """Uncertainty of positions, in the frame in which it is reported."""
-        return ToldPositions.of(self.robot, self.uncertainty, self.joints)
+        return ReportedUncertainty.from_robot(self.robot, self.uncertainty, self.joints)
 
     @property
     def free_names(self) -> tuple[str, ...]:
@@ -189,7 +189,8 @@ class LoadedResult(Hinting, CalibratedRobot):
         return self.parameters.to_dataframe()
 
     def held_by(self, holds: Holds) -> tuple[Robot, ParameterUncertainty]:
-        """Return the robot for a kind of file (`calib.core.robots.held`), with the uncertainty of its parameters.
+        """Return the robot for a kind of file (`calib.core.robots.accuracy_of_files`), with the uncertainty of its
+        parameters.
 
         Raises:
             ComputationError: An earlier version wrote the result, and files lose joint terms that it has.
@@ -199,12 +200,12 @@ class LoadedResult(Hinting, CalibratedRobot):
         return robot, self._uncertainty_of(robot)
 
     def _uncertainty_of(self, robot: Robot) -> ParameterUncertainty:
-        """That of a fit which ended at these values."""
+        """Uncertainty of parameters, of a fit that ended at these values."""
         if np.array_equal(robot.values, self.robot.values):
             return self.uncertainty
         for entry in self.saved["fit"]["reduced"].values():
             if np.array_equal(robot.values, entry["values"]):
-                return evaluated_fit(self.nominal, entry, self.path).uncertainty
+                return evaluate_fit(self.nominal, entry, self.path).uncertainty
         raise DataError(f"{self.path}: has no covariance of the robot that such a file gets; take another format")
 
     def readings(self) -> dict[str, dict[bytes, float]]:
@@ -218,18 +219,20 @@ class LoadedResult(Hinting, CalibratedRobot):
     def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance; see `calib.core.fitting.fitted.Fit.predict`."""
         pose_set = as_poses(self.robot, poses)
-        return self.uncertainty.at(self.robot, pose_set.joints, pose_set.conditions if context is None else context)
+        return self.uncertainty.predict(
+            self.robot, pose_set.joints, pose_set.conditions if context is None else context
+        )
 
-    def beyond_curves(self, poses: Poses) -> list[str]:
+    def remarks_beyond_curves(self, poses: Poses) -> list[str]:
         """Return a remark on poses that lie where no error curve of a joint was learned."""
-        outside = beyond_learned(self.robot, self.joints, poses.joints)
+        outside = is_beyond_learned(self.robot, self.joints, poses.joints)
         beyond = np.flatnonzero(np.any(outside, axis=1))
         if not len(beyond):
             return []
         joints = [self.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
         return [
-            f"{counted(len(beyond), 'pose lies', 'poses lie')} where no error curve of {listed(joints)} was learned"
-            f" ({listed([poses.labels[k] for k in beyond])}): there it is as uncertain as before measuring"
+            f"{count_noun(len(beyond), 'pose lies', 'poses lie')} where no error curve of {listing(joints)} was learned"
+            f" ({listing([poses.labels[k] for k in beyond])}): there it is as uncertain as before measuring"
         ]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.table import Table
 
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.words import counted, plain_text
+from calib.core.base.words import count_noun, plain_text
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.reasons import Verdict
 from calib.core.judging.verdict import judge
@@ -14,7 +14,7 @@ from calib.core.results.sections.budget import budget_grid
 from calib.core.results.sections.details import details
 from calib.core.results.sections.files_held import files_grid
 from calib.core.results.sections.outliers import outliers_left_out
-from calib.core.results.sections.parameters import changed_most, parameter_grid
+from calib.core.results.sections.parameters import most_changed_lines, parameter_grid
 from calib.core.results.sections.terms import terms_added, terms_not_shown
 
 _WIDTH = 120
@@ -42,7 +42,7 @@ def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
         errors, files = change_text(fit, verdict.claim), files_grid(fit)
         remarks = [*terms_added(fit), *terms_not_shown(fit), *outliers_left_out(fit)]
         worth: list[str | Table] = ["", files.as_text(plain=True)] if files is not None else []
-        parts = [title, *verdict_lines(verdict, _MOST_REASONS), "", errors, *remarks, *worth, *changed_most(fit)]
+        parts = [title, *verdict_lines(verdict, _MOST_REASONS), "", errors, *remarks, *worth, *most_changed_lines(fit)]
     return plain_text(parts, width, wrap=True)
 
 
@@ -67,6 +67,6 @@ def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
     not_covered = [f"  not covered: {text}" for text in verdict.not_covered]
     if most is not None:
         hidden = max(len(reasons) - most, 0)
-        reasons, more = reasons[:most], [f"  --verbose prints {counted(hidden, 'more reason')}"] if hidden else []
+        reasons, more = reasons[:most], [f"  --verbose prints {count_noun(hidden, 'more reason')}"] if hidden else []
         not_covered += more
     return [f"Verdict: {verdict.grade}", *claimed, *reasons, *not_covered]

@@ -16,7 +16,7 @@ from calib.core.results.saved_fit import VERSION
 from calib.core.results.sections.attempts import folds_table, starts_table
 from calib.core.results.sections.budget import budget_table
 from calib.core.results.sections.contents import contents_table
-from calib.core.results.sections.determination import correlated, position_uncertainty_table, rank_content
+from calib.core.results.sections.determination import correlated_pairs, position_uncertainty_table, rank_content
 from calib.core.results.sections.files_held import file_entries
 from calib.core.results.sections.noise import instrument_blocks, repeat_table
 from calib.core.results.sections.outliers import excluded_rows, outlier_rows, with_excluded
@@ -59,15 +59,15 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "effective_parameters": fit.statistics.effective_parameters,
             "chi_square": None if fit.chi_square is None else asdict(fit.chi_square),
             "interval_degrees_of_freedom": fit.statistics.interval_freedom,
-            "widened": fit.widened,
+            "widened": fit.interval_factor,
             "joint_error": fit.joint_error,
-            "shared": None if fit.statistics.shared is None else fit.statistics.shared.ratio,
+            "shared": None if fit.statistics.shared_scatter is None else fit.statistics.shared_scatter.ratio,
             "repeatability": repeatability(fit.identification)[0],
             "repeats": repeat_table(fit.identification),
             "repeats_validation": None if fit.validation is None else repeat_table(fit.validation),
             "observability": fit.observability,
             "parameters": parameter_rows(fit),
-            "correlations": correlated(fit),
+            "correlations": correlated_pairs(fit),
             "errors": fit.errors,
             "instruments": instrument_blocks(fit),
             "error_budget": budget_table(fit),

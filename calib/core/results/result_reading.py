@@ -70,7 +70,7 @@ def load_result(folder: Path | str, robot: Robot | None = None, *, failed_too: b
     if robot is None:
         nominal = replace(nominal, path=str(folder))
     if saved is None:
-        calibrated = version_1.calibrated(str(folder), nominal, content)
+        calibrated = version_1.calibrated_robot(str(folder), nominal, content)
         return version_1.EarlierResult(str(folder), own, calibrated, content, {})
     calibrated = replace(nominal.with_parameters(saved["fit"]["values"]), files=saved_files(saved))
     return LoadedResult(str(folder), own, calibrated, content, saved)

@@ -25,7 +25,7 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.files import write_folder
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import ERROR_UNIT, error_scale
-from calib.core.data.measurement_columns import header, joint_columns, shown
+from calib.core.data.measurement_columns import header, in_table_unit, joint_columns
 from calib.core.data.table_writing import format_table
 from calib.core.fitting.error_sets import STATES, ErrorSet
 from calib.core.fitting.fitted import Fit
@@ -38,9 +38,9 @@ from calib.core.results.saved_fit import SAVED, saved_bytes
 from calib.core.results.sections.files_held import files_of
 from calib.core.results.sections.outliers import residual_places, residual_sets
 from calib.core.results.urdf import urdf_bytes
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.description import description_yaml
-from calib.core.robots.file_formats import loses, robot_for, said_of
-from calib.core.robots.held import Holds
+from calib.core.robots.file_formats import loses, remarks_on_file, robot_for
 from calib.core.robots.urdf.links import find_mesh
 from calib.core.robots.urdf.text import UrdfText, apply_edits
 from calib.core.rows.rows import Rows
@@ -81,7 +81,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
         NOMINAL_YAML: description_yaml(fit.nominal.description.model_copy(update={"urdf": NOMINAL_URDF})).encode(),
         NOMINAL_URDF: _with_meshes(fit.nominal.urdf),
     }
-    remark = _said_inside(verdict, "not to be used") if failed else []
+    remark = _failure_comment(verdict, "not to be used") if failed else []
     content = to_dict(fit, forced=failed and force)
     files = {
         "result.json": (json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
@@ -92,7 +92,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
         SAVED: saved_bytes(fit, content, nominal, files_of(fit)),
     }
     if force or not (failed or why_no_origins(fit)):
-        files[_URDF] = _calibrated_urdf(fit, _said_inside(verdict, "exported by force") if failed else [])
+        files[_URDF] = _calibrated_urdf(fit, _failure_comment(verdict, "exported by force") if failed else [])
     files |= pages or {}
     sources = (fit.nominal.path, fit.nominal.urdf.path, fit.identification.data.path)
     write_folder(folder, files, sorted(set(_NOT_ALWAYS) - set(files)), inputs=sources, force=force)
@@ -100,7 +100,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
 
 def _calibrated_urdf(fit: Fit, remarks: list[str]) -> bytes:
     """The URDF, with a comment only if it holds less than the robot, or is forced."""
-    lines = said_of(fit.robot, Holds.ORIGINS) if loses(fit.robot, Holds.ORIGINS) else []
+    lines = remarks_on_file(fit.robot, Holds.ORIGINS) if loses(fit.robot, Holds.ORIGINS) else []
     return urdf_bytes(robot_for(fit.robot, "urdf", force=True), [*remarks, *lines] or None)
 
 
@@ -117,8 +117,8 @@ def _with_meshes(urdf: UrdfText) -> bytes:
     return apply_edits(urdf.source, edits)
 
 
-def _said_inside(verdict: Verdict, how: str) -> list[str]:
-    """What a file with the numbers of a failed fit says in a comment."""
+def _failure_comment(verdict: Verdict, how: str) -> list[str]:
+    """Comment lines of a file with the numbers of a failed fit."""
     return [f"verdict: FAIL, {how}:", *(f"  {reason.text}" for reason in verdict.reasons if reason.grade == "FAIL")]
 
 
@@ -155,7 +155,7 @@ def _residual_columns(
 ) -> dict[str, Sequence[object] | FloatArray]:
     """A column of cells for each header, for the readings of one instrument in a set."""
     used = label == "identification"
-    studentised = findings.studentised(fit)
+    studentised = findings.studentise_errors(fit)
     layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.values**2))) if used else 1.0
     instrument, of_instrument, readings = (
         fit.nominal.instrument(name),
@@ -182,7 +182,7 @@ def _residual_columns(
     dimensions = {column.name: column.dimension for column in instrument.columns()}
     for column, numbers in instrument.cells(readings.values).items():
         head = header(f"measured_{column.removeprefix(f'{name}_')}", dimensions[column])
-        columns[head] = shown(numbers, dimensions[column])
+        columns[head] = in_table_unit(numbers, dimensions[column])
     lengths = rows.distances()[of_instrument] / max(factor, 1e-30) / np.sqrt(np.maximum(layout.width[of_instrument], 1))
     unknown = np.full(n, np.nan)
     judgements = {

@@ -5,7 +5,7 @@ the noise, what it was judged to be, and the robots that files get. Everything e
 comes from evaluating the model once where the fit ended, as `calib.core.fitting.fit` does there. So both are the same
 to rounding, and what is kept takes no more room than the measurements.
 
-Other starts, and what each joint term brought that was tried, are told in `result.json` and do not come back.
+Other starts, and what each joint term brought that was tried, stand in `result.json` and do not come back.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from calib.core.fitting.fitted import Convergence, Fit
 from calib.core.fitting.outliers import Outlier
 from calib.core.fitting.pose_checks import require_identifiable
 from calib.core.fitting.problem import Problem
-from calib.core.fitting.robust import Solved
-from calib.core.fitting.settings import Asked, Settings
-from calib.core.fitting.solving import seen_from
+from calib.core.fitting.robust import RobustSolution
+from calib.core.fitting.settings import RequestedOptions, Settings
+from calib.core.fitting.solving import reset_unseen
 from calib.core.fitting.terms.candidate_terms import TermChoice
 from calib.core.instruments.kind import Readings
 from calib.core.judging.verdict import JudgedFit
-from calib.core.numerics.least_squares import Solution
+from calib.core.numerics.least_squares import LeastSquaresSolution
 from calib.core.numerics.statistics import Factors
 from calib.core.results.array_files import array_file, read_array_file
-from calib.core.robots.held import Accuracy, FileRobot, Holds, SeenAt
+from calib.core.robots.accuracy_of_files import Accuracy, FileRobot, Holds, PoseUse
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.terms import stored_terms
 from calib.core.rows.prediction import UndecidedTerms
@@ -49,7 +49,9 @@ SAVED = "fit.npz"
 _MEASUREMENTS = ("joints", "labels", "names", "path", "ignored", "comments", "context", "approach", "setups", "order",
                  "approach_assumed")  # fmt: skip
 _READINGS = ("visits", "pairs", "values", "covariance", "details", "labels")
-_ENDED = Solution(np.zeros(0), np.zeros(0), np.zeros((0, 0)), 0.0, converged=True, evaluations=0, message="")
+_ENDED = LeastSquaresSolution(
+    np.zeros(0), np.zeros(0), np.zeros((0, 0)), 0.0, converged=True, evaluations=0, message=""
+)
 
 
 def saved_bytes(
@@ -125,7 +127,7 @@ def _fit_entry(fit: Fit) -> dict[str, Any]:
         "passive": fit.configurations.passive,
         "robust": {"weights": fit.weights, "factors": vars(fit.statistics.factors)} if robust else None,
         "settings": {"sigma": fit.sigma_given, "loss": fit.loss, "seed": fit.seed},
-        "asked": vars(fit.asked),
+        "asked": vars(fit.requested_options),
         "placed_later": fit.placed_later,
         "seconds": fit.seconds,
         "joint_error": fit.joint_error,
@@ -160,7 +162,7 @@ def saved_files(saved: Mapping[str, Any]) -> dict[Holds, FileRobot]:
     """Return the robots that files of a result get; of one that failed, who has them has forced them already."""
     failed, files = saved["content"]["verdict"]["grade"] == "FAIL", {}
     for name, entry in saved["files"].items():
-        accuracy = Accuracy(**entry["accuracy"] | {"poses": SeenAt[entry["accuracy"]["poses"]]})
+        accuracy = Accuracy(**entry["accuracy"] | {"poses": PoseUse[entry["accuracy"]["poses"]]})
         robot = FileRobot(**entry | {"accuracy": accuracy})
         files[Holds[name]] = replace(robot, withheld="") if failed else robot
     return files
@@ -173,7 +175,7 @@ def with_saved_terms(robot: Robot, entry: Mapping[str, Any]) -> Robot:
 
 
 @one_blas_thread
-def evaluated_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedFit:
+def evaluate_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedFit:
     """Return a fit that was saved: the model, evaluated where it ended.
 
     Args:
@@ -185,7 +187,7 @@ def evaluated_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedF
         ComputationError: The fit does not come back from the folder.
     """
     try:
-        fit = JudgedFit.of(_fit_of(robot, entry))
+        fit = JudgedFit.from_fit(_fit_of(robot, entry))
     except (CalibrationError, ValueError, KeyError, TypeError) as error:
         raise ComputationError(f"{where}: this version cannot evaluate the fit ({error}); run the fit again") from None
     vars(fit)["joint_error"] = entry["joint_error"]  # to find it takes as long as all the rest
@@ -196,16 +198,20 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
     nominal = with_saved_terms(robot, entry).with_parameters(entry["nominal"])
     later, settings, robust = tuple(entry["placed_later"]), Settings(**entry["settings"]), entry["robust"]
     seen, data = nominal.fix(*later) if later else nominal, _measurements_of(entry["identification"], nominal)
-    problem = Problem.of(seen, data, settings.sigma, entry["passive"])
+    problem = Problem.from_data(seen, data, settings.sigma, entry["passive"])
     groups, unknowns = entry["noise"]["groups"], replace(problem.unknowns, scales=entry["scales"])
-    problem = replace(problem, unknowns=unknowns, noise_found=problem.unstated | (groups != 1.0))
+    problem = replace(problem, unknowns=unknowns, noise_found=problem.has_unstated_noise | (groups != 1.0))
     if np.any(entry["noise"]["ratios"]):
-        problem = problem.weighed(entry["noise"]["ratios"])
+        problem = problem.with_offset_ratios(entry["noise"]["ratios"])
     start, end = (problem.evaluate(seen.with_parameters(entry[state])) for state in ("placed", "values"))
-    begin = seen_from(problem, start)
+    begin = reset_unseen(problem, start)
     weighing = {"weights": robust["weights"], "factors": Factors(**robust["factors"])} if robust else {}
     minimum = Minimum(
-        nominal, (), start, require_identifiable(problem, begin), Solved(problem, end, groups, _ENDED, **weighing)
+        nominal,
+        (),
+        start,
+        require_identifiable(problem, begin),
+        RobustSolution(problem, end, groups, _ENDED, **weighing),
     )
     validation = None if entry["validation"] is None else _measurements_of(entry["validation"], nominal)
     fit = fit_at(minimum, settings, validation)
@@ -222,7 +228,7 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
         placed_later=later,
         seconds=entry["seconds"],
         convergence=Convergence(**_tuples(entry["convergence"])),
-        asked=Asked(**_tuples(entry["asked"])),
+        requested_options=RequestedOptions(**_tuples(entry["asked"])),
         terms=None if choice is None else TermChoice(choice, nominal.description.terms, (), undecided, expected),
         folds=folds,
         excluded=tuple(Outlier(**outlier) for outlier in entry["excluded"]),

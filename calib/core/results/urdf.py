@@ -15,7 +15,7 @@ from calib.core.base.version import PROGRAM
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import urdf_of_origins
 from calib.core.robots.urdf.text import UrdfText, apply_edits, parse_urdf
-from calib.core.robots.urdf.writing import quoted
+from calib.core.robots.urdf.writing import quote_attribute
 
 _MARK = "calib: calibrated origins"
 _MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")
@@ -43,7 +43,7 @@ def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
 
 def with_mesh_prefix(source: bytes, prefix: str) -> bytes:
     """Return URDF bytes in which this stands before every mesh path that is relative to the URDF."""
-    start = quoted(prefix.rstrip("/") + "/")[1:-1].encode("ascii", "xmlcharrefreplace")
+    start = quote_attribute(prefix.rstrip("/") + "/")[1:-1].encode("ascii", "xmlcharrefreplace")
     return _MESH.sub(lambda match: match.group() + start, source)
 
 

@@ -26,7 +26,7 @@ from calib.core.judging.promise import Promise
 from calib.core.judging.verdict import JudgedFit
 from calib.core.results.loaded_result import LoadedResult, reading_keys
 from calib.core.results.saved_fit import require_unchanged
-from calib.core.robots.held import Accuracy, FileRobot, Holds, SeenAt
+from calib.core.robots.accuracy_of_files import Accuracy, FileRobot, Holds, PoseUse
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import without_terms
 from calib.core.robots.terms.terms import stored_terms
@@ -76,7 +76,7 @@ def read_content(folder: Path | str) -> dict[str, Any]:
 
 
 @_readable
-def calibrated(folder: str, robot: Robot, content: dict[str, Any]) -> Robot:
+def calibrated_robot(folder: str, robot: Robot, content: dict[str, Any]) -> Robot:
     """Return the calibrated robot from the nominal one, which has its joint terms."""
     values = read_parameters(Path(folder) / "parameters.csv", robot, complete=True)
     found = robot.with_parameters(values)
@@ -91,7 +91,7 @@ def _file_robot(folder: str, entry: dict[str, Any], holds: Holds, robot: Robot) 
     errors = [np.nan if entry[key] is None else float(entry[key]) for key in ("rms_nominal", "rms", "limit95")]
     scale, zeros, name = error_scale(entry["dimension"]), entry["joint_zeros"] or (), entry["values"]
     before, rms, limit95 = (error / scale for error in errors)
-    poses, number, part = SeenAt[entry["poses"].upper()], int(entry["n_poses"]), str(entry["part"])
+    poses, number, part = PoseUse[entry["poses"].upper()], int(entry["n_poses"]), str(entry["part"])
     accuracy = Accuracy(poses, number, part, entry["dimension"], before, rms, limit95)
     if zeros:
         signs = np.array([float(zero["sign"]) for zero in zeros])
@@ -120,7 +120,7 @@ class EarlierResult(LoadedResult):
     @property
     @_readable
     def parameters(self) -> Estimates:
-        """As `result.json` has them."""
+        """Parameters in the form of `result.json`."""
         estimates = {}
         for row, p, value in zip(self.content["parameters"], self.robot.parameters, self.robot.values, strict=True):
             std, low, high = (np.nan if row[key] is None else float(row[key]) for key in ("std", "low95", "high95"))
@@ -131,7 +131,7 @@ class EarlierResult(LoadedResult):
     @cached_property
     def uncertainty(self) -> ParameterUncertainty:
         """From `covariance.csv`."""
-        return self._uncertainty(self.robot, "covariance.csv", self.content, self._undecided())
+        return self._uncertainty(self.robot, "covariance.csv", self.content, self._undecided_terms())
 
     @property
     def covariance(self) -> Covariance:
@@ -172,12 +172,12 @@ class EarlierResult(LoadedResult):
         return names, scale, numbers
 
     @_readable
-    def _undecided(self) -> UndecidedTerms | None:
+    def _undecided_terms(self) -> UndecidedTerms | None:
         entries = self.content["joint_terms"].get("undecided")
         if not entries:
             return None
         bare = UndecidedTerms(stored_terms(entries), (), np.zeros((0, 0)))
-        names, scale, spread = self._matrix("undecided_terms.csv", bare.added_to(self.robot))
+        names, scale, spread = self._matrix("undecided_terms.csv", bare.with_terms(self.robot))
         return UndecidedTerms(bare.terms, tuple(names), spread / scale[:, None])
 
     @cached_property

@@ -1,9 +1,9 @@
 """When kinematics are computed by compiled code (`calib.core.robots.kernels`), and what it is given.
 
 That needs numba (the extra `fast`), which takes half a second to load, more than most fits take, and about five to
-compile, once for each version. So compiled code is used only if asked for by `compiled()`, or if the number of poses
-pays for it: for loading what an earlier program has compiled, or else for compiling as well. Everything works without
-it, with the same numbers to 1e-12.
+compile, once for each version. So compiled code is used only on request by `compile_kinematics()`, or if the number of
+poses pays for it: for loading what an earlier program has compiled, or else for compiling as well. Everything works
+without it, with the same numbers to 1e-12.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _requested: ContextVar[bool | None] = ContextVar("compiled kinematics", default=
 
 
 @contextmanager
-def compiled(use: bool = True) -> Iterator[None]:
+def compile_kinematics(use: bool = True) -> Iterator[None]:
     """Inside, compute kinematics by compiled code where numba is installed; or never.
 
     Args:
@@ -38,14 +38,15 @@ def compiled(use: bool = True) -> Iterator[None]:
         _requested.reset(before)
 
 
-def compiled_for(n_poses: int, many: int = _MANY_OPEN) -> AbstractContextManager[None]:
-    """Inside, compute kinematics by compiled code where so many poses in all are worth it, unless told otherwise.
+def compile_for(n_poses: int, many: int = _MANY_OPEN) -> AbstractContextManager[None]:
+    """Inside, compute kinematics by compiled code where so many poses in all are worth it, unless a caller decides
+    otherwise.
 
     Args:
         n_poses: How many, one part after the other.
         many: How many are worth loading code that is already compiled.
     """
-    return compiled() if _requested.get() is None and pays(n_poses, many) else nullcontext()
+    return compile_kinematics() if _requested.get() is None and pays(n_poses, many) else nullcontext()
 
 
 def pays(n_poses: int, many: int = _MANY_OPEN) -> bool:
@@ -64,7 +65,7 @@ def many(mechanism: Mechanism) -> int:
 
 
 def compilation_requested() -> bool:
-    """Whether compiled code was asked for: what starts other processes tells them."""
+    """Whether compiled code was requested: passed on to other processes."""
     return _requested.get() is True
 
 

@@ -1,6 +1,6 @@
 """The closure residual r(a, p) of every loop, its derivatives, and how far they are from singular.
 
-Assembly modes: which of several closed configurations a robot is in, told by the signs of determinants.
+Assembly modes: which of several closed configurations a robot is in, distinguished by the signs of determinants.
 
 Two solutions of the loops that are joined without passing a singularity have the same sign of det C_p, C_p = dr/dp. The
 sign is taken of each strongly connected part of C_p's pattern, one for each five-bar, so that two flips cannot cancel.
@@ -30,23 +30,23 @@ class LoopRows:
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
-        self.mechanism, self.shared = mechanism, kinematics.Shared(mechanism, mechanism.loops)
+        self.mechanism, self.shared = mechanism, kinematics.SweepCache(mechanism, mechanism.loops)
         signs = mechanism.loop_signs[:, self.shared.reduced.joints]
         self.passive, self.moving = (
-            kinematics.Coordinates.of(self.shared.reduced, signs, select)
+            kinematics.Coordinates.from_signs(self.shared.reduced, signs, select)
             for select in (mechanism.select_passive, mechanism.select_moving)
         )
 
     def chunks(self, n: int) -> Iterator[slice]:
         """Yield n poses in parts that are good at once."""
-        return kinematics.chunks(n, kinematics.at_once(self.shared.reduced))
+        return kinematics.chunks(n, kinematics.n_at_once(self.shared.reduced))
 
-    def at(self, actuated: FloatArray, passive: FloatArray) -> kinematics.Sweep:
+    def sweep_at(self, actuated: FloatArray, passive: FloatArray) -> kinematics.Sweep:
         """Return the kinematics of poses (n, n_actuated), (n, n_passive) [m or rad]."""
         joints = self.mechanism.all_joints(actuated, passive)
         return kinematics.sweep(self.mechanism, joints, self.mechanism.loops, self.shared)
 
-    def by(self, coordinates: kinematics.Coordinates, swept: kinematics.Sweep) -> FloatArray:
+    def passive_derivative(self, coordinates: kinematics.Coordinates, swept: kinematics.Sweep) -> FloatArray:
         """Return C_p for `passive`, (n, n_rows, n_passive), [C_p C_a] for `moving`."""
         return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), coordinates)
 
@@ -59,8 +59,8 @@ def residual(
     values = np.empty((len(actuated), len(mechanism.loop_signs)))
     slope = np.empty((*values.shape, mechanism.select_moving.shape[1]))
     for part in rows.chunks(len(actuated)):
-        swept = rows.at(actuated[part], passive[part])
-        values[part], slope[part] = kinematics.gaps(swept), rows.by(rows.moving, swept)
+        swept = rows.sweep_at(actuated[part], passive[part])
+        values[part], slope[part] = kinematics.gaps(swept), rows.passive_derivative(rows.moving, swept)
     return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
 
 
@@ -89,10 +89,10 @@ def motion(
     passive: FloatArray,
     closures: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """As `actuated_jacobian`, and the derivative of the passive joints, (n, n_passive, n_actuated).
+    """Values of `actuated_jacobian`, and the derivative of the passive joints, (n, n_passive, n_actuated).
 
     Args:
-        mechanism, target, actuated, passive: As there.
+        mechanism, target, actuated, passive: Arguments of `actuated_jacobian`.
         closures: [C_p C_a] there, where it is known, (n, n_passive, n_passive + n_actuated).
     """
     swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), (target,))
@@ -101,23 +101,23 @@ def motion(
     mapping[:, :3] = kinematics.twist_map(swept, target)
     mapping[:, 3:, 3:] = to_frame
 
-    def by(select: FloatArray) -> FloatArray:
-        coordinates = kinematics.Coordinates.of(
-            swept.reduced, mechanism.between(target)[None, swept.reduced.joints], select
+    def derivative_by(select: FloatArray) -> FloatArray:
+        coordinates = kinematics.Coordinates.from_signs(
+            swept.reduced, mechanism.direction_signs(target)[None, swept.reduced.joints], select
         )
         return kinematics.joint_derivative(swept, mapping, coordinates)
 
-    jacobian = by(mechanism.select_actuated)
+    jacobian = derivative_by(mechanism.select_actuated)
     by_joint: FloatArray = np.zeros((len(actuated), passive.shape[1], actuated.shape[1]))
     if mechanism.loops:
         if closures is None:
             closures = np.concatenate(residual(mechanism, actuated, passive)[1:], axis=2)
         by_joint = -np.linalg.solve(closures[:, :, : passive.shape[1]], closures[:, :, passive.shape[1] :])
-        jacobian += by(mechanism.select_passive) @ by_joint
+        jacobian += derivative_by(mechanism.select_passive) @ by_joint
     return kinematics.value(swept, target), to_frame @ swept.rotation[:, swept.index[target.b]], jacobian, by_joint
 
 
-def scaled(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
+def scale_closure(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
     """Return C_p with metres divided by the characteristic length, so that its entries are pure numbers.
 
     Args:
@@ -133,11 +133,11 @@ def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArr
     """Return the smallest singular value of the scaled C_p, (n,): 0 at a singular pose, of order 1 far from one."""
     if not mechanism.passive:
         return np.full(len(slope_passive), np.inf)
-    values: FloatArray = linalg.singular_values(scaled(mechanism, slope_passive))
+    values: FloatArray = linalg.singular_values(scale_closure(mechanism, slope_passive))
     return values[:, -1]
 
 
-def open_by(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def loop_openings(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return how far each loop is open: lengths (n, n_loops) [m] and angles (n, n_loops) [rad].
 
     Args:
@@ -191,13 +191,13 @@ def blocks(pattern: BoolArray) -> tuple[tuple[IntArray, ...], tuple[IntArray, ..
     Returns:
         Row indices and column indices of each block, columns with few entries first: these are quickly eliminated.
     """
-    column_of_row, entries = _matched(pattern), np.sum(pattern, axis=0)
+    column_of_row, entries = _match_rows(pattern), np.sum(pattern, axis=0)
     rows = connected_parts(pattern[:, column_of_row])
     columns = (np.sort(column_of_row[part]) for part in rows)
     return rows, tuple(part[np.argsort(entries[part], kind="stable")] for part in columns)
 
 
-def _matched(pattern: BoolArray) -> IntArray:
+def _match_rows(pattern: BoolArray) -> IntArray:
     """Give every row a column of its own among its entries: rows without one make others change theirs. (n,)."""
     row_of_column = np.full(len(pattern), -1)
 

@@ -1,4 +1,4 @@
-"""Assembled configurations: what the driven joints are when they are told something, and how the loops close there."""
+"""Assembled configurations: values of the driven joints at commands, and how the loops close there."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Configurations(ReadOnlyArrays):
     slope: FloatArray | None
     term_columns: tuple[FloatArray, ...] = ()
 
-    def at(self, part: slice | IntArray) -> Configurations:
+    def select(self, part: slice | IntArray) -> Configurations:
         """Return some of them, (n_some,)."""
         phi = tuple(columns[part] for columns in self.term_columns)
         slope = None if self.slope is None else self.slope[part]
@@ -80,15 +80,15 @@ def close(
     *,
     thorough: bool = True,
     limits: bool = True,
-) -> loops.Closed:
+) -> loops.LoopSolution:
     """Solve the loops of each pose without raising; see `Robot.close`."""
     values = joint_vector(robot, q)
     actual = actual_joints(robot, values, term_columns(robot, values) if columns is None else columns)
     return loops.close(robot.mechanism, robot.mode, actual, seed, thorough=thorough, limits=limits)
 
 
-def configured(
-    robot: RobotData, q: FloatArray, closed: loops.Closed, columns: tuple[FloatArray, ...] | None = None
+def solve_configurations(
+    robot: RobotData, q: FloatArray, closed: loops.LoopSolution, columns: tuple[FloatArray, ...] | None = None
 ) -> Configurations:
     """Return closed poses of commands q (n, n_actuated) as configurations."""
     phi = term_columns(robot, q) if columns is None else columns
@@ -108,7 +108,7 @@ def assemble(
     closed = close(robot, values, seed, columns)
     if not np.all(closed.ok):
         raise UnreachablePoseError(describe_open(robot, values, closed, labels))
-    return configured(robot, values, closed, columns)
+    return solve_configurations(robot, values, closed, columns)
 
 
 def distances(robot: RobotData, configurations: Configurations) -> FloatArray:
@@ -137,11 +137,13 @@ def near_singularity(label: str, value: float, limit: float) -> str:
     return f"{label}: {value:.2g} from a singularity of the loops (limit {limit:g})"
 
 
-def describe_open(robot: RobotData, q: FloatArray, closed: loops.Closed, labels: Sequence[str] | None = None) -> str:
+def describe_open(
+    robot: RobotData, q: FloatArray, closed: loops.LoopSolution, labels: Sequence[str] | None = None
+) -> str:
     """Say which of the poses q (n, n_actuated) do not close, at which loop, and by how much the first one misses."""
     poses = np.flatnonzero(~closed.ok)
     names = labels or [f"pose {k}" for k in range(len(closed.ok))]
     k = int(poses[0])
-    why = loops.why_open(robot.mechanism, robot.mode, robot.mechanism.untilted(q[k : k + 1])[0])
+    why = loops.why_open(robot.mechanism, robot.mode, robot.mechanism.without_tilts(q[k : k + 1])[0])
     more = f" (and {len(poses) - 1} more poses)" if len(poses) > 1 else ""
     return f"{names[k]}{more}: {why}; check these joint values, or leave the pose out"

@@ -56,7 +56,7 @@ def closing_tolerance(mechanism: Mechanism) -> float:
     """Return the closure residual that can be reached [m, rad]: `TOLERANCE`, but what rounding leaves of long links.
 
     Coordinates of the size L of the links are multiples of eps L, and some are added on the way around a loop. Where
-    the robot stands plays no part: `Mechanism.around`.
+    the robot stands plays no part: `Mechanism.reduced_to`.
     """
     return max(TOLERANCE, 10 * _ROUNDINGS * _EPS * mechanism.length)
 
@@ -85,7 +85,7 @@ def newton(
     if fast is None:
         _correct(mechanism, mode, actuated, passive, (enough, sure), *found)
     else:
-        reduced = mechanism.around(mechanism.loops)
+        reduced = mechanism.reduced_to(mechanism.loops)
         rest = actuated @ mechanism.select_actuated[reduced.joints].T + mechanism.constant[reduced.joints]
         scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
         model = fast.tree(mechanism, reduced), fast.loops(mechanism, reduced), mode.places, mode.signs
@@ -106,7 +106,7 @@ def _correct(
     """Fill in what `newton` says, passive joints in place.
 
     Args:
-        mechanism, mode, actuated, passive: As there.
+        mechanism, mode, actuated, passive: Arguments of `newton`.
         limits: Largest residual of a closed pose, and largest one that is not computed but known from two before it.
         slope, slope_actuated, accepted: Where to put the results.
     """
@@ -117,13 +117,13 @@ def _correct(
         index = np.arange(part.start, part.stop)
         last, before = np.full(len(index), np.inf), np.zeros(len(index))
         for _ in range(_MAX_NEWTON):
-            swept = loops.at(actuated[index], passive[index])
-            values, slopes = kinematics.gaps(swept), loops.by(coordinates, swept)
+            swept = loops.sweep_at(actuated[index], passive[index])
+            values, slopes = kinematics.gaps(swept), loops.passive_derivative(coordinates, swept)
             worst = np.max(np.abs(values), axis=1)
             done = worst <= enough
             on = ~done
             if np.any(on):
-                correction = solved_for(slopes[:, :, :n_passive], values)
+                correction = solve_each(slopes[:, :, :n_passive], values)
                 last, longest = np.max(np.abs(correction / scale), axis=1), np.minimum(last, 2 * LARGEST_STEP)
                 # below 1e-9 rounding decides the ratio of two corrections, so it says nothing about the branch
                 contracts = (worst > enough) & (last <= np.maximum(0.5 * longest, 1e-9))
@@ -141,7 +141,7 @@ def _correct(
             index, last, before = index[on], last[on], worst[on]
 
 
-def solved_for(matrix: FloatArray, right: FloatArray) -> FloatArray:
+def solve_each(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve each pose's linear system, (n, k, k) and (n, k) -> (n, k); infinite where its matrix is singular."""
     try:
         solution: FloatArray = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
@@ -152,7 +152,7 @@ def solved_for(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return solution
 
 
-def in_radians(mechanism: Mechanism, passive: FloatArray) -> FloatArray:
+def scaled_passive(mechanism: Mechanism, passive: FloatArray) -> FloatArray:
     """Return changes of passive joints (n, n_passive) [m or rad] with lengths over the characteristic length."""
     return passive / np.where(mechanism.is_metre_column, mechanism.length, 1.0)
 
@@ -176,19 +176,23 @@ def follow(
     home_p, _, home_ok = carry(mechanism, mode, mode.actuated[None], mode.passive[None])
     known = (mode.actuated[None], home_p)
     if home_ok[0] and not thorough:
-        return _spread_out(mechanism, mode, known, actuated, thorough=False)
+        return _solve_outwards(mechanism, mode, known, actuated, thorough=False)
     if home_ok[0]:
-        solutions.take(*_spread_out(mechanism, mode, known, actuated))
+        solutions.take(*_solve_outwards(mechanism, mode, known, actuated))
     todo = np.flatnonzero(~solutions.ok)
     if len(todo) and mechanism is not mode.mechanism:
-        passive, _, ok = _spread_out(mode.mechanism, mode, (mode.actuated[None], mode.passive[None]), actuated[todo])
+        passive, _, ok = _solve_outwards(
+            mode.mechanism, mode, (mode.actuated[None], mode.passive[None]), actuated[todo]
+        )
         todo = todo[ok]
         solutions.take(*carry(mechanism, mode, actuated[todo], passive[ok]), todo)
         todo = np.flatnonzero(~solutions.ok)
     if len(todo) and home_ok[0]:
         stones = _stepping_stones(mechanism, mode, actuated[todo])
-        passive, _, ok = _spread_out(mechanism, mode, known, stones)
-        solutions.take(*_nearest(mechanism, mode, (stones[ok], passive[ok]), actuated[todo], _FROM_STONES), todo)
+        passive, _, ok = _solve_outwards(mechanism, mode, known, stones)
+        solutions.take(
+            *_solve_from_nearest(mechanism, mode, (stones[ok], passive[ok]), actuated[todo], _FROM_STONES), todo
+        )
     return solutions.passive, solutions.slope, solutions.ok
 
 
@@ -223,9 +227,9 @@ def carry(
 
     def go(index: IntArray, at: FloatArray, low: float, high: float) -> tuple[IntArray, FloatArray]:
         """From the part `low` of the change to `high`; return who arrived, and their passive joints."""
-        partway = mechanism if high == 1 else mode.mechanism.between_origins(mechanism, high)
+        partway = mechanism if high == 1 else mode.mechanism.interpolated(mechanism, high)
         solved, slope, _, ok = newton(partway, mode, actuated[index], at)
-        ok &= np.max(np.abs(in_radians(partway, solved - at)), axis=1, initial=0.0) < 4 * LARGEST_STEP
+        ok &= np.max(np.abs(scaled_passive(partway, solved - at)), axis=1, initial=0.0) < 4 * LARGEST_STEP
         if high == 1:
             solutions.take(solved, slope, ok, index)
         left = np.flatnonzero(~ok)
@@ -241,7 +245,7 @@ def carry(
     return solutions.passive, solutions.slope, solutions.ok
 
 
-def _spread_out(
+def _solve_outwards(
     mechanism: Mechanism,
     mode: AssemblyMode,
     known: tuple[FloatArray, FloatArray],
@@ -257,13 +261,13 @@ def _spread_out(
     start, size = 0, 8
     while start < len(order):
         batch = order[start : start + size]
-        solutions.take(*_nearest(mechanism, mode, known, actuated[batch], *effort), batch)
+        solutions.take(*_solve_from_nearest(mechanism, mode, known, actuated[batch], *effort), batch)
         solved = batch[solutions.ok[batch]][:: 1 + len(batch) // _MOST_KNOWN]
         known = np.vstack([known[0], actuated[solved]]), np.vstack([known[1], solutions.passive[solved]])
         start, size = start + size, size * 2
     left = np.flatnonzero(~solutions.ok)
     if len(left) and len(known[0]) > _NEIGHBOURS:
-        solutions.take(*_nearest(mechanism, mode, known, actuated[left], *effort), left)
+        solutions.take(*_solve_from_nearest(mechanism, mode, known, actuated[left], *effort), left)
     return solutions.passive, solutions.slope, solutions.ok
 
 
@@ -299,7 +303,7 @@ def hangs_together(
     return arrived, ok
 
 
-def _nearest(
+def _solve_from_nearest(
     mechanism: Mechanism,
     mode: AssemblyMode,
     known: tuple[FloatArray, FloatArray],
@@ -345,7 +349,7 @@ def _continue(
     start_a, at_p = start[0], start[1].copy()
     way = goal - start_a
     _, slope, slope_a, _ = newton(mechanism, mode, start_a, at_p)  # of solved poses: only their slopes
-    tangent = solved_for(slope, np.matmul(slope_a, way[:, :, None])[:, :, 0])  # of the passive joints, for the way
+    tangent = solve_each(slope, np.matmul(slope_a, way[:, :, None])[:, :, 0])  # of the passive joints, for the way
     done, part = np.zeros(len(goal)), np.ones(len(goal))
     active, lengths = np.arange(len(goal)), 1
     while len(active):
@@ -357,7 +361,7 @@ def _continue(
         next_a = np.where(come < 1, start_a[who] + come * way[who], goal[who])
         predicted = at_p[who] - step[:, None] * tangent[who]
         solved, new_slope, new_slope_a, accepted = newton(mechanism, mode, next_a, predicted)
-        accepted &= np.max(np.abs(in_radians(mechanism, solved - at_p[who])), axis=1) < 4 * LARGEST_STEP
+        accepted &= np.max(np.abs(scaled_passive(mechanism, solved - at_p[who])), axis=1) < 4 * LARGEST_STEP
         part[active] = halved[:, -1] / 2
         good, first = np.unique(who[accepted], return_index=True)
         took = np.flatnonzero(accepted)[first]
@@ -367,6 +371,6 @@ def _continue(
         lengths = 1 if len(good) == len(active) else max(1, _TOGETHER // len(active))
         further = done[good] < 1
         on, took = good[further], took[further]
-        tangent[on] = solved_for(new_slope[took], np.matmul(new_slope_a[took], way[on, :, None])[:, :, 0])
+        tangent[on] = solve_each(new_slope[took], np.matmul(new_slope_a[took], way[on, :, None])[:, :, 0])
         active = active[(done[active] < 1) & (part[active] >= smallest)]
     return at_p, slope, done >= 1

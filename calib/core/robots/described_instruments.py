@@ -33,10 +33,10 @@ def instruments_of(description: Description, where: str) -> tuple[Instrument, ..
         DescriptionError: An instrument looks at a target that does not exist, or a column belongs to two of them.
     """
     if not description.instruments:
-        noise = Noise((PartNoise.of(description.sigma, 3),))
+        noise = Noise((PartNoise.from_sigma(description.sigma, 3),))
         return tuple(Position(name, name, _TARGETS_GROUP, noise=noise) for name in description.targets)
     sections = description.instruments.items()
-    instruments = tuple(KINDS[section.kind].of(name, section) for name, section in sections)
+    instruments = tuple(KINDS[section.kind].from_section(name, section) for name, section in sections)
     for instrument in instruments:
         if isinstance(instrument, FrameInstrument) and instrument.target not in description.targets:
             raise DescriptionError(
@@ -102,7 +102,7 @@ def pair_names(description: Description, instrument: Instrument) -> tuple[tuple[
     result: list[tuple[str, str]] = []
     for setup in list(description.setups) or [""]:
         for a, b in instrument.pairs(MEASUREMENT_FRAME):
-            result.append((_in_setup(description, a, setup), _in_setup(description, b, setup)))
+            result.append((_place_in_setup(description, a, setup), _place_in_setup(description, b, setup)))
     return tuple(result)
 
 
@@ -114,7 +114,7 @@ def _later(place: str, setup: str) -> str:
     return f"{place}@{setup}"
 
 
-def _in_setup(description: Description, place: str, setup: str) -> str:
+def _place_in_setup(description: Description, place: str, setup: str) -> str:
     """The place as it is in a setup: its latest self."""
     current = place
     for name, moved in description.setups.items():

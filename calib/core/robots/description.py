@@ -175,7 +175,7 @@ class Description(Section):
     lag: Annotated[float, Field(gt=0)] = 0.02
 
     @model_validator(mode="after")
-    def _named_once(self) -> Description:
+    def _check_names(self) -> Description:
         for key in ("name_mot", "held", "elimination_order"):
             names = getattr(self, key)
             again = next((name for k, name in enumerate(names) if name in names[:k]), None)
@@ -231,7 +231,7 @@ def read_description(path: Path | str) -> Description:
         raise DescriptionError(
             f"{path}: is not a mapping of keys to values; `calib init URDF` writes one to start from"
         )
-    return checked_description(content, path)
+    return validate_description(content, path)
 
 
 def schema_text() -> str:
@@ -241,7 +241,7 @@ def schema_text() -> str:
     return text.replace('"oneOf":', '"anyOf":')  # entries of several kinds are told apart by a key that all have
 
 
-def checked_description(content: Mapping[str, Any], where: Path | str) -> Description:
+def validate_description(content: Mapping[str, Any], where: Path | str) -> Description:
     """Validate the content of a robot description.
 
     Args:

@@ -1,7 +1,7 @@
 """Formats of files, what each holds of a calibrated robot, the robot that it gets for that, and what its file says.
 
 Formats are brought by capabilities and other packages, under the group `calib.formats`: each entry is a tuple of
-`Format`. `calib.core.robots.held` says what holding means.
+`Format`. `calib.core.robots.accuracy_of_files` says what holding means.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from calib.core.base.errors import ComputationError
-from calib.core.base.registry import installed
-from calib.core.base.words import listed
-from calib.core.robots.held import Holds
+from calib.core.base.registry import list_entry_points
+from calib.core.base.words import listing
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import lost_by, without_terms
 
@@ -55,7 +55,7 @@ class Format:
 
 def formats() -> dict[str, Format]:
     """Return every format by its name, in the order of help and messages."""
-    return {each.name: each for entry in installed("calib.formats") for each in entry.load()}
+    return {each.name: each for entry in list_entry_points("calib.formats") for each in entry.load()}
 
 
 def formats_that_hold(holds: Holds, robot: Robot) -> list[str]:
@@ -106,27 +106,27 @@ def loses(robot: Robot, holds: Holds) -> bool:
     return bool(lost_by(robot, holds)) or (known is not None and bool(known.withheld))
 
 
-def said_of(robot: Robot, holds: Holds) -> list[str]:
+def remarks_on_file(robot: Robot, holds: Holds) -> list[str]:
     """Return what a file that holds so much of a robot says: what it loses, and how good it is, as far as known."""
     lost, known = lost_by(robot, holds), robot.files.get(holds)
     if known is None:
-        without = f"joint terms of {listed(lost)}, which are not in this file"
+        without = f"joint terms of {listing(lost)}, which are not in this file"
         return [f"exported by force: these values belong to {without}"] if lost and holds is not Holds.ZEROS else []
     lines = [f"exported by force: {known.withheld}"] if known.withheld else []
     if holds is Holds.ZEROS:  # what that format says by itself has the rest
         return lines
     if lost:
         lines.append(
-            f"holds {holds.value}, fitted without the joint terms of {listed(lost)}, which have no place in this file;"
+            f"holds {holds.value}, fitted without the joint terms of {listing(lost)}, which have no place in this file;"
             f" {WHOLE}"
         )
-    return [*lines, f"error of the robot in this file: {compared(robot, holds)}"]
+    return [*lines, f"error of the robot in this file: {error_comparison(robot, holds)}"]
 
 
-def compared(robot: Robot, holds: Holds) -> str:
+def error_comparison(robot: Robot, holds: Holds) -> str:
     """Return the error of the robot that a file gets, beside the nominal one and the whole model; one clause."""
     accuracy, whole = robot.files[holds].accuracy, robot.files.get(Holds.EVERYTHING)
-    others = f"; the nominal robot has {accuracy.shown(accuracy.before)}"
+    others = f"; the nominal robot has {accuracy.in_unit(accuracy.before)}"
     if whole is not None and whole.accuracy != accuracy:
-        others += f", the whole model {whole.accuracy.shown(whole.accuracy.rms)}"
+        others += f", the whole model {whole.accuracy.in_unit(whole.accuracy.rms)}"
     return accuracy.words + others

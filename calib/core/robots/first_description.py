@@ -286,7 +286,7 @@ def description_text(
 
 
 def _end_components(urdf: UrdfText, chain: Sequence[str]) -> list[str]:
-    """What the unknown places of both ends of a chain of joints take up: as names of parameters."""
+    """Parameters of a chain of joints that the unknown places of its ends absorb, by name."""
     by_name = {joint.name: joint for joint in urdf.joints}
     moving = [by_name[name] for name in chain if by_name[name].type not in HELD_TYPES]
     result = [f"{moving[0].name}.{component}" for component in COMPONENTS]

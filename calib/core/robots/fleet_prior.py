@@ -40,7 +40,7 @@ class FleetParameter(Section):
 
 
 class FleetSection(Section):
-    """What other robots of the model are like.
+    """Parameters of other robots of the model, as a prior.
 
     Attributes:
         robots: Of how many robots it was learned.
@@ -67,7 +67,7 @@ class FleetSection(Section):
         return self
 
     def knows(self, name: str) -> bool:
-        """Whether it says what to expect of a parameter."""
+        """Whether the fleet gives a prior of a parameter."""
         return name in self.parameters and name not in self.unlike
 
     def check(self, parameters: Sequence[Parameter], where: str) -> None:
@@ -92,9 +92,9 @@ class FleetSection(Section):
         Raises:
             DescriptionError: A number has a unit of another dimension, or a spread is not positive.
         """
-        return tuple(self._expected(p, where) if self.knows(p.name) else p for p in parameters)
+        return tuple(self._expected_parameter(p, where) if self.knows(p.name) else p for p in parameters)
 
-    def _expected(self, parameter: Parameter, where: str) -> Parameter:
+    def _expected_parameter(self, parameter: Parameter, where: str) -> Parameter:
         entry = self.parameters[parameter.name]
         place, dimension = f"{where}: fleet: {parameter.name}", parameter.dimension
         offset = quantity(entry.offset, dimension, f"{place}, offset", DescriptionError)
@@ -106,7 +106,7 @@ class FleetSection(Section):
         sigma = spread * float(np.sqrt(1.0 + np.sum(np.square(entry.unsure))))
         return replace(parameter, sigma_si=sigma, prior=True, mean_si=parameter.nominal_si + offset)
 
-    def widened(self, factor: float, parameters: Iterable[Parameter]) -> FleetSection:
+    def widen(self, factor: float, parameters: Iterable[Parameter]) -> FleetSection:
         """Return it with all that it says so many times as uncertain.
 
         Args:

@@ -54,11 +54,11 @@ class GravityTurn(JointTerm):
     driven: tuple[str, ...]
 
     @classmethod
-    def of(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
+    def from_section(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
         """Raise `ValueError`: it comes with a description's `gravity`, and has no entry of its own."""
         raise ValueError("gravity's direction is found where the description's `gravity` has a sigma")
 
-    def moved(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
+    def driven_joint_names(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
         """Return the names of the driven joints that give way."""
         return self.driven
 
@@ -68,7 +68,7 @@ def gravity_turn(description: Description, terms: list[JointTerm], mechanism: Me
     section, bending = description.gravity, [term for term in terms if term.needs_torque]
     if section is None or section.sigma is None or not bending:
         return ()
-    driven = dict.fromkeys(name for term in bending for name in term.moved(mechanism.dimensions))
+    driven = dict.fromkeys(name for term in bending for name in term.driven_joint_names(mechanism.dimensions))
     parameters = tuple(Parameter(f"gravity.r{'xyz'[k]}", "angle", 0.0, section.sigma, "deg") for k in section.axes)
     return (GravityTurn("gravity", parameters, tuple(driven)),)
 
@@ -135,7 +135,7 @@ def turned_joints(
     data, columns = model.createData(), [mechanism.actuated.index(name) for name in section.joints]
     places = [mechanism.origin_names.index(name) for name in section.joints]
     result = np.full((len(q), 2), np.nan)
-    joints = mechanism.all_joints(mechanism.untilted(q), np.zeros((len(q), len(mechanism.passive))))
+    joints = mechanism.all_joints(mechanism.without_tilts(q), np.zeros((len(q), len(mechanism.passive))))
     for k, row in enumerate(joints):
         value = q[k, columns]
         for _ in range(_ROUNDS):
@@ -177,9 +177,9 @@ def accelerations(
         (n, 3) [m/s^2], and as many for each turn [m/s^2 per rad].
     """
     section = GravitySection() if section is None else section
-    down = _stated(section, setups, len(joints), context)
+    down = _stated_direction(section, setups, len(joints), context)
     if context.down is not None:
-        read = _read(section, mechanism, joints, context.down)
+        read = _measured_direction(section, mechanism, joints, context.down)
         down = np.where(np.isnan(read), down, read)
     if len(turns) == 0:
         return STANDARD * down, ()
@@ -188,19 +188,21 @@ def accelerations(
     return turned @ first.T, (turned @ of_first.T, STANDARD * down @ of_second.T @ first.T)
 
 
-def _stated(section: GravitySection, setups: tuple[str, ...], n: int, context: Context) -> FloatArray:
+def _stated_direction(section: GravitySection, setups: tuple[str, ...], n: int, context: Context) -> FloatArray:
     """The direction at each of n visits as a description says it, (n, 3)."""
-    return section.stated(setups)[np.zeros(n, dtype=np.intp) if context.setups is None else context.setups]
+    return section.stated_directions(setups)[np.zeros(n, dtype=np.intp) if context.setups is None else context.setups]
 
 
-def _read(section: GravitySection, mechanism: Mechanism, joints: FloatArray, down: FloatArray) -> FloatArray:
-    """What sensors read (n, 3), in the root link's axes, (n, 3)."""
+def _measured_direction(
+    section: GravitySection, mechanism: Mechanism, joints: FloatArray, down: FloatArray
+) -> FloatArray:
+    """Directions that sensors read (n, 3), in the axes of the root link, (n, 3)."""
     if section.frame is None:
         return down
     return np.asarray(np.einsum("nab,nb->na", _rotations(mechanism, section.frame, joints), down))
 
 
-def contradicted(description: Description, mechanism: Mechanism, q: FloatArray, context: Context) -> FloatArray:
+def contradiction_angles(description: Description, mechanism: Mechanism, q: FloatArray, context: Context) -> FloatArray:
     """Return how far gravity as it was read is from a stated direction, where that is too far, (n,) [rad]; else NaN.
 
     NaN, too, where the sensor's link is in a loop.
@@ -220,8 +222,12 @@ def contradicted(description: Description, mechanism: Mechanism, q: FloatArray, 
         return result
     setups = tuple(description.setups)
     stated = np.array(["down" in section.model_fields_set or name in section.setups for name in setups or ("",)])
-    joints = mechanism.all_joints(mechanism.untilted(q), np.zeros((len(q), len(mechanism.passive))))
-    cosine = np.sum(_read(section, mechanism, joints, context.down) * _stated(section, setups, len(q), context), axis=1)
+    joints = mechanism.all_joints(mechanism.without_tilts(q), np.zeros((len(q), len(mechanism.passive))))
+    cosine = np.sum(
+        _measured_direction(section, mechanism, joints, context.down)
+        * _stated_direction(section, setups, len(q), context),
+        axis=1,
+    )
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
     known = stated[np.zeros(len(q), dtype=np.intp) if context.setups is None else context.setups]
     return np.where(known & (angle > max(_CONTRADICTS, 3.0 * (section.sigma or 0.0))), angle, result)
@@ -258,16 +264,16 @@ def turn_columns(
         slopes: Derivative of the torque by each turn, (n, n_driven) each.
         values: Coefficients of all terms, (n_coefficients,).
     """
-    moved = terms[-1].moved(mechanism.dimensions)
+    moved = terms[-1].driven_joint_names(mechanism.dimensions)
     result, start = np.zeros((len(q), len(moved), len(slopes))), 0
     for term in terms:
         coefficients = values[start : (start := start + len(term.parameters))]
         if not term.needs_torque:
             continue
-        for name in term.moved(mechanism.dimensions):
+        for name in term.driven_joint_names(mechanism.dimensions):
             for k, slope in enumerate(slopes):
                 j = mechanism.driven.index(name)
-                result[:, moved.index(name), k] += term.by_torque(q, j, context, slope) @ coefficients
+                result[:, moved.index(name), k] += term.torque_derivative(q, j, context, slope) @ coefficients
     return result
 
 

@@ -65,8 +65,8 @@ def _term(section: TermSection, name: str, joint: UrdfJoint, mechanism: Mechanis
             raise InputError(f"{place}: sigma must be positive; leave the term out to have none")
         stroke = joint.upper - joint.lower
         if dimension == "length" and np.isfinite(stroke) and stroke > 0:
-            section = section.within(float(stroke))
-        return TERMS[section.term].of(Joint(name, dimension, mechanism.actuated), section, sigma)
+            section = section.with_stroke(float(stroke))
+        return TERMS[section.term].from_section(Joint(name, dimension, mechanism.actuated), section, sigma)
     except (InputError, ValueError) as error:
         text = str(error)
         raise DescriptionError(text if text.startswith(where) else f"{place}: {text}") from None
@@ -74,7 +74,7 @@ def _term(section: TermSection, name: str, joint: UrdfJoint, mechanism: Mechanis
 
 def driven_by(term: JointTerm, mechanism: Mechanism) -> list[int]:
     """Return of which of the driven joints the errors depend on a term."""
-    return [mechanism.driven.index(name) for name in term.moved(mechanism.dimensions)]
+    return [mechanism.driven.index(name) for name in term.driven_joint_names(mechanism.dimensions)]
 
 
 def columns_of_terms(
@@ -119,7 +119,7 @@ def with_terms(robot: SomeRobot, sections: Sequence[TermSection]) -> SomeRobot:
     if tilted_joints(description) != tilted_joints(robot.description):
         nominal = build_mechanism(robot.urdf, description, robot.instruments, robot.path)
         mechanism = nominal.with_placements(robot.parametrisation.placements(robot.values[: robot.n_origin_parameters]))
-        mode = replace(robot.mode, mechanism=nominal, actuated=nominal.untilted(robot.home[None])[0])
+        mode = replace(robot.mode, mechanism=nominal, actuated=nominal.without_tilts(robot.home[None])[0])
         changed = replace(changed, nominal=nominal, mechanism=mechanism, mode=mode)
     value_of = dict(zip((parameter.name for parameter in robot.parameters), robot.values, strict=True))
     return replace(changed, values=np.array([value_of.get(p.name, p.nominal_si) for p in changed.parameters]))
@@ -132,7 +132,7 @@ def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None
     context = Context.neutral(len(q), len(robot.joint_names)) if context is None else context
     if not any(term.needs_torque for term in robot.terms):
         return columns_of_terms(robot.terms, robot.mechanism, q, context)
-    driven = robot.nominal.untilted(q)
+    driven = robot.nominal.without_tilts(q)
     closed = loops.close(robot.nominal, robot.mode, driven)
     passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
     assert closed.slope is not None  # no seed was given
@@ -156,7 +156,7 @@ def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None
 
 
 def actual_joints(robot: RobotData, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
-    """Return what the driven joints are, (n, n_driven), when the actuated ones are told q (n, n_actuated).
+    """Return the driven joints, (n, n_driven), at commands q (n, n_actuated).
 
     Args:
         q: The commands [m or rad].
@@ -165,11 +165,11 @@ def actual_joints(robot: RobotData, q: FloatArray, columns: tuple[FloatArray, ..
     if not robot.terms:
         return q
     errors = joint_errors(robot.terms, robot.mechanism, columns, robot.values[robot.coefficients], len(q))
-    return robot.mechanism.untilted(q) + errors
+    return robot.mechanism.without_tilts(q) + errors
 
 
 def commands_for(robot: RobotData, actual: FloatArray, context: Context | None = None) -> FloatArray:
-    """Return what the actuated joints must be told to be at `actual`, (n, n_actuated) [m or rad].
+    """Return the commands at which the actuated joints are at `actual`, (n, n_actuated) [m or rad].
 
     q = actual - dq(q) is repeated until it stands; joint errors change so little with q that each round gains
     digits. Where they change much, as where backlash changes its side, a round that gains nothing is taken back,

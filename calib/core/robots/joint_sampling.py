@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, InputError, nearest
-from calib.core.base.words import listed, warn_once
+from calib.core.base.words import listing, warn_once
 from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.urdf.text import UrdfText
 
@@ -29,7 +29,7 @@ _LONGEST = 1e3  # stroke of a sliding joint [m]
 _MOST_TURNS = 10
 
 
-def checked_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
+def validate_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
     """Return the ranges; an unknown name, or one that is no range, is an `InputError`."""
     for name, span in within.items():
         if name not in known:
@@ -67,7 +67,7 @@ def joint_box(
     still = [name for name in mechanism.actuated if name not in ranges and not joints[name].moves]
     if still:
         raise DataError(
-            f"{path}: no range to spread poses over for {listed(still)}: a <limit> without lower and upper is 0 to 0;"
+            f"{path}: no range to spread poses over for {listing(still)}: a <limit> without lower and upper is 0 to 0;"
             " write the limits into the URDF, give ranges (--within), or a file of poses"
         )
     lower, upper = home.copy(), home.copy()
@@ -93,7 +93,7 @@ def joint_box(
     return lower, upper
 
 
-def spread(
+def draw_spread(
     count: int,
     rng: np.random.Generator,
     box: tuple[FloatArray, FloatArray],

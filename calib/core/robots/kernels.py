@@ -8,9 +8,9 @@ A frame i has the pose T_i in the world, twelve numbers: its rotation column by 
 (`calib.core.robots.mechanism.flat_poses`). Frame 0 is the world; joint i, behind an origin, moves frame i + 1; its axis
 is S_i = [v; w] in its own frame. World twists are [v; w] with v at the world's origin.
 
-Compiled code is kept beside this file, or where numba may write (`kept`), so that only the first program ever waits for
-it, and says so. All of it is in this one file, because numba compiles again only where the file of a function has
-changed. Arrays are filled element by element: numba compiles an assignment of whole arrays with the texts of its
+Compiled code is kept beside this file, or where numba may write (`is_compiled`), so that only the first program ever
+waits for it, and says so. All of it is in this one file, because numba compiles again only where the file of a function
+has changed. Arrays are filled element by element: numba compiles an assignment of whole arrays with the texts of its
 errors, which takes longer than all of the rest.
 """
 
@@ -26,7 +26,7 @@ from numba import njit
 from numba.core import event
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.robots.mechanism import Mechanism, Reduced
+from calib.core.robots.mechanism import JointSubset, Mechanism
 
 _LOG = logging.getLogger("calib")
 _JIT: Any = partial(njit, error_model="numpy", fastmath={"contract"})
@@ -38,13 +38,13 @@ class _FirstUse(event.Listener):
     """Says once that functions of this file are being compiled, and not read from where they are kept."""
 
     def __init__(self) -> None:
-        self._told = False
+        self._notified = False
 
     def on_start(self, event: Any) -> None:
         """Say it."""
         compiled = getattr(event.data.get("dispatcher"), "py_func", None)
-        if not self._told and getattr(compiled, "__module__", "") == __name__:
-            self._told = True
+        if not self._notified and getattr(compiled, "__module__", "") == __name__:
+            self._notified = True
             _LOG.warning("numba compiles the kinematics; this takes about 5 s, once for each version")
 
     def on_end(self, event: Any) -> None:
@@ -55,7 +55,7 @@ event.register("numba:compile", _FirstUse())  # type: ignore[no-untyped-call]
 
 
 class Tree(NamedTuple):
-    """What counts of a model, as arrays.
+    """The moving part of a model, as arrays.
 
     Attributes:
         parents: Frame before each origin, (n_joints,).
@@ -87,12 +87,12 @@ class Loops(NamedTuple):
     factor: FloatArray
 
 
-def tree(mechanism: Mechanism, reduced: Reduced) -> Tree:
+def tree(mechanism: Mechanism, reduced: JointSubset) -> Tree:
     """Return what is left of a mechanism as arrays."""
     return Tree(reduced.parents, mechanism.placements[reduced.joints], mechanism.axes[reduced.joints])
 
 
-def loops(mechanism: Mechanism, reduced: Reduced) -> Loops:
+def loops(mechanism: Mechanism, reduced: JointSubset) -> Loops:
     """Return the loops of a mechanism, none of which constrains directions, in what is left of it."""
     (a, b, axis), select = mechanism.loop_rows.T, mechanism.select_moving[reduced.joints]
     factor, leader = select.sum(axis=1), np.argmax(select != 0.0, axis=1)  # a joint follows one coordinate at most
@@ -372,7 +372,7 @@ def motion(
                         result[k, r, columns[e]] -= X[i, r] * opened
 
 
-def kept() -> bool:
+def is_compiled() -> bool:
     """Whether an earlier program has compiled this version of the file, or this one has."""
     folder, version = Path(motion.stats.cache_path), Path(__file__).stat().st_mtime
     return any(index.stat().st_mtime >= version for index in folder.glob("kernels.motion-*.nbi"))

@@ -15,7 +15,7 @@ alike drop out of V_b - V_a.
   perturbation `placement * exp6(xi)`, xi = [linear; angular] in the joint's own frame, is Ad(T_before placement) xi.
 
 Pinocchio has no batch interface, so the poses are looped over in Python; all further algebra runs on arrays of poses.
-Joints that do not matter have left the model (`Reduced`).
+Joints that do not matter have left the model (`JointSubset`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, IntArray, as_slice
-from calib.core.robots.mechanism import Mechanism, Reduced, RelativeFrame, flat_poses
+from calib.core.robots.mechanism import JointSubset, Mechanism, RelativeFrame, flat_poses
 
 CHUNK = 64
 """Poses at once: all arrays of theirs stay in the processor's cache, and none needs new pages of memory."""
@@ -37,7 +37,7 @@ _JOINTS_AT_ONCE = 48 * CHUNK
 _AT_HOME = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
 
 
-def at_once(reduced: Reduced) -> int:
+def n_at_once(reduced: JointSubset) -> int:
     """Return how many poses are good at once: more than `CHUNK` where few joints count."""
     return max(CHUNK, _JOINTS_AT_ONCE // max(len(reduced.joints), 1))
 
@@ -63,7 +63,7 @@ class WorldTwists:
         twists: xi, (n_twists, 6).
     """
 
-    def __init__(self, reduced: Reduced, joints: IntArray, twists: FloatArray) -> None:
+    def __init__(self, reduced: JointSubset, joints: IntArray, twists: FloatArray) -> None:
         parents = reduced.parents[joints]
         self._frames, at = np.unique(parents, return_inverse=True)
         spread = np.zeros((len(self._frames), 6, len(joints)))  # R xi of all frames and twists is one product
@@ -73,7 +73,7 @@ class WorldTwists:
         self._linear = spread[:, :3].reshape(-1, len(joints))
         self._angular = spread[:, 3:, turning].reshape(len(self._linear), -1)
 
-    def seen(self, swept: Sweep) -> FloatArray:
+    def in_world(self, swept: Sweep) -> FloatArray:
         """Return Ad(T_before) xi, (n, 6, n_twists)."""
         n, turning = len(swept.poses), self._turning
         axes = swept.poses[:, self._frames, :9].reshape(n, -1, 3).transpose(0, 2, 1).reshape(3 * n, -1)
@@ -88,7 +88,7 @@ class WorldTwists:
 
 
 @dataclass(frozen=True, eq=False)
-class Along:
+class TwistMap:
     """Twists of origins along which to differentiate some rows.
 
     Attributes:
@@ -104,14 +104,16 @@ class Along:
     signs: FloatArray
     n_rows: int
     before: FloatArray
-    reduced: Reduced
+    reduced: JointSubset
     select: FloatArray
 
     @cached_property
     def passive(self) -> tuple[Coordinates, Coordinates]:
         """The passive joints, as they move the rows, and those of the loops."""
         of_rows, of_loops = self.signs[: self.n_rows], self.signs[self.n_rows :]
-        return Coordinates.of(self.reduced, of_rows, self.select), Coordinates.of(self.reduced, of_loops, self.select)
+        return Coordinates.from_signs(self.reduced, of_rows, self.select), Coordinates.from_signs(
+            self.reduced, of_loops, self.select
+        )
 
     @cached_property
     def entries(self) -> tuple[IntArray, IntArray, FloatArray]:
@@ -154,7 +156,7 @@ class Coordinates:
     sums: FloatArray | None
 
     @classmethod
-    def of(cls, reduced: Reduced, signs: FloatArray, select: FloatArray) -> Coordinates:
+    def from_signs(cls, reduced: JointSubset, signs: FloatArray, select: FloatArray) -> Coordinates:
         """Return those of coordinates.
 
         Args:
@@ -169,8 +171,8 @@ class Coordinates:
         return cls(joints, signs[:, joints] * left[joints, coordinate], sums)
 
 
-class Shared:
-    """What sweeps over many poses of a mechanism share, computed once for all of them.
+class SweepCache:
+    """Data shared by sweeps over many poses of a mechanism, computed once.
 
     Args:
         mechanism: The robot.
@@ -180,8 +182,8 @@ class Shared:
 
     def __init__(self, mechanism: Mechanism, pairs: tuple[RelativeFrame, ...], functions: Any = None) -> None:
         self.mechanism, self.functions, self._pairs = mechanism, functions, pairs
-        self.reduced = mechanism.around(pairs)
-        self._along: Along | None = None
+        self.reduced = mechanism.reduced_to(pairs)
+        self._along: TwistMap | None = None
 
     @cached_property
     def pinocchio(self) -> tuple[pin.Model, pin.Data, FloatArray, FloatArray]:
@@ -195,7 +197,7 @@ class Shared:
 
     @cached_property
     def tree(self) -> Any:
-        """What counts of the model, as compiled code has it."""
+        """The model as arrays for compiled code."""
         return self.functions.tree(self.mechanism, self.reduced)
 
     @cached_property
@@ -209,7 +211,7 @@ class Shared:
         a, b, axis = self.mechanism.loop_rows.T
         return self.reduced.places[a], self.reduced.places[b], axis
 
-    def along(self, twists: FloatArray | None, signs: FloatArray) -> Along:
+    def twist_map(self, twists: FloatArray | None, signs: FloatArray) -> TwistMap:
         """Return twists along which to differentiate, those of the last call without computing them again.
 
         Args:
@@ -220,7 +222,7 @@ class Shared:
         signs = np.concatenate([signs, self.mechanism.loop_signs])[:, counts]
         if last is None or last.twists is not twists or not np.array_equal(last.signs, signs):
             before = self.mechanism.twists_before(twists)[counts]
-            last = self._along = Along(twists, signs, n_rows, before, self.reduced, self.mechanism.select_passive)
+            last = self._along = TwistMap(twists, signs, n_rows, before, self.reduced, self.mechanism.select_passive)
         return last
 
 
@@ -235,12 +237,12 @@ class Sweep:
             compiled code.
     """
 
-    shared: Shared
+    shared: SweepCache
     poses: FloatArray
     jacobian: FloatArray | None
 
     @property
-    def reduced(self) -> Reduced:
+    def reduced(self) -> JointSubset:
         """The joints that count."""
         return self.shared.reduced
 
@@ -267,7 +269,7 @@ class Sweep:
         return self.rotation.transpose(0, 1, 3, 2)[:, a, axis], self.translation[:, b]
 
 
-def compiled_sweep(shared: Shared, joints: FloatArray) -> Sweep:
+def compiled_sweep(shared: SweepCache, joints: FloatArray) -> Sweep:
     """Return the sweep of `sweep` without the Jacobian, by compiled code.
 
     Args:
@@ -281,13 +283,13 @@ def sweep(
     mechanism: Mechanism,
     joints: FloatArray,
     pairs: tuple[RelativeFrame, ...],
-    shared: Shared | None = None,
+    shared: SweepCache | None = None,
     *,
     poses_only: bool = False,
 ) -> Sweep:
     """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad].
 
-    "World" is where the robot stands after the joints that move all frames of `pairs` alike (`Mechanism.around`).
+    "World" is where the robot stands after the joints that move all frames of `pairs` alike (`Mechanism.reduced_to`).
 
     Args:
         mechanism: The robot.
@@ -296,7 +298,7 @@ def sweep(
         shared: What other sweeps for these pairs have computed.
         poses_only: Whether the Jacobian is not needed.
     """
-    shared = Shared(mechanism, pairs) if shared is None else shared
+    shared = SweepCache(mechanism, pairs) if shared is None else shared
     model, data, seen, moved = shared.pinocchio
     n, q = len(joints), np.ascontiguousarray(joints[:, shared.reduced.joints])
     poses = np.empty((n, len(seen) + 1, 12))
@@ -426,7 +428,7 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
 
 
 def origin_derivative(
-    swept: Sweep, mapping: FloatArray, loops: tuple[FloatArray, FloatArray] | None, along: Along, result: FloatArray
+    swept: Sweep, mapping: FloatArray, loops: tuple[FloatArray, FloatArray] | None, along: TwistMap, result: FloatArray
 ) -> None:
     """Compute map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
 
@@ -438,7 +440,7 @@ def origin_derivative(
         result: Where to put it, (n, n_rows, k).
     """
     n, n_rows = mapping.shape[:2]
-    world, (own, in_loops) = along.world.seen(swept), along.signs_of_entries
+    world, (own, in_loops) = along.world.in_world(swept), along.signs_of_entries
     moved = np.matmul(mapping, world)
     moved *= own
     if loops is not None:

@@ -12,15 +12,21 @@ import numpy as np
 from calib.core.base.errors import DescriptionError, InputError, nearest
 from calib.core.base.mapped_columns import mapped_column
 from calib.core.base.parameter import index_of
-from calib.core.base.registry import installed
+from calib.core.base.registry import list_entry_points
 from calib.core.base.sections import read_yaml
 from calib.core.base.units import Dimension, per_si
 from calib.core.instruments.kind import Instrument, JointInstrument
 from calib.core.robots.described_instruments import instruments_of, places_of
-from calib.core.robots.description import BaseSection, Description, TargetSection, checked_description, read_description
+from calib.core.robots.description import (
+    BaseSection,
+    Description,
+    TargetSection,
+    read_description,
+    validate_description,
+)
 from calib.core.robots.gravity import check_inclinometers
 from calib.core.robots.joint_errors import build_terms
-from calib.core.robots.loops import closed_home
+from calib.core.robots.loops import check_home
 from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.mechanism_builder import build_mechanism, home_values
 from calib.core.robots.parametrisation import build_parametrisation, default_sections
@@ -162,7 +168,7 @@ def robot(
         content["base"] = {"frame": base, "pose": "unknown"} if isinstance(base, str) else base
     if target is not None:
         content["targets"] = {target: {"frame": target, "position": "unknown"}} if isinstance(target, str) else target
-    return build(_with_loops(checked_description(content | keys, urdf), text), text, where)
+    return build(_with_loops(validate_description(content | keys, urdf), text), text, where)
 
 
 RobotLike = Robot | Path | str
@@ -194,7 +200,7 @@ def with_model(robot: Robot, model: str) -> Robot:
     Raises:
         DescriptionError: No such model, or the robot is not of it.
     """
-    known = {name: path for entry in installed("calib.models") for name, path in entry.load().items()}
+    known = {name: path for entry in list_entry_points("calib.models") for name, path in entry.load().items()}
     if model not in known and Path(model).suffix.lower() not in (".yaml", ".yml"):
         raise DescriptionError(
             f"{robot.path}: model: no model '{model}'{nearest(model, known)}; or give a file that calib fleet wrote"
@@ -237,7 +243,7 @@ def build(description: Description, urdf: UrdfText, where: str) -> Robot:
     _check_columns(description, nominal, instruments, where)
     _check_joints(nominal, instruments, where)
     home = home_values(urdf, description, where)
-    mode = closed_home(nominal, home, description.singularity_limit, where)
+    mode = check_home(nominal, home, description.singularity_limit, where)
     parametrisation = build_parametrisation(description, urdf, nominal, places, where)
     terms = build_terms(description, urdf, nominal, where)
     robot = Robot(where, description, urdf, nominal, nominal, parametrisation, instruments, terms, np.zeros(0), mode)

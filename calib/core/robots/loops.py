@@ -7,7 +7,7 @@ Method. Newton from a solution under similar parameters where one is known; else
 (`calib.core.robots.continuation`). A solution beyond the limits of a passive joint does not count. On the way of a fit
 to its minimum it does: a limit would be a wall there, behind which the minimum may lie.
 
-The home configuration itself must close and be regular; it decides the assembly mode (`closed_home`).
+The home configuration itself must close and be regular; it decides the assembly mode (`check_home`).
 
 When it fails. A pose without a solution, or one that no way reaches without passing a singularity, is not closed, and
 it is said why: a loop stays open, a passive joint passes its limit, or the assembly mode differs. Closures must be as
@@ -32,12 +32,12 @@ from calib.core.robots.closure import (
     block_signs,
     blocks,
     gap_text,
-    open_by,
+    loop_openings,
     residual,
-    scaled,
+    scale_closure,
     singular_values,
 )
-from calib.core.robots.continuation import closing_tolerance, follow, hangs_together, in_radians, newton
+from calib.core.robots.continuation import closing_tolerance, follow, hangs_together, newton, scaled_passive
 from calib.core.robots.mechanism import Mechanism
 
 LIMIT_MARGIN = 1e-9
@@ -48,7 +48,7 @@ _CLOSED = 1e-6  # the search for the smallest gap ends a few nanometres from clo
 
 
 @dataclass(frozen=True, eq=False)
-class Closed:
+class LoopSolution:
     """Solved loops.
 
     Attributes:
@@ -61,9 +61,9 @@ class Closed:
     ok: BoolArray
     slope: FloatArray | None
 
-    def at(self, index: IntArray) -> Closed:
+    def select(self, index: IntArray) -> LoopSolution:
         """Return the poses with these indices, (n,)."""
-        return Closed(self.passive[index], self.ok[index], None if self.slope is None else self.slope[index])
+        return LoopSolution(self.passive[index], self.ok[index], None if self.slope is None else self.slope[index])
 
 
 @one_blas_thread
@@ -75,7 +75,7 @@ def close(
     *,
     thorough: bool = True,
     limits: bool = True,
-) -> Closed:
+) -> LoopSolution:
     """Solve the loops of each pose in the assembly mode of home.
 
     Args:
@@ -87,28 +87,28 @@ def close(
     """
     n, n_passive = len(actuated), len(mechanism.passive)
     if not mechanism.loops:
-        return Closed(np.zeros((n, 0)), np.ones(n, dtype=bool), np.zeros((n, 0, 0)))
+        return LoopSolution(np.zeros((n, 0)), np.ones(n, dtype=bool), np.zeros((n, 0, 0)))
     if seed is None:
         passive, slope, ok = follow(mechanism, mode, actuated, thorough=thorough)
-        passive = wrapped(mechanism, mode, passive)
+        passive = wrap_turns(mechanism, mode, passive)
     else:
         slope, seeded = None, np.all(np.isfinite(seed), axis=1)
         passive, ok = np.full((n, n_passive), np.nan), np.zeros(n, dtype=bool)
         part = slice(None) if np.all(seeded) else seeded
         passive[part], _, _, ok[part] = newton(mechanism, mode, actuated[part], seed[part], slopes=False)
-        passive = wrapped(mechanism, mode, passive)
-        ok &= within_limits(mechanism, passive) | (not limits)
+        passive = wrap_turns(mechanism, mode, passive)
+        ok &= are_within_limits(mechanism, passive) | (not limits)
         todo = np.flatnonzero(~ok)
         if len(todo):
             followed, _, ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
-            passive[todo] = wrapped(mechanism, mode, followed)
-    ok &= within_limits(mechanism, passive) | (not limits)
+            passive[todo] = wrap_turns(mechanism, mode, followed)
+    ok &= are_within_limits(mechanism, passive) | (not limits)
     if not np.all(ok):
         passive[~ok] = np.nan
         if slope is not None:
             slope[~ok] = np.nan
     hold(passive, *(() if slope is None else (slope,)))
-    return Closed(passive, ok, slope)
+    return LoopSolution(passive, ok, slope)
 
 
 def reached_from_home(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray) -> bool:
@@ -116,13 +116,13 @@ def reached_from_home(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatA
     if not mechanism.loops:
         return True
     arrived, ok = hangs_together(mechanism, mode, actuated, passive)
-    if not np.all(ok) or not np.all(within_limits(mechanism, passive)):
+    if not np.all(ok) or not np.all(are_within_limits(mechanism, passive)):
         return False
-    apart = in_radians(mechanism, wrapped(mechanism, mode, arrived) - passive)
+    apart = scaled_passive(mechanism, wrap_turns(mechanism, mode, arrived) - passive)
     return bool(np.max(np.abs(apart), initial=0.0) < _SAME_SOLUTION)
 
 
-def wrapped(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:
+def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:
     """Bring turning joints within half a turn of home, or within their limits: a full turn is the same pose.
 
     Args:
@@ -132,7 +132,7 @@ def wrapped(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> Fl
     """
     turn = 2 * np.pi
     turns = np.round((passive - mode.passive) / turn)
-    if not turns.any() and np.all(within_limits(mechanism, passive)):
+    if not turns.any() and np.all(are_within_limits(mechanism, passive)):
         return passive
     near_home = passive - turn * turns
     low, high = mechanism.lower - LIMIT_MARGIN, mechanism.upper + LIMIT_MARGIN
@@ -143,7 +143,7 @@ def wrapped(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> Fl
     return np.where(mechanism.is_metre_column, passive, inside)
 
 
-def within_limits(mechanism: Mechanism, passive: FloatArray) -> BoolArray:
+def are_within_limits(mechanism: Mechanism, passive: FloatArray) -> BoolArray:
     """Return where passive joints (n, n_passive) [m or rad] keep their limits, (n,)."""
     low, high = mechanism.lower - LIMIT_MARGIN, mechanism.upper + LIMIT_MARGIN
     inside: BoolArray = (passive >= low) & (passive <= high)
@@ -170,7 +170,7 @@ def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray)
 
     scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
     best = scipy.optimize.least_squares(values, mode.passive, jac=slope, x_scale=scale, max_nfev=200)
-    lengths, angles = open_by(mechanism, best.fun[None] / weight)
+    lengths, angles = loop_openings(mechanism, best.fun[None] / weight)
     return lengths[0], angles[0]
 
 
@@ -184,10 +184,10 @@ def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> 
     """
     passive, _, closes = follow(mechanism, mode, actuated[None])
     if closes[0]:
-        passive = wrapped(mechanism, mode, passive)
-        if within_limits(mechanism, passive)[0]:
+        passive = wrap_turns(mechanism, mode, passive)
+        if are_within_limits(mechanism, passive)[0]:
             return "it can be reached alone, but by way of the other poses its loops close beyond the limits of a joint"
-        return "its loops close only with " + _beyond(mechanism, passive[0])
+        return "its loops close only with " + _joint_beyond_limits(mechanism, passive[0])
     lengths, angles = smallest_gap(mechanism, mode, actuated)
     loop = int(np.argmax(lengths / mechanism.length + angles))
     if max(lengths[loop], angles[loop]) > _CLOSED:
@@ -195,7 +195,7 @@ def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> 
     return "its loops close there, but no way there was found from home in its assembly mode"
 
 
-def _beyond(mechanism: Mechanism, passive: FloatArray) -> str:
+def _joint_beyond_limits(mechanism: Mechanism, passive: FloatArray) -> str:
     """Name the joint that is farthest beyond its limits."""
     excess = np.maximum(mechanism.lower - passive, passive - mechanism.upper)
     worst = int(np.argmax(excess))
@@ -208,7 +208,7 @@ def _beyond(mechanism: Mechanism, passive: FloatArray) -> str:
     )
 
 
-def closed_home(mechanism: Mechanism, home: dict[str, float], singularity_limit: float, where: str) -> AssemblyMode:
+def check_home(mechanism: Mechanism, home: dict[str, float], singularity_limit: float, where: str) -> AssemblyMode:
     """Check that the home configuration closes, polish it, and record its assembly mode.
 
     Args:
@@ -233,7 +233,7 @@ def closed_home(mechanism: Mechanism, home: dict[str, float], singularity_limit:
     values, slope, _ = residual(mechanism, actuated, passive)
     _check_closed(mechanism, values, where)
     _check_regular(mechanism, slope, singularity_limit, where)
-    rows, columns = blocks(np.abs(scaled(mechanism, slope)[0]) > 1e-9)
+    rows, columns = blocks(np.abs(scale_closure(mechanism, slope)[0]) > 1e-9)
     mode = AssemblyMode(mechanism, actuated[0], passive[0], rows, columns, block_signs(slope, rows, columns)[0])
     polished, _, _, ok = newton(mechanism, mode, actuated, passive)
     if not ok[0]:
@@ -244,7 +244,7 @@ def closed_home(mechanism: Mechanism, home: dict[str, float], singularity_limit:
 
 
 def _check_closed(mechanism: Mechanism, values: FloatArray, where: str) -> None:
-    lengths, angles = (gaps[0] for gaps in open_by(mechanism, values))
+    lengths, angles = (gaps[0] for gaps in loop_openings(mechanism, values))
     limit = _OPEN_HOME * mechanism.length
     excess = np.maximum(lengths / limit, angles / _OPEN_HOME)
     loop = int(np.argmax(excess))
@@ -269,6 +269,6 @@ def _check_regular(mechanism: Mechanism, slope: FloatArray, limit: float, where:
 
 def _loose_loops(mechanism: Mechanism, slope: FloatArray) -> list[int]:
     """Loops whose rows make up the direction in which the closures hold nothing."""
-    left = linalg.svd(scaled(mechanism, slope[None])[0])[0][:, -1]
-    lengths, angles = open_by(mechanism, left[None])
+    left = linalg.svd(scale_closure(mechanism, slope[None])[0])[0][:, -1]
+    lengths, angles = loop_openings(mechanism, left[None])
     return [int(i) for i in np.flatnonzero(np.hypot(lengths, angles)[0] > 0.3)]

@@ -51,7 +51,7 @@ class RelativeFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class Reduced:
+class JointSubset:
     """The joints that decide some pairs of frames: those that move both frames of every pair alike are left out.
 
     They cancel, but for rounding: coordinates of size L are wrong by eps L, so that a robot that stands kilometres from
@@ -94,7 +94,7 @@ def _bytes_of_pose() -> int:
 _POSE_BYTES = _bytes_of_pose()
 
 
-def before_origins(placements: FloatArray, twists: FloatArray) -> FloatArray:
+def twists_before_origins(placements: FloatArray, twists: FloatArray) -> FloatArray:
     """Return Ad(placement) xi, twists of origins in the frames before them, (..., 6, k).
 
     Args:
@@ -183,7 +183,7 @@ class Mechanism(ReadOnlyArrays):
         moving = np.any(self.select_actuated[:, : len(self.actuated)] != 0.0, axis=1)
         return np.rint(self.support[[self.frames[name] for name in self.actuated]] @ moving).astype(np.intp)
 
-    def untilted(self, actuated: FloatArray) -> FloatArray:
+    def without_tilts(self, actuated: FloatArray) -> FloatArray:
         """Return the driven joints, (n, n_driven), where no link is tilted, from the actuated ones (n, n_actuated)."""
         return np.pad(actuated, ((0, 0), (0, len(self.tilts)))) if self.tilts else actuated
 
@@ -208,10 +208,10 @@ class Mechanism(ReadOnlyArrays):
             model.jointPlacements[self.origin_names.index(name) + 1] = placement
         return self._with(forgotten=("placements", "_models"), model=model)
 
-    def around(self, pairs: tuple[RelativeFrame, ...]) -> Reduced:
+    def reduced_to(self, pairs: tuple[RelativeFrame, ...]) -> JointSubset:
         """Return what is left of the model where only these pairs count."""
-        if pairs not in self._reduced:
-            signs = np.array([self.between(pair) for pair in pairs]).reshape(-1, self.n_joints)
+        if pairs not in self._reductions:
+            signs = np.array([self.direction_signs(pair) for pair in pairs]).reshape(-1, self.n_joints)
             moving, frames = signs.any(axis=0), self.model.parents.tolist()
             places = np.concatenate([[0], np.cumsum(moving)])
             for joint in np.flatnonzero(~moving):
@@ -220,26 +220,26 @@ class Mechanism(ReadOnlyArrays):
             parents = places[[frames[joint + 1] for joint in joints]]
             for index, parent in zip(joints.tolist(), parents.tolist(), strict=True):
                 model.addJoint(parent, self.model.joints[index + 1], pin.SE3.Identity(), self.origin_names[index])
-            self._reduced[pairs] = Reduced(joints, places, parents, model)
-        return self._reduced[pairs]
+            self._reductions[pairs] = JointSubset(joints, places, parents, model)
+        return self._reductions[pairs]
 
     def model_around(self, pairs: tuple[RelativeFrame, ...]) -> pin.Model:
         """Return Pinocchio's model of what is left, with the origins of this mechanism; nobody may change it."""
         if pairs not in self._models:
-            reduced = self.around(pairs)
+            reduced = self.reduced_to(pairs)
             model = reduced.model.copy()
             flat_poses(model.jointPlacements)[1:] = self.placements[reduced.joints]
             self._models[pairs] = model
         return self._models[pairs]
 
     @cached_property
-    def _reduced(self) -> dict[tuple[RelativeFrame, ...], Reduced]:
-        """What `around` has returned, for all placements of a mechanism."""
+    def _reductions(self) -> dict[tuple[RelativeFrame, ...], JointSubset]:
+        """Cache of `reduced_to`, for all placements of a mechanism."""
         return {}
 
     @cached_property
     def _models(self) -> dict[tuple[RelativeFrame, ...], pin.Model]:
-        """What `model_around` has returned."""
+        """Cache of `model_around`."""
         return {}
 
     @cached_property
@@ -255,9 +255,9 @@ class Mechanism(ReadOnlyArrays):
         """
         n = self.n_joints
         every = np.eye(6 * n) if twists is None else twists
-        return before_origins(self.placements, every.reshape(n, 6, -1))
+        return twists_before_origins(self.placements, every.reshape(n, 6, -1))
 
-    def between_origins(self, other: Mechanism, part: float) -> Mechanism:
+    def interpolated(self, other: Mechanism, part: float) -> Mechanism:
         """Return the mechanism whose origins have moved by this part (0 to 1) of the way to those of `other`."""
         start, end = self.model.jointPlacements, other.model.jointPlacements
         moved = {
@@ -271,7 +271,7 @@ class Mechanism(ReadOnlyArrays):
         """Assemble q_all of the module docstring, (n_poses, n_joints), from the driven and the passive joints."""
         return actuated @ self.select_actuated.T + passive @ self.select_passive.T + self.constant
 
-    def between(self, relative: RelativeFrame) -> FloatArray:
+    def direction_signs(self, relative: RelativeFrame) -> FloatArray:
         """Return +1 for joints that move only b, -1 for those that move only a, else 0, (n_joints,)."""
         return self.support[relative.b] - self.support[relative.a]
 
@@ -279,12 +279,14 @@ class Mechanism(ReadOnlyArrays):
     def moved_targets(self) -> tuple[RelativeFrame, ...]:
         """Targets that motors move, seen from the measurement frame: not a board that a camera on the arm looks at."""
         driven = np.any(self.select_moving, axis=1)
-        return tuple(target for target in self.targets if np.any(driven & (self.between(target) != 0)))
+        return tuple(target for target in self.targets if np.any(driven & (self.direction_signs(target) != 0)))
 
     @cached_property
     def loop_signs(self) -> FloatArray:
-        """`between` of the loop of each closure row, (n_rows, n_joints)."""
-        return np.array([self.between(loop) for loop in self.loops for _ in loop.rows]).reshape(-1, self.n_joints)
+        """`direction_signs` of the loop of each closure row, (n_rows, n_joints)."""
+        return np.array([self.direction_signs(loop) for loop in self.loops for _ in loop.rows]).reshape(
+            -1, self.n_joints
+        )
 
     @cached_property
     def loop_rows(self) -> IntArray:
@@ -301,11 +303,11 @@ class Mechanism(ReadOnlyArrays):
     def is_seen(self) -> BoolArray:
         """Which joints move a target, a view or a loop, (n_joints,)."""
         pairs = self.targets + self.views + self.loops
-        return np.any([self.between(pair) != 0 for pair in pairs], axis=0)
+        return np.any([self.direction_signs(pair) != 0 for pair in pairs], axis=0)
 
     @cached_property
     def joint_scale(self) -> FloatArray:
-        """What one radian of each actuated joint is compared with: 1, or the characteristic length, (n_actuated,)."""
+        """Scale of each actuated joint: 1 [rad], or the characteristic length [m], (n_actuated,)."""
         return self.driven_scale[: len(self.actuated)]
 
     @cached_property

@@ -13,7 +13,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, UrdfError, nearest
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS
 from calib.core.base.units import Dimension, quantity
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.instruments.kind import Instrument, Place
 from calib.core.robots.described_instruments import MEASUREMENT_FRAME, pair_names, places_of
 from calib.core.robots.description import Description
@@ -66,7 +66,7 @@ def build_mechanism(
     between = np.array([support[pair.b] != support[pair.a] for pair in (*targets, *seen, *loops)])
     names = {name for name, moves in zip(origin_names, between.T, strict=True) if np.any(moves)}
     require_supported([joint for joint in urdf.joints if joint.name in names], where)
-    groups = _joint_groups(urdf, description, origin_names, _in_loops(support, loops), where)
+    groups = _joint_groups(urdf, description, origin_names, _moves_one_side(support, loops), where)
     _check_count(groups.passive, loops, where)
     return Mechanism(
         model=model,
@@ -125,7 +125,7 @@ def _entry(place: Place, description: Description) -> str:
 
 
 def _origin_names(place: Place) -> tuple[str, str]:
-    """What the origin of a place is called, and what else if that name is taken."""
+    """Names for the origin of a place: the first choice, then others if that is taken."""
     if not place.inverted:
         return place.name, f"{place.name}_point"
     later = place.name.removeprefix(MEASUREMENT_FRAME)
@@ -146,7 +146,7 @@ def _tree(urdf: UrdfText, tilted: Collection[str]) -> tuple[pin.Model, dict[str,
     frames = {urdf.root: 0}
     indices: dict[str, int] = {}
     tilts: list[str] = []
-    for joint in urdf.outwards:
+    for joint in urdf.joints_from_root:
         axis = np.array(joint.axis)
         kind: pin.JointModel = pin.JointModelRX()
         if joint.type == "prismatic":
@@ -223,7 +223,7 @@ class _JointGroups:
     followers: dict[str, tuple[str, float, float]]
 
 
-def _in_loops(support: FloatArray, loops: Loops) -> list[bool]:
+def _moves_one_side(support: FloatArray, loops: Loops) -> list[bool]:
     """Which joints move one side of a closure and not the other."""
     inside = [support[loop.b] != support[loop.a] for loop in loops]
     return [bool(moves) for moves in np.any(inside, axis=0)] if inside else [False] * support.shape[1]
@@ -257,8 +257,8 @@ def _check_count(passive: tuple[str, ...], loops: Loops, where: str) -> None:
     n_rows = sum(len(loop.rows) for loop in loops)
     if n_rows != len(passive):
         raise DescriptionError(
-            f"{where}: the closures constrain {counted(n_rows, 'direction')} but leave"
-            f" {counted(len(passive), 'passive joint')}"
+            f"{where}: the closures constrain {count_noun(n_rows, 'direction')} but leave"
+            f" {count_noun(len(passive), 'passive joint')}"
             f" ({', '.join(passive) or 'none'}); they must be equal: check name_mot, and constrain in closed_loop_axes"
             " only what the mechanism constrains (y and z for a planar loop about x)"
         )

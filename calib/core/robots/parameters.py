@@ -51,7 +51,7 @@ class Origin(ReadOnlyArrays):
 
 
 class Parametrisation(Protocol):
-    """What the engine needs to know of a set of parameters."""
+    """Interface of a set of parameters."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -116,7 +116,7 @@ class OriginComponents:
 
     def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
         """Return the edited origins; see `Parametrisation`."""
-        edited = {name: self._edited(name, moved) for name, moved in self._deviations(values).items()}
+        edited = {name: self._edit(name, moved) for name, moved in self._deviations(values).items()}
         return {name: pose.inverse() if name in self.inverted else pose for name, pose in edited.items()}
 
     def twists(self, values: FloatArray) -> dict[str, FloatArray]:
@@ -129,7 +129,7 @@ class OriginComponents:
                 twist[:3, :3] = pin.exp3(moved[3:]).T @ twist[:3, :3]
                 twist[3:, 3:] = pin.Jexp3(moved[3:])
             if name in self.inverted:  # (T exp(xi))^-1 = T^-1 exp(-Ad(T) xi)
-                twist[:] = -self._edited(name, moved).toActionMatrix() @ twist
+                twist[:] = -self._edit(name, moved).toActionMatrix() @ twist
         own[row, :, np.arange(len(row))] = whole[row, :, component]
         return dict(zip(self.nominal, own, strict=True))
 
@@ -138,7 +138,7 @@ class OriginComponents:
         """Transposed nominal rotations of all origins, (n_origins, 3, 3)."""
         return np.array([pose.rotation.T for pose in self.nominal.values()]).reshape(-1, 3, 3)
 
-    def _edited(self, name: str, moved: FloatArray) -> pin.SE3:
+    def _edit(self, name: str, moved: FloatArray) -> pin.SE3:
         nominal = self.nominal[name]
         return pin.SE3(nominal.rotation @ pin.exp3(moved[3:]), nominal.translation + moved[:3])
 
@@ -157,7 +157,7 @@ class OriginComponents:
 
 
 @dataclass(frozen=True, eq=False)
-class Stacked:
+class ParametrisationStack:
     """Several parametrisations of different origins, one after another.
 
     Attributes:
@@ -177,20 +177,20 @@ class Stacked:
         """Return the edited origins; see `Parametrisation`."""
         return {
             name: pose
-            for part, part_values, _ in self._split(values)
+            for part, part_values, _ in self._split_values(values)
             for name, pose in part.placements(part_values).items()
         }
 
     def twists(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the derivative of each origin; see `Parametrisation`."""
         result: dict[str, FloatArray] = {}
-        for part, part_values, columns in self._split(values):
+        for part, part_values, columns in self._split_values(values):
             for name, twist in part.twists(part_values).items():
                 result[name] = np.zeros((6, len(values)))
                 result[name][:, columns] = twist
         return result
 
-    def _split(self, values: FloatArray) -> Iterator[tuple[Parametrisation, FloatArray, slice]]:
+    def _split_values(self, values: FloatArray) -> Iterator[tuple[Parametrisation, FloatArray, slice]]:
         start = 0
         for part in self.parts:
             columns = slice(start, start + len(part.parameters))

@@ -13,14 +13,14 @@ import numpy as np
 
 from calib.core.base.errors import DescriptionError, InputError, ParameterError, nearest
 from calib.core.base.parameter import Parameter, index_of
-from calib.core.base.registry import brought, installed
+from calib.core.base.registry import brought, list_entry_points
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
 from calib.core.base.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
 from calib.core.instruments.kind import Place
 from calib.core.robots.described_instruments import places_of
 from calib.core.robots.description import Description, OriginSection
 from calib.core.robots.mechanism import Mechanism
-from calib.core.robots.parameters import Origin, OriginComponents, Parametrisation, ResultUse, Stacked
+from calib.core.robots.parameters import Origin, OriginComponents, Parametrisation, ParametrisationStack, ResultUse
 from calib.core.robots.robot_data import SomeRobot
 from calib.core.robots.urdf.text import UrdfText
 
@@ -57,7 +57,7 @@ def build_parametrisation(
         if sigma_si <= 0:
             raise DescriptionError(f"{where}: prior of '{name}': sigma must be positive; 'held' keeps it at nominal")
         parameters[place] = replace(parameters[place], sigma_si=sigma_si, prior=True)
-    return Stacked((plain,), tuple(parameters)) if description.prior else plain
+    return ParametrisationStack((plain,), tuple(parameters)) if description.prior else plain
 
 
 def _without_names(
@@ -74,7 +74,11 @@ def _without_names(
                 " set base.pose and targets.*.position to 'known'"
             )
         plugin = _from_plugin(description.parametrisation, origins, mechanism, where)
-        return Stacked((plugin, _components(unknown, origins, mechanism, inverted, where))) if unknown else plugin
+        return (
+            ParametrisationStack((plugin, _components(unknown, origins, mechanism, inverted, where)))
+            if unknown
+            else plugin
+        )
     listed = sorted(description.origins, key=lambda section: section.origin == "all")  # exact entries win
     entries = [(section, description.priors, False) for section in listed]
     return _components(entries + unknown, origins, mechanism, inverted, where)
@@ -178,7 +182,7 @@ def _component_parameter(
 
 
 def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism, where: str) -> Parametrisation:
-    plugins = {entry.name: entry for entry in reversed(installed(ENTRY_POINTS))}
+    plugins = {entry.name: entry for entry in reversed(list_entry_points(ENTRY_POINTS))}
     if name not in plugins:
         raise DescriptionError(f"{where}: no parametrisation '{name}' is installed{nearest(name, plugins)}")
     try:

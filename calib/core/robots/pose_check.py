@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.registry import brought
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.robots.robot_data import RobotData
 
 _PAIRS_SHOWN = 4
@@ -20,7 +20,7 @@ _PAIRS_SHOWN = 4
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """What hits at poses.
+    """Collisions at poses.
 
     Attributes:
         hits: The pair that touches at each pose, such as `forearm - table`, or what hides a target; "" where it is
@@ -34,7 +34,7 @@ class PoseCheck:
     unchecked: str = ""
 
     @property
-    def free(self) -> BoolArray:
+    def is_free(self) -> BoolArray:
         """Which poses are free, (n,)."""
         return np.array([not hit for hit in self.hits], dtype=bool)
 
@@ -45,17 +45,17 @@ class PoseCheck:
 
     def summary(self) -> str:
         """Say how many poses are not free, and by which pairs; "" where all are."""
-        return blocked_by(Counter(filter(None, self.hits)), len(self.hits))
+        return blocking_sentence(Counter(filter(None, self.hits)), len(self.hits))
 
 
-def blocked_by(pairs: Counter[str], n: int) -> str:
+def blocking_sentence(pairs: Counter[str], n: int) -> str:
     """Say by which pairs poses are not free, of n that were looked at; "" where all are free."""
     if not pairs:
         return ""
     named = [f"{count} {pair}" for pair, count in pairs.most_common(_PAIRS_SHOWN)]
     if len(pairs) > _PAIRS_SHOWN:
-        named.append(counted(len(pairs) - _PAIRS_SHOWN, "further pair"))
-    return f"{sum(pairs.values())} of {counted(n, 'pose')} not free ({listed(named)})"
+        named.append(count_noun(len(pairs) - _PAIRS_SHOWN, "further pair"))
+    return f"{sum(pairs.values())} of {count_noun(n, 'pose')} not free ({listing(named)})"
 
 
 def check_poses(robot: RobotData, joints: FloatArray) -> PoseCheck:

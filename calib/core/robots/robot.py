@@ -12,16 +12,23 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import FloatArray, IntArray, random_numbers
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.memory import require_memory
-from calib.core.base.other_words import Hinting
+from calib.core.base.other_words import HintedObject
 from calib.core.base.parameter import index_of
-from calib.core.base.words import titled_html
+from calib.core.base.words import html_with_title
 from calib.core.robots import kinematics, loops
-from calib.core.robots.acceleration import compiled_for, many
+from calib.core.robots.acceleration import compile_for, many
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.closure import actuated_jacobian
-from calib.core.robots.configurations import Configurations, assemble, close, configured, distances, joint_vector
-from calib.core.robots.held import Holds
+from calib.core.robots.configurations import (
+    Configurations,
+    assemble,
+    close,
+    distances,
+    joint_vector,
+    solve_configurations,
+)
 from calib.core.robots.joint_errors import with_terms
-from calib.core.robots.joint_sampling import TRIES, Ranges, checked_ranges, joint_box, spread
+from calib.core.robots.joint_sampling import TRIES, Ranges, draw_spread, joint_box, validate_ranges
 from calib.core.robots.mechanism import RelativeFrame
 from calib.core.robots.parametrisation import with_prior
 from calib.core.robots.robot_data import RobotData
@@ -30,7 +37,7 @@ from calib.core.robots.terms.term import Context, TermSection
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Robot(RobotData, Hinting):
+class Robot(RobotData, HintedObject):
     """A robot with given parameter values. `load` makes one; `with_parameters` makes a changed copy. It can be pickled.
 
     Its data are those of `calib.core.robots.robot_data.RobotData`: `values`, (n_parameters,) [m or rad], of its
@@ -53,7 +60,7 @@ class Robot(RobotData, Hinting):
     def _repr_html_(self) -> str:
         contents = f"joints {', '.join(self.joint_names)}; targets {', '.join(self.target_names)}"
         rows = zip(self.parameters, self.values, self.is_free, strict=True)
-        return titled_html(self.name, (repr(self)[1:-1], contents), [p.row(value, free) for p, value, free in rows])
+        return html_with_title(self.name, (repr(self)[1:-1], contents), [p.row(value, free) for p, value, free in rows])
 
     def fix(self, *names: str | Sequence[str]) -> Robot:
         """Return a robot with these parameters held, too.
@@ -67,14 +74,14 @@ class Robot(RobotData, Hinting):
         placed = {parameter.name for parameter in self.parameters if parameter.placement}
         every = [parameter.name for parameter in self.parameters if parameter.name not in placed]
         named = tuple(each for name in _flat(names) for each in (every if name == "all" else [name]))
-        return self._held((*self.description.held, *named), named)
+        return self._with_held((*self.description.held, *named), named)
 
     def free(self, *names: str | Sequence[str]) -> Robot:
         """Return a robot with these parameters free; see `fix`."""
         named = _flat(names)
-        return self._held(tuple(name for name in self.description.held if name not in named), named)
+        return self._with_held(tuple(name for name in self.description.held if name not in named), named)
 
-    def _held(self, held: tuple[str, ...], named: tuple[str, ...]) -> Robot:
+    def _with_held(self, held: tuple[str, ...], named: tuple[str, ...]) -> Robot:
         for name in named:
             index_of(self.parameters, name)
         changed = self.description.model_copy(update={"held": tuple(dict.fromkeys(held))})
@@ -121,7 +128,7 @@ class Robot(RobotData, Hinting):
         For joint zeros alone it is the nominal one, to which the zeros in `files` belong.
 
         Args:
-            holds: How much; see `calib.core.robots.held`.
+            holds: How much; see `calib.core.robots.accuracy_of_files`.
 
         Raises:
             ComputationError: Joint terms would be lost, and no fit says what is best without them.
@@ -145,7 +152,7 @@ class Robot(RobotData, Hinting):
         columns: tuple[FloatArray, ...] | None = None,
         *,
         thorough: bool = True,
-    ) -> loops.Closed:
+    ) -> loops.LoopSolution:
         """Solve the loops of each pose without raising; see `calib.core.robots.loops.close`.
 
         Args:
@@ -197,13 +204,13 @@ class Robot(RobotData, Hinting):
             DescriptionError: Unknown frame.
             UnreachablePoseError: A loop cannot be closed.
         """
-        configurations, pair = self.assemble(q), self._seen(frame)
+        configurations, pair = self.assemble(q), self._relative_frame(frame)
         joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
         swept = kinematics.sweep(self.mechanism, joints, (pair,), poses_only=True)
         transforms = kinematics.relative_pose(swept, pair)
         return transforms[0] if np.ndim(q) == 1 else transforms
 
-    def _seen(self, frame: str | None) -> RelativeFrame:
+    def _relative_frame(self, frame: str | None) -> RelativeFrame:
         """A frame seen from the measurement frame."""
         target = self.mechanism.targets[0]
         return target if frame is None else replace(target, b=self.mechanism.joint(frame))
@@ -227,7 +234,7 @@ class Robot(RobotData, Hinting):
             DescriptionError: Unknown frame.
             UnreachablePoseError: A loop cannot be closed.
         """
-        configurations, pair = self.assemble(q), self._seen(frame)
+        configurations, pair = self.assemble(q), self._relative_frame(frame)
         by_joint = actuated_jacobian(self.mechanism, pair, configurations.actuated, configurations.passive)[2]
         jacobian = by_joint[:, :, : len(self.joint_names)]
         return jacobian[0] if np.ndim(q) == 1 else jacobian
@@ -277,7 +284,7 @@ class Robot(RobotData, Hinting):
             spans = zip(joints.min(axis=0).tolist(), joints.max(axis=0).tolist(), strict=True)
             within = dict(zip(self.joint_names, spans, strict=True))
         coordinates = [f"{target}_{axis}" for target in self.target_names for axis in "xyz"]
-        ranges = checked_ranges(within or {}, (*self.joint_names, *coordinates))
+        ranges = validate_ranges(within or {}, (*self.joint_names, *coordinates))
         box = joint_box(self.mechanism, self.urdf, self.home, ranges, self.path)
         low, high = np.array([ranges.get(name, (-np.inf, np.inf)) for name in coordinates]).reshape(-1, 2).T
         bounded = not ranges.keys().isdisjoint(coordinates)
@@ -285,15 +292,15 @@ class Robot(RobotData, Hinting):
         def usable(q: FloatArray) -> IntArray:
             closed = self.close(q, thorough=False)  # others are tried in place of those that are hard to reach
             good = np.flatnonzero(closed.ok)
-            distance = self.singular_values(configured(self, q[good], closed.at(good)))
+            distance = self.singular_values(solve_configurations(self, q[good], closed.select(good)))
             good = good[distance >= self.description.singularity_limit]
             if not bounded or len(good) == 0:
                 return good
             points = self.positions(q[good]).reshape(len(good), -1)
             return good[np.all((points >= low) & (points <= high), axis=1)]
 
-        with compiled_for(TRIES * count if self.mechanism.loops else 0, many(self.mechanism)):
-            q = spread(count, random_numbers(seed), box, self.home, usable, draw_in=not bounded)
+        with compile_for(TRIES * count if self.mechanism.loops else 0, many(self.mechanism)):
+            q = draw_spread(count, random_numbers(seed), box, self.home, usable, draw_in=not bounded)
         if len(q) < count:
             reason = "are within these ranges; widen them" if ranges else "can be assembled; give a file of poses"
             raise DataError(f"{self.path}: only {len(q)} of {count} random poses {reason}")

@@ -21,10 +21,10 @@ from calib.core.base.errors import DescriptionError, ParameterError, nearest
 from calib.core.base.parameter import Parameters, index_of
 from calib.core.base.units import in_si
 from calib.core.instruments.kind import Instrument
+from calib.core.robots.accuracy_of_files import FileRobot, Holds
 from calib.core.robots.closure import AssemblyMode
 from calib.core.robots.described_instruments import pair_names
 from calib.core.robots.description import Description
-from calib.core.robots.held import FileRobot, Holds
 from calib.core.robots.mechanism import Mechanism, RelativeFrame, view
 from calib.core.robots.parameters import Parametrisation
 from calib.core.robots.terms.term import JointTerm
@@ -104,7 +104,7 @@ class RobotData(ReadOnlyArrays):
 
         Rows also have the joints' names: `joint_limits["elbow"]`, (2,).
         """
-        return NamedRows.of(np.stack(self.urdf.limits(self.joint_names), axis=1), self.joint_names)
+        return NamedRows.from_array(np.stack(self.urdf.limits(self.joint_names), axis=1), self.joint_names)
 
     @property
     def home(self) -> FloatArray:
@@ -112,7 +112,7 @@ class RobotData(ReadOnlyArrays):
         return read_only(self.mode.actuated[: len(self.joint_names)])
 
     @cached_property
-    def left_out(self) -> dict[str, int]:
+    def unreported_targets(self) -> dict[str, int]:
         """Targets for which the uncertainty of positions is not reported, and their places among the targets.
 
         Readings hardly determine where a target is that is read only from unknown places, as by a camera beside the
@@ -128,9 +128,9 @@ class RobotData(ReadOnlyArrays):
         return {name: k for k, name in enumerate(self.target_names) if name in unsure}
 
     @property
-    def located(self) -> list[int]:
+    def reported_targets(self) -> list[int]:
         """Places of the targets that are not left out."""
-        return [k for k, name in enumerate(self.target_names) if name not in self.left_out]
+        return [k for k, name in enumerate(self.target_names) if name not in self.unreported_targets]
 
     @cached_property
     def parameters(self) -> Parameters:
@@ -189,7 +189,7 @@ class RobotData(ReadOnlyArrays):
 
     @cached_property
     def _pairs(self) -> dict[str, tuple[RelativeFrame, ...]]:
-        """What each instrument looks along, by its name."""
+        """Pairs of frames that each instrument measures between, by its name."""
         places, description = self.mechanism.places, self.description
         return {
             instrument.name: tuple(view(places, a, b) for a, b in pair_names(description, instrument))
@@ -222,7 +222,7 @@ class RobotData(ReadOnlyArrays):
         hold(vector)
         return self._with(values=vector, mechanism=mechanism, files={})
 
-    def at_nominal(self) -> Self:
+    def with_nominal_values(self) -> Self:
         """Return a robot with nominal parameter values."""
         return self.with_parameters([parameter.nominal_si for parameter in self.parameters])
 

@@ -1,4 +1,4 @@
-"""What files get of a robot: the robot that a file holds whole (`calib.core.robots.held`), its URDF and description."""
+"""The robot that a file holds, its URDF and its description; see `calib.core.robots.accuracy_of_files`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, InputError
 from calib.core.base.files import write_file
-from calib.core.base.words import listed
+from calib.core.base.words import listing
+from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.description import description_yaml
-from calib.core.robots.held import Holds
 from calib.core.robots.joint_errors import with_terms
 from calib.core.robots.robot_data import RobotData, SomeRobot
 from calib.core.robots.terms.terms import TERMS
@@ -50,13 +50,13 @@ def held_by(robot: SomeRobot, holds: Holds) -> SomeRobot:
         lost = lost_by(robot, holds)
         if lost:
             raise ComputationError(
-                f"{robot.path}: a file that holds {holds.value} loses the joint terms of {listed(lost)}, and the"
+                f"{robot.path}: a file that holds {holds.value} loses the joint terms of {listing(lost)}, and the"
                 " origins here were fitted with these terms. A fit also finds the best origins without them: export"
                 " its result folder, or fit again if an earlier version wrote it"
             )
         return robot
     kept = without_terms(robot, holds)
-    return kept.at_nominal() if len(known.offsets) else kept.with_parameters(known.values)
+    return kept.with_nominal_values() if len(known.offsets) else kept.with_parameters(known.values)
 
 
 def urdf_of_origins(robot: RobotData) -> bytes:
@@ -67,9 +67,9 @@ def urdf_of_origins(robot: RobotData) -> bytes:
     edits: dict[str, tuple[Triple, Triple]] = {}
     for joint in robot.urdf.joints:
         before, after = robot.nominal.placement(joint.name), robot.mechanism.placement(joint.name)
-        xyz, rpy = _edited(joint.xyz, after.translation), joint.rpy
+        xyz, rpy = _replace_numbers(joint.xyz, after.translation), joint.rpy
         if not np.array_equal(before.rotation, after.rotation):
-            rpy = _edited(joint.rpy, pin.rpy.matrixToRpy(after.rotation))
+            rpy = _replace_numbers(joint.rpy, pin.rpy.matrixToRpy(after.rotation))
         edits[joint.name] = (xyz, rpy)
     return robot.urdf.with_origins(edits)
 
@@ -94,7 +94,7 @@ def write_description(robot: RobotData, path: Path | str, *, force: bool) -> Non
     write_file(path, text, inputs=(robot.path, robot.urdf.path), force=force)
 
 
-def _edited(text: Triple, numbers: FloatArray) -> Triple:
+def _replace_numbers(text: Triple, numbers: FloatArray) -> Triple:
     """The numbers (3,), but those of the file where only rounding lies between."""
     x, y, z = (old if abs(new - old) <= _ROUNDING else float(new) for old, new in zip(text, numbers, strict=True))
     return (x, y, z)

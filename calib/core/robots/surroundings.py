@@ -19,7 +19,7 @@ KINDS = ("box", "cylinder", "sphere", "mesh", "plane")
 _Three = tuple[Length, Length, Length]
 
 
-def _beside(file: str, info: ValidationInfo) -> str:
+def _file_beside(file: str, info: ValidationInfo) -> str:
     """A file named relative to the description, by a name that also holds elsewhere."""
     folder: Path | None = (info.context or {}).get("folder")
     return file if folder is None else str((folder / file).resolve())
@@ -40,7 +40,7 @@ class ShapeSection(Section):
     box: tuple[PositiveLength, PositiveLength, PositiveLength] | None = None
     cylinder: tuple[PositiveLength, PositiveLength] | None = None
     sphere: PositiveLength | None = None
-    mesh: Annotated[str, AfterValidator(_beside)] | None = None
+    mesh: Annotated[str, AfterValidator(_file_beside)] | None = None
     scale: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
     xyz: _Three = (0.0, 0.0, 0.0)
     rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
@@ -85,7 +85,7 @@ class AcceptanceSection(Section):
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     @model_validator(mode="after")
-    def _some_axis(self) -> Self:
+    def _require_axis(self) -> Self:
         if not 0 < sum(abs(part) for part in self.axis) < float("inf"):
             raise ValueError("axis: needs a direction, such as [0, 0, 1]")
         return self

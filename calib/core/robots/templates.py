@@ -83,13 +83,13 @@ def loop_files(name: str, lengths: Lengths, urdf: str) -> tuple[str, str]:
         InputError: Nothing can be assembled from these lengths.
     """
     template = TEMPLATES[name]
-    said = ", ".join(f"{key} {_mm(value)}" for key, value in lengths.items())
+    lengths_text = ", ".join(f"{key} {_mm(value)}" for key, value in lengths.items())
     try:
         plan = template.build(lengths)
     except InputError as error:
-        raise InputError(f"template {name} with {said}: {error}") from None
-    return robot_text(name, f"{template.what}, cut open: {said}", plan.links, plan.joints), _description(
-        plan, f"{template.what}: {said}", urdf
+        raise InputError(f"template {name} with {lengths_text}: {error}") from None
+    return robot_text(name, f"{template.what}, cut open: {lengths_text}", plan.links, plan.joints), _description(
+        plan, f"{template.what}: {lengths_text}", urdf
     )
 
 
@@ -102,7 +102,7 @@ def _description(plan: Plan, title: str, urdf: str) -> str:
     free = "".join(
         f"  - {{origin: {origin}, components: [{part}], sigma: {'5 mrad' if part.startswith('r') else '1 mm'}}}\n"
         for origin, components in plan.free
-        for part in _of_one_unit(components)
+        for part in _grouped_by_unit(components)
     )
     return f"""\
 # Robot description of a {title}.
@@ -133,7 +133,7 @@ parametrisation:
 """
 
 
-def _of_one_unit(components: str) -> list[str]:
+def _grouped_by_unit(components: str) -> list[str]:
     """Components `x, y, rz` as `x, y` and `rz`: an entry has one sigma."""
     names = components.split(", ")
     parts = ([name for name in names if len(name) == 1], [name for name in names if len(name) > 1])

@@ -58,8 +58,8 @@ class ItemSection(Section):
     serial: Text | None = None
 
 
-class InstrumentSection(ItemSection):
-    """What read the robot, and how far its calibration certificate lets it be off, the same in all readings.
+class CertifiedInstrumentSection(ItemSection):
+    """An instrument, and the error that its calibration certificate allows, the same in all readings.
 
     Attributes:
         certificate, date, laboratory: Of its own calibration.
@@ -138,6 +138,6 @@ class TraceabilitySection(Section):
     site: Text | None = None
     customer: Text | None = None
     item: ItemSection = ItemSection()
-    instrument: InstrumentSection = InstrumentSection()
+    instrument: CertifiedInstrumentSection = CertifiedInstrumentSection()
     target: ReflectorSection = ReflectorSection()
     temperature: TemperatureSection = TemperatureSection()

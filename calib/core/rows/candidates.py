@@ -16,13 +16,13 @@ from calib.core.data.measurement_columns import rank_in_visit
 from calib.core.data.measurements import Measurements, Poses, measurements
 from calib.core.instruments.kind import Readings
 from calib.core.instruments.position import Position
-from calib.core.numerics.identifiability import reduced
-from calib.core.robots.configurations import Configurations, configured, near_singularity
+from calib.core.numerics.identifiability import reduce_rows
+from calib.core.robots.configurations import Configurations, near_singularity, solve_configurations
 from calib.core.robots.joint_errors import term_columns
-from calib.core.robots.loops import Closed, why_open
+from calib.core.robots.loops import LoopSolution, why_open
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
-from calib.core.rows.observed import Observed, looks_at, observe, predicted_readings
+from calib.core.rows.observed import Observed, observe, planned_readings, predict_readings
 from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import ASSUMED, Whitening, stated_noise
 
@@ -39,7 +39,7 @@ _MIXING = 0x9E3779B97F4A7C15 - 2**64  # odd, and far from a power of two
 
 @dataclass(frozen=True, eq=False)
 class PoseRows:
-    """What measuring at poses would say, and how positions move there.
+    """Rows that measurements at poses would give, and Jacobians of the positions there.
 
     Attributes:
         rows: Whitened rows of all that the instruments are to read at each pose, instrument by instrument, (n,
@@ -47,8 +47,8 @@ class PoseRows:
         read: Which rows are read, (n, n_rows_per_pose).
         blocks: Rows of each instrument, by name.
         positions: Targets at the robot's present values, (n, n_targets, 3) [m].
-        position_rows: Derivative by the scaled parameters of those whose accuracy counts (`RobotData.located`), (n,
-            3 n_located, n_parameters) [m].
+        position_rows: Derivative by the scaled parameters of those whose accuracy counts
+            (`RobotData.reported_targets`), (n, 3 n_located, n_parameters) [m].
     """
 
     rows: FloatArray
@@ -112,20 +112,22 @@ def rows_of_poses(
         configurations: The poses.
         sigma: Noise of positions per axis in place of what is stated [m], or None.
         unknowns: The parameters of the columns; the free ones if not given.
-        looks: What each instrument is to read, of `calib.core.rows.observed.looks_at`; all that it can in the first
-            setup, if not given.
+        looks: What each instrument is to read, of `calib.core.rows.observed.planned_readings`; all that it can in the
+            first setup, if not given.
         blocks: Where the rows of each instrument shall be; as needed, if not given.
     """
     chosen = Unknowns.chosen_by_poses(robot) if unknowns is None else unknowns
     n = len(configurations.actuated)
     poses = as_poses(robot, configurations.actuated[:, : len(robot.joint_names)])
-    looks = looks_at(robot, poses) if looks is None else looks
+    looks = planned_readings(robot, poses) if looks is None else looks
     places = blocks_of(robot, looks) if blocks is None else blocks
-    readings = predicted_readings(robot, configurations, looks)
+    readings = predict_readings(robot, configurations, looks)
     data = measurements(poses, readings)
     observed = observe(robot, configurations, readings)
     positions, by_parameter = _positions(robot, configurations, data, observed)
-    position_rows = (by_parameter[:, robot.located][..., chosen.index] * chosen.scales).reshape(n, -1, len(chosen))
+    position_rows = (by_parameter[:, robot.reported_targets][..., chosen.index] * chosen.scales).reshape(
+        n, -1, len(chosen)
+    )
     width = max((place.stop for place in places.values()), default=0)
     rows, read = np.zeros((n, width, len(chosen))), np.zeros((n, width), dtype=bool)
     if data.n_readings == 0:
@@ -176,7 +178,7 @@ class Candidates:
     Attributes:
         joints: (n, n_actuated) [m or rad].
         pose_rows: Rows and positions of all; rows 0 and positions NaN where not usable. Of the rows of positions
-            only their R (`calib.core.numerics.identifiability.reduced`), (at most n_parameters, n_parameters) [m].
+            only their R (`calib.core.numerics.identifiability.reduce_rows`), (at most n_parameters, n_parameters) [m].
         usable: Which can be assembled far enough from singularities, (n,).
         skipped: What to call each pose that is not usable, and why.
     """
@@ -188,10 +190,10 @@ class Candidates:
 
 
 def configurations_at(
-    robot: Robot, q: FloatArray, closed: Closed, columns: tuple[FloatArray, ...], which: IntArray
+    robot: Robot, q: FloatArray, closed: LoopSolution, columns: tuple[FloatArray, ...], which: IntArray
 ) -> Configurations:
     """Return some of the closed poses (k,) of commands q (n, n_actuated), of whose joint terms the columns are."""
-    return configured(robot, q[which], closed.at(which), tuple(phi[which] for phi in columns))
+    return solve_configurations(robot, q[which], closed.select(which), tuple(phi[which] for phi in columns))
 
 
 def build_candidates(
@@ -211,7 +213,7 @@ def build_candidates(
     """
     _require_different(poses)
     n, n_targets, unknowns = len(poses), len(robot.target_names), Unknowns.chosen_by_poses(robot)
-    blocks = blocks_of(robot, looks_at(robot, poses))
+    blocks = blocks_of(robot, planned_readings(robot, poses))
     per_pose = max(block.stop for block in blocks.values())
     rows = zeros_with_room((n, per_pose, len(unknowns)), f"rows of {n} candidates")
     read = np.zeros((n, per_pose), dtype=bool)
@@ -228,16 +230,18 @@ def build_candidates(
         distance[good] = robot.singular_values(configurations_at(robot, q, closed, columns, good))
         good = np.flatnonzero(distance >= robot.description.singularity_limit)
         configurations = configurations_at(robot, q, closed, columns, good)
-        looks = looks_at(robot, part_poses.subset(good))
+        looks = planned_readings(robot, part_poses.subset(good))
         part = rows_of_poses(robot, configurations, sigma, unknowns, looks, blocks)
         positions[start : start + len(q)] = np.nan
         rows[start + good], read[start + good], positions[start + good] = part.rows, part.read, part.positions
-        position_rows = reduced(np.vstack([position_rows, part.position_rows.reshape(-1, len(unknowns))]))
+        position_rows = reduce_rows(np.vstack([position_rows, part.position_rows.reshape(-1, len(unknowns))]))
         usable[start + good] = True
         if len(good) < len(q):
             reasons += _reasons(robot, q, closed.ok, distance, part_poses.labels, len(reasons))
     if reasons and not skip_unreachable:
-        raise UnreachablePoseError(_listed(reasons) + "; remove these poses, or leave them out with --skip-unreachable")
+        raise UnreachablePoseError(
+            _list_reasons(reasons) + "; remove these poses, or leave them out with --skip-unreachable"
+        )
     rows.flags.writeable = False  # who holds it needs no copy
     return Candidates(poses.joints, PoseRows(rows, read, blocks, positions, position_rows), usable, tuple(reasons))
 
@@ -260,7 +264,7 @@ def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[F
     """
     configurations = robot.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
     if not isinstance(poses, Measurements):
-        part = rows_of_poses(robot, configurations, sigma, looks=looks_at(robot, poses))
+        part = rows_of_poses(robot, configurations, sigma, looks=planned_readings(robot, poses))
         return part.rows[part.read], part.positions, part.position_rows
     unknowns = Unknowns.chosen_by_poses(robot)
     whitening = Whitening(robot, poses, sigma)
@@ -280,7 +284,7 @@ def positions_at(robot: Robot, configurations: Configurations) -> tuple[FloatArr
         (n, n_targets, 3) [m]; (n, 3 n_located, n_parameters) [m].
     """
     unknowns, linear = Unknowns.chosen_by_poses(robot), linearise(robot, configurations)
-    located = linear.jacobian[:, robot.located][..., unknowns.index] * unknowns.scales
+    located = linear.jacobian[:, robot.reported_targets][..., unknowns.index] * unknowns.scales
     return linear.positions, located.reshape(len(linear.positions), -1, len(unknowns))
 
 
@@ -295,12 +299,12 @@ def _require_different(poses: Poses) -> None:
     columns = [*poses.joints.T, *(() if poses.approach is None else poses.approach.T), *poses.context.values()]
     key = np.zeros(len(poses), dtype=np.int64)
     for column in columns:  # a number for each pose, the same where all columns are
-        key = key * _MIXING + _rounded(column)
+        key = key * _MIXING + _round(column)
     ordered = np.sort(key)
     some = np.flatnonzero(np.isin(key, ordered[1:][np.diff(ordered) == 0]))
     if len(some) == 0:
         return
-    rounded = np.stack([_rounded(column[some]) for column in columns], axis=1)
+    rounded = np.stack([_round(column[some]) for column in columns], axis=1)
     _, first, inverse = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     earlier = some[first[inverse.ravel()]]
     again = np.flatnonzero(earlier != some)
@@ -314,7 +318,7 @@ def _require_different(poses: Poses) -> None:
         )
 
 
-def _rounded(values: FloatArray) -> IntArray:
+def _round(values: FloatArray) -> IntArray:
     return np.round(np.nan_to_num(values) / _SAME).astype(np.int64)
 
 
@@ -328,11 +332,15 @@ def _reasons(
             reasons.append(near_singularity(labels[k], distance[k], limit))
             continue
         shown = already + len(reasons) < _SHOWN  # a search each: not for thousands
-        why = f" ({why_open(robot.mechanism, robot.mode, robot.mechanism.untilted(q[k : k + 1])[0])})" if shown else ""
+        why = (
+            f" ({why_open(robot.mechanism, robot.mode, robot.mechanism.without_tilts(q[k : k + 1])[0])})"
+            if shown
+            else ""
+        )
         reasons.append(f"{labels[k]}: cannot be assembled{why}")
     return reasons
 
 
-def _listed(reasons: Sequence[str]) -> str:
+def _list_reasons(reasons: Sequence[str]) -> str:
     more = f"; and {len(reasons) - _SHOWN} more" if len(reasons) > _SHOWN else ""
     return "; ".join(reasons[:_SHOWN]) + more

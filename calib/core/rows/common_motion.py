@@ -41,8 +41,8 @@ _STANDS = 1e-12  # motion left [m]
 
 
 @dataclass(frozen=True)
-class Loose:
-    """What of a robot's places is not known.
+class UnknownPlaces:
+    """Unknown components of base and tools.
 
     Attributes:
         base: Whether the measurement frame is.
@@ -57,7 +57,7 @@ class Loose:
     frames: tuple[int, ...]
 
     @staticmethod
-    def of(robot: Robot) -> Loose:
+    def from_robot(robot: Robot) -> UnknownPlaces:
         """Return what measurements leave open of base and tools: what the description calls unknown.
 
         The measurement frame is held where some instrument looks, from a place that is known beside the base, at
@@ -79,7 +79,9 @@ class Loose:
             return bool(moved[pair.a] != moved[pair.b]) and standing not in {origin for origin, _ in unknown}
 
         seen = {place for pair in looked for place in (pair.a, pair.b)}
-        tools = {t: mechanism.targets[t] for t in robot.located if mechanism.targets[t] in mechanism.moved_targets}
+        tools = {
+            t: mechanism.targets[t] for t in robot.reported_targets if mechanism.targets[t] in mechanism.moved_targets
+        }
         counts = [t for t, target in tools.items() if target.b in seen] or list(tools)
 
         def with_unknown(components: tuple[str, ...]) -> tuple[int, ...]:
@@ -87,7 +89,7 @@ class Loose:
             return tuple(t for t in counts if names[tools[t].b] in origins)
 
         points, frames = with_unknown(("x", "y", "z")), with_unknown(("rx", "ry", "rz"))
-        return Loose(not any(map(holds, looked)), tuple(counts), points, frames)
+        return UnknownPlaces(not any(map(holds, looked)), tuple(counts), points, frames)
 
     @property
     def n_motions(self) -> int:
@@ -108,13 +110,13 @@ class CommonMotion(ReadOnlyArrays):
     """
 
     robot: Robot
-    loose: Loose
+    loose: UnknownPlaces
     joints: FloatArray
     centre: FloatArray
     basis: FloatArray
 
     @staticmethod
-    def of(robot: Robot, onto: Robot, loose: Loose, joints: FloatArray) -> CommonMotion:
+    def from_robots(robot: Robot, onto: Robot, loose: UnknownPlaces, joints: FloatArray) -> CommonMotion:
         """Lay a robot on another one.
 
         Args:
@@ -132,14 +134,14 @@ class CommonMotion(ReadOnlyArrays):
         centre = positions[:, loose.counts].mean(axis=(0, 1))
         motion = replace(motion, robot=robot, centre=centre, basis=np.eye(loose.n_motions))
         configurations = robot.assemble(joints)  # no place of base or tool is part of a loop
-        rows = motion._fitted(motion.columns(*target_poses(robot, configurations)))
+        rows = motion._fitted_rows(motion.columns(*target_poses(robot, configurations)))
         _, values, right = linalg.svd(rows / np.sqrt(len(joints) * len(loose.counts)), full_matrices=False)
         motion = replace(motion, basis=right[values > _HARDLY_MOVES].T)
         for _ in range(_ROUNDS):
             x, turned = target_poses(motion.robot, configurations)
             off = np.concatenate([positions - x, _turns(rotations, turned)], axis=2)[..., None]
-            step = motion._best(motion.columns(x, turned), off)[:, 0]
-            motion = replace(motion, robot=motion._moved(motion.basis @ step))
+            step = motion._best_motion(motion.columns(x, turned), off)[:, 0]
+            motion = replace(motion, robot=motion._move_robot(motion.basis @ step))
             if np.max(np.abs(step), initial=0.0) < _STANDS:
                 break
         return motion
@@ -155,7 +157,7 @@ class CommonMotion(ReadOnlyArrays):
         Args:
             jacobian: J with turns at the poses, (n, n_targets, 6, n_parameters).
         """
-        return self._best(self._slope, jacobian)
+        return self._best_motion(self._slope, jacobian)
 
     def columns(self, positions: FloatArray, rotations: FloatArray) -> FloatArray:
         """Return A V: how positions and turns of all targets move with z, (n, n_targets, 6, k).
@@ -177,16 +179,16 @@ class CommonMotion(ReadOnlyArrays):
             columns[:, t, 3:, place] = rotations[:, t] / length
         return columns @ self.basis
 
-    def _best(self, columns: FloatArray, changes: FloatArray) -> FloatArray:
+    def _best_motion(self, columns: FloatArray, changes: FloatArray) -> FloatArray:
         """The z that come nearest to changes (n, n_targets, 6, m) that are to be made, (k, m)."""
-        return np.asarray(linalg.lstsq(self._fitted(columns), self._fitted(changes), rcond=None))
+        return np.asarray(linalg.lstsq(self._fitted_rows(columns), self._fitted_rows(changes), rcond=None))
 
-    def _fitted(self, columns: FloatArray) -> FloatArray:
+    def _fitted_rows(self, columns: FloatArray) -> FloatArray:
         """Rows that are to agree, (n_rows, k), of columns (n, n_targets, 6, k)."""
         parts = [columns[:, self.loose.counts, :3], self.robot.mechanism.length * columns[:, self.loose.frames, 3:]]
         return np.concatenate([part.reshape(-1, columns.shape[3]) for part in parts])
 
-    def _moved(self, motion: FloatArray) -> Robot:
+    def _move_robot(self, motion: FloatArray) -> Robot:
         """The robot with base and tools moved by m (n_motions,)."""
         mechanism, loose, length = self.robot.mechanism, self.loose, self.robot.mechanism.length
         moves = dict.fromkeys(self._origins(), pin.SE3.Identity())

@@ -15,7 +15,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.parameter import Parameter
 from calib.core.base.words import sentence
-from calib.core.numerics.identifiability import Rank, numerical_rank, reduced, unit_columns
+from calib.core.numerics.identifiability import Rank, numerical_rank, reduce_rows, unit_columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ def determination(columns: FloatArray, parameters: Sequence[Parameter], free: Bo
         free: Which of them are not held, (n_parameters,).
     """
     unit, lengths = unit_columns(columns)
-    unit = reduced(unit)
+    unit = reduce_rows(unit)
     has_prior = np.array([p.prior for p, use in zip(parameters, free, strict=True) if use], dtype=bool)
     together = np.vstack([unit[:, free], np.eye(len(has_prior))[has_prior]])
     return Determination(

@@ -32,20 +32,20 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
-from calib.core.rows.common_motion import CommonMotion, Loose, target_poses
-from calib.core.rows.gauge import around_home, nearest_to_nominal
+from calib.core.rows.common_motion import CommonMotion, UnknownPlaces, target_poses
+from calib.core.rows.gauge import nearest_to_nominal, poses_around_home
 from calib.core.rows.jacobian import linearise
 from calib.core.rows.known_robot import KnownRobot
-from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UncertainLinear
+from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UncertaintyJacobian
 
 _MOST = 400  # poses over which robots agree
 
 
 @dataclass(frozen=True, eq=False)
-class Frame(ReadOnlyArrays):
+class CorrectionFrame(ReadOnlyArrays):
     """A calibrated robot and the frame in which places are meant. Both robots are seen from the measurement frame.
 
     Attributes:
@@ -85,14 +85,14 @@ class Frame(ReadOnlyArrays):
         if uncertainty is None:
             positions = target_poses(self.robot, self.robot.assemble(q, context=context))[0]
             unknown = np.full((*positions.shape, 3), np.nan)
-            return PositionUncertainty(positions, unknown, np.nan, unknown, self.robot.left_out)
+            return PositionUncertainty(positions, unknown, np.nan, unknown, self.robot.unreported_targets)
         counts = uncertainty.counting(self.robot, self.counts)
-        told = uncertainty.at(self.robot, q, context, counts=counts, common=self._common)
+        told = uncertainty.predict(self.robot, q, context, counts=counts, common=self._common)
         return PositionUncertainty(
-            told.positions, told.covariance, told.coverage_factor, told.turn_covariance, self.robot.left_out
+            told.positions, told.covariance, told.coverage_factor, told.turn_covariance, self.robot.unreported_targets
         )
 
-    def not_corrected(self, q: FloatArray, context: Context) -> FloatArray:
+    def uncorrected_errors(self, q: FloatArray, context: Context) -> FloatArray:
         """Return by how much positions [m] and turns [rad] are off that the fit found and that are not corrected.
 
         Args:
@@ -112,7 +112,7 @@ class Frame(ReadOnlyArrays):
         return np.asarray(linear.jacobian[..., uncertainty.free][..., self.counts] @ left)
 
     @cached_property
-    def _common(self) -> Callable[[UncertainLinear], FloatArray] | None:
+    def _common(self) -> Callable[[UncertaintyJacobian], FloatArray] | None:
         """The common motion that follows what is uncertain; None where all counts."""
         if self.motion is None or self.known.uncertainty is None:
             return None
@@ -121,14 +121,15 @@ class Frame(ReadOnlyArrays):
 
 def beside_motion(
     motion: CommonMotion, robot: Robot, uncertainty: ParameterUncertainty
-) -> Callable[[UncertainLinear], FloatArray]:
-    """Return `common` of `ParameterUncertainty.at`: the common motion that follows all that is uncertain of a robot."""
-    linear = uncertainty.linearised(robot, motion.joints, Context.neutral(*motion.joints.shape))
+) -> Callable[[UncertaintyJacobian], FloatArray]:
+    """Return `common` of `ParameterUncertainty.predict`: the common motion that follows all that is uncertain of a
+    robot."""
+    linear = uncertainty.linearise(robot, motion.joints, Context.neutral(*motion.joints.shape))
     following = motion.following(linear.jacobian) * uncertainty.lasting(robot)
     return partial(_common, motion, following)
 
 
-def _common(motion: CommonMotion, following: FloatArray, linear: UncertainLinear) -> FloatArray:
+def _common(motion: CommonMotion, following: FloatArray, linear: UncertaintyJacobian) -> FloatArray:
     """How all moves together as common motion (k, n_uncertain) follows what is uncertain."""
     return motion.columns(*target_poses(linear.robot, linear.configurations)) @ following
 
@@ -140,16 +141,16 @@ def as_described(robot: Robot) -> Robot:
 
 
 @one_blas_thread
-def program_frame(known: KnownRobot) -> Frame:
+def program_frame(known: KnownRobot) -> CorrectionFrame:
     """Return the frame in which a program for the nominal robot means its places; see the module docstring."""
     nominal, robot = as_described(known.robot), nearest_to_nominal(known.robot)
-    loose, of_robot = Loose.of(nominal), _of_the_robot(known)
+    loose, of_robot = UnknownPlaces.from_robot(nominal), _is_of_robot(known)
     if loose.base:
-        motion = _laid(nominal, robot, loose, known)
-        poses = f"over {counted(len(motion.joints), 'measured pose')}" if len(known.joints) else "around home"
+        motion = _align_nominal(nominal, robot, loose, known)
+        poses = f"over {count_noun(len(motion.joints), 'measured pose')}" if len(known.joints) else "around home"
         tool = ", and so is its tool" if loose.points or loose.frames else ""
         words = f"in the nominal robot's base frame (fitted to the calibrated robot {poses}{tool})"
-        return Frame(
+        return CorrectionFrame(
             known, robot, motion.robot, nominal, words, np.ones_like(of_robot), motion if motion.basis.size else None
         )
     places = {p.name: value for p, value in zip(robot.parameters, robot.values, strict=True) if p.placement}
@@ -157,36 +158,40 @@ def program_frame(known: KnownRobot) -> Frame:
     if loose.points or loose.frames:
         words += ", and include that the place of the measured point on its link is not known"
     meant = nominal.with_parameters(places) if places else nominal
-    return Frame(known, robot, meant, nominal, words, of_robot, None)
+    return CorrectionFrame(known, robot, meant, nominal, words, of_robot, None)
 
 
 @one_blas_thread
-def measurement_frame(known: KnownRobot) -> Frame:
+def measurement_frame(known: KnownRobot) -> CorrectionFrame:
     """Return the frame in which the instruments see places; see the module docstring."""
     nominal, placed = as_described(known.robot), any(parameter.placement for parameter in known.robot.parameters)
-    meant = _laid(nominal, known.robot, Loose.of(nominal), known).robot if known.nothing_to_correct else nominal
+    meant = (
+        _align_nominal(nominal, known.robot, UnknownPlaces.from_robot(nominal), known).robot
+        if known.nothing_to_correct
+        else nominal
+    )
     calibrated = any(
         p.placement and v != p.nominal_si for p, v in zip(known.robot.parameters, known.robot.values, strict=True)
     )
     where = "the calibration found" if calibrated else "the robot description has"
     words = "in the measurement frame" + (f", base and targets where {where} them" if placed else "")
-    return Frame(known, known.robot, meant, nominal, words, np.ones_like(_of_the_robot(known)), None)
+    return CorrectionFrame(known, known.robot, meant, nominal, words, np.ones_like(_is_of_robot(known)), None)
 
 
-def _of_the_robot(known: KnownRobot) -> BoolArray:
+def _is_of_robot(known: KnownRobot) -> BoolArray:
     """Which of the free parameters belong to the robot itself, and are no mere places, (n_free,)."""
     of_robot = np.array([not parameter.placement for parameter in known.robot.parameters])
     return of_robot[:0] if known.uncertainty is None else of_robot[known.uncertainty.free]
 
 
-def _laid(nominal: Robot, robot: Robot, loose: Loose, known: KnownRobot) -> CommonMotion:
+def _align_nominal(nominal: Robot, robot: Robot, loose: UnknownPlaces, known: KnownRobot) -> CommonMotion:
     """The nominal robot laid on the calibrated one, over the poses at which that was measured."""
-    return CommonMotion.of(nominal, robot, loose, poses_of_agreement(known, nominal))
+    return CommonMotion.from_robots(nominal, robot, loose, poses_of_agreement(known, nominal))
 
 
 def poses_of_agreement(known: KnownRobot, nominal: Robot) -> FloatArray:
     """Return the poses over which the nominal and the calibrated robot are to agree, (n, n_actuated) [m or rad]."""
     measured = np.unique(known.joints, axis=0)
     chosen = measured[np.unique(np.linspace(0, len(measured) - 1, _MOST).astype(np.intp))] if len(measured) else None
-    joints = around_home(nominal) if chosen is None else chosen
+    joints = poses_around_home(nominal) if chosen is None else chosen
     return np.asarray(joints[nominal.close(joints).ok & known.robot.close(joints).ok])

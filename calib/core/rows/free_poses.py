@@ -24,11 +24,11 @@ def free_poses(robot: Robot, poses: Poses) -> tuple[Poses, str]:
         return poses, ""
     if check.n_blocked == len(poses):
         raise DataError(f"{poses.path}: none of the poses is free: {check.summary()}")
-    kept = poses.subset(np.flatnonzero(check.free))
-    return kept, f"left out: {check.summary()}; {worth(robot, kept, poses)}"
+    kept = poses.subset(np.flatnonzero(check.is_free))
+    return kept, f"left out: {check.summary()}; {worth_sentence(robot, kept, poses)}"
 
 
-def worth(robot: Robot, kept: Poses, every: Poses) -> str:
+def worth_sentence(robot: Robot, kept: Poses, every: Poses) -> str:
     """Say what poses are worth beside those that there would be with nothing in the way: O1, or what they determine."""
     if not np.any(robot.is_free):
         return "nothing is free to be identified"

@@ -1,4 +1,4 @@
-"""Parameters that only trade against where the instruments and targets stand: nothing of them is said of the robot.
+"""Parameters that only trade against where the instruments and targets stand: they say nothing of the robot.
 
 If the base is unknown, the origin of the first joint can move and the base with it, and no measurement changes; the
 same holds for the last origin and an unknown target. A fit puts such motion where the priors have it cheapest, so that
@@ -25,10 +25,10 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.threads import one_blas_thread
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import RANK_TOLERANCE, reduced
+from calib.core.numerics.identifiability import RANK_TOLERANCE, reduce_rows
 from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.robot import Robot
-from calib.core.rows.observed import Observed, observe, predicted_readings
+from calib.core.rows.observed import Observed, observe, predict_readings
 
 _POSES = 256
 _ROUNDS = 10
@@ -50,14 +50,14 @@ def nearest_to_nominal(robot: Robot) -> Robot:
         return robot
     sigma = np.array([parameters[k].sigma_si for k in free])
     expected = np.array([parameters[k].expected_si for k in free])
-    q = around_home(robot)
-    predicted = predicted_readings(robot, robot.assemble(q))  # NaN beside an image: as if the image went on
+    q = poses_around_home(robot)
+    predicted = predict_readings(robot, robot.assemble(q))  # NaN beside an image: as if the image went on
     readings = {name: replace(reading, values=np.nan_to_num(reading.values)) for name, reading in predicted.items()}
-    before, _ = _stacked(observe(robot, robot.assemble(q), readings))
+    before, _ = _stack(observe(robot, robot.assemble(q), readings))
     for _ in range(_ROUNDS):
-        now, jacobian = _stacked(observe(robot, robot.assemble(q), readings))
+        now, jacobian = _stack(observe(robot, robot.assemble(q), readings))
         changed = now - before
-        seen, unseen = _split(jacobian[:, free] * sigma)
+        seen, unseen = _split_space(jacobian[:, free] * sigma)
         back = -seen @ linalg.lstsq(jacobian[:, free] * sigma @ seen, changed, rcond=None)
         start = (robot.values[free] - expected) / sigma + back
         step = back - unseen @ linalg.lstsq(unseen[of_robot], start[of_robot], rcond=RANK_TOLERANCE)
@@ -69,14 +69,14 @@ def nearest_to_nominal(robot: Robot) -> Robot:
     return robot
 
 
-def _split(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _split_space(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Combinations of the columns that count, and those that vanish, orthonormal, (n_columns, n) each."""
-    _, singular, right = linalg.svd(reduced(scaled), full_matrices=True)
+    _, singular, right = linalg.svd(reduce_rows(scaled), full_matrices=True)
     rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
     return right[:rank].T, right[rank:].T
 
 
-def around_home(robot: Robot) -> FloatArray:
+def poses_around_home(robot: Robot) -> FloatArray:
     """Return joints of poses that the robot can take, (n, n_actuated) [m or rad]."""
     lower, upper = robot.urdf.limits(robot.joint_names)
     spread = joint_samples(robot.mode, _POSES)[:, : len(robot.home)] - 0.5
@@ -84,7 +84,7 @@ def around_home(robot: Robot) -> FloatArray:
     return np.asarray(q[robot.close(q).ok])
 
 
-def _stacked(observed: Mapping[str, Observed]) -> tuple[FloatArray, FloatArray]:
+def _stack(observed: Mapping[str, Observed]) -> tuple[FloatArray, FloatArray]:
     """Residuals (n_rows,) and Jacobian (n_rows, n_parameters) of all instruments [SI]; what was not read counts 0."""
     residuals = np.concatenate([block.residuals.ravel() for block in observed.values()])
     jacobian = np.concatenate([block.jacobian.reshape(-1, block.jacobian.shape[2]) for block in observed.values()])

@@ -40,12 +40,12 @@ class Linearisation:
         positions: Targets in the measurement frame, (n, n_targets, 3) [m].
         jacobian: d(positions)/d(parameters), (n, n_targets, 3, n_parameters) [m per m or rad]; where turns were asked
             for, dw of the targets too, in the axes of the measurement frame, (n, n_targets, 6, n_parameters).
-        by_joint: The same by the actuated joints, where they were asked for.
+        joint_derivative: The same by the actuated joints, where requested.
     """
 
     positions: FloatArray
     jacobian: FloatArray
-    by_joint: FloatArray | None = None
+    joint_derivative: FloatArray | None = None
 
 
 def linearise(
@@ -66,7 +66,7 @@ def linearise(
     positions, both = origin_jacobian(robot.mechanism, configurations, twists, turns=turns)
     n, n_targets, n_rows, width = both.shape
     every = np.arange(len(robot.parameters))
-    jacobian = by_parameters(robot, both.reshape(n, -1, width), configurations.term_columns, every)
+    jacobian = derivative_by_parameters(robot, both.reshape(n, -1, width), configurations.term_columns, every)
     first = robot.coefficients.start
     by_joint = both[..., first : first + len(robot.joint_names)] if joints else None
     return Linearisation(positions, jacobian.reshape(n, n_targets, n_rows, -1), by_joint)
@@ -116,9 +116,9 @@ def sweeps(
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     needed = pairs + mechanism.loops
     functions = kernels(mechanism, len(joints))
-    shared = kinematics.Shared(mechanism, needed, functions)
+    shared = kinematics.SweepCache(mechanism, needed, functions)
     if functions is None:
-        for part in kinematics.chunks(len(joints), kinematics.at_once(shared.reduced)):
+        for part in kinematics.chunks(len(joints), kinematics.n_at_once(shared.reduced)):
             yield part, kinematics.sweep(mechanism, joints[part], needed, shared, poses_only=not mechanism.loops)
     else:
         for start in range(0, len(joints), _CHUNK_COMPILED):
@@ -168,13 +168,13 @@ def relative_motion(
     """
     each = 6 if angular else 3
     n, n_rows = len(swept.poses), each * len(pairs)
-    signs = np.repeat([mechanism.between(pair) for pair in pairs], each, axis=0)
-    direct, along = np.zeros((n_rows, len(mechanism.passive))), swept.shared.along(twists, signs)
+    signs = np.repeat([mechanism.direction_signs(pair) for pair in pairs], each, axis=0)
+    direct, along = np.zeros((n_rows, len(mechanism.passive))), swept.shared.twist_map(twists, signs)
     result = np.empty((n, len(pairs), each, along.before.shape[2])) if out is None else out
     if swept.shared.functions is not None:
         index = swept.index
         rows = [(index[pair.a], index[pair.b], row % 3, row // 3) for pair in pairs for row in range(each)]
-        _compiled_motion(swept, np.array(rows).T.copy(), along, direct, result.reshape(n, n_rows, -1))
+        _fill_motion_compiled(swept, np.array(rows).T.copy(), along, direct, result.reshape(n, n_rows, -1))
     else:
         mapping = kinematics.motion_map(swept, pairs, angular=angular)
         _fill_motion(mechanism, swept, mapping, along, direct, result.reshape(n, n_rows, -1))
@@ -195,19 +195,19 @@ def passive_motion(
     n = len(swept.rotation)
     if not np.any(coordinate):
         return np.zeros((n, 1, twists.shape[1]))
-    along = swept.shared.along(twists, np.zeros((1, mechanism.n_joints)))
+    along = swept.shared.twist_map(twists, np.zeros((1, mechanism.n_joints)))
     result = np.empty((n, 1, along.before.shape[2]))
     if swept.shared.functions is not None:
-        _compiled_motion(swept, np.zeros((4, 1), dtype=np.intp), along, coordinate[None], result)
+        _fill_motion_compiled(swept, np.zeros((4, 1), dtype=np.intp), along, coordinate[None], result)
     else:
         _fill_motion(mechanism, swept, np.zeros((n, 1, 6)), along, coordinate[None], result)
     return result
 
 
-def _compiled_motion(
+def _fill_motion_compiled(
     swept: kinematics.Sweep,
     rows: IntArray,
-    along: kinematics.Along,
+    along: kinematics.TwistMap,
     direct: FloatArray,
     result: FloatArray,
 ) -> None:
@@ -216,7 +216,7 @@ def _compiled_motion(
     Args:
         swept: Of the poses.
         rows: Places of frames a and b, coordinate, and whether it is a turn, of each row, (4, n_rows).
-        along, direct: As there.
+        along, direct: Twists, and rows of the passive joints (n_rows, n_passive), of `_fill_motion`.
         result: Where to put it, (n, n_rows, k).
     """
     shared = swept.shared
@@ -228,7 +228,7 @@ def _fill_motion(
     mechanism: Mechanism,
     swept: kinematics.Sweep,
     mapping: FloatArray,
-    along: kinematics.Along,
+    along: kinematics.TwistMap,
     direct: FloatArray,
     result: FloatArray,
 ) -> None:
@@ -262,7 +262,9 @@ def parameter_twists(robot: Robot) -> FloatArray:
     return matrix
 
 
-def by_parameters(robot: Robot, derivative: FloatArray, columns: tuple[FloatArray, ...], index: IntArray) -> FloatArray:
+def derivative_by_parameters(
+    robot: Robot, derivative: FloatArray, columns: tuple[FloatArray, ...], index: IntArray
+) -> FloatArray:
     """Return the derivative by some of the parameters, (n, n_rows, n_index).
 
     Args:

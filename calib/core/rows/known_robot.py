@@ -32,7 +32,7 @@ class KnownRobot(ReadOnlyArrays):
 
 @runtime_checkable
 class Calibrated(Protocol):
-    """What knows a calibrated robot: a fit, or a result that was loaded."""
+    """An object with a calibrated robot: a fit, or a loaded result."""
 
     @property
     def known(self) -> KnownRobot:

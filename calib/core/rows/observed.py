@@ -18,13 +18,13 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray, as_slice
 from calib.core.base.threads import one_blas_thread
-from calib.core.data.measurements import Measurements, Poses, in_setups, of_visits
+from calib.core.data.measurements import Measurements, Poses, readings_of_visits, setup_pairs
 from calib.core.instruments.kind import Comparison, Instrument, JointComparison, JointInstrument, Readings, View
 from calib.core.robots import kinematics
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import (
-    by_parameters,
+    derivative_by_parameters,
     joint_twists,
     parameter_twists,
     passive_motion,
@@ -50,17 +50,17 @@ class Observed:
     derivative: FloatArray
     term_columns: tuple[FloatArray, ...]
 
-    def by(self, index: IntArray) -> FloatArray:
+    def derivative_by(self, index: IntArray) -> FloatArray:
         """Return a new derivative by some of the parameters, in rising order (k,), (n, n_rows, k)."""
-        return by_parameters(self.robot, self.derivative, self.term_columns, index)
+        return derivative_by_parameters(self.robot, self.derivative, self.term_columns, index)
 
     @property
     def jacobian(self) -> FloatArray:
         """Derivative by all parameters, (n, n_rows, n_parameters)."""
-        return self.by(np.arange(len(self.robot.parameters)))
+        return self.derivative_by(np.arange(len(self.robot.parameters)))
 
     @property
-    def by_joint(self) -> FloatArray:
+    def joint_derivative(self) -> FloatArray:
         """Derivative by the actuated joints, (n, n_rows, n_actuated); empty where not wanted."""
         k = self.robot.coefficients.start
         return self.derivative[:, :, k : k + len(self.robot.joint_names)]
@@ -125,9 +125,9 @@ class _Work:
         if isinstance(self.instrument, JointInstrument):
             self._fill_joint(self.instrument, index, part, swept, configurations, twists)
             return
-        self._fill_pairs(self._of_pairs(index), part, swept, twists)
+        self._fill_pairs(self._readings_of_pairs(index), part, swept, twists)
 
-    def _of_pairs(self, index: IntArray) -> dict[int, IntArray]:
+    def _readings_of_pairs(self, index: IntArray) -> dict[int, IntArray]:
         """Readings (n,) of each pair that they look along."""
         if len(self._numbers) == 1:
             return {self._numbers[0]: index}
@@ -184,7 +184,7 @@ class _Work:
     def _compare(self, chosen: IntArray, seen: View | FloatArray) -> Comparison | JointComparison:
         """Ask the kind, and keep residuals."""
         unknowns = self.robot.unknowns(self.instrument.name)
-        comparison = self.instrument.compare(seen, self.robot.values[unknowns], _some(self.readings, chosen))
+        comparison = self.instrument.compare(seen, self.robot.values[unknowns], _select_readings(self.readings, chosen))
         self._residuals[as_slice(chosen)] = comparison.residuals
         return comparison
 
@@ -201,13 +201,13 @@ class _Work:
         return Observed(self.robot, self._residuals, self._columns, phi)
 
 
-def _some(readings: Readings, chosen: IntArray) -> Readings:
+def _select_readings(readings: Readings, chosen: IntArray) -> Readings:
     if len(chosen) == len(readings) and np.array_equal(chosen, np.arange(len(chosen))):
         return readings
-    return some_readings(readings, chosen)
+    return select_readings(readings, chosen)
 
 
-def some_readings(readings: Readings, chosen: IntArray | slice, first: int = 0) -> Readings:
+def select_readings(readings: Readings, chosen: IntArray | slice, first: int = 0) -> Readings:
     """Return the readings at some places (n,), with visits counted from `first`."""
     return Readings(
         readings.visits[chosen] - first,
@@ -222,7 +222,7 @@ def _is_identity(matrices: FloatArray) -> bool:
     return matrices.shape[1] == matrices.shape[2] and bool(np.all(matrices == np.eye(matrices.shape[1])))
 
 
-def predicted_readings(
+def predict_readings(
     robot: Robot, configurations: Configurations, looks: Mapping[str, Readings] | None = None
 ) -> dict[str, Readings]:
     """Return what instruments would read, without noise.
@@ -235,17 +235,17 @@ def predicted_readings(
     """
     if looks is None:
         looks = {
-            instrument.name: _every_look(instrument, len(configurations.actuated)) for instrument in robot.instruments
+            instrument.name: _all_looks(instrument, len(configurations.actuated)) for instrument in robot.instruments
         }
     result = {}
-    for name, seen in seen_by(robot, configurations, looks).items():
+    for name, seen in views_of_instruments(robot, configurations, looks).items():
         readings = looks[name]
         values = robot.instrument(name).predict(seen, robot.values[robot.unknowns(name)], readings.details)
         result[name] = Readings(readings.visits, readings.pairs, values, None, readings.details)
     return result
 
 
-def seen_by(
+def views_of_instruments(
     robot: Robot, configurations: Configurations, looks: Mapping[str, Readings]
 ) -> dict[str, View | FloatArray]:
     """Return what each instrument has before it at each of its readings, by name: frames, or values of a joint (n,).
@@ -273,7 +273,7 @@ def seen_by(
     return result
 
 
-def looks_at(robot: Robot, poses: Poses) -> dict[str, Readings]:
+def planned_readings(robot: Robot, poses: Poses) -> dict[str, Readings]:
     """Return what each instrument is to read at poses, no values: what they say, else all that it can.
 
     Of measurements: touches that were made. A touch is of the pose, and no pose tells by itself what it touches.
@@ -281,10 +281,10 @@ def looks_at(robot: Robot, poses: Poses) -> dict[str, Readings]:
     return {instrument.name: _looks_of(robot, instrument, poses) for instrument in robot.instruments}
 
 
-def unsaid_touches(robot: Robot, poses: Poses) -> list[Instrument]:
+def touches_without_target(robot: Robot, poses: Poses) -> list[Instrument]:
     """Return the instruments that touch, and of which poses do not say what."""
-    said = poses.planned.keys() | (poses.readings.keys() if isinstance(poses, Measurements) else set())
-    return [instrument for instrument in robot.instruments if instrument.touches and instrument.name not in said]
+    planned = poses.planned.keys() | (poses.readings.keys() if isinstance(poses, Measurements) else set())
+    return [instrument for instrument in robot.instruments if instrument.touches and instrument.name not in planned]
 
 
 def _looks_of(robot: Robot, instrument: Instrument, poses: Poses) -> Readings:
@@ -293,18 +293,18 @@ def _looks_of(robot: Robot, instrument: Instrument, poses: Poses) -> Readings:
     if isinstance(poses, Measurements) and instrument.touches:
         index = np.arange(len(poses))
         touches = (
-            of_visits(poses.readings[instrument.name], index)
+            readings_of_visits(poses.readings[instrument.name], index)
             if instrument.name in poses.readings
-            else _every_look(instrument, 0)
+            else _all_looks(instrument, 0)
         )
         return Readings(touches.visits, touches.pairs, np.zeros((len(touches), 0)), None, touches.details)
-    looks = _every_look(instrument, len(poses))
+    looks = _all_looks(instrument, len(poses))
     if poses.setups is None:
         return looks
-    return replace(looks, pairs=looks.pairs + in_setups(robot, instrument, poses.setups)[looks.visits])
+    return replace(looks, pairs=looks.pairs + setup_pairs(robot, instrument, poses.setups)[looks.visits])
 
 
-def _every_look(instrument: Instrument, n: int) -> Readings:
+def _all_looks(instrument: Instrument, n: int) -> Readings:
     """All that an instrument can read, at each of n visits; no values."""
     pairs, details = instrument.looks()
     visits = np.repeat(np.arange(n), len(pairs))

@@ -31,9 +31,9 @@ from numpy.typing import NDArray
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadAsArray, ReadOnlyArrays, hold
 from calib.core.base.contributions import Contributions
 from calib.core.base.units import millimetres
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.numerics import linalg
-from calib.core.robots.acceleration import compiled_for, many
+from calib.core.robots.acceleration import compile_for, many
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context, TermSection
@@ -56,7 +56,7 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
         covariance: (n_poses, n_targets, 3, 3) [m^2].
         coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
         turn_covariance: Of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not computed.
-        left_out: Targets that summaries leave out (`RobotData.left_out`), and their places among the targets.
+        left_out: Targets that summaries leave out (`RobotData.unreported_targets`), and their places among the targets.
         frame: In which frame the covariances are, in words; empty for the measurement frame.
         measured: The same positions with their covariance in the measurement frame, where that is another one.
         contains: What the covariances contain; nothing where that is not known.
@@ -76,14 +76,14 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
 
     def __str__(self) -> str:
         n_poses, n_targets = self.positions.shape[:2]
-        told = "how far off is not known"
+        sentence = "how far off is not known"
         following = "fit.predict(q), of a fit or of calib.load_result, says how far off they are"
-        if self.located.size and np.all(np.isfinite(self.located)):
+        if self.reported_distance.size and np.all(np.isfinite(self.reported_distance)):
             known = self.summary()
-            told = f"known to {known['rms']:.3g} mm RMS, {known['max']:.3g} mm at worst"
+            sentence = f"known to {known['rms']:.3g} mm RMS, {known['max']:.3g} mm at worst"
             following = "measure some of these poses and compare: calib.verify(fit, data)"
         return (
-            f"{counted(n_poses, 'predicted pose')} of {counted(n_targets, 'target')}, {told}\n"
+            f"{count_noun(n_poses, 'predicted pose')} of {count_noun(n_targets, 'target')}, {sentence}\n"
             f"Inside: positions {self.positions.shape} [m], std and covariance of each, distance95: how far off [m]\n"
             f"Next: {following}"
         )
@@ -104,14 +104,14 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
         return length95(self.covariance, self.coverage_factor)
 
     @property
-    def located(self) -> FloatArray:
+    def reported_distance(self) -> FloatArray:
         """`distance` without targets that are left out, (n_poses, n) [m]."""
         return np.delete(self.distance, list(self.left_out.values()), axis=1)
 
     @property
     def worst(self) -> int:
-        """The pose at which `located` is largest."""
-        return int(np.argmax(np.max(self.located, axis=1)))
+        """The pose at which `reported_distance` is largest."""
+        return int(np.argmax(np.max(self.reported_distance, axis=1)))
 
     def remark(self) -> str:
         """Return what to add to a summary, of its frame and of targets that it leaves out; empty if nothing."""
@@ -119,8 +119,8 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
         if self.measured is not None and self.measured.summary()["mean"] > _DIFFERS * self.summary()["mean"]:
             frame += f" (in the measurement frame to {self.measured.summary()['mean']:.2g} mm on average)"
         mean = np.mean(millimetres(self.distance), axis=0)
-        said = [f"{name} (known to {mean[k]:.2g} mm)" for name, k in self.left_out.items()]
-        return frame + (f"; not counted: {listed(said)}, read from unknown places only" if said else "")
+        texts = [f"{name} (known to {mean[k]:.2g} mm)" for name, k in self.left_out.items()]
+        return frame + (f"; not counted: {listing(texts)}, read from unknown places only" if texts else "")
 
     def table(self) -> dict[str, object]:
         """Return `summary` as data, with its frame, and the same in the measurement frame where that is another one."""
@@ -129,8 +129,8 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
         return {**self.summary(), "frame": frame, **other, "left_out": list(self.left_out)}
 
     def summary(self) -> dict[str, float]:
-        """Return mean, root mean square and largest `located` over the poses [mm]."""
-        distance = millimetres(self.located)
+        """Return mean, root mean square and largest `reported_distance` over the poses [mm]."""
+        distance = millimetres(self.reported_distance)
         return {
             "mean": float(np.mean(distance)),
             "rms": float(np.sqrt(np.mean(distance**2))),
@@ -184,7 +184,7 @@ def order_of_joints(q: FloatArray) -> tuple[IntArray, FloatArray]:
     return np.argsort(np.lexsort(np.abs(off)[::-1])), np.where(first < 0, -1.0, 1.0)
 
 
-def other_combinations(q: FloatArray, most: int) -> FloatArray:
+def recombined_joints(q: FloatArray, most: int) -> FloatArray:
     """Return the joint values of poses q (n, n_actuated) in combinations that need not be among them [m or rad].
 
     The values of each joint are moved on by another number of poses, in the order of `order_of_joints`. So every joint
@@ -199,7 +199,7 @@ def other_combinations(q: FloatArray, most: int) -> FloatArray:
     return np.asarray(mixed[np.unique(np.linspace(0, n - 1, most).astype(np.intp))])
 
 
-def beside_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray:
+def without_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray:
     """Return derivatives of positions beside what moves all of them as one body, in the shape of `rows`.
 
     Where base and tool are placed anew, nothing else is seen of an error of the parameters.
@@ -250,7 +250,7 @@ def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> F
     return np.where(certain, np.sqrt(np.maximum(trace, 0.0)), np.stack([low, high]))
 
 
-def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
+def propagate_covariance(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return B C B^T of each position or turn, (n_poses, n_targets, 3, 3), from B (n_poses, n_targets, 3, n_free)."""
     spread = jacobian.reshape(-1, jacobian.shape[-1]) @ covariance  # at once: C is read once, not for every position
     return spread.reshape(jacobian.shape) @ jacobian.swapaxes(2, 3)
@@ -270,11 +270,11 @@ class UndecidedTerms(ReadOnlyArrays):
     names: tuple[str, ...]
     spread: FloatArray
 
-    def added_to(self, robot: Robot) -> Robot:
+    def with_terms(self, robot: Robot) -> Robot:
         """Return a robot with these terms beside its own, coefficients zero."""
         return robot.with_terms((*robot.description.terms, *self.terms))
 
-    def of_parameters(self, names: Sequence[str]) -> FloatArray:
+    def sensitivity_of(self, names: Sequence[str]) -> FloatArray:
         """Return S of some parameters, (n, k), 0 of those that do not depend on the terms."""
         place = {name: k for k, name in enumerate(self.names)}
         rows = np.vstack([self.spread, np.zeros((1, self.spread.shape[1]))])
@@ -282,7 +282,7 @@ class UndecidedTerms(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class UncertainLinear(ReadOnlyArrays):
+class UncertaintyJacobian(ReadOnlyArrays):
     """A robot linearised at poses by all that is uncertain of it.
 
     Attributes:
@@ -321,7 +321,7 @@ class ParameterUncertainty(ReadOnlyArrays):
     contains: Contributions = frozenset()
 
     @property
-    def counted(self) -> str:
+    def coverage_sentence(self) -> str:
         """Say of positions whether they count what the model leaves out."""
         if self.joint_error == 0.0:
             return "without what the model leaves out"
@@ -329,8 +329,8 @@ class ParameterUncertainty(ReadOnlyArrays):
 
     def lasting(self, robot: Robot) -> BoolArray:
         """Return what of all that is uncertain is the same at every pose, (n_uncertain,)."""
-        n_changing = self._n_off(robot)
-        n_lasting = int(np.sum(self.free)) + len(self._more(robot))
+        n_changing = self._n_errors(robot)
+        n_lasting = int(np.sum(self.free)) + len(self._undecided_names(robot))
         return np.arange(n_lasting + n_changing) < n_lasting
 
     def counting(self, robot: Robot, counts: BoolArray) -> BoolArray:
@@ -340,7 +340,7 @@ class ParameterUncertainty(ReadOnlyArrays):
             robot: The calibrated robot.
             counts: Which of the free parameters do, (n_free,).
         """
-        return np.append(counts, np.ones(len(self._more(robot)) + self._n_off(robot), dtype=bool))
+        return np.append(counts, np.ones(len(self._undecided_names(robot)) + self._n_errors(robot), dtype=bool))
 
     def covariance_of(self, robot: Robot) -> FloatArray:
         """Return the covariance of all that is uncertain, (n_uncertain, n_uncertain) [SI].
@@ -351,17 +351,17 @@ class ParameterUncertainty(ReadOnlyArrays):
         if self.undecided is None and self.joint_error == 0.0:
             return self.covariance
         total = np.diag(np.where(self.lasting(robot), 0.0, self.joint_error**2))
-        names = [*self._free_names(robot), *self._more(robot)]
+        names = [*self._free_names(robot), *self._undecided_names(robot)]
         if self.undecided is not None:
-            spread = self.undecided.of_parameters(names)
+            spread = self.undecided.sensitivity_of(names)
             total[: len(names), : len(names)] += spread @ spread.T
         n_free = len(self.covariance)
         total[:n_free, :n_free] += self.covariance
         return total
 
-    def linearised(
+    def linearise(
         self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None, *, turns: bool = True
-    ) -> UncertainLinear:
+    ) -> UncertaintyJacobian:
         """Linearise positions and turns of all targets by all that is uncertain.
 
         Args:
@@ -376,46 +376,48 @@ class ParameterUncertainty(ReadOnlyArrays):
         """
         whole, index = robot, np.flatnonzero(self.free)
         if self.undecided is not None:
-            whole = self.undecided.added_to(robot)
+            whole = self.undecided.with_terms(robot)
             place = {p.name: k for k, p in enumerate(whole.parameters)}
-            index = np.array([place[name] for name in (*self._free_names(robot), *self._more(robot))], dtype=np.intp)
+            index = np.array(
+                [place[name] for name in (*self._free_names(robot), *self._undecided_names(robot))], dtype=np.intp
+            )
         configurations = whole.assemble(q, near, context=context)
         linear = linearise(whole, configurations, turns=turns, joints=self.joint_error > 0.0)
         jacobian = linear.jacobian[..., index]
-        if linear.by_joint is not None:
-            jacobian = np.concatenate([jacobian, linear.by_joint * whole.mechanism.joint_scale], axis=-1)
-        return UncertainLinear(whole, configurations, linear.positions, jacobian)
+        if linear.joint_derivative is not None:
+            jacobian = np.concatenate([jacobian, linear.joint_derivative * whole.mechanism.joint_scale], axis=-1)
+        return UncertaintyJacobian(whole, configurations, linear.positions, jacobian)
 
-    def linearised_in_parts(
+    def linearise_in_parts(
         self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None, *, turns: bool = True
-    ) -> Iterator[tuple[slice, UncertainLinear]]:
-        """Yield which poses, and what `linearised` returns of these.
+    ) -> Iterator[tuple[slice, UncertaintyJacobian]]:
+        """Yield which poses, and what `linearise` returns of these.
 
         Args:
-            robot, context, turns: As there.
+            robot, context, turns: The calibrated robot, conditions of the commands, and whether turns are wanted.
             q: Commands, (n_poses, n_actuated) [m or rad].
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
         """
         for start in range(0, len(q), CHUNK):
             some = slice(start, start + CHUNK)
             seed = None if near is None else near[some]
-            with compiled_for(len(q), many(robot.mechanism)):
-                linear = self.linearised(robot, q[some], context.at(some), seed, turns=turns)
+            with compile_for(len(q), many(robot.mechanism)):
+                linear = self.linearise(robot, q[some], context.select(some), seed, turns=turns)
             yield some, linear
 
     def _free_names(self, robot: Robot) -> list[str]:
         return [p.name for p, free in zip(robot.parameters, self.free, strict=True) if free]
 
-    def _n_off(self, robot: Robot) -> int:
+    def _n_errors(self, robot: Robot) -> int:
         """Number of joints that are off."""
         return len(robot.joint_names) if self.joint_error > 0.0 else 0
 
-    def _more(self, robot: Robot) -> tuple[str, ...]:
+    def _undecided_names(self, robot: Robot) -> tuple[str, ...]:
         """Names of the coefficients of undecided terms."""
         has = {p.name for p in robot.parameters}
         return () if self.undecided is None else tuple(name for name in self.undecided.names if name not in has)
 
-    def at(
+    def predict(
         self,
         robot: Robot,
         q: FloatArray,
@@ -424,7 +426,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         *,
         turns: bool = True,
         counts: BoolArray | None = None,
-        common: Callable[[UncertainLinear], FloatArray] | None = None,
+        common: Callable[[UncertaintyJacobian], FloatArray] | None = None,
     ) -> PositionUncertainty:
         """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
 
@@ -446,18 +448,23 @@ class ParameterUncertainty(ReadOnlyArrays):
         known = known if counts is None else known * np.outer(counts, counts)
         points = np.empty(shape)
         whole, beside = ([np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]] for _ in range(2))
-        for some, linear in self.linearised_in_parts(robot, q, context, near, turns=turns):
+        for some, linear in self.linearise_in_parts(robot, q, context, near, turns=turns):
             points[some] = linear.positions
             jacobians = [linear.jacobian]
             if common is not None:
                 jacobians.append(linear.jacobian - common(linear)[:, :, : linear.jacobian.shape[2]])
             for to, jacobian in zip((whole, beside), jacobians, strict=False):
                 for covariance, rows in zip(to, ROWS, strict=False):
-                    covariance[some] = carried(jacobian[:, :, rows], known)
+                    covariance[some] = propagate_covariance(jacobian[:, :, rows], known)
         hold(points, *whole, *beside)
         told, measured = (
             PositionUncertainty(
-                points, own[0], self.coverage_factor, own[1] if turns else None, robot.left_out, contains=self.contains
+                points,
+                own[0],
+                self.coverage_factor,
+                own[1] if turns else None,
+                robot.unreported_targets,
+                contains=self.contains,
             )
             for own in (beside, whole)
         )

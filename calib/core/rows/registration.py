@@ -25,7 +25,7 @@ from calib.core.robots.described_instruments import MEASUREMENT_FRAME, pair_name
 from calib.core.robots.mechanism import RelativeFrame
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import relative_poses
-from calib.core.rows.observed import observe, seen_by
+from calib.core.rows.observed import observe, views_of_instruments
 
 _SQUARED_ROUNDING = 1e-30  # squares below are rounding
 
@@ -46,16 +46,16 @@ def register(robot: Robot, data: Measurements, *, rough_beyond: float = np.inf) 
         DataError: Measurements that are not finite.
     """
     for setup in range(max(len(robot.description.setups), 1)):
-        for seen in _seen_together(robot, data, setup):
-            robot = _placed(robot, data, seen, setup, rough_beyond)
+        for seen in _common_visits(robot, data, setup):
+            robot = _place(robot, data, seen, setup, rough_beyond)
     placed: list[str] = []
     for instrument in robot.instruments:
         if len(data.readings.get(instrument.name, ())):
             placed.append(instrument.name)
             if isinstance(instrument, FrameInstrument):
-                robot = _guessed(robot, data, instrument, placed)
+                robot = _guess(robot, data, instrument, placed)
             elif isinstance(instrument, JointInstrument):
-                robot = _read_off(robot, data, instrument)
+                robot = _guess_joint_numbers(robot, data, instrument)
     return robot
 
 
@@ -74,7 +74,7 @@ def registration(
         UnreachablePoseError: A pose cannot be assembled.
         DataError: No points were measured, or measurements that are not finite.
     """
-    groups = _seen_together(robot, data, 0)
+    groups = _common_visits(robot, data, 0)
     if not groups:
         raise DataError(f"{data.path}: no points were measured, so that the measurement frame cannot be placed")
     known = {"frame_known": frame_known, "targets_known": targets_known}
@@ -102,7 +102,7 @@ class _Frames:
         return robot.mechanism.origin_names[self.pairs[target].b - 1]
 
 
-def _seen_together(robot: Robot, data: Measurements, setup: int) -> list[tuple[BoolArray, tuple[str, ...]]]:
+def _common_visits(robot: Robot, data: Measurements, setup: int) -> list[tuple[BoolArray, tuple[str, ...]]]:
     """Visits of a setup at which points were seen, and which targets; most visits first."""
     points = data.points(robot)
     n_setups = max(len(robot.description.setups), 1)
@@ -122,7 +122,7 @@ def _seen_together(robot: Robot, data: Measurements, setup: int) -> list[tuple[B
     return [(seen[:, t], (robot.target_names[t],)) for t in order]
 
 
-def _placed(
+def _place(
     robot: Robot, data: Measurements, seen: tuple[BoolArray, tuple[str, ...]], setup: int, rough_beyond: float
 ) -> Robot:
     frames = _Frames(robot, setup)
@@ -131,18 +131,18 @@ def _placed(
     values: dict[str, float] = {}
     for target, point in zip(seen[1], placement.points, strict=True):
         if robot.description.targets[target].position == "unknown":
-            values |= _named(frames.origin(robot, target), LENGTH_COMPONENTS, point)
+            values |= _name_components(frames.origin(robot, target), LENGTH_COMPONENTS, point)
     if not frame_known:
         base = frames.base(robot)
         T_measurement_link = placement.T_base_measurement.inverse()
         turned = pin.log3(robot.nominal.placement(base).rotation @ T_measurement_link.rotation)
-        values |= _named(base, LENGTH_COMPONENTS, T_measurement_link.translation)
-        values |= _named(base, ANGLE_COMPONENTS, turned)
-    robot = _with(robot, values)
-    return _with(robot, _orientations(robot, data, seen[0], frames))
+        values |= _name_components(base, LENGTH_COMPONENTS, T_measurement_link.translation)
+        values |= _name_components(base, ANGLE_COMPONENTS, turned)
+    robot = _with_values(robot, values)
+    return _with_values(robot, _orientations(robot, data, seen[0], frames))
 
 
-def _with(robot: Robot, values: dict[str, float]) -> Robot:
+def _with_values(robot: Robot, values: dict[str, float]) -> Robot:
     return robot.with_parameters({name: value for name, value in values.items() if name not in robot.description.held})
 
 
@@ -163,7 +163,7 @@ def _registration(
         MovingPoint(
             poses,
             points[:, robot.target_names.index(target)],
-            *_expected(robot, target, frames.origin(robot, target), known=targets_known),
+            *_expected_place(robot, target, frames.origin(robot, target), known=targets_known),
         )
         for target, poses in zip(seen[1], carriers, strict=True)
     ]
@@ -172,7 +172,7 @@ def _registration(
     return place(moving, ones, T_base_measurement, frame_known=frame_known, rough_beyond=rough_beyond)
 
 
-def _guessed(robot: Robot, data: Measurements, instrument: FrameInstrument, placed: list[str]) -> Robot:
+def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed: list[str]) -> Robot:
     """Return the robot with what an instrument alone can guess.
 
     Of its guesses, that counts which explains best what it and the instruments placed before have read: two cameras may
@@ -208,15 +208,15 @@ def _guessed(robot: Robot, data: Measurements, instrument: FrameInstrument, plac
     return min(tried, key=miss)
 
 
-def _read_off(robot: Robot, data: Measurements, instrument: JointInstrument) -> Robot:
+def _guess_joint_numbers(robot: Robot, data: Measurements, instrument: JointInstrument) -> Robot:
     """Return the robot with what an instrument that reads a joint can guess of its unknown numbers."""
     readings, configurations = (
         data.readings[instrument.name],
         robot.assemble(data.joints, labels=data.labels, context=data.conditions),
     )
-    seen = np.asarray(seen_by(robot, configurations, {instrument.name: readings})[instrument.name])
+    seen = np.asarray(views_of_instruments(robot, configurations, {instrument.name: readings})[instrument.name])
     first = instrument.first_unknowns(seen, robot.values[robot.unknowns(instrument.name)], readings)
-    return _with(robot, {p.name: float(value) for p, value in zip(instrument.unknowns, first, strict=True)})
+    return _with_values(robot, {p.name: float(value) for p, value in zip(instrument.unknowns, first, strict=True)})
 
 
 def _open_components(robot: Robot, place: str) -> tuple[Component, ...]:
@@ -241,7 +241,7 @@ def _with_guess(
                 values[f"{origin}.{component}"] = float(number)
     if guess.unknowns is not None:
         values |= {p.name: float(number) for p, number in zip(instrument.unknowns, guess.unknowns, strict=True)}
-    return _with(robot, values)
+    return _with_values(robot, values)
 
 
 def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Frames) -> dict[str, float]:
@@ -264,11 +264,11 @@ def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Fr
         )
         origin = frames.origin(robot, instrument.target)
         nominal = robot.nominal.placement(origin).rotation
-        values |= _named(origin, ANGLE_COMPONENTS, pin.log3(nominal.T @ mean))
+        values |= _name_components(origin, ANGLE_COMPONENTS, pin.log3(nominal.T @ mean))
     return values
 
 
-def _expected(robot: Robot, target: str, origin: str, *, known: bool) -> tuple[FloatArray, FloatArray]:
+def _expected_place(robot: Robot, target: str, origin: str, *, known: bool) -> tuple[FloatArray, FloatArray]:
     """Where a target is expected in its link, and how sure that is, (3,) each [m]; see `MovingPoint`."""
     point, sigma = robot.mechanism.placement(origin).translation.copy(), np.zeros(3)
     if robot.description.targets[target].position == "known":
@@ -287,9 +287,9 @@ def _carriers(robot: Robot, data: Measurements, chosen: IntArray, looked: list[R
     parents = mechanism.model.parents
     pairs = tuple(RelativeFrame(pair.name, parents[pair.a], parents[pair.b], True, ()) for pair in looked)
     labels = [data.labels[k] for k in chosen]
-    configurations = robot.assemble(data.joints[chosen], None, labels, data.conditions.at(chosen))
+    configurations = robot.assemble(data.joints[chosen], None, labels, data.conditions.select(chosen))
     return list(relative_poses(mechanism, configurations, pairs))
 
 
-def _named(origin: str, components: tuple[str, ...], numbers: FloatArray) -> dict[str, float]:
+def _name_components(origin: str, components: tuple[str, ...], numbers: FloatArray) -> dict[str, float]:
     return {f"{origin}.{component}": float(number) for component, number in zip(components, numbers, strict=True)}

@@ -1,4 +1,4 @@
-"""One system of whitened rows: what every question about measurements is asked of.
+"""One system of whitened rows: the source of every statement about measurements.
 
 A reading of m components gives m rows. With the covariance of its noise, s_g^2 C_k (C_k as stated, s_g the scale of its
 group, 1 where it is stated and not contradicted, else found from the residuals), residuals r and scaled Jacobian J
@@ -34,7 +34,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.instruments.kind import Part
 from calib.core.numerics.linear_model import LinearModel, RowGroups
-from calib.core.numerics.losses import Studentised, studentised
+from calib.core.numerics.losses import StudentisedErrors, studentised
 from calib.core.numerics.tall import Span
 from calib.core.numerics.variance_components import SharedError
 
@@ -58,7 +58,7 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Scales(ReadOnlyArrays):
-    """What is assumed of the noise beyond what is stated.
+    """Scales of the noise relative to its statement.
 
     Attributes:
         groups: s_g of the module docstring, (n_groups,).
@@ -140,22 +140,22 @@ class Rows(LinearModel):
 
     layout: Layout
 
-    def weighted(self, weights: FloatArray) -> Rows:
+    def with_weights(self, weights: FloatArray) -> Rows:
         """Return the rows with these weights of the readings, (n_readings,); themselves where all are 1."""
         if np.all(weights == 1.0):
             return self
         root = np.sqrt(weights)[self.layout.reading]
         return replace(self, residuals=root * self.residuals, jacobian=root[:, None] * self.jacobian)
 
-    def whitened(self, shared: SharedError | None) -> Rows:
+    def whiten_shared(self, shared: SharedError | None) -> Rows:
         """Return the rows whitened for errors that the rows of a pose share; as they are without any."""
         if shared is None:
             return self
         return replace(self, residuals=shared.whiten(self.residuals), jacobian=shared.whiten(self.jacobian))
 
-    def studentised(
+    def studentise(
         self, root: FloatArray, weights: FloatArray, freedom: float, scale: float | None = None
-    ) -> Studentised:
+    ) -> StudentisedErrors:
         """Judge every reading.
 
         Args:

@@ -21,15 +21,21 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray, random_numbe
 from calib.core.base.errors import DataError, UnreachablePoseError
 from calib.core.base.units import in_si, millimetres
 from calib.core.data.in_memory import PosesLike, as_poses
-from calib.core.data.measurements import Measurements, Poses, directions_of_motion, measurements, of_visits
+from calib.core.data.measurements import Measurements, Poses, directions_of_motion, measurements, readings_of_visits
 from calib.core.instruments.kind import Instrument, Readings
 from calib.core.numerics import linalg
-from calib.core.robots.configurations import Configurations, configured
+from calib.core.robots.configurations import Configurations, solve_configurations
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
-from calib.core.rows.observed import looks_at, observe, predicted_readings, some_readings, unsaid_touches
+from calib.core.rows.observed import (
+    observe,
+    planned_readings,
+    predict_readings,
+    select_readings,
+    touches_without_target,
+)
 from calib.core.rows.whitening import stated_noise
 
 _LONGEST_STEP = 0.2  # of a joint at once [rad, or characteristic lengths]
@@ -72,27 +78,27 @@ def simulate(
         raise DataError(f"sigma {sigma:g} m: must be zero or a positive number")
     rng = random_numbers(seed)
     poses = as_poses(robot, poses)
-    looks = looks_at(robot, poses)
+    looks = planned_readings(robot, poses)
     off = np.zeros_like(poses.joints)
     if joint_sigma:
         off = joint_sigma * robot.mechanism.joint_scale * rng.standard_normal(poses.joints.shape)
     touches = _touches(robot, poses, looks, sigma, rng)
     commands = poses.joints
     if touches:
-        _assembled(robot, poses, commands, off)
-        commands, misses = at_contact(robot, poses, touches, off)
+        _assemble(robot, poses, commands, off)
+        commands, misses = touching_configurations(robot, poses, touches, off)
         _require_contact(poses, misses)
-    configurations = _assembled(robot, poses, commands, off)  # says which pose cannot be
+    configurations = _assemble(robot, poses, commands, off)  # says which pose cannot be
     readings = dict[str, Readings]()
-    for name, predicted in predicted_readings(robot, configurations, looks).items():
+    for name, predicted in predict_readings(robot, configurations, looks).items():
         instrument = robot.instrument(name)
         if name not in touches:
             readings[name] = _noisy(instrument, predicted, sigma, rng)
         elif len(predicted):
             zeros = np.zeros((len(predicted), instrument.n_rows))
             readings[name] = Readings(predicted.visits, predicted.pairs, zeros, None, predicted.details)
-    said = (f"simulated measurements of {robot.name}", _noise_in_words(robot, sigma))
-    return replace(measurements(poses, readings), joints=commands, comments=said, planned={})
+    comments = (f"simulated measurements of {robot.name}", _noise_in_words(robot, sigma))
+    return replace(measurements(poses, readings), joints=commands, comments=comments, planned={})
 
 
 def noisy_readings(
@@ -130,12 +136,12 @@ def _noise_in_words(robot: Robot, sigma: float | None) -> str:
 def _touches(
     robot: Robot, poses: Poses, looks: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
 ) -> dict[str, Readings]:
-    """What is touched at which visit, and by how much each touch misses."""
-    unsaid = next(iter(unsaid_touches(robot, poses)), None)
-    if unsaid is not None:
+    """Touched things by visit, and the gap that each touch leaves."""
+    without_target = next(iter(touches_without_target(robot, poses)), None)
+    if without_target is not None:
         raise DataError(
-            f"{poses.path}: nothing says what instrument '{unsaid.name}' touches at which pose; add a column"
-            f" '{unsaid.text_columns()[0]}' that names it, empty where nothing is touched"
+            f"{poses.path}: nothing says what instrument '{without_target.name}' touches at which pose; add a column"
+            f" '{without_target.text_columns()[0]}' that names it, empty where nothing is touched"
         )
     result = {}
     for instrument in (instrument for instrument in robot.instruments if instrument.touches):
@@ -145,7 +151,7 @@ def _touches(
     return result
 
 
-def at_contact(
+def touching_configurations(
     robot: Robot, poses: Poses, touches: Mapping[str, Readings], off: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Bring the robot to what it touches; see the module docstring.
@@ -208,8 +214,10 @@ def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held
     size = np.einsum("nij,nij->n", slopes, slopes) / slopes.shape[2] + 1e-300
     # By singular values: in J^T J, rounding over little damping would move the joints along what no gap feels.
     left, values, right = linalg.svd(free, full_matrices=False)
-    felt = np.matmul(left.transpose(0, 2, 1), gaps[:, :, None])[:, :, 0]
-    step: FloatArray = -np.matmul((felt * values / (values**2 + (damping * size)[:, None]))[:, None, :], right)[:, 0]
+    gradient = np.matmul(left.transpose(0, 2, 1), gaps[:, :, None])[:, :, 0]
+    step: FloatArray = -np.matmul((gradient * values / (values**2 + (damping * size)[:, None]))[:, None, :], right)[
+        :, 0
+    ]
     longest = np.max(np.abs(step), axis=1, keepdims=True)
     return step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
 
@@ -248,8 +256,8 @@ def _gaps(
     q = (commands + off)[index]
     closed = robot.close(q, columns=columns)
     ok = np.flatnonzero(closed.ok)
-    configurations = configured(robot, q[ok], closed.at(ok), tuple(part[ok] for part in columns))
-    looks = {name: of_visits(readings, index[ok]) for name, readings in touches.items()}
+    configurations = solve_configurations(robot, q[ok], closed.select(ok), tuple(part[ok] for part in columns))
+    looks = {name: readings_of_visits(readings, index[ok]) for name, readings in touches.items()}
     observed = observe(robot, configurations, looks, joints=True)
     width = sum(robot.instrument(name).n_rows for name in touches)
     gaps, slopes, start = np.zeros((len(index), width)), np.zeros((len(index), width, q.shape[1])), 0
@@ -257,7 +265,7 @@ def _gaps(
     for name, readings in looks.items():
         rows = slice(start, start + robot.instrument(name).n_rows)
         gaps[ok[readings.visits], rows] = observed[name].residuals
-        slopes[ok[readings.visits], rows] = observed[name].by_joint
+        slopes[ok[readings.visits], rows] = observed[name].joint_derivative
         start = rows.stop
     return gaps, slopes
 
@@ -265,10 +273,10 @@ def _gaps(
 def _context(poses: Poses, commands: FloatArray) -> Context:
     """Conditions of commands (n, n_actuated); from which side, in their order where the poses do not say."""
     approach = directions_of_motion(commands) if poses.approach is None else poses.approach
-    return Context.of(approach, poses.context, poses.setups)
+    return Context.from_conditions(approach, poses.context, poses.setups)
 
 
-def _assembled(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray) -> Configurations:
+def _assemble(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray) -> Configurations:
     """The robot at commands (n, n_actuated) that it does not quite follow."""
     context = _context(poses, commands)
     return robot.assemble(commands + off, labels=poses.labels, context=context)
@@ -277,7 +285,7 @@ def _assembled(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray
 def _noisy(instrument: Instrument, exact: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
     """Readings with noise, without those of what cannot be seen."""
     seen = np.flatnonzero(~np.isnan(exact.values).all(axis=1))
-    visible = exact if len(seen) == len(exact) else some_readings(exact, seen)
+    visible = exact if len(seen) == len(exact) else select_readings(exact, seen)
     change = np.zeros((len(visible), instrument.n_rows))
     if sigma != 0:
         noise = stated_noise(instrument, sigma)
@@ -286,4 +294,6 @@ def _noisy(instrument: Instrument, exact: Readings, sigma: float | None, rng: np
         normal = rng.standard_normal(change.shape)
         stated = np.array([float(noise.parts[k].stated) for k in instrument.part_of_row])
         change = stated * np.matmul(np.linalg.cholesky(covariance), normal[:, :, None])[:, :, 0]
-    return Readings(visible.visits, visible.pairs, instrument.moved(visible.values, change), None, visible.details)
+    return Readings(
+        visible.visits, visible.pairs, instrument.with_errors(visible.values, change), None, visible.details
+    )

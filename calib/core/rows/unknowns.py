@@ -46,7 +46,7 @@ class Unknowns(ReadOnlyArrays):
         return bool(np.all(np.isin(others.index, self.index)))
 
     @staticmethod
-    def of(robot: Robot, free: BoolArray | None = None) -> Unknowns:
+    def from_robot(robot: Robot, free: BoolArray | None = None) -> Unknowns:
         """Return the parameters of a robot that are chosen, (n_parameters,): its free ones if not given."""
         chosen = np.flatnonzero(robot.is_free if free is None else free)
         kept = [robot.parameters[k] for k in chosen]
@@ -62,20 +62,20 @@ class Unknowns(ReadOnlyArrays):
             families,
         )
 
-    def only(self, chosen: BoolArray) -> Unknowns:
+    def select(self, chosen: BoolArray) -> Unknowns:
         """Return some of them, (n,)."""
         return Unknowns(
             tuple(name for name, use in zip(self.names, chosen, strict=True) if use),
             self.index[chosen],
             self.scales[chosen],
             self.expected[chosen],
-            self.prior.only(chosen),
+            self.prior.select(chosen),
             self.placement[chosen],
             self.family[chosen],
             self.families,
         )
 
-    def rescaled(self, factors: FloatArray) -> Unknowns:
+    def rescale_families(self, factors: FloatArray) -> Unknowns:
         """Return them with the sigma of each family multiplied by its factor, (n_families,)."""
         factor = np.append(factors, 1.0)[self.family]  # the last for -1
         return replace(self, scales=self.scales * factor)
@@ -83,14 +83,14 @@ class Unknowns(ReadOnlyArrays):
     @staticmethod
     def chosen_by_poses(robot: Robot) -> Unknowns:
         """Return the free parameters that a choice of poses is about: families, which priors shape, are left out."""
-        unknowns = Unknowns.of(robot)
-        return unknowns.only(unknowns.family < 0)
+        unknowns = Unknowns.from_robot(robot)
+        return unknowns.select(unknowns.family < 0)
 
     def deviations(self, values: FloatArray) -> FloatArray:
         """Return u = (p - p_expected) / s from the values of all parameters, (n_parameters,)."""
         return (values[self.index] - self.expected) / self.scales
 
-    def moved(self, robot: Robot, u: FloatArray) -> Robot:
+    def robot_at(self, robot: Robot, u: FloatArray) -> Robot:
         """Return a robot with these parameters at p = p_expected + s u, u (n,)."""
         values = robot.values.copy()
         values[self.index] = self.values_at(u)
@@ -103,7 +103,7 @@ class Unknowns(ReadOnlyArrays):
 
 
 def _prior(robot: Robot, kept: list[Parameter]) -> Prior:
-    """What is known before measuring of some of the robot's parameters."""
+    """Prior of some of the robot's parameters."""
     has, fleet = np.array([p.prior for p in kept], dtype=bool), robot.description.fleet
     together = [k for k, p in enumerate(kept) if fleet is not None and fleet.knows(p.name)]
     if fleet is None or not together:

@@ -59,8 +59,8 @@ class Whitening:
         alike = not any(part.beam is not None for noise in noises for part in noise.parts)
         self._of_all = {name: data.readings[name] for name in self._names} if alike and _are_whole(data) else None
 
-    def whitens(self, data: Measurements) -> bool:
-        """Whether it is that of other readings, too: all whole, of the same visits, with noise that is alike."""
+    def applies_to(self, data: Measurements) -> bool:
+        """Whether the same whitening serves these readings: complete, of the same visits, with the same noise."""
         known, readings = self._of_all, data.readings
         if known is None or not _are_whole(data) or {name for name in readings if len(readings[name])} != known.keys():
             return False
@@ -84,10 +84,10 @@ class Whitening:
         parts = []
         for name in self._names:
             array = np.nan_to_num(arrays[name]) if np.isnan(arrays[name]).any() else arrays[name]
-            parts.append(self.whitened(name, array, in_place=in_place).reshape(-1, *array.shape[2:]))
+            parts.append(self.whiten(name, array, in_place=in_place).reshape(-1, *array.shape[2:]))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def whitened(
+    def whiten(
         self, name: str, array: FloatArray, chosen: IntArray | slice = slice(None), *, in_place: bool = False
     ) -> FloatArray:
         """Whiten what some readings of an instrument have by the stated covariance, (n, n_rows) or (n, n_rows, k).
@@ -104,7 +104,7 @@ class Whitening:
             return np.multiply(array, scale, out=array if in_place else None)
         return np.matmul(inverse, array) if array.ndim == 3 else np.matmul(inverse, array[:, :, None])[:, :, 0]
 
-    def read(self, whitened: FloatArray, scales: Scales) -> dict[str, FloatArray]:
+    def unwhiten_rows(self, whitened: FloatArray, scales: Scales) -> dict[str, FloatArray]:
         """Return what whitened numbers, one of each row (n_rows,), are of readings, (n, n_rows) [SI] by instrument.
 
         Args:
@@ -149,7 +149,9 @@ class Whitening:
 
     def columns(self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns) -> FloatArray:
         """Return the whitened derivative of the rows by the scaled unknowns, (n_rows, n_free); as of `rows`."""
-        columns = self.flatten({name: observed[name].by(unknowns.index) for name in self._names}, in_place=True)
+        columns = self.flatten(
+            {name: observed[name].derivative_by(unknowns.index) for name in self._names}, in_place=True
+        )
         columns *= unknowns.scales
         if np.any(groups != 1.0):
             columns /= self.row_scale(groups)[:, None]
@@ -183,7 +185,7 @@ class Whitening:
 
     @cached_property
     def offset_columns(self) -> FloatArray:
-        """What an offset of each component of each instrument of the robot does to the rows, (n_rows, n_offsets)."""
+        """Derivative of the rows by an offset of each component of each instrument, (n_rows, n_offsets)."""
         units = np.eye(self.n_offsets)
         by_instrument = dict(
             zip(self._n_rows, np.split(units, np.cumsum(list(self._n_rows.values()))[:-1]), strict=True)
@@ -215,7 +217,7 @@ class Whitening:
 
     def joint_columns(self, observed: Mapping[str, Observed]) -> FloatArray:
         """Return the derivative of the rows by the joints, whitened by what is stated, (n_rows, n_actuated)."""
-        return self.flatten({name: observed[name].by_joint for name in self._names})
+        return self.flatten({name: observed[name].joint_derivative for name in self._names})
 
     def start(self, residuals: Mapping[str, FloatArray] | None = None) -> FloatArray:
         """Return scales to start from: 1 where noise is stated; else as the residuals (n, n_rows) are, or assumed."""
@@ -233,7 +235,7 @@ def stated_noise(instrument: Instrument, sigma: float | None) -> Noise:
     if sigma is None:
         return instrument.noise
     parts = [
-        PartNoise.of(sigma, len(part.axes)) if part.is_position else noise
+        PartNoise.from_sigma(sigma, len(part.axes)) if part.is_position else noise
         for part, noise in zip(instrument.parts, instrument.noise.parts, strict=True)
     ]
     return Noise(tuple(parts))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.core.robots.terms.term import REFERENCE_TEMPERATURE
-from calib.exporting.functions.facts import MEANING, NEUTRAL, SOURCES, RobotFacts, said, template
+from calib.exporting.functions.facts import MEANING, NEUTRAL, SOURCES, RobotFacts, header_lines, template
 from calib.exporting.functions.trees import FunctionTree
 
 _FUNCTIONS = """\
@@ -48,7 +48,7 @@ def c_name(name: str) -> str:
 
 
 def _comment(facts: RobotFacts, lines: Sequence[str]) -> str:
-    text = said(facts, [line.replace("@", "(at)") for line in lines], "@_base()")
+    text = header_lines(facts, [line.replace("@", "(at)") for line in lines], "@_base()")
     text += ["", *_FUNCTIONS.splitlines()]
     if facts.conditions:
         text += ["", "Joint errors depend on these members of the conditions; where NULL is given, they are neutral:"]

@@ -21,7 +21,7 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import ComputationError, DataError
 from calib.core.robots import loops
-from calib.core.robots.configurations import configured
+from calib.core.robots.configurations import solve_configurations
 from calib.core.robots.gravity import accelerations, payload_frame, with_masses
 from calib.core.robots.joint_errors import driven_by
 from calib.core.robots.robot import Robot
@@ -96,7 +96,7 @@ class Wave(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class Gravity(ReadOnlyArrays):
-    """What the torques of gravity need.
+    """Masses and directions from which gravity torques are computed.
 
     Attributes:
         tree: The nominal robot's; its world is the root link.
@@ -115,7 +115,7 @@ class Gravity(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class RobotFacts(ReadOnlyArrays):
-    """What a function needs of a robot.
+    """Numbers of a robot from which a function is written.
 
     Attributes:
         name: The robot's name.
@@ -189,7 +189,7 @@ def _starts(robot: Robot) -> tuple[FloatArray, FloatArray]:
     kept = np.flatnonzero(closed.ok)
     if len(kept) == 0:
         raise ComputationError(f"{robot.path}: no pose is known at which the loops close with these values")
-    configurations = configured(robot, commands[kept], closed.at(kept))
+    configurations = solve_configurations(robot, commands[kept], closed.select(kept))
     return commands[kept], np.hstack([configurations.actuated, configurations.passive])
 
 
@@ -225,7 +225,7 @@ def _errors(robot: Robot) -> tuple[tuple[JointShare, ...], tuple[Wave, ...]]:
 
 def _gravity(robot: Robot, commands: FloatArray) -> Gravity:
     nominal = robot.nominal
-    driven = nominal.untilted(commands)
+    driven = nominal.without_tilts(commands)
     closed = loops.close(nominal, robot.mode, driven)
     starts = np.hstack([driven, closed.passive])[closed.ok]
     masses = with_masses(robot.urdf, nominal)
@@ -263,7 +263,7 @@ def template(name: str) -> str:
     return (Path(__file__).parent / f"{name}.txt").read_text(encoding="utf-8")
 
 
-def said(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str]:
+def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str]:
     """Return what a file says of a robot, line by line.
 
     Args:
@@ -273,7 +273,7 @@ def said(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str]:
     """
     joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.joints, facts.units, strict=True))
     text = [f"The robot {facts.name}: poses of its tools from the commands of its joints.", "", *lines]
-    text += ["", f"Commands: {joints}. All units are SI.", f"Tools: {', '.join(_numbered(facts.tools))}."]
+    text += ["", f"Commands: {joints}. All units are SI.", f"Tools: {', '.join(_numbered_names(facts.tools))}."]
     text.append("Poses are those of a tool in the measurement frame of the calibration, where that places the robot.")
     if facts.base is None:
         text.append("Joints move that frame.")
@@ -284,5 +284,5 @@ def said(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str]:
     return [" ".join(line.split()) for line in text]
 
 
-def _numbered(names: Sequence[str]) -> list[str]:
+def _numbered_names(names: Sequence[str]) -> list[str]:
     return [f"{k} {name}" for k, name in enumerate(names)]

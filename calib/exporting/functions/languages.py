@@ -32,8 +32,8 @@ def function_file(robot: Robot, language: str, lines: Sequence[str]) -> bytes:
 
     if refused := why_none(robot):
         raise InputError(f"format '{language}': {refused}")
-    facts, said = facts_of(robot), [f"Made from {robot.path}.", *lines]
-    text = c_text(facts, said) if language == "c" else python_text(facts, language, said)
+    facts, header = facts_of(robot), [f"Made from {robot.path}.", *lines]
+    text = c_text(facts, header) if language == "c" else python_text(facts, language, header)
     return text.encode()
 
 

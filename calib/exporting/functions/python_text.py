@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.exporting.functions.facts import MEANING, NEUTRAL, SOURCES, Gravity, RobotFacts, said, template
+from calib.exporting.functions.facts import MEANING, NEUTRAL, SOURCES, Gravity, RobotFacts, header_lines, template
 from calib.exporting.functions.trees import FunctionTree
 
 _OF_LIBRARY: dict[str, tuple[str, ...]] = {
@@ -49,7 +49,7 @@ def python_text(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
 def _docstring(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
     functions = ["forward(q)", "jacobian(q)", *(["inverse(poses, start)"] if library == "numpy" else [])]
     text = [
-        *said(facts, lines, "BASE"),
+        *header_lines(facts, lines, "BASE"),
         "",
         f"{', '.join(functions)}: of one pose, or of batches of any shape; q is (..., {len(facts.joints)}).",
     ]

@@ -76,7 +76,7 @@ class Closure:
 
 @dataclass(frozen=True, eq=False)
 class FunctionTree(ReadOnlyArrays):
-    """What the kinematics of a mechanism need.
+    """Joints and frames from which kinematics are written.
 
     Attributes:
         joints: The joints, each behind the one that it stands on.
@@ -139,7 +139,7 @@ def tree_of(
     shared = np.logical_and.reduce([mechanism.support[index] > 0 for index in indices])
     shared &= not from_root
     needed = np.logical_or.reduce([mechanism.support[index] > 0 for index in indices]) & ~shared
-    joints, at = _folded(mechanism, select, shared, needed)
+    joints, at = _fold_frames(mechanism, select, shared, needed)
     numbers = [index for index in range(1, len(at)) if at[index].own]
     kept = [_frame(mechanism, at, numbers, index) for index in indices]
     closures = tuple(
@@ -165,7 +165,7 @@ def tree_of(
 
 
 @dataclass(frozen=True)
-class _At:
+class _FramePlace:
     """Where a frame of the mechanism is: behind which joint, at which constant place, and whether that joint's own."""
 
     after: int
@@ -173,21 +173,23 @@ class _At:
     own: bool = False
 
 
-def _folded(
+def _fold_frames(
     mechanism: Mechanism, select: FloatArray, shared: BoolArray, needed: BoolArray
-) -> tuple[tuple[TreeJoint, ...], list[_At]]:
+) -> tuple[tuple[TreeJoint, ...], list[_FramePlace]]:
     """Return the joints that move, and where each frame of the mechanism is."""
     identity = pin.SE3.Identity()
-    at, joints = [_At(0, identity)], list[TreeJoint]()
+    at, joints = [_FramePlace(0, identity)], list[TreeJoint]()
     for k in range(mechanism.n_joints):
         if shared[k]:  # all frames of interest stand on it
-            at.append(_At(0, identity))
+            at.append(_FramePlace(0, identity))
             continue
         before = at[mechanism.model.parents[k + 1]]
         place = before.place * mechanism.model.jointPlacements[k + 1]
         follows = np.flatnonzero(select[k])
         if len(follows) == 0 or not needed[k]:
-            at.append(_At(before.after, place * pin.exp6(pin.Motion(mechanism.axes[k] * mechanism.constant[k]))))
+            at.append(
+                _FramePlace(before.after, place * pin.exp6(pin.Motion(mechanism.axes[k] * mechanism.constant[k])))
+            )
             continue
         linear, angular = mechanism.axes[k, :3], mechanism.axes[k, 3:]
         slides = not np.any(angular)
@@ -198,7 +200,7 @@ def _folded(
         offset = float(mechanism.constant[k]) * length
         placement = (place * aligned).homogeneous
         joints.append(TreeJoint(before.after, slides, int(follows[0]), factor, offset, placement))
-        at.append(_At(len(joints), aligned.inverse(), True))
+        at.append(_FramePlace(len(joints), aligned.inverse(), True))
     return tuple(joints), at
 
 
@@ -209,7 +211,7 @@ def _to_z(axis: FloatArray) -> FloatArray:
     return np.stack([first, np.cross(axis, first), axis], axis=1)
 
 
-def _frame(mechanism: Mechanism, at: list[_At], numbers: list[int], index: int) -> TreeFrame:
+def _frame(mechanism: Mechanism, at: list[_FramePlace], numbers: list[int], index: int) -> TreeFrame:
     place = at[index]
     moved_by = mechanism.support[index][[number - 1 for number in numbers]] > 0
     return TreeFrame(place.after, place.place.homogeneous, moved_by)

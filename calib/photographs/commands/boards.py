@@ -27,7 +27,7 @@ board_if_any = click.option("--board", metavar="FILE|TEXT", help=_HELP)
 """The same where a command may do without."""
 
 
-def given_board(text: str) -> Board:
+def read_board_option(text: str) -> Board:
     """Return the board of a file, or of its short form; see `calib.core.instruments.board.read_board`."""
     return read_board(text, f"--board {text}")
 
@@ -51,7 +51,7 @@ def command(board: str, paper: str | None, photographs: str | None, seed: int, o
     form = Path(out).suffix.lower().removeprefix(".")
     if form not in FORMATS:
         raise InputError(f"{out}: the name of a page to print ends in .pdf or .svg")
-    described = given_board(board)
+    described = read_board_option(board)
     names = [*(f"shot_{k + 1:02d}.png" for k in range(_PHOTOGRAPHS)), "poses.csv", "truth.json"]
     output.check(out, folders=(photographs,), names=names)
     content = page(described, form, paper)

@@ -10,12 +10,12 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import Output, shared_options
 from calib.core.data.table_writing import format_table
 from calib.core.instruments.board import Board
 from calib.core.instruments.camera import LITTLE_COVERAGE, image_coverage
-from calib.photographs.commands.boards import board_option, given_board
+from calib.photographs.commands.boards import board_option, read_board_option
 from calib.photographs.detection import DetectedImage, Detection, detect
 from calib.photographs.estimation import LITTLE_TURN, turning
 from calib.photographs.images import Shot, joint_columns, shots, with_joints
@@ -52,16 +52,16 @@ def command(
     """
     if not re.fullmatch(r"[^\s,;\[\]#]+", columns):
         raise InputError(f"--columns '{columns}': give one word, such as camera")
-    described, photographs = given_board(board), with_joints(shots(images, topic))
+    described, photographs = read_board_option(board), with_joints(shots(images, topic))
     output.check(out, page_file)
-    detection, small = detected(described, photographs, output, pictures=page_file is not None)
+    detection, small = detect_board(described, photographs, output, pictures=page_file is not None)
     if not detection.usable:
         raise nothing_found(detection)
     output.write(out, pixel_table(detection, photographs, columns))
     lines = summary(detection)
     if page_file:
         pictures = [
-            Picture(image, copy, image.remark or counted(len(image.points), "point"), not image.usable)
+            Picture(image, copy, image.remark or count_noun(len(image.points), "point"), not image.usable)
             for image, copy in zip(detection.images, small, strict=True)
         ]
         figures = [(-1, figure(picture)) for picture in pictures]
@@ -73,7 +73,7 @@ def command(
     output.json(content(detection))
 
 
-def detected(
+def detect_board(
     board: Board, photographs: Sequence[Shot], output: Output, *, pictures: bool
 ) -> tuple[Detection, list[bytes]]:
     """Find a board in images, telling of each that has none; return small copies too, if they are wanted.
@@ -107,7 +107,7 @@ def detected(
 def nothing_found(detection: Detection) -> DataError:
     """Return the error of a set of images without a board."""
     first = detection.images[0]
-    return DataError(f"no board in {counted(len(detection.images), 'image')}; {first.name}: {first.remark}")
+    return DataError(f"no board in {count_noun(len(detection.images), 'image')}; {first.name}: {first.remark}")
 
 
 def pixel_table(detection: Detection, photographs: Sequence[Shot], columns: str) -> str:
@@ -136,7 +136,7 @@ def summary(detection: Detection) -> list[str]:
     """Return in words what was found, and what is too little."""
     usable, whole = detection.usable, len(detection.board.points())
     lines = [
-        f"{counted(detection.n_points, 'point')} in {len(usable)} of {counted(len(detection.images), 'image')}"
+        f"{count_noun(detection.n_points, 'point')} in {len(usable)} of {count_noun(len(detection.images), 'image')}"
         f" ({detection.board}; {sum(len(image.points) == whole for image in usable)} show the whole board)"
     ]
     if detection.board.kind == "charuco" and detection.board.legacy:
@@ -147,7 +147,7 @@ def summary(detection: Detection) -> list[str]:
         lines.append(
             "That is too little to find the lens: bring the board into the corners and edges of the image, near and far"
         )
-    spreads = turned(detection)
+    spreads = camera_rotation_spread(detection)
     if np.all(np.isfinite(spreads)):
         first, second, _ = np.rad2deg(spreads)
         lines.append(
@@ -161,13 +161,14 @@ def summary(detection: Detection) -> list[str]:
     missing = sorted(set(detection.board.points()) - {name for image in usable for name in image.points}, key=_number)
     if missing and len(usable) >= LEAST_IMAGES:
         lines.append(
-            f"In no image: {counted(len(missing), 'point')} of the board ({listed(missing)}); check columns and rows,"
+            f"In no image: {count_noun(len(missing), 'point')} of the board ({listing(missing)}); check columns and"
+            f" rows,"
             " and that nothing covers them"
         )
     return lines
 
 
-def turned(detection: Detection) -> FloatArray:
+def camera_rotation_spread(detection: Detection) -> FloatArray:
     """Return how far the camera turned against the board, largest first, (3,) [rad]; NaN of fewer than three images."""
     if len(detection.usable) < LEAST_IMAGES:
         return np.full(3, np.nan)
@@ -186,7 +187,7 @@ def content(detection: Detection) -> dict[str, object]:
         "board": detection.board.model_dump(exclude_none=True),
         "n_points": detection.n_points,
         "coverage": coverage(detection.usable),
-        "turned_rad": turned(detection).tolist(),
+        "turned_rad": camera_rotation_spread(detection).tolist(),
         "images": [
             {
                 "name": image.name,

@@ -15,14 +15,14 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, DataError, InputError, nearest
 from calib.core.base.files import write_folder
-from calib.core.base.words import as_data, listed
-from calib.core.commands.common import Output, loaded, shared_options
+from calib.core.base.words import as_data, listing
+from calib.core.commands.common import Output, load_robot, shared_options
 from calib.core.data.tables import read_table
 from calib.core.instruments.board import Board
 from calib.core.robots.robot import Robot
 from calib.photographs.camera_files import read_camera
-from calib.photographs.commands.boards import board_if_any, given_board
-from calib.photographs.commands.detect import detected, nothing_found, summary
+from calib.photographs.commands.boards import board_if_any, read_board_option
+from calib.photographs.commands.detect import detect_board, nothing_found, summary
 from calib.photographs.detection import DetectedImage
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.hand_eye_calibration import calibrate, require_images
@@ -34,7 +34,7 @@ from calib.photographs.pages import Picture, exaggeration, figure
 from calib.photographs.pose_pairs import PosePairs, solve_pairs
 from calib.photographs.pose_pairs_result import content_of_pairs, judge_pairs, report_pairs
 from calib.photographs.scene import Mount, scene_of
-from calib.photographs.tool_poses import ANGLES, image_names, matched, pose_columns, poses_of, read_tool_poses
+from calib.photographs.tool_poses import ANGLES, image_names, match_images, pose_columns, poses_of, read_tool_poses
 from calib.pictures import answer
 
 _NO_POSES = (
@@ -103,7 +103,7 @@ def command(
     position and quaternion, or angles; with --robot, it has joint values. This command does not change the kinematics
     of the robot: calib fit calibrates them.
     """
-    named, model = _frames(frames), None if robot is None else loaded(robot, output)
+    named, model = _frames(frames), None if robot is None else load_robot(robot, output)
     mounts: tuple[Mount, ...] = ("tool", "base") if camera_on is None else (cast(Mount, camera_on),)
     if len(images) == 1 and (pairs := _pairs(images[0], poses, model, angles, output)) is not None:
         output.check(folders=(out,), names=FILES)
@@ -111,7 +111,7 @@ def command(
         return
     if board is None:
         raise InputError("give the board with --board FILE; only pairs of poses need none")
-    described = given_board(board)
+    described = read_board_option(board)
     lens_file = None if camera is None else read_camera(camera)
     table = len(images) == 1 and Path(images[0]).suffix.lower() == ".csv"
     bag_joints: tuple[list[str], FloatArray] | None = None
@@ -119,7 +119,7 @@ def command(
     mirrored: list[str] = []
     if table:
         output.check(folders=(out,), names=FILES)
-        detected_images = _detected_before(images[0], described)
+        detected_images = _read_detected(images[0], described)
     else:
         photographs = shots(images, topic)
         if poses is None:
@@ -127,7 +127,7 @@ def command(
             if model is None or not any(shot.joints for shot in photographs):
                 raise InputError(_NO_POSES)
         output.check(folders=(out,), names=FILES)
-        detection, copies = detected(described, photographs, output, pictures=True)
+        detection, copies = detect_board(described, photographs, output, pictures=True)
         small = {shot.name: copy for shot, copy in zip(photographs, copies, strict=True)}
         detected_images, described = list(detection.usable), detection.board
         mirrored = [image.name for image in detection.images if image.mirrored]
@@ -153,7 +153,7 @@ def command(
             scene, None if lens_file is None else lens_file.intrinsics, lens=lens, mounts=mounts, progress=progress
         )
     if mirrored:
-        text = f"mirrored images were left out: {listed(mirrored)}; switch that off in the camera, or flip them back"
+        text = f"mirrored images were left out: {listing(mirrored)}; switch that off in the camera, or flip them back"
         result = replace(result, mistakes=(*result.mistakes, Mistake("mirrored", text)))
     judgement = judge(result)
     output.say(report(result, named))
@@ -192,7 +192,7 @@ def _pairs(
         seen = poses_of(table, next(iter(places.values())), angles)
         marker_names = image_names(table)
         names, tool = read_tool_poses(poses, robot=model, angles=angles)
-        chosen, remarks = matched(marker_names, names, poses)
+        chosen, remarks = match_images(marker_names, names, poses)
         output.remarks([f"left out: {text}" for text in remarks])
         kept = [marker_names.index(names[k]) for k in chosen]
         return [names[k] for k in chosen], tool[chosen], seen[kept]
@@ -200,7 +200,8 @@ def _pairs(
         of_camera = [name for name in places if _OF_CAMERA.search(name)]
         if len(of_camera) != 1:
             raise DataError(
-                f"{path}: holds poses {listed(list(places))}, and which is the marker in the camera does not show; call"
+                f"{path}: holds poses {listing(list(places))}, and which is the marker in the camera does not show;"
+                f" call"
                 " them camera_x, ... and tool_x, ..., or give the tool's in a file of its own (--poses)"
             )
         of_tool = next(name for name in places if name not in of_camera)
@@ -209,7 +210,7 @@ def _pairs(
         return rows, poses_of(table, places[of_tool], angles), poses_of(table, places[of_camera[0]], angles)
     if places:
         need = "hold the marker's alone beside --poses" if poses else "give the poses of the tool with --poses FILE"
-        raise DataError(f"{path}: has poses {listed(list(places))}; {need}")
+        raise DataError(f"{path}: has poses {listing(list(places))}; {need}")
     return None
 
 
@@ -218,7 +219,7 @@ def _write_pairs(result: PosePairs, frames: Frames, out: str, output: Output) ->
     output.say(report_pairs(result, frames))
     data = content_of_pairs(result, frames)
     written = {"hand_eye.json": (json.dumps(as_data(data), indent=1, allow_nan=False) + "\n").encode()}
-    whole = result.determined and (judgement.grade != "FAIL" or output.force)
+    whole = result.is_determined and (judgement.grade != "FAIL" or output.force)
     if whole:
         written |= transform_files(result.camera.pose, result.mount, frames)
     write_folder(out, written, force=output.force)
@@ -247,13 +248,13 @@ def _tools(
         joints = values[:, np.array([names.index(name) for name in model.joint_names])]
         return {image.name: k for k, image in enumerate(detected_images)}, model.forward(joints)
     names, tool = read_tool_poses(poses, robot=model, angles=angles)
-    chosen, remarks = matched([image.name for image in detected_images], names, poses)
+    chosen, remarks = match_images([image.name for image in detected_images], names, poses)
     output.remarks([f"left out: {text}" for text in remarks])
     return {names[k]: k for k in chosen}, tool
 
 
-def _detected_before(path: str, board: Board) -> list[DetectedImage]:
-    """What `calib detect` has written."""
+def _read_detected(path: str, board: Board) -> list[DetectedImage]:
+    """Detected images from a file of `calib detect`."""
     table = read_table(path, {})
     size = next((match for text in table.comments if (match := _SIZE.search(text))), None)
     if size is None:
@@ -286,8 +287,8 @@ def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedIma
     """The photographs with arrows from where points were found to where the calibration puts them."""
     scene, images = result.scene, {image.name: image for image in detected_images}
     factor = exaggeration(result.pixels, scene.size[0])
-    each, off = result.by_image(result.pixels), {image.name: image for image in result.off}
-    on = 1e3 * result.by_image(result.board)
+    each, off = result.rms_by_image(result.pixels), {image.name: image for image in result.off}
+    on = 1e3 * result.rms_by_image(result.board)
     pictures = []
     for i, name in enumerate(scene.names):
         points = scene.image == i

@@ -10,25 +10,25 @@ from calib.core.commands.common import (
     SIGMA_HELP,
     Output,
     folder_of_values,
-    loaded,
-    placed,
+    load_robot,
+    place_by_files,
     shared_options,
     sigma_in_metres,
     values_options,
     with_values,
 )
-from calib.core.commands.next_steps import typed_options
+from calib.core.commands.next_steps import options_as_typed
 from calib.core.data.measurement_files import read_poses
 from calib.core.data.measurements import Measurements
 from calib.core.data.plan_files import read_pose_files
 from calib.core.fitting.joint_conventions import wrapped_terms
 from calib.core.judging.blind_spots import unordered
 from calib.core.robots.pose_check import check_poses
-from calib.core.rows.observed import unsaid_touches
+from calib.core.rows.observed import touches_without_target
 from calib.pictures import figures
 from calib.planning.assessment import check
 from calib.planning.assessment_text import text_report, to_dict
-from calib.planning.next_steps import after_check
+from calib.planning.next_steps import advice_after_check
 from calib.planning.pose_sampling import sample
 
 
@@ -64,7 +64,7 @@ def command(
     count as repeats. Several files are joined as for `calib fit`. Without DATA, poses are spread over the joint limits.
     """
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
-    model = with_values(loaded(robot, output), parameters, result)
+    model = with_values(load_robot(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
     if not data:
         if poses < 1:
@@ -80,8 +80,8 @@ def command(
     else:
         pose_set, source = read_pose_files(data, model), ", ".join(data)
         if parameters is None and result is None:
-            model = placed(model, pose_set)
-    for instrument in () if isinstance(pose_set, Measurements) else unsaid_touches(model, pose_set):
+            model = place_by_files(model, pose_set)
+    for instrument in () if isinstance(pose_set, Measurements) else touches_without_target(model, pose_set):
         output.note(
             f"note: nothing says what '{instrument.name}' touches at these poses, or they are not at contact. They"
             " count as touching everything, so the result is too good (one socket does not show the robot's size)."
@@ -105,7 +105,7 @@ def command(
     output.say(text_report(assessment, source, verbose=verbose))
     if plots is not None:
         output.say(f"Figures written to {plots}")
-    output.say(after_check(assessment, robot, pose_set, data, typed_options()))
+    output.say(advice_after_check(assessment, robot, pose_set, data, options_as_typed()))
     blocked = {name: hit for name, hit in zip(pose_set.names, collisions.hits, strict=True) if hit}
     free = {"not_free": blocked, "collisions_unchecked": collisions.unchecked or None}
     output.json({"robot": model.path, "poses": source} | to_dict(assessment) | free)

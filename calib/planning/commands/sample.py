@@ -10,12 +10,12 @@ import numpy as np
 
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.units import Dimension, quantity
-from calib.core.base.words import counted
-from calib.core.commands.common import Output, loaded, shared_options, values_options, with_values
+from calib.core.base.words import count_noun
+from calib.core.commands.common import Output, load_robot, shared_options, values_options, with_values
 from calib.core.data.measurement_files import format_measurements, read_poses
 from calib.core.data.measurements import measurements
 from calib.core.robots.robot import Robot
-from calib.core.rows.free_poses import worth
+from calib.core.rows.free_poses import worth_sentence
 from calib.planning.pose_sampling import free_sample, little_seen
 
 _RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<unit>[A-Za-z]*)$")
@@ -51,7 +51,7 @@ def command(
     robot hits neither itself nor the `obstacles` of the description; without shapes and obstacles, nothing is checked.
     Cables are never checked: look at the poses before you send them (calib view ROBOT --data FILE).
     """
-    model = with_values(loaded(robot, output), parameters, result)
+    model = with_values(load_robot(robot, output), parameters, result)
     ranges: dict[str, tuple[float, float]] = {}
     for text in within:
         for name, (low, high) in _ranges(text, model).items():
@@ -62,9 +62,9 @@ def command(
         poses, check, unobstructed = free_sample(model, count, np.random.default_rng(seed), ranges)
     comments = (f"poses of {model.name}, sampled with seed {seed}", *(f"within {text}" for text in within))
     output.write(out, format_measurements(model, measurements(poses, poses.planned), comments))
-    output.say(f"{counted(len(poses), 'pose')} written to {out}, seed {seed}")
+    output.say(f"{count_noun(len(poses), 'pose')} written to {out}, seed {seed}")
     if check.n_blocked:
-        output.say(f"Left out: {check.summary()}; {worth(model, poses, unobstructed)}")
+        output.say(f"Left out: {check.summary()}; {worth_sentence(model, poses, unobstructed)}")
     output.remarks(check.remarks)
     if check.unchecked:
         output.note(f"note: collisions are not checked: {check.unchecked}")

@@ -18,21 +18,21 @@ from calib.core.commands.common import (
     different_poses,
     folder_of_values,
     jobs_option,
-    loaded,
-    placed,
+    load_robot,
+    place_by_files,
     shared_options,
     sigma_in_metres,
     values_options,
     with_values,
 )
-from calib.core.commands.next_steps import typed_options
+from calib.core.commands.next_steps import options_as_typed
 from calib.core.data.measurement_files import read_poses
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.data.plan_files import plan_of_table, read_pose_files
 from calib.core.data.robot_tables import read_robot_table
 from calib.pictures import figures
 from calib.planning.instrument_choice import ALL, EACH
-from calib.planning.next_steps import after_select
+from calib.planning.next_steps import advice_after_select
 from calib.planning.pose_sampling import little_seen
 from calib.planning.selection import select
 from calib.planning.selection_problem import TASK
@@ -136,13 +136,13 @@ def command(
     if (count is None) == (goal_mm is None):
         raise InputError("give one of --count and --goal-mm: how many poses, or what they shall reach")
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
-    model = with_values(loaded(robot, output), parameters, result)
+    model = with_values(load_robot(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
     table = read_robot_table(candidates, model)
     poses = read_pose_files((candidates,), model, table)
     done = None if measured is None else read_pose_files((measured,), model)
     if parameters is None and result is None:
-        model = placed(model, done, poses)
+        model = place_by_files(model, done, poses)
     poses = different_poses(plan_of_table(table, model) if isinstance(poses, Measurements) else poses)
     output.check(out, folders=(plots,))
     if (few := little_seen(model, poses)) is not None:
@@ -155,7 +155,7 @@ def command(
             instruments=instruments if instruments in (ALL, EACH) else instruments.split(","),
             measured=done,
             task=None if task is None else read_poses(task, model),
-            exclude=() if exclude is None else _excluded(exclude, poses),
+            exclude=() if exclude is None else _candidate_numbers(exclude, poses),
             minimum_distance=metres(min_distance_mm),
             random_start=start == "random",
             starts=starts,
@@ -175,7 +175,7 @@ def command(
     output.say(text_report(selection, poses))
     output.remarks(selection.check.remarks)
     output.say(f"Written to {out}" + (f", figure to {plots}" if plots is not None else ""))
-    output.say(after_select(robot, out, typed_options()))
+    output.say(advice_after_select(robot, out, options_as_typed()))
     output.json({"robot": model.path} | to_dict(selection, poses))
 
 
@@ -207,7 +207,7 @@ def _counts(text: str) -> int | dict[str, int]:
     return counts
 
 
-def _excluded(text: str, poses: Poses) -> list[int]:
+def _candidate_numbers(text: str, poses: Poses) -> list[int]:
     """Turn names and ranges of numbers into candidate numbers."""
     number_of = {name: k for k, name in enumerate(poses.names)}
     excluded: list[int] = []

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.core.base.errors import InputError
 from calib.core.base.units import quantity
-from calib.core.commands.common import SIGMA_HELP, Output, different_poses, loaded, shared_options, sigma_in_metres
+from calib.core.commands.common import SIGMA_HELP, Output, different_poses, load_robot, shared_options, sigma_in_metres
 from calib.core.data.measurement_files import read_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.data.plan_files import read_plan
@@ -77,7 +77,7 @@ def command(
     if goal.strip()[-1:].isdigit():
         raise InputError(f"--goal {goal}: write its unit, such as {goal.strip()}mm")
     length = quantity(goal, "length", "--goal")
-    model = loaded(robot, output)
+    model = load_robot(robot, output)
     poses = None if candidates is None else different_poses(read_plan(candidates, model))
     watch = Watch(
         model, length, candidates=poses, sigma=None if sigma_mm is None else sigma_in_metres(sigma_mm), seed=seed
@@ -104,7 +104,7 @@ def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, 
     """Tell about every change of the file until the goal holds; with a viewer, until Ctrl-C."""
     if viewer is not None:
         output.note(viewer.url)
-    data = _changed(file, output)
+    data = _read_changes(file, output)
     if viewer is not None and data is not None:  # the way here, from the first poses on
         earlier = copy.deepcopy(watch)
         for part in _beginnings(data):
@@ -119,7 +119,7 @@ def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, 
         data = None
         while data is None:
             time.sleep(every)
-            data = _changed(file, output)
+            data = _read_changes(file, output)
 
 
 def _beginnings(data: Measurements) -> list[Measurements]:
@@ -128,9 +128,9 @@ def _beginnings(data: Measurements) -> list[Measurements]:
     return [data.subset(np.flatnonzero(data.pose_numbers < count)) for count in counts if count < data.n_poses]
 
 
-def _changed(file: GrowingFile, output: Output) -> Measurements | None:
-    """What the file holds, if it has changed; says which lines of it are passed over."""
-    data = file.changed()
+def _read_changes(file: GrowingFile, output: Output) -> Measurements | None:
+    """Measurements of the file if it has changed; prints which lines are passed over."""
+    data = file.read_changes()
     output.remarks(file.remarks())
     return data
 

@@ -13,8 +13,8 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, UnreachablePoseError
 from calib.core.base.units import PER_SI, millimetres
-from calib.core.base.words import counted, listed
-from calib.core.commands.common import Output, loaded, result_folder, shared_options
+from calib.core.base.words import count_noun, listing
+from calib.core.commands.common import Output, load_robot, result_folder, shared_options
 from calib.core.data.measurement_columns import (
     approach_columns,
     cells_of,
@@ -31,7 +31,7 @@ from calib.core.robots.robot import Robot
 from calib.programs.commands.compensate_gcode import compensate_gcode
 from calib.programs.commands.compensate_grid import compensate_grid
 from calib.programs.commands.compensate_program import compensate_controller
-from calib.programs.commands.report import COUNTED, Job, figures_of, left_as_it_is
+from calib.programs.commands.report import COUNTED, Job, figures_of, no_correction_sentence
 from calib.programs.languages import languages
 from calib.programs.languages.controller_program import COUPLED
 from calib.programs.languages.gcode import SUFFIXES
@@ -123,7 +123,7 @@ def command(robot: str, program: str, result: str | None, out: str, output: Outp
     link in the description's base; --base-link and --flange-link choose others.
     """
     result = result_folder(robot, result)
-    nominal = loaded(robot, output)
+    nominal = load_robot(robot, output)
     job = Job(nominal, load_result(result, nominal).known, program, result, out, output)
     suffix = Path(program).suffix.lower()
     kind = "controllers' programs" if suffix in languages.SUFFIXES else "G-code" if suffix in SUFFIXES else "tables"
@@ -131,20 +131,20 @@ def command(robot: str, program: str, result: str | None, out: str, output: Outp
     given = [name for name, value in options.items() if value not in (None, (), False)]
     wrong = [f"--{name.replace('_', '-')}" for name in given if name not in names]
     if wrong:
-        raise InputError(f"{listed(wrong)}: not for {kind} such as {program}; leave out")
+        raise InputError(f"{listing(wrong)}: not for {kind} such as {program}; leave out")
     compensate_kind(job, **{name: options[name] for name in names})
 
 
 def _compensate_table(job: Job, *, keep: str | None, grid: str | None, skip_unreachable: bool) -> None:
     """Write a table with which the calibrated robot goes where it says, or a table of corrections."""
     output, nominal = job.output, job.nominal
-    rows = _read(job.program, nominal, output)
+    rows = _read_program(job.program, nominal, output)
     output.check(job.out)
     if grid is not None:
         compensate_grid(job, rows, grid)
         return
     with output.working(f"compensating {len(rows)} rows"):
-        compensation = compensate(job.known, rows, keep=keep)
+        compensation = compensate(job.robot_knowledge, rows, keep=keep)
     if not skip_unreachable or not np.any(compensation.ok):
         _require_all(compensation, compensation.frame if isinstance(rows, Goals) else "")
     for miss in compensation.misses():
@@ -152,11 +152,11 @@ def _compensate_table(job: Job, *, keep: str | None, grid: str | None, skip_unre
     output.remarks(compensation.jumps())
     done = f"compensated with {job.result}"
     if compensation.nothing_to_correct:
-        done = f"left as it is: {left_as_it_is(job.result)}"
+        done = f"left as it is: {no_correction_sentence(job.result)}"
     kept = f"kept: {compensation.keep}; errors are {compensation.frame}; {COUNTED}"
     comments = job.comments(f"{job.program} for {nominal.name}, {done}; {kept}")
     output.write(job.out, format_table(_columns(nominal, rows, compensation), comments))
-    n_reached, held_out = int(np.sum(compensation.ok)), _held_out(job.result)
+    n_reached, held_out = int(np.sum(compensation.ok)), _held_out_error(job.result)
     content = {
         "robot": nominal.path,
         "kept": compensation.keep,
@@ -165,7 +165,11 @@ def _compensate_table(job: Job, *, keep: str | None, grid: str | None, skip_unre
         "held_out_rms_mm": held_out,
         "rows": _rows(nominal, compensation),
     }
-    what = f"{n_reached} of {counted(len(rows), 'row')}", f"compensated ({compensation.keep} kept)", "left as they are"
+    what = (
+        f"{n_reached} of {count_noun(len(rows), 'row')}",
+        f"compensated ({compensation.keep} kept)",
+        "left as they are",
+    )
     subjects = "The tool", f"Its {'orientation' if compensation.keep == 'pose' else 'axis'}"
     more = []
     if held_out is not None:
@@ -184,7 +188,7 @@ _KINDS: dict[str, tuple[Callable[..., None], tuple[str, ...]]] = {
 """What compensates each kind of program, and its options; the others belong to all."""
 
 
-def _read(path: str, robot: Robot, output: Output) -> Poses | Goals:
+def _read_program(path: str, robot: Robot, output: Output) -> Poses | Goals:
     """The program; joint values count where there are both."""
     names = read_table(path, robot.description.columns).names
     present = [name for name in robot.commanded_names if name in names]
@@ -206,8 +210,8 @@ def _require_all(compensation: Compensation, frame: str) -> None:
     misses = compensation.misses()
     if misses:
         raise UnreachablePoseError(
-            f"{counted(len(misses), 'row')} of {len(compensation.names)} cannot be compensated:"
-            f" {listed(misses, '; ')}{f'; goals are {frame}' if frame else ''}; change these rows, or mark them with"
+            f"{count_noun(len(misses), 'row')} of {len(compensation.names)} cannot be compensated:"
+            f" {listing(misses, '; ')}{f'; goals are {frame}' if frame else ''}; change these rows, or mark them with"
             " --skip-unreachable"
         )
 
@@ -226,7 +230,7 @@ def _columns(robot: Robot, program: Poses | Goals, compensation: Compensation) -
 
 
 def _poses_to_command(robot: Robot, program: Goals, compensation: Compensation) -> dict[str, FloatArray]:
-    """What a controller with the nominal model must be told, in the program's columns."""
+    """Poses to command to a controller with the nominal model, in the columns of the program."""
     positions, rotations = compensation.controller_poses(robot)
     name = compensation.target
     shown = {f"{name}_{axis} [mm]": millimetres(positions[:, k]) for k, axis in enumerate("xyz")}
@@ -257,7 +261,7 @@ def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
     ]
 
 
-def _held_out(folder: str) -> float | None:
+def _held_out_error(folder: str) -> float | None:
     """Root mean square error of measurements that the fit had not seen [mm]; None where it was not given any."""
     errors = read_content(folder)["errors"].get("validation")
     return None if errors is None else errors["after"].get("rms")

@@ -10,8 +10,8 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.own_files import GCODE_COMMENT
 from calib.core.base.units import millimetres, quantity
-from calib.core.base.words import counted
-from calib.programs.commands.report import Job, left_as_it_is, summary
+from calib.core.base.words import count_noun
+from calib.programs.commands.report import Job, no_correction_sentence, summary
 from calib.programs.languages.gcode import read_gcode
 from calib.programs.languages.gcode_program import ROUNDING
 from calib.programs.languages.straight_moves import CompensatedMoves, StraightMoves, compensate_moves
@@ -39,7 +39,7 @@ def compensate_gcode(
     tolerance_mm = _TOLERANCE_MM if tolerance_mm is None else tolerance_mm
     if not 1e-3 <= tolerance_mm <= 1e3:
         raise InputError(f"--tolerance-mm {tolerance_mm:g}: must lie between 0.001 and 1000")
-    robot = job.known.robot
+    robot = job.robot_knowledge.robot
     if len(robot.target_names) > 1:
         raise DataError(f"{robot.path}: has several targets, but G-code moves only one; describe that target alone")
     program = read_gcode(job.program, begin, dialect, harmless)
@@ -51,22 +51,22 @@ def compensate_gcode(
         np.array([move.end for move in program.moves]) + origin,
         tuple(program.label(move) for move in program.moves),
     )
-    with job.output.working(f"compensating {counted(len(program.moves), 'move')}"):
-        compensated = compensate_moves(job.known, moves, tolerance)
+    with job.output.working(f"compensating {count_noun(len(program.moves), 'move')}"):
+        compensated = compensate_moves(job.robot_knowledge, moves, tolerance)
     figures = _figures(compensated)
     worst, n_pieces = figures["between_mm"]["max"], sum(len(way) for way in compensated.waypoints)
     done = f"compensated for {robot.name} with {job.result}; between points at most {worst:.4f} mm off"
     ways: list[FloatArray] | None = [way - origin for way in compensated.waypoints]
     more = f"Between points it is off by another {worst:.4f} mm at worst, measured at"
-    lines = [f"{more} {counted(compensated.n_measured, 'point')}"]
+    lines = [f"{more} {count_noun(compensated.n_measured, 'point')}"]
     if compensated.nothing_to_correct:
-        done, ways, lines = f"left as it is for {robot.name}: {left_as_it_is(job.result)}", None, []
+        done, ways, lines = f"left as it is for {robot.name}: {no_correction_sentence(job.result)}", None, []
     comments = job.comments(f"{done}; errors are {compensated.frame}")
     text = program.rewritten(ways, [" ".join(line.split()) for line in comments])
     job.output.write(job.out, text, GCODE_COMMENT)
     content = {"n_moves": len(program.moves), "n_pieces": n_pieces, "n_measured": compensated.n_measured}
-    what = counted(len(program.moves), "straight move")
-    cut = f"compensated as {counted(n_pieces, 'line')}"
+    what = count_noun(len(program.moves), "straight move")
+    cut = f"compensated as {count_noun(n_pieces, 'line')}"
     job.report(compensated, figures, content, (what, cut, "left as they are"), lines)
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from calib.core.base.errors import InputError
 from calib.core.base.units import PER_SI, millimetres
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.data.measurement_columns import cells_of
 from calib.core.data.measurements import Poses
 from calib.core.data.table_writing import format_table
-from calib.programs.commands.report import COUNTED, Job, left_as_it_is, summary
+from calib.programs.commands.report import COUNTED, Job, no_correction_sentence, summary
 from calib.programs.languages.correction_grid import correction_grid
 from calib.programs.reaching.goals import Goals
 
@@ -31,7 +31,7 @@ def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
     except ValueError:
         raise InputError(f"--grid '{grid}': write three numbers of nodes, such as 5,5,3") from None
     with job.output.working("compensating the grid"):
-        corrections = correction_grid(job.known, program, (nx, ny, nz))
+        corrections = correction_grid(job.robot_knowledge, program, (nx, ny, nz))
     compensation, degrees = corrections.compensation, PER_SI["angle"]["deg"]
     parts = [
         (f"{compensation.target}_{{}} [mm]", millimetres(corrections.nodes)),
@@ -46,18 +46,18 @@ def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
         " worst"
     )
     kept = compensation.nothing_to_correct
-    done = f"all zero: {left_as_it_is(job.result)}" if kept else wrong
+    done = f"all zero: {no_correction_sentence(job.result)}" if kept else wrong
     comments = job.comments(f"corrections from {job.result}; {done}; errors are {compensation.frame}; {COUNTED}")
     job.output.write(job.out, format_table(columns, comments))
     figures = {
-        "before_mm": summary(millimetres(corrections.before)),
-        "expected_mm": summary(millimetres(corrections.expected)),
+        "before_mm": summary(millimetres(corrections.error_before)),
+        "expected_mm": summary(millimetres(corrections.expected_error)),
         "interpolation_mm": off,
         "interpolation_deg": {"max": angle["max"]},
     }
     more = (
         [] if kept else [f"{wrong[0].upper()}{wrong[1:]}, at {len(corrections.position_errors)} points between nodes"]
     )
-    what = counted(len(corrections.nodes), "node"), "with corrections", "all zero"
+    what = count_noun(len(corrections.nodes), "node"), "with corrections", "all zero"
     subjects = "At the nodes the tool", ""
     job.report(compensation, figures, {"n_nodes": len(corrections.nodes)}, what, more, subjects)

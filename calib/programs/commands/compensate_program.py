@@ -11,7 +11,7 @@ import numpy as np
 from calib.core.base.errors import InputError, UnreachablePoseError
 from calib.core.base.files import write_files
 from calib.core.base.units import millimetres
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import Output
 from calib.programs.commands.report import Figures, Job, figures_of, summary
 from calib.programs.languages.controller_program import CompensatedProgram, compensate_program
@@ -45,17 +45,17 @@ def compensate_controller(
     program = read_program(job.program, frames, harmless)
     places = [out, *(out.with_suffix(Path(source.path).suffix) for source in program.sources[1:])]
     output.check(*map(str, places))
-    count = counted(len(program.targets), "target")
+    count = count_noun(len(program.targets), "target")
     with output.working(f"compensating {count}"):
         compensated = compensate_program(
-            job.known, program, base=base_link, flange=flange_link, third_joint=third_joint
+            job.robot_knowledge, program, base=base_link, flange=flange_link, third_joint=third_joint
         )
     compensation = compensated.compensation
     pairs = zip(program.targets, compensated.reasons, strict=True)
     missed = [f"{target.label} {why}" for target, why in pairs if why]
     if missed and not skip_unreachable:
         raise UnreachablePoseError(
-            f"{len(missed)} of {count} cannot be compensated: {listed(missed, '; ')}; change them, or leave them as"
+            f"{len(missed)} of {count} cannot be compensated: {listing(missed, '; ')}; change them, or leave them as"
             " they are with --skip-unreachable"
         )
     for miss in missed:
@@ -107,7 +107,7 @@ def _content(compensated: CompensatedProgram) -> dict[str, object]:
 
 
 def _remarks(compensated: CompensatedProgram, figures: Figures) -> list[str]:
-    """What is said of the file and of the program's tools."""
+    """Remarks on the file and on the program's tools."""
     program, compensation, lines = compensated.program, compensated.compensation, []
     if not compensation.nothing_to_correct:
         lines.append(f"Rounding to the file's decimals moves it by {figures['rounding_mm']['max']:.4f} mm at worst")
@@ -119,7 +119,7 @@ def _remarks(compensated: CompensatedProgram, figures: Figures) -> list[str]:
             f" where at most {most:.4f} mm (RMS) are expected"
         )
     if program.left_out:
-        lines.append(f"{counted(len(program.left_out), 'place')} not compensated, listed above")
+        lines.append(f"{count_noun(len(program.left_out), 'place')} not compensated, listed above")
     return [
         *lines,
         f"Poses are from link '{compensated.base}' to link '{compensated.flange}' and the program's tool",

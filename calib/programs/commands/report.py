@@ -1,4 +1,4 @@
-"""What is said of a program that was compensated: how far off the tool will be, without and with the correction.
+"""Report on a program that was compensated: how far off the tool will be, without and with the correction.
 
 The same for tables, G-code, controllers' programs and tables of corrections.
 """
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.commands.common import Output, said_of_failure
+from calib.core.commands.common import Output, failure_lines
 from calib.core.robots.robot import Robot
 from calib.core.rows.known_robot import KnownRobot
 from calib.programs.languages.straight_moves import CompensatedMoves
@@ -24,7 +24,7 @@ Figures = Mapping[str, Mapping[str, float]]
 """Summaries by their name with the unit."""
 
 
-def of_frame(frame: str) -> str:
+def frame_sentences(frame: str) -> str:
     """Say where and how errors count, in two sentences.
 
     Args:
@@ -33,7 +33,7 @@ def of_frame(frame: str) -> str:
     return f"Errors are {frame}.\n{COUNTED[0].upper()}{COUNTED[1:]}."
 
 
-def left_as_it_is(result: str) -> str:
+def no_correction_sentence(result: str) -> str:
     """Say why nothing was corrected.
 
     Args:
@@ -47,7 +47,7 @@ def summary(values: FloatArray) -> dict[str, float]:
     return {"rms": float(np.sqrt(np.mean(values**2))), "max": float(np.max(values))}
 
 
-def expected_now(
+def expected_error_sentence(
     subject: str, expected: Mapping[str, float], unit: str, before: Mapping[str, float] | None = None
 ) -> str:
     """Say how large an error is expected to be, with the correction and without.
@@ -81,7 +81,7 @@ class Job:
 
     Attributes:
         nominal: The robot as it is described.
-        known: The calibrated robot.
+        robot_knowledge: The calibrated robot.
         program: File of the program.
         result: Folder of the calibration.
         out: File to write.
@@ -89,15 +89,15 @@ class Job:
     """
 
     nominal: Robot
-    known: KnownRobot
+    robot_knowledge: KnownRobot
     program: str
     result: str
     out: str
     output: Output
 
     def comments(self, *lines: str) -> tuple[str, ...]:
-        """Return comments of the file, with what is said of a calibration that failed."""
-        return (*lines, *said_of_failure(self.output, self.result, self.out))
+        """Return comments of the file, with remarks on a calibration that failed."""
+        return (*lines, *failure_lines(self.output, self.result, self.out))
 
     def report(
         self,
@@ -122,10 +122,10 @@ class Job:
         common = {"frame": compensated.frame, "counted": COUNTED, "nothing_to_correct": kept}
         self.output.json({**content, **common, **figures})
         parts, done, left = what
-        line = f"{parts} {left}: {left_as_it_is(self.result)}; " if kept else f"{parts} {done}, "
+        line = f"{parts} {left}: {no_correction_sentence(self.result)}; " if kept else f"{parts} {done}, "
         lines = [f"{line}written to {self.out}"]
         for subject, ending, unit in zip(subjects, ("_mm", "_angle_mrad"), ("mm", "mrad"), strict=True):
             if f"expected{ending}" in figures:
                 before = None if kept else figures[f"before{ending}"]
-                lines.append(expected_now(subject, figures[f"expected{ending}"], unit, before))
-        self.output.say("\n".join([*lines, *more, of_frame(compensated.frame)]))
+                lines.append(expected_error_sentence(subject, figures[f"expected{ending}"], unit, before))
+        self.output.say("\n".join([*lines, *more, frame_sentences(compensated.frame)]))

@@ -9,9 +9,9 @@ from calib.core.base.arrays import IntArray
 from calib.core.base.units import micrometres, millimetres
 from calib.core.commands.common import (
     Output,
+    failure_lines,
     folder_of_values,
-    loaded,
-    said_of_failure,
+    load_robot,
     shared_options,
     values_options,
     with_values,
@@ -21,7 +21,13 @@ from calib.core.data.table_writing import format_table
 from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
 from calib.core.robots.robot import Robot
-from calib.programs.commands.report import COUNTED, expected_now, left_as_it_is, of_frame, summary
+from calib.programs.commands.report import (
+    COUNTED,
+    expected_error_sentence,
+    frame_sentences,
+    no_correction_sentence,
+    summary,
+)
 from calib.programs.reaching.goals import Goals, read_goals
 from calib.programs.reaching.inverse import Solution, solve
 
@@ -60,7 +66,7 @@ def command(
     frame. If the verdict of the calibration finds nothing to correct, the nominal robot is used, with base and targets
     where it agrees best with the calibrated one.
     """
-    nominal, folder = loaded(robot, output), folder_of_values(robot, parameters, result)
+    nominal, folder = load_robot(robot, output), folder_of_values(robot, parameters, result)
     model = with_values(nominal, parameters, result)
     goals = read_goals(goals_file, model)
     output.check(out)
@@ -75,10 +81,10 @@ def command(
     source = parameters or folder or "nominal values"
     comment = f"joint values of {model.name} that reach {goals_file} ({goals.asks_for}), {source}"
     if solution.expected.nothing_to_correct:
-        comment += f"; those of the nominal robot: {left_as_it_is(source)}"
+        comment += f"; those of the nominal robot: {no_correction_sentence(source)}"
     if folder:
         comment += f"; errors are {solution.expected.frame}; {COUNTED}"
-    comments = (comment, *said_of_failure(output, folder, out))
+    comments = (comment, *failure_lines(output, folder, out))
     output.write(out, _table(model, goals, solution, comments))
     labels = [solution.labels[k] for k in reached]
     remarks = near_singularities(model, model.assemble(solution.q[reached], labels=labels), labels)
@@ -98,25 +104,25 @@ def command(
         f" {micrometres(float(np.max(solution.miss_position[reached]))):.1e} um; written to {out}"
     ]
     if folder:
-        lines += _expected(solution, reached, source)
+        lines += _expected_error_lines(solution, reached, source)
     output.say("\n".join(lines))
 
 
-def _expected(solution: Solution, reached: IntArray, source: str) -> list[str]:
+def _expected_error_lines(solution: Solution, reached: IntArray, source: str) -> list[str]:
     """Say how far the real robot is expected to be off where it is sent."""
     expected, shown = solution.expected, solution.expected.figures()
     lines = (
-        [f"The joint values are those of the nominal robot: {left_as_it_is(source)}"]
+        [f"The joint values are those of the nominal robot: {no_correction_sentence(source)}"]
         if expected.nothing_to_correct
         else []
     )
     for subject, name in (("The real robot", "expected"), ("Its orientation", "expected_angle")):
         lines += [
-            expected_now(subject, summary(values[reached]), unit)
+            expected_error_sentence(subject, summary(values[reached]), unit)
             for (key, unit), values in shown.items()
             if key == name
         ]
-    return [*lines, of_frame(expected.frame)]
+    return [*lines, frame_sentences(expected.frame)]
 
 
 def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, ...]) -> str:

@@ -36,7 +36,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step of a routine: `change`, `move`, `label`, `jump`, `maybe` (a jump or not) or `call`."""
+    """A step of a routine: `change`, `move`, `label`, `jump`, `note_jump` (a jump or not) or `call`."""
 
     kind: str
     place: str = ""
@@ -59,14 +59,14 @@ class _Routine:
     calls: set[str] = field(default_factory=set)
 
     @property
-    def left(self) -> State | None:
-        """What holds behind its last step; None where it is not known yet that the routine comes back."""
+    def final_state(self) -> State | None:
+        """State behind the last step; None as long as no return of the routine is known."""
         return self.states.get(len(self.steps))
 
     def state_at(self, at: int, state: State) -> State:
         """Return what holds at a step when the program comes there with a state, on one way or on several."""
         many = at in (0, len(self.steps)) or self.steps[at].kind in ("label", "call")
-        return _joined(self.states[at], state) if many and at in self.states else state
+        return _join_states(self.states[at], state) if many and at in self.states else state
 
 
 @dataclass
@@ -144,7 +144,7 @@ class Flow:
         """Note a step that changes these settings, or `EVERYTHING`."""
         self._add(_Step("change", change=change, keys=frozenset(keys)))
 
-    def set(self, key: str, value: Hashable) -> None:
+    def note_setting(self, key: str, value: Hashable) -> None:
         """Note that a setting becomes a value."""
         self.change([key], lambda state: {**state, key: value})
 
@@ -165,7 +165,7 @@ class Flow:
         """Note a call of a routine, which may be left out."""
         over = self._new() if maybe else ""
         if maybe:
-            self.maybe(over)
+            self.note_jump(over)
         self._add(_Step("call", name))
         if maybe:
             self.label(over)
@@ -178,7 +178,7 @@ class Flow:
         """Note a jump; `return` leaves the routine."""
         self._add(_Step("jump", name))
 
-    def maybe(self, name: str) -> None:
+    def note_jump(self, name: str) -> None:
         """Note a jump that is taken or not."""
         self._add(_Step("maybe", name))
 
@@ -205,7 +205,7 @@ class Flow:
     def pass_over(self) -> None:
         """Note that the branch that begins here, or the rest of the loop, is taken or not."""
         block = self.blocks[-1]
-        self.maybe(block.end if block.loop else block.again)
+        self.note_jump(block.end if block.loop else block.again)
 
     def close(self) -> None:
         """End the innermost branches or loop."""
@@ -305,23 +305,23 @@ class Flow:
                 self._arrive(name, routine.labels[step.place], state)
             after = state if step.kind == "maybe" else None
         elif step.kind == "call" and step.place in self.routines:
-            after = self._after_call(name, at, step.place, state)
+            after = self._state_after_call(name, at, step.place, state)
         if after is not None:
             self._arrive(name, at + 1, after)
 
-    def _after_call(self, name: str, at: int, callee: str, state: State) -> State | None:
-        """What holds behind a call; None where it is not known yet that the routine comes back."""
+    def _state_after_call(self, name: str, at: int, callee: str, state: State) -> State | None:
+        """State behind a call; None as long as no return of the routine is known."""
         routine = self.routines[callee]
         self._callers[callee].add((self._numbers[name], at))
         self._arrive(callee, 0, state)
-        if routine.left is None:
+        if routine.final_state is None:
             return None
-        keys = set(routine.left) if EVERYTHING in routine.keys else routine.keys
-        return {**state, **{key: routine.left[key] for key in keys if key in routine.left}}
+        keys = set(routine.final_state) if EVERYTHING in routine.keys else routine.keys
+        return {**state, **{key: routine.final_state[key] for key in keys if key in routine.final_state}}
 
 
-def _joined(one: State, other: State) -> State:
-    """What holds where two ways meet; what is not known already stays so."""
+def _join_states(one: State, other: State) -> State:
+    """State where two branches meet; an unknown setting stays unknown."""
     both = dict(one)
     for key, value in one.items():
         if value != other.get(key) and not isinstance(value, Unknown):

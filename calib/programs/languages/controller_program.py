@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.data.measurements import Poses
 from calib.core.robots.robot import Robot
 from calib.core.rows.frames import as_described
@@ -83,13 +83,13 @@ def compensate_program(
 
     Raises:
         DataError: No target can be solved, or joint values of another robot.
-        InputError: A link that cannot be what it is said to be.
+        InputError: A link that cannot be what the user calls it.
     """
     known = known_robot(calibrated)
     nominal = as_described(known.robot)
     cell = NominalCell(nominal, base, flange)
     joints = _Joints(program, nominal, third_joint)
-    q, reasons = _solved(program, cell, joints)
+    q, reasons = _solve_targets(program, cell, joints)
     rows = np.flatnonzero(np.isfinite(q).all(axis=1))
     if len(rows) == 0:
         first = next(k for k, why in enumerate(reasons) if why)
@@ -113,10 +113,10 @@ def compensate_program(
                 continue
             target, command = program.targets[k], compensation.q[n]
             flange_pose = cell.flange_poses(command[None])[0]
-            values[k] = joints.written(command) if target.rotation is None else target.written(flange_pose)
+            values[k] = joints.to_program(command) if target.rotation is None else target.numbers_of(flange_pose)
             held = program.as_written(values[k] or (), k)
-            rounding[n] = _moved(cell, joints, target, command, held)
-            remarks += _another(cell, joints, target, q[k], command)
+            rounding[n] = _rounding_shift(cell, joints, target, command, held)
+            remarks += _remark_on_configuration(cell, joints, target, q[k], command)
     for n, k in enumerate(map(int, rows)):
         reasons[k] = compensation.reasons[n]
     lever = max(
@@ -147,8 +147,8 @@ class _Joints:
         joints = [target for target in program.targets if target.rotation is None]
         self.why = ""
         if joints and (n != len(joints[0].cells) or lengths):
-            mismatch = f"joint '{lengths[0]}' is a length" if lengths else f"the robot has {counted(n, 'motor')}"
-            self.why = f"has {counted(len(joints[0].cells), 'angle')}, and {mismatch}"
+            mismatch = f"joint '{lengths[0]}' is a length" if lengths else f"the robot has {count_noun(n, 'motor')}"
+            self.why = f"has {count_noun(len(joints[0].cells), 'angle')}, and {mismatch}"
         elif program.language == fanuc.LANGUAGE and third_joint is None:
             self.why = (
                 "has joint values; say with --third-joint whether the description's third joint is J3 or J2 + J3"
@@ -157,23 +157,23 @@ class _Joints:
         self.zero = Sides(robot, np.zeros(n) if program.language != fanuc.LANGUAGE else robot.home)
 
     @property
-    def _coupled(self) -> bool:
+    def _is_coupled(self) -> bool:
         return self.language == fanuc.LANGUAGE and self.third_joint == COUPLED[1]
 
-    def read(self, values: Sequence[float]) -> FloatArray:
+    def to_joints(self, values: Sequence[float]) -> FloatArray:
         q = np.array(values)
-        if self._coupled:
+        if self._is_coupled:
             q[2] += q[1]
         return q
 
-    def written(self, q: FloatArray) -> tuple[float, ...]:
+    def to_program(self, q: FloatArray) -> tuple[float, ...]:
         values = q.copy()
-        if self._coupled:
+        if self._is_coupled:
             values[2] -= values[1]
         return tuple(map(float, values))
 
 
-def _solved(program: RobotProgram, cell: NominalCell, joints: _Joints) -> tuple[FloatArray, list[str]]:
+def _solve_targets(program: RobotProgram, cell: NominalCell, joints: _Joints) -> tuple[FloatArray, list[str]]:
     """Joints of the nominal robot at each target, (n, n_actuated) [m or rad], NaN where there are none, and why."""
     n = len(cell.robot.home)
     q, reasons = np.full((len(program.targets), n), np.nan), [""] * len(program.targets)
@@ -181,7 +181,7 @@ def _solved(program: RobotProgram, cell: NominalCell, joints: _Joints) -> tuple[
     for k, target in enumerate(program.targets):
         if target.rotation is None:
             reasons[k] = joints.why
-            solution = None if joints.why else joints.read(target.values)
+            solution = None if joints.why else joints.to_joints(target.values)
         else:
             near = np.array(target.near) if len(target.near) == n else before
             solution, reasons[k] = cell.solve(target.flange, near, target.configuration, joints.zero)
@@ -190,27 +190,27 @@ def _solved(program: RobotProgram, cell: NominalCell, joints: _Joints) -> tuple[
     return q, reasons
 
 
-def _moved(
+def _rounding_shift(
     cell: NominalCell, joints: _Joints, target: ProgramTarget, command: FloatArray, held: tuple[float, ...]
 ) -> float:
     """How far the file's decimals move the description's target [m]."""
     exact = cell.flange_poses(command[None])[0]
     if target.rotation is None:
-        rounded = cell.flange_poses(joints.read(held)[None])[0]
+        rounded = cell.flange_poses(joints.to_joints(held)[None])[0]
     else:
         cells = tuple(replace(old, value=value) for old, value in zip(target.cells, held, strict=True))
         rounded = replace(target, cells=cells).flange
     return float(np.linalg.norm(cell.target_position(exact) - cell.target_position(rounded)))
 
 
-def _another(
+def _remark_on_configuration(
     cell: NominalCell, joints: _Joints, target: ProgramTarget, q: FloatArray, command: FloatArray
 ) -> list[str]:
     """A remark where the command is not as the target's configuration says, and the program's joints were."""
     says = target.configuration
     if says is None:
         return []
-    was, now = (cell.past(values, says, joints.zero) for values in (q, command))
+    was, now = (cell.distance_to_statement(values, says, joints.zero) for values in (q, command))
     if now <= max(was, 0.0) + _JUST:
         return []
     over = [j for j, (low, high) in says.ranges.items() if j < len(command) and not low <= command[j] <= high]

@@ -16,7 +16,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, InputError, UnreachablePoseError
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.robots.robot import Robot
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.programs.languages.straight_moves import require_nominal_controller
@@ -49,12 +49,12 @@ class CorrectionGrid(ReadOnlyArrays):
     compensation: Compensation
 
     @property
-    def before(self) -> FloatArray:
+    def error_before(self) -> FloatArray:
         """How far the calibrated robot is off at the nodes without corrections, (n,) [m]."""
         return self.compensation.before[: len(self.nodes)]
 
     @property
-    def expected(self) -> FloatArray:
+    def expected_error(self) -> FloatArray:
         """Root mean square distance that is left at the nodes, (n,) [m]; NaN where that is not known."""
         return self.compensation.expected[: len(self.nodes)]
 
@@ -113,7 +113,7 @@ def _axes(positions: FloatArray, counts: tuple[int, int, int]) -> list[FloatArra
     for axis, low, high, count in zip("xyz", positions.min(axis=0), positions.max(axis=0), counts, strict=True):
         if count < 1 or (count == 1) != (low == high):
             extends = "does not extend: 1 node" if low == high else "extends: 2 nodes or more"
-            raise InputError(f"grid: {counted(count, 'node')} along {axis}, where the program {extends}")
+            raise InputError(f"grid: {count_noun(count, 'node')} along {axis}, where the program {extends}")
         axes.append(np.linspace(low, high, count))
     if np.prod([float(count) for count in counts]) > _MOST:
         raise InputError(f"grid: more than {_MOST} nodes; take fewer; the output states the error of interpolation")
@@ -138,7 +138,8 @@ def _corrections(
     misses = compensation.misses()
     if misses:
         raise UnreachablePoseError(
-            f"{counted(len(misses), 'point')} of the grid cannot be reached: {listed(misses, '; ', 3)}; make it smaller"
+            f"{count_noun(len(misses), 'point')} of the grid cannot be reached: {listing(misses, '; ', 3)}; make it"
+            f" smaller"
         )
     if compensation.nothing_to_correct:
         return np.zeros((len(positions), 6)), compensation

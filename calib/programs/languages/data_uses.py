@@ -11,14 +11,14 @@ from collections.abc import Iterable
 
 
 class DataUses:
-    """What is set while the program runs, what is computed from what, and by what the program decides."""
+    """Names that a program sets, computes from each other, and decides by."""
 
     def __init__(self) -> None:
         self._set: dict[str, str] = {}
         self._decides: dict[str, str] = {}
         self._sources: dict[str, set[str]] = {}
 
-    def set(self, name: str, why: str = "is set while the program runs") -> None:
+    def note_change(self, name: str, why: str = "is set while the program runs") -> None:
         """Note that a name becomes another value."""
         self._set.setdefault(name, why)
 

@@ -14,12 +14,12 @@ from pathlib import Path
 
 from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.fanuc_positions import WORDS, Position, number_at, positions_of, sections_of
-from calib.programs.languages.frames import Frame, Frames, selected
+from calib.programs.languages.fanuc_positions import WORDS, FanucPosition, number_at, positions_of, sections_of
+from calib.programs.languages.frames import Frame, Frames, as_selected_frame
 from calib.programs.languages.harmless import FANUC, FANUC_OPTIONS
 from calib.programs.languages.reader import Reached, Reader
-from calib.programs.languages.robot_program import LeftOutError, Source
-from calib.programs.languages.tokens import Code, Span
+from calib.programs.languages.robot_program import LeftOutError, ProgramSource
+from calib.programs.languages.tokens import ProgramWords, Span
 
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
 _CHANGED = ("TOOL_OFFSET", "OFFSET", "VOFFSET", "INC", "CV_TCP")
@@ -34,9 +34,9 @@ class FanucReader(Reader):
     language, breaking, by_value, lost, danger = LANGUAGE, False, True, _STATE, "change it"
 
     def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
-        source = Source.read(path, "a FANUC program as text (LS)")
+        source = ProgramSource.read(path, "a FANUC program as text (LS)")
         instructions, positions = sections_of(source)
-        code = Code(source, WORDS, lines="blank", ends=";", part=instructions)
+        code = ProgramWords(source, WORDS, lines="blank", ends=";", part=instructions)
         super().__init__([code], dict.fromkeys(_STATE, ""), frames, FANUC | set(harmless))
         self.positions = positions_of(source, positions)
         self.given = set(harmless)
@@ -52,12 +52,12 @@ class FanucReader(Reader):
         self.flow.label("any label")
         for at in code.names(0, len(code.tokens) - 3):
             if code.tokens[at].text == "LBL" and (at == 0 or code.tokens[at - 1].kind == "end"):
-                self.flow.maybe(f"label {number_at(self.code, at)}")
+                self.flow.note_jump(f"label {number_at(self.code, at)}")
         self.flow.label("first")
         super().read()
 
     def _place(self, span: Span) -> str:
-        """What a place of a motion is called: `P[1]`, `P[*]` where the number is computed, or `PR`."""
+        """Name of the place of a motion: `P[1]`, `P[*]` where the number is computed, or `PR`."""
         if self.code.tokens[span[0]].text == "PR":
             return "PR"
         number = self.code.tokens[span[0] + 2]
@@ -80,13 +80,13 @@ class FanucReader(Reader):
     def statement(self, at: int, stop: int) -> None:
         """Take in an instruction, behind the conditions on which it is carried out."""
         code, opened = self.code, 0
-        comma = code.until(at, stop, ",")
+        comma = code.find_mark(at, stop, ",")
         while comma < stop and code.tokens[at].text in ("IF", "SELECT", "=", "ELSE"):
             self.decide(at, comma)
             self.flow.open_choice(code.tokens[at].text, code.line(at))
             self.flow.pass_over()
             at, opened = comma + 1, opened + 1
-            comma = code.until(at, stop, ",")
+            comma = code.find_mark(at, stop, ",")
         if at < stop:
             self._action(at, stop)
         for _ in range(opened):
@@ -94,7 +94,7 @@ class FanucReader(Reader):
 
     def _action(self, at: int, stop: int) -> None:
         code, word = self.code, self.code.tokens[at].text
-        equals = code.until(at, stop, "=")
+        equals = code.find_mark(at, stop, "=")
         if word in ("J", "L", "C", "A", "S") and code.tokens[at + 1].text in ("P", "PR") and code.is_mark(at + 2, "["):
             self._motion(at, stop)
         elif word == "IF" and code.tokens[stop - 1].text == "THEN":
@@ -102,7 +102,7 @@ class FanucReader(Reader):
         elif word == "FOR":
             self.act(at, [self.condition, self.count, self.repeat, self.pass_over])
         elif word == "ELSE":
-            self.otherwise(at, stop)
+            self.begin_branch(at, stop)
         elif word in ("ENDIF", "ENDFOR"):
             self.close(at, stop)
         elif word == "LBL" and code.is_mark(at + 1, "["):
@@ -119,22 +119,22 @@ class FanucReader(Reader):
             called = at + 1 if word == "CALL" else at
             known = self.given if word == "CALL" else self.harmless
             if code.tokens[called].text not in known and not code.is_mark(at, "-"):
-                self.call_elsewhere(code.shown(called, called + 1), code.line(at))
+                self.call_elsewhere(code.excerpt(called, called + 1), code.line(at))
 
     def _assignment(self, at: int, stop: int, equals: int) -> None:
         """Take in what sets registers, outputs, frames and positions."""
         code, word = self.code, self.code.tokens[at].text
-        names, value = self.names(at + 1, stop), code.shown(equals + 1, stop)
+        names, value = self.names(at + 1, stop), code.excerpt(equals + 1, stop)
         positions = {name for name in names if name.startswith("P[")}
         if word in _NUMBERED:
             plain = equals == at + 1 and value.isdigit()
-            self.flow.set(word, value if plain else Unknown(f"is computed in line {code.line(at)}"))
+            self.flow.note_setting(word, value if plain else Unknown(f"is computed in line {code.line(at)}"))
         elif word in ("UFRAME", "UTOOL"):
             plain = code.partner[at + 1] == at + 3 and code.tokens[at + 2].kind == "number"
             key = f"{word}[{code.tokens[at + 2].text}]" if plain else word
-            self.flow.set(key, Unknown(f"is set while the program runs (line {code.line(at)})"))
+            self.flow.note_setting(key, Unknown(f"is set while the program runs (line {code.line(at)})"))
         elif word == "P":
-            self.uses.set(self._place((at, code.partner[at + 1] + 1 if code.is_mark(at + 1, "[") else at + 1)))
+            self.uses.note_change(self._place((at, code.partner[at + 1] + 1 if code.is_mark(at + 1, "[") else at + 1)))
         elif word == "PR" and not (code.tokens[equals + 1].text == "P" and code.partner[equals + 2] + 1 == stop):
             self.uses.compute("PR", names - positions)
             self.uses.decide(positions, code.line(at))
@@ -142,7 +142,7 @@ class FanucReader(Reader):
             self.uses.compute(word, names)
         else:
             self.uses.decide(names, code.line(at))
-            self.call_elsewhere(code.shown(at, at + 1), code.line(at))
+            self.call_elsewhere(code.excerpt(at, at + 1), code.line(at))
 
     def _motion(self, at: int, stop: int) -> None:
         """Take in a motion, and what is called while the robot moves."""
@@ -153,7 +153,7 @@ class FanucReader(Reader):
         self.flow.move(code.tokens[at].start, lambda state: self._targets(places, (first, stop), state))
         for k in code.names(first, stop):
             if code.tokens[k - 1].text == "CALL" and code.tokens[k].text not in self.given:
-                shown, line = code.shown(k, k + 1), code.line(k)
+                shown, line = code.excerpt(k, k + 1), code.line(k)
                 self.run_at_any_time(k, lambda shown=shown, line=line: self.call_elsewhere(shown, line))  # type: ignore[misc]
 
     # targets
@@ -168,16 +168,16 @@ class FanucReader(Reader):
                 lambda position, state: self._target(position, state, changed),
             )
 
-    def _position(self, span: Span, options: Span, changed: int | None) -> Position:
+    def _position(self, span: Span, options: Span, changed: int | None) -> FanucPosition:
         name = self._place(span)
         if name == "PR":
             raise LeftOutError("is a position register; its numbers are not in the program")
         if not name[2:-1].isdigit():
             raise LeftOutError("is computed at run time")
         if name[2:-1] not in self.positions:
-            raise DataError(f"{self.code.where(span[0])}: {name} is not in /POS; save the program again")
+            raise DataError(f"{self.code.location(span[0])}: {name} is not in /POS; save the program again")
         if changed is not None and self.code.tokens[changed].text != "INC":  # others move along with the position
-            raise LeftOutError(f"is computed at run time ({self.code.shown(changed, changed + 1)})")
+            raise LeftOutError(f"is computed at run time ({self.code.excerpt(changed, changed + 1)})")
         self._require_known(options)
         return self.positions[name[2:-1]]
 
@@ -186,9 +186,9 @@ class FanucReader(Reader):
         for at in self.code.names(*options):
             known = self.code.tokens[at].text.rstrip("0123456789") in FANUC_OPTIONS | {*_CHANGED}
             if not known and self.code.tokens[at - 1].text != "CALL":
-                raise LeftOutError(f"has an option that is not known here ({self.code.shown(at, at + 1)})")
+                raise LeftOutError(f"has an option that is not known here ({self.code.excerpt(at, at + 1)})")
 
-    def _target(self, position: Position, state: State, changed: int | None) -> Reached:
+    def _target(self, position: FanucPosition, state: State, changed: int | None) -> Reached:
         """The target of a motion."""
         why = self.uses.why_not(position.name) or self.uses.why_not("P[*]")
         if changed is not None:
@@ -219,4 +219,4 @@ class FanucReader(Reader):
         for changed in (state.get(name), state[kind]):
             if isinstance(changed, Unknown):
                 raise LeftOutError(f"{name} {changed.why}")
-        return selected(name, frame)
+        return as_selected_frame(name, frame)

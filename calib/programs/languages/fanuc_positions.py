@@ -15,11 +15,11 @@ from calib.programs.languages.robot_program import (
     Configuration,
     LeftOutError,
     Number,
+    ProgramSource,
     ProgramTarget,
-    Source,
     cells_at,
 )
-from calib.programs.languages.tokens import Code, Span, word_pattern
+from calib.programs.languages.tokens import ProgramWords, Span, word_pattern
 from calib.programs.languages.visits import Place
 
 WORDS = word_pattern(
@@ -34,7 +34,7 @@ _POSE, _JOINTS = ("X", "Y", "Z", "W", "P", "R"), ("J1", "J2", "J3", "J4", "J5", 
 _TURNING = (0, 3, 4, 5)
 
 
-def sections_of(source: Source) -> tuple[slice, slice]:
+def sections_of(source: ProgramSource) -> tuple[slice, slice]:
     """Return where the instructions and the positions of a program are.
 
     Raises:
@@ -48,19 +48,19 @@ def sections_of(source: Source) -> tuple[slice, slice]:
 
 
 @dataclass(frozen=True)
-class Position:
+class FanucPosition:
     """A position of `/POS`.
 
     Attributes:
         code: Words of the section.
-        at: Its first word.
+        text_start: Its first word.
         groups: Its motion groups.
         fields: Of its first group the place of the number of each field, from behind the equals sign, and its unit.
         said: What it says behind colons: UF, UT, CONFIG.
     """
 
-    code: Code
-    at: int
+    code: ProgramWords
+    text_start: int
     groups: tuple[str, ...]
     fields: Mapping[str, tuple[int, Span, str]]
     said: Mapping[str, str]
@@ -68,12 +68,12 @@ class Position:
     @property
     def place(self) -> Place:
         """Where it stands."""
-        return 0, self.at
+        return 0, self.text_start
 
     @property
     def name(self) -> str:
-        """What the program calls it."""
-        return f"P[{number_at(self.code, self.at)}]"
+        """Name in the program."""
+        return f"P[{number_at(self.code, self.text_start)}]"
 
     def target(self) -> ProgramTarget:
         """Return it as a target, in its frame and of its tool.
@@ -86,7 +86,7 @@ class Position:
         """
         if self.groups != ("GP1",):
             raise LeftOutError("moves other motion groups, which the description does not have")
-        text, line, path = self.code.source.text, self.code.line(self.at), self.code.source.path
+        text, line, path = self.code.source.text, self.code.line(self.text_start), self.code.source.path
         if any(float(text[slice(*number)]) for key, (_, number, _) in self.fields.items() if key.startswith("E")):
             raise LeftOutError("moves external axes, which the description does not have")
         if set(_JOINTS) <= set(self.fields):
@@ -107,7 +107,7 @@ class Position:
         return ProgramTarget(line, path, self.name, cells, "xyz", configuration=configuration)
 
     def _error(self, what: str) -> DataError:
-        return DataError(f"{self.code.where(self.at)}: {what}")
+        return DataError(f"{self.code.location(self.text_start)}: {what}")
 
     def _cells(self, names: Sequence[str]) -> tuple[Number, ...]:
         """Numbers with the blanks before them, which make room for a sign."""
@@ -125,42 +125,42 @@ class Position:
         )
 
 
-def number_at(code: Code, at: int) -> str:
+def number_at(code: ProgramWords, at: int) -> str:
     """Return the number in brackets behind a word, without the comment behind it."""
     return code.tokens[at + 2].text.partition(":")[0].strip()
 
 
-def positions_of(source: Source, part: slice) -> dict[str, Position]:
+def positions_of(source: ProgramSource, part: slice) -> dict[str, FanucPosition]:
     """Return the positions of a section by number.
 
     Raises:
         DataError: One is given twice.
     """
-    code, positions = Code(source, WORDS, lines="blank", part=part), dict[str, Position]()
+    code, positions = ProgramWords(source, WORDS, lines="blank", part=part), dict[str, FanucPosition]()
     for at in code.names(0, len(code.tokens) - 5):
         opening = code.partner[at + 1] + 1
         if code.tokens[at].text != "P" or not code.is_mark(at + 1, "[") or not code.is_mark(opening, "{"):
             continue
         number = number_at(code, at)
         if number in positions:
-            raise DataError(f"{code.where(at)}: P[{number}] is in /POS twice; save the program again")
+            raise DataError(f"{code.location(at)}: P[{number}] is in /POS twice; save the program again")
         positions[number] = _position(code, at, opening + 1, code.partner[opening])
     return positions
 
 
-def _position(code: Code, at: int, first: int, stop: int) -> Position:
-    groups, fields, said = [], dict[str, tuple[int, Span, str]](), dict[str, str]()
+def _position(code: ProgramWords, at: int, first: int, stop: int) -> FanucPosition:
+    groups, fields, written = [], dict[str, tuple[int, Span, str]](), dict[str, str]()
     for k in code.names(first, stop):
         name = code.tokens[k].text
         if name.startswith("GP") and code.is_mark(k + 1, ":"):
             groups.append(name)
         elif code.is_mark(k + 1, ":"):
-            said.setdefault(name, code.tokens[k + 2].text)
+            written.setdefault(name, code.tokens[k + 2].text)
         elif code.is_mark(k + 1, "="):
             behind = k + 4 if code.is_mark(k + 2, "-", "+") else k + 3
             number, unit = code.number(k + 2, behind), code.tokens[behind].text
             if number is not None and unit in ("MM", "DEG") and len(groups) < 2:
                 if name in fields:
-                    raise DataError(f"{code.where(k)}: {name} is given twice; save the program again")
+                    raise DataError(f"{code.location(k)}: {name} is given twice; save the program again")
                 fields[name] = (code.tokens[k + 1].end, number, unit)
-    return Position(code, at, tuple(groups), fields, said)
+    return FanucPosition(code, at, tuple(groups), fields, written)

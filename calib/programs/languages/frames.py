@@ -28,7 +28,7 @@ Frames = Mapping[str, Frame | Unknown]
 """Tools and frames by name."""
 
 
-def selected(what: str, value: Hashable) -> Frame:
+def as_selected_frame(what: str, value: Hashable) -> Frame:
     """Return a tool or frame that is selected.
 
     Raises:

@@ -28,8 +28,8 @@ from pathlib import Path
 from calib.core.base.errors import DataError
 from calib.core.base.files import read_text
 from calib.programs.languages.gcode_dialects import CALLING, CHANGING, CONDITIONAL, REFUSED, TEXT, Dialect, find_dialect
-from calib.programs.languages.gcode_lines import AXES, Line, read_line, require_order, require_words
-from calib.programs.languages.gcode_program import INCH, MILLIMETRE, GcodeProgram, Move
+from calib.programs.languages.gcode_lines import AXES, GcodeLine, read_line, require_order, require_words
+from calib.programs.languages.gcode_program import INCH, MILLIMETRE, GcodeMove, GcodeProgram
 
 SUFFIXES = (".gcode", ".nc", ".ngc", ".g")
 _Modes = tuple[bool | None, bool | None, float | None]  # relative, e_relative, unit
@@ -54,7 +54,7 @@ def read_gcode(
         InputError: There is no such dialect.
     """
     lines = read_text(path, "a G-code program", DataError).rstrip("\n").split("\n")
-    reader = _Reader(str(path), start, find_dialect(path, lines, dialect), {word.upper() for word in harmless})
+    reader = _GcodeReader(str(path), start, find_dialect(path, lines, dialect), {word.upper() for word in harmless})
     for number, line in enumerate(lines):
         reader.read(number, line)
     if not reader.moves:
@@ -63,12 +63,12 @@ def read_gcode(
 
 
 @dataclass
-class _Reader:
-    """What holds from line to line; None where it is not known.
+class _GcodeReader:
+    """Modes that hold from line to line; None where they are unknown.
 
     Attributes:
         home: Where the machine stands after homing of all axes.
-        vouched: Words that the user calls harmless.
+        harmless_words: Words that the user calls harmless.
         at: Where it stands, axis by axis [m].
         known: Whether the move before led there.
         selected: Whether G54 was.
@@ -81,8 +81,8 @@ class _Reader:
     path: str
     home: tuple[float, ...] | None
     dialect: Dialect
-    vouched: Collection[str]
-    moves: list[Move] = field(default_factory=list)
+    harmless_words: Collection[str]
+    moves: list[GcodeMove] = field(default_factory=list)
     at: list[float | None] = field(default_factory=list)
     known: bool = False
     motion: str = ""
@@ -112,12 +112,12 @@ class _Reader:
         else:
             self._take(number, line)
 
-    def _lose(self, word: str, line: Line) -> None:
+    def _lose(self, word: str, line: GcodeLine) -> None:
         """Take in that the firmware has moved the machine."""
         self.at, self.known = [None] * 3, False
         self.since = f"{word:.40} (line {line.where.rpartition(' ')[2]})"
 
-    def _forget(self, word: str, line: Line) -> None:
+    def _forget(self, word: str, line: GcodeLine) -> None:
         """Take in a word of which nothing is known."""
         self._lose(word, line)
         self.relative, self.e_relative, self.e = None, None, None
@@ -130,23 +130,23 @@ class _Reader:
         """Take in that the zero or the tool may be another one."""
         self.shifted = self.shifted or (self.since if self.moves else "")
 
-    def _name(self, line: Line) -> None:
+    def _name(self, line: GcodeLine) -> None:
         """Take in a command that is a name."""
         if line.name in CONDITIONAL:
             raise line.refusal(f"{line.name} depends on what is not known here; write out what is run")
         given = {key.upper(): value for key, _, value in (part.partition("=") for part in line.rest.split())}
-        self._other(line.name, line, given.get("NAME", "default"))
+        self._read_other_word(line.name, line, given.get("NAME", "default"))
         if line.name == self.dialect.restoring and given.get("MOVE", "0") != "0":
             self._lose(line.name, line)
 
-    def _change_tool(self, line: Line) -> None:
+    def _change_tool(self, line: GcodeLine) -> None:
         if len(line.words) > 1 or line.rest:
             raise line.refusal("has more than a tool; write one command per line")
-        if line.tool not in self.vouched and not (line.tool == self.tool and self.dialect.same_tool):
+        if line.tool not in self.harmless_words and not (line.tool == self.tool and self.dialect.same_tool):
             self._forget(line.tool, line)
             self.tool = line.tool
 
-    def _other(self, word: str, line: Line, name: str = "default") -> None:
+    def _read_other_word(self, word: str, line: GcodeLine, name: str = "default") -> None:
         """Take in a word by the lists; some save and restore modes by another name."""
         if word in CHANGING:
             raise line.refusal(f"{word} changes the meaning of X, Y and Z; set it outside the program")
@@ -161,33 +161,33 @@ class _Reader:
                 self.saved[name].pop()
         elif word in self.dialect.moving:
             self._lose(word, line)
-        elif word not in self.dialect.harmless and word not in self.vouched:
+        elif word not in self.dialect.harmless and word not in self.harmless_words:
             self._forget(word, line)
 
-    def _take(self, number: int, line: Line) -> None:
+    def _take(self, number: int, line: GcodeLine) -> None:
         """Take in a line of words."""
         require_words(line, self.dialect)
         for word in line.codes:
             if word in ("M82", "M83"):
                 self.e_relative = word == "M83" or (self.dialect.e_follows and self.relative)
             elif word[0] == "M":
-                self._other(word, line)
+                self._read_other_word(word, line)
             elif word != line.homing:
                 self._g(word, line)
-        owner = line.owner(self.vouched)
+        owner = line.owner(self.harmless_words)
         require_order(line, owner, self.dialect)
         if line.homing:
             self._home(line)
         elif "G92" in line.codes:
-            self.e = float(line.given["E"])
-        elif not owner and {*AXES} & {*line.given}:
+            self.e = float(line.argument_texts["E"])
+        elif not owner and {*AXES} & {*line.argument_texts}:
             self._move(number, line)
-        elif not owner and "E" in line.given:
-            self._extrude(float(line.given["E"]))
+        elif not owner and "E" in line.argument_texts:
+            self._extrude(float(line.argument_texts["E"]))
 
-    def _g(self, code: str, line: Line) -> None:
+    def _g(self, code: str, line: GcodeLine) -> None:
         """Take in a G that is not for homing; what it does not know is refused."""
-        letters = {*line.given}
+        letters = {*line.argument_texts}
         if code in ("G0", "G1"):
             self.motion = code
         elif code == "G20" and not self.dialect.inches:
@@ -209,19 +209,19 @@ class _Reader:
             if self.moves and not self.selected:
                 self._forget(code, line)
             self.selected = True
-        elif code not in self.dialect.harmless | self.dialect.moving and code not in self.vouched:
+        elif code not in self.dialect.harmless | self.dialect.moving and code not in self.harmless_words:
             raise line.refusal(f"{code}: is not read; only straight moves are (G0, G1)")
         else:
             self.motion = "" if code == "G80" else self.motion
-            self._other(code, line)
+            self._read_other_word(code, line)
 
-    def _home(self, line: Line) -> None:
+    def _home(self, line: GcodeLine) -> None:
         """Take in homing or probing; what homes one axis may move the others."""
         if line.homing != "G28":
-            self._other(line.homing, line)
+            self._read_other_word(line.homing, line)
             return
         self._lose(line.homing, line)
-        letters = {*line.given, *filter(str.isalpha, line.rest.upper())}
+        letters = {*line.argument_texts, *filter(str.isalpha, line.rest.upper())}
         if self.home is not None and letters <= {*AXES, "W"} and (letters & {*AXES}) in (set(), {*AXES}):
             self.at = list(self.home)
         if self.prepared:  # homing takes back a zero that was moved
@@ -236,9 +236,9 @@ class _Reader:
         self.e = value if self.e_relative is False else None
         return None if before is None or self.e is None else (before, value)
 
-    def _move(self, number: int, line: Line) -> None:
+    def _move(self, number: int, line: GcodeLine) -> None:
         unit, relative = self._require_modes(line)
-        given, end = line.given, list[float]()
+        given, end = line.argument_texts, list[float]()
         for axis, at in zip(AXES, self.at, strict=True):
             if at is None and (relative or axis not in given):
                 say = "" if self.home else "say so with --start X,Y,Z, or "
@@ -256,16 +256,16 @@ class _Reader:
         e = self._extrude(float(given["E"])) if "E" in given else None
         start = None if None in self.at else tuple(float(x) for x in self.at if x is not None)
         self.moves.append(
-            Move(
+            GcodeMove(
                 number, start, tuple(end), self.known, unit, relative, line.counter + lead, tail, line.comments,
                 e, given.get("E", ""), bool(self.e_relative),
             )
         )  # fmt: skip
         self.at, self.known = list(end), True
 
-    def _require_modes(self, line: Line) -> tuple[float, bool]:
+    def _require_modes(self, line: GcodeLine) -> tuple[float, bool]:
         """Return the unit of a move's numbers [m], and whether they are relative."""
-        wrong = next((letter for letter in line.given if letter not in self.dialect.move_words), None)
+        wrong = next((letter for letter in line.argument_texts if letter not in self.dialect.move_words), None)
         if not self.motion:
             raise line.refusal("moves without G0 or G1 before it; write which of them")
         if wrong is not None:

@@ -16,7 +16,7 @@ from calib.core.base.errors import InputError
 from calib.programs.languages.harmless import LISTS
 
 
-def named(text: str) -> frozenset[str]:
+def parse_words(text: str) -> frozenset[str]:
     """Return the words of a text; `M3-5` stands for M3, M4 and M5."""
     words: set[str] = set()
     for word in text.split():
@@ -27,7 +27,7 @@ def named(text: str) -> frozenset[str]:
 
 def _listed(name: str) -> frozenset[str]:
     """The words of a list beside the code."""
-    return named(" ".join(LISTS[name]))
+    return parse_words(" ".join(LISTS[name]))
 
 
 @dataclass(frozen=True)
@@ -84,15 +84,15 @@ REFUSED = {
 """What is refused wherever it stands: G, ..."""
 CHANGING = _listed("G-code CHANGING")
 """... what the machine makes of X, Y and Z, ..."""
-CALLING = named("M32 M47 M97-99 M808 SDCARD_PRINT_FILE SDCARD_LOOP_BEGIN SDCARD_LOOP_END")
+CALLING = parse_words("M32 M47 M97-99 M808 SDCARD_PRINT_FILE SDCARD_LOOP_BEGIN SDCARD_LOOP_END")
 """... and lines that are run elsewhere, again, ..."""
-CONDITIONAL = named("IF ELIF ELSE WHILE BREAK CONTINUE ABORT")
+CONDITIONAL = parse_words("IF ELIF ELSE WHILE BREAK CONTINUE ABORT")
 """... or under a condition."""
 TEXT = "M117"
 """The word that a text follows which is no code in any firmware."""
 
 _EVERYWHERE = _listed("G-code")
-_PROBING = named("G29 M420")
+_PROBING = parse_words("G29 M420")
 _KLIPPER, _KLIPPER_MOVING = _listed("Klipper"), _listed("Klipper MOVING")
 _SAVING, _RESTORING = "SAVE_GCODE_STATE", "RESTORE_GCODE_STATE"
 _UNKNOWN = Dialect("", _EVERYWHERE | {"G61"}, _PROBING | {"G80"}, exponents=True)
@@ -101,8 +101,8 @@ DIALECTS = {
     for dialect in (
         Dialect(
             "cnc",
-            _EVERYWHERE | named("G54 G61 G80 M19 M48-53 M60 M62-68 M70-71"),
-            _PROBING | named("G28.1 G30 G30.1"),
+            _EVERYWHERE | parse_words("G54 G61 G80 M19 M48-53 M60 M62-68 M70-71"),
+            _PROBING | parse_words("G28.1 G30 G30.1"),
             at_once=True,
             parentheses=True,
         ),
@@ -120,15 +120,15 @@ DIALECTS = {
         ),
         Dialect(
             "marlin",
-            _EVERYWHERE | named("M120-121 M226 M600-601"),
-            _PROBING | named("G30 G60 G61 G80"),
+            _EVERYWHERE | parse_words("M120-121 M226 M600-601"),
+            _PROBING | parse_words("G30 G60 G61 G80"),
             several=False,
             modal=False,
             same_tool=True,
         ),
         Dialect(
             "rrf",
-            _EVERYWHERE | named("G54 G60 M226 M600-601"),
+            _EVERYWHERE | parse_words("G54 G60 M226 M600-601"),
             _PROBING,
             modal=False,
             parentheses=True,
@@ -136,7 +136,7 @@ DIALECTS = {
             exponents=True,
             same_tool=True,
             move_words="XYZEF",  # S is the power of a laser, or homing, by the version
-            retracting=named("P R S"),  # temperatures
+            retracting=parse_words("P R S"),  # temperatures
             saving="M120",
             restoring="M121",
             once=True,

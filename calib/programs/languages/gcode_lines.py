@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from calib.core.base.errors import DataError
-from calib.programs.languages.gcode_dialects import TEXT, Dialect, named
+from calib.programs.languages.gcode_dialects import TEXT, Dialect, parse_words
 
 AXES = "XYZ"
 _LARGEST = 1e6  # of numbers in a program
@@ -23,13 +23,13 @@ _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+))\s*", re.ASCII | re
 _NAME = re.compile(r"[A-Z_]{2}\w*(?=\s|$)", re.ASCII | re.IGNORECASE)
 _COMMAND = re.compile(r"[GM]\s*\d", re.ASCII | re.IGNORECASE)
 _EXPONENT = re.compile(r"[\d.]E\s*[-+.\d]", re.ASCII | re.IGNORECASE)
-_HOMING = named("G28 G29 G30")
-_OWN_WORDS = named("G4 G10 G92")  # X, Y, Z beside these are theirs, and beside an M
-_WITHOUT_WORDS = named("M0-5 M7-9 M30")  # but not beside these
+_HOMING = parse_words("G28 G29 G30")
+_OWN_WORDS = parse_words("G4 G10 G92")  # X, Y, Z beside these are theirs, and beside an M
+_WITHOUT_WORDS = parse_words("M0-5 M7-9 M30")  # but not beside these
 
 
 @dataclass(frozen=True)
-class Line:
+class GcodeLine:
     """A line in parts.
 
     Attributes:
@@ -59,7 +59,7 @@ class Line:
         return _code(*self.words[0]) if self.words and self.words[0][0] == "T" else ""
 
     @cached_property
-    def given(self) -> dict[str, str]:
+    def argument_texts(self) -> dict[str, str]:
         """The numbers of letters that are no commands."""
         return {letter: number for letter, number in self.words if letter not in "GM"}
 
@@ -98,7 +98,7 @@ def _code(letter: str, number: str) -> str:
     return f"{letter}{float(number):g}"
 
 
-def read_line(line: str, where: str, dialect: Dialect) -> Line | None:
+def read_line(line: str, where: str, dialect: Dialect) -> GcodeLine | None:
     """Return the parts of a line; None if it has no code.
 
     Raises:
@@ -127,13 +127,13 @@ def read_line(line: str, where: str, dialect: Dialect) -> Line | None:
         raise DataError(f"{where}: '{large[0]}{large[1]:.20}' is beyond what any machine reads; correct it")
     match = None if words else _NAME.match(code, end)
     name, end = (match.group().upper(), match.end()) if match else ("", end)
-    parts = Line(where, tuple(counter), name, tuple(words), code[end:], " ".join(comments))
-    if "E" in parts.given and dialect.exponents and _EXPONENT.search(code) and parts.codes[:1] != [TEXT]:
+    parts = GcodeLine(where, tuple(counter), name, tuple(words), code[end:], " ".join(comments))
+    if "E" in parts.argument_texts and dialect.exponents and _EXPONENT.search(code) and parts.codes[:1] != [TEXT]:
         raise DataError(f"{parts.where}: has an E that some firmwares take for an exponent; put a space before it")
     return parts
 
 
-def require_words(line: Line, dialect: Dialect) -> None:
+def require_words(line: GcodeLine, dialect: Dialect) -> None:
     """Raise `DataError` for a letter twice, and for text that no command takes or that may hold another command."""
     letters = [letter for letter, _ in line.words if letter not in "GM"]
     if len(set(letters)) < len(letters):
@@ -144,7 +144,7 @@ def require_words(line: Line, dialect: Dialect) -> None:
         raise line.refusal(f"'{line.rest:.40}' is not read; write words of a letter and a number")
 
 
-def require_order(line: Line, owner: str, dialect: Dialect) -> None:
+def require_order(line: GcodeLine, owner: str, dialect: Dialect) -> None:
     """Raise `DataError` for commands of a line that are in each other's way, or that the firmware does not run."""
     codes, takers, moving = line.codes, line.takers, line.moving
     if len(moving) > 1:
@@ -161,6 +161,10 @@ def require_order(line: Line, owner: str, dialect: Dialect) -> None:
     else:  # words belong to the command before them, and E is written behind all others
         mixed = not takers <= {owner or "".join(moving)} or bool(owner and moving and takers)
         behind = codes[max((codes.index(code) + 1 for code in takers if code), default=0) :] if takers else []
-        mixed = mixed or any(code[0] == "G" for code in behind) or ("E" in line.given and not owner and bool(behind))
+        mixed = (
+            mixed
+            or any(code[0] == "G" for code in behind)
+            or ("E" in line.argument_texts and not owner and bool(behind))
+        )
     if mixed or TEXT in codes:
         raise line.refusal("has words of several commands; write one command per line")

@@ -24,7 +24,7 @@ _E_DECIMALS = 5
 
 
 @dataclass(frozen=True)
-class Move:
+class GcodeMove:
     """A straight move.
 
     Attributes:
@@ -73,9 +73,9 @@ class GcodeProgram:
 
     path: str
     lines: tuple[str, ...]
-    moves: tuple[Move, ...]
+    moves: tuple[GcodeMove, ...]
 
-    def label(self, move: Move) -> str:
+    def label(self, move: GcodeMove) -> str:
         """Return what to call a move in messages."""
         return f"{self.path}, line {move.line + 1}"
 
@@ -100,13 +100,13 @@ class GcodeProgram:
         lines.insert(first, [f"; {comment}" for comment in comments])
         return "\n".join(line for piece in lines for line in piece) + "\n"
 
-    def _pieces(self, move: Move, way: FloatArray, stands: FloatArray) -> tuple[list[str], FloatArray]:
+    def _pieces(self, move: GcodeMove, way: FloatArray, stands: FloatArray) -> tuple[list[str], FloatArray]:
         """The lines of one move, and where the machine then stands [m]."""
         decimals, lines = _DECIMALS[move.unit], []
         for k, point in enumerate(way):
             numbers = np.round((point - stands if move.relative else point) / move.unit, decimals) + 0.0
             stands = stands + numbers * move.unit if move.relative else numbers * move.unit
-            axes = [f"{axis}{_shown(number, decimals)}" for axis, number in zip("XYZ", numbers, strict=True)]
+            axes = [f"{axis}{_format_number(number, decimals)}" for axis, number in zip("XYZ", numbers, strict=True)]
             words = [*move.lead, *axes, *move.tail] if k == 0 else [*move.motion, *axes]
             if move.e_text:
                 words.append(f"E{self._share(move, k, len(way))}")
@@ -114,7 +114,7 @@ class GcodeProgram:
         lines[0] += f" {move.comments}" if move.comments else ""
         return lines, stands
 
-    def _share(self, move: Move, k: int, n: int) -> str:
+    def _share(self, move: GcodeMove, k: int, n: int) -> str:
         """E of piece k of n."""
         if n == 1:
             return move.e_text
@@ -126,10 +126,10 @@ class GcodeProgram:
         decimals = max(_E_DECIMALS, len(move.e_text.partition(".")[2]))
         start, end = move.e
         before, after = (round(start + (end - start) * share / n, decimals) for share in (k, k + 1))
-        return _shown(after - before if move.e_relative else after, decimals)
+        return _format_number(after - before if move.e_relative else after, decimals)
 
 
-def _shown(number: float, decimals: int) -> str:
+def _format_number(number: float, decimals: int) -> str:
     """A number with at most so many decimals, never with an exponent."""
     text = f"{number:.{decimals}f}".rstrip("0").rstrip(".") if decimals else f"{number:.0f}"
     return "0" if text in ("-0", "") else text

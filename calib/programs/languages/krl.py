@@ -16,10 +16,10 @@ from typing import ClassVar
 import numpy as np
 
 from calib.programs.languages.control_flow import State
-from calib.programs.languages.frames import Frame, Frames, selected
+from calib.programs.languages.frames import Frame, Frames, as_selected_frame
 from calib.programs.languages.krl_frames import SELECTED, KrlFrames
 from calib.programs.languages.reader import Data, Reached
-from calib.programs.languages.robot_program import Configuration, LeftOutError, Source
+from calib.programs.languages.robot_program import Configuration, LeftOutError, ProgramSource
 from calib.programs.languages.tokens import Span
 
 SUFFIXES = (".src",)
@@ -70,7 +70,7 @@ class KrlReader(KrlFrames):
         program = Path(path)
         data = [program.with_suffix(suffix) for suffix in (".dat", ".DAT", ".Dat") if program.suffix.lower() != ".dat"]
         files = [program, *[file for file in data if file.is_file()][:1]]
-        super().__init__([Source.read(file, "a KRL program") for file in files], frames, harmless)
+        super().__init__([ProgramSource.read(file, "a KRL program") for file in files], frames, harmless)
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return the name of a parameter, and whether it is a reference."""
@@ -134,10 +134,10 @@ class KrlReader(KrlFrames):
         typed = first + 1 < stop and code.tokens[first + 1].kind == "name"
         kind = code.tokens[first].text if typed else ""
         for left, right in code.split(first + typed, stop):
-            equals = code.until(left, right, "=")
+            equals = code.find_mark(left, right, "=")
             if equals + 1 >= right:
                 continue
-            if code.inside(equals + 1, right, "{"):
+            if code.bracket_content(equals + 1, right, "{"):
                 shown = self.sources[file].text[code.tokens[left].start : code.tokens[equals - 1].end]
                 self.declare(code.text(left, equals), Data(shown, file, (equals + 1, right), kind, shared))
             if file == 0:
@@ -148,21 +148,21 @@ class KrlReader(KrlFrames):
     def statement(self, at: int, stop: int) -> None:
         """Take in an assignment, a call, a motion or a declaration."""
         code, word = self.code, self.code.tokens[at].text
-        equals = code.until(at, stop, "=")
+        equals = code.find_mark(at, stop, "=")
         is_name, after = code.tokens[at].kind == "name", code.tokens[at + 1]
         if word.removesuffix("_REL") in _MOVES and after.text not in ("=", "[", ".", "("):
             self._move(at, stop)
         elif is_name and equals < stop and (equals == at + 1 or after.text in ("[", ".")):
             self.assign(at, stop, equals)
-            self.uses.set(word)
+            self.uses.note_change(word)
             self.select_assigned(at, stop, equals)
         elif word in self.harmless or (is_name and after.text == "(" and code.partner[at + 1] + 1 == stop):
             self.expression(at, stop)
         elif is_name and stop > at + 1 and after.kind == "name" and word != "ASYPTP":
             self._declaration(0, at, stop)
         else:
-            self.set_arguments((at, stop), "is part of a statement that is not understood")
-            self.call_elsewhere(code.shown(at, stop), code.line(at))
+            self.note_arguments((at, stop), "is part of a statement that is not understood")
+            self.call_elsewhere(code.excerpt(at, stop), code.line(at))
 
     def _move(self, at: int, stop: int) -> None:
         """Take in a motion, with what holds for it alone behind WITH."""
@@ -170,7 +170,7 @@ class KrlReader(KrlFrames):
         end = min(self.word(at, "WITH"), stop)
         if end < stop:
             self.save("of the motion")
-            self.set_with(end, stop)
+            self.read_with_clause(end, stop)
         self.flow.move(self.code.tokens[at].start, lambda state: self._targets(at, end, state))
         if end < stop:
             self.restore("of the motion")
@@ -189,7 +189,7 @@ class KrlReader(KrlFrames):
         code, name = self.code, self.code.text(*span)
         if relative:
             raise LeftOutError("is relative to where the robot is")
-        data = Data("", 0, span) if code.inside(*span, "{") else self.declared.get(name)
+        data = Data("", 0, span) if code.bracket_content(*span, "{") else self.declared.get(name)
         if data is None:
             single = span[1] == span[0] + 1 and code.tokens[span[0]].kind == "name" and not name.startswith("$")
             otherwise = "is declared nowhere here" if single else "is computed at run time"
@@ -210,7 +210,7 @@ class KrlReader(KrlFrames):
         cells = self.pose_cells(data)
         if cells is None:
             raise LeftOutError("gives only a part of a position; the rest depends on where the robot is")
-        tool, base = (selected(key, state[key]) for key in SELECTED[:2])
+        tool, base = (as_selected_frame(key, state[key]) for key in SELECTED[:2])
         mode = state["$IPO_MODE"]
         if mode != "#BASE":
             raise LeftOutError(
@@ -229,5 +229,5 @@ def _configuration(numbers: Mapping[str, float]) -> Configuration | None:
         turns = int(numbers["T"])
         ranges = {k: (-np.inf, 0.0) if turns >> k & 1 else (0.0, np.inf) for k in range(6)}
     status = int(numbers["S"]) if "S" in numbers else None
-    behind, bent = (None, None) if status is None else (bool(status & 1), bool(status & 2))
-    return Configuration(text, ranges, behind=behind, bent=bent)
+    behind, elbow_bent = (None, None) if status is None else (bool(status & 1), bool(status & 2))
+    return Configuration(text, ranges, behind=behind, elbow_bent=elbow_bent)

@@ -14,8 +14,8 @@ from calib.programs.languages.frames import Frame, Frames
 from calib.programs.languages.harmless import BAS_FORMS, BAS_HARMLESS, KRL
 from calib.programs.languages.orientations import pose_of
 from calib.programs.languages.reader import NO_VALUE, Data, Reader
-from calib.programs.languages.robot_program import DEGREE, MILLIMETRE, Number, Source, cells_at
-from calib.programs.languages.tokens import Code, Span, word_pattern
+from calib.programs.languages.robot_program import DEGREE, MILLIMETRE, Number, ProgramSource, cells_at
+from calib.programs.languages.tokens import ProgramWords, Span, word_pattern
 
 SELECTED = ("$TOOL", "$BASE", "$IPO_MODE")
 _WORDS = word_pattern(
@@ -37,8 +37,8 @@ class KrlFrames(Reader):
 
     language, danger = "KRL", "set a tool, base or frame"
 
-    def __init__(self, sources: list[Source], frames: Frames, harmless: Collection[str]) -> None:
-        codes = [Code(source, _WORDS) for source in sources]
+    def __init__(self, sources: list[ProgramSource], frames: Frames, harmless: Collection[str]) -> None:
+        codes = [ProgramWords(source, _WORDS) for source in sources]
         start: dict[str, Hashable] = {
             key: Unknown(f"nothing before it selects a {key[1:].lower()} (BAS, ${key[1:]}, an inline form)", whole=True)
             for key in SELECTED[:2]
@@ -65,7 +65,7 @@ class KrlFrames(Reader):
     def components(self, data: Data) -> dict[str, Span] | None:
         """Return the places of the numbers in braces; None where these are not plain numbers."""
         code = self.codes[data.file]
-        inside = code.inside(*data.span, "{")
+        inside = code.bracket_content(*data.span, "{")
         if inside is None or data.span == NO_VALUE:
             return None
         left, right = inside
@@ -98,8 +98,8 @@ class KrlFrames(Reader):
         return Frame(pose_of([cell.value for cell in cells], "zyx"), (data.place,) if data.name else ())
 
     def _frame(self, span: Span, state: State) -> Frame | Unknown:
-        """What a tool or base is set to."""
-        if self.code.inside(*span, "{"):
+        """Value of a tool or base."""
+        if self.code.bracket_content(*span, "{"):
             return self._frame_of(Data("", 0, span)) or Unknown("is not six plain numbers")
         return self.frame_named(self.code.text(*span), state)
 
@@ -141,7 +141,7 @@ class KrlFrames(Reader):
 
     def change(self, name: str, why: str = "is set while the program runs") -> None:
         """Take in that data, or a frame, become other ones."""
-        self.uses.set(name, why)
+        self.uses.note_change(name, why)
         self._select(name, None, why)
 
     def _select(self, name: str, value: Callable[[State], Hashable] | None, why: str = "") -> None:
@@ -168,7 +168,7 @@ class KrlFrames(Reader):
         elif word in _LISTS:
             self._select("DATA", None, f"is not known after {word} is set (line {line})")
 
-    def known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
+    def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
         """Take in a call of BAS, which selects tool and base."""
         name, code = self.code.tokens[at].text, self.code
         if name != "BAS":
@@ -179,12 +179,12 @@ class KrlFrames(Reader):
             frame = f"{what[1:]}_DATA[{code.text(*given[1])}]"
             self._select(f"${what[1:]}", lambda state: self.frame_named(frame, state))
         elif what in BAS_FORMS and not maybe:
-            self.flow.change(SELECTED, lambda state: {**state, **self._formed(str(state["FDAT_ACT"]), state)})
+            self.flow.change(SELECTED, lambda state: {**state, **self._complete_form(str(state["FDAT_ACT"]), state)})
         elif what not in BAS_HARMLESS:
-            self.flow.lose(f"is not selected behind {code.shown(at, span[1] + 1)}", SELECTED)
+            self.flow.lose(f"is not selected behind {code.excerpt(at, span[1] + 1)}", SELECTED)
         return True
 
-    def _formed(self, name: str, state: State) -> dict[str, Hashable]:
+    def _complete_form(self, name: str, state: State) -> dict[str, Hashable]:
         return dict(zip(SELECTED, self._form(name, state), strict=True))
 
     # what holds for one motion or spline
@@ -193,7 +193,7 @@ class KrlFrames(Reader):
         """Begin a spline, with what holds for it alone behind WITH."""
         stop = self.line_end(at)
         self.save("of the program")
-        self.set_with(self.word(at, "WITH"), stop)
+        self.read_with_clause(self.word(at, "WITH"), stop)
         return stop
 
     def end_spline(self, at: int, _: int) -> int:
@@ -215,7 +215,7 @@ class KrlFrames(Reader):
 
         self.flow.change(SELECTED, restored)
 
-    def set_with(self, first: int, stop: int) -> None:
+    def read_with_clause(self, first: int, stop: int) -> None:
         """Take in what a motion or a spline sets for itself, behind WITH."""
         code = self.code
         for left, right in code.split(first + 1, stop):
@@ -231,4 +231,4 @@ class KrlFrames(Reader):
                 self._select(name, None, f"is set in part (line {line})")
 
     def _with_form(self, name: str, form: str) -> Callable[[State], State]:
-        return lambda state: {**state, name: self._formed(form, state)[name]}
+        return lambda state: {**state, name: self._complete_form(form, state)[name]}

@@ -24,7 +24,7 @@ from calib.core.robots.robot import Robot
 from calib.programs.languages.robot_program import Configuration
 from calib.programs.reaching.goals import Goals
 from calib.programs.reaching.inverse import problem
-from calib.programs.reaching.reaching import Configured, descend
+from calib.programs.reaching.reaching import GoalConfigurations, descend
 
 _STARTS = (12, 64)
 _FAR = 0.7  # of one joint, from the pose before [rad]
@@ -103,35 +103,35 @@ class NominalCell:
         """
         goal = self._base_pose * flange * self._target
         goals = Goals(goal.translation[None], goal.rotation[None])
-        q = self._nearest(goals, before[None], before, says, sides)
+        q = self._nearest_solution(goals, before[None], before, says, sides)
         if q is None or np.max(np.abs(q - before)) > _FAR:
             for count in _STARTS:
-                more = self._nearest(goals, np.vstack([before, self._probes(count)]), before, says, sides)
+                more = self._nearest_solution(goals, np.vstack([before, self._probes(count)]), before, says, sides)
                 q = q if more is None else more
                 if q is not None and says is not None and says.ranges:
                     break  # there is one such solution
         if q is not None:
             return q, ""
-        reached = self._nearest(goals, np.vstack([before, self._probes(_STARTS[-1])]), before, None, sides)
+        reached = self._nearest_solution(goals, np.vstack([before, self._probes(_STARTS[-1])]), before, None, sides)
         if reached is None:
             return None, "is out of the nominal robot's reach"
         return None, f"is reached by the nominal robot, but not as its configuration says ({says.text if says else ''})"
 
-    def _nearest(
+    def _nearest_solution(
         self, goals: Goals, starts: FloatArray, before: FloatArray, says: Configuration | None, sides: Sides
     ) -> FloatArray | None:
         """The solution nearest to the pose before, of those that are as the program says."""
         closed = self.robot.close(starts)
         reach = problem(self.robot, goals)
         index = np.flatnonzero(closed.ok)
-        start = Configured.unknown(starts[index], closed.passive[index])
+        start = GoalConfigurations.unknown(starts[index], closed.passive[index])
         reached = descend(reach, np.zeros(len(index), dtype=np.intp), start)
         tolerance = _REACHED if len(before) >= 6 else _ROUNDED
-        solutions = [self._turned(q, before, says) for q in reached.actuated[reached.distance <= tolerance]]
-        solutions = [q for q in solutions if says is None or self.past(q, says, sides) <= _BORDER]
+        solutions = [self._with_full_turns(q, before, says) for q in reached.actuated[reached.distance <= tolerance]]
+        solutions = [q for q in solutions if says is None or self.distance_to_statement(q, says, sides) <= _BORDER]
         return min(solutions, key=lambda q: float(np.linalg.norm(q - before)), default=None)
 
-    def _turned(self, q: FloatArray, before: FloatArray, says: Configuration | None) -> FloatArray:
+    def _with_full_turns(self, q: FloatArray, before: FloatArray, says: Configuration | None) -> FloatArray:
         """The same pose with whole turns of joints, as the program says, and near to the pose before."""
         n = len(before)
         lower, upper = (limit[:n] for limit in self.robot.urdf.limits(self.robot.mechanism.driven))
@@ -145,11 +145,12 @@ class NominalCell:
             turned[j] = min(turns, key=lambda v: (max(low - v, v - high, 0.0) > _BORDER, abs(v - before[j])))
         return turned
 
-    def past(self, q: FloatArray, says: Configuration, sides: Sides) -> float:
+    def distance_to_statement(self, q: FloatArray, says: Configuration, sides: Sides) -> float:
         """Return how far joints (n_actuated,) are from what a program says [rad]; infinite where a side is another."""
-        expected = (says.behind, says.elbow, says.flipped, says.bent)
+        expected = (says.behind, says.elbow, says.flipped, says.elbow_bent)
         if any(side is not None for side in expected) and any(
-            said is not None and side not in (None, said) for side, said in zip(sides.of(q), expected, strict=True)
+            stated_side is not None and side not in (None, stated_side)
+            for side, stated_side in zip(sides.sides_at(q), expected, strict=True)
         ):
             return np.inf
         return max(
@@ -172,7 +173,7 @@ class Sides:
         self._known = len(self._joints) == 6 and not robot.mechanism.loops
         self._reference = self._measures(reference) if self._known else (None, 0.0, 0.0)
 
-    def of(self, q: FloatArray) -> tuple[bool | None, bool | None, bool | None, bool | None]:
+    def sides_at(self, q: FloatArray) -> tuple[bool | None, bool | None, bool | None, bool | None]:
         """Return whether wrist, elbow and joint 5 are on another side than in the reference, and joint 3 is beyond.
 
         None where that cannot be said: of an arm that is no chain of six axes, or on the border.

@@ -126,7 +126,7 @@ class RapidReader(RapidData):
 
     def begin_trap(self, at: int, _: int) -> int:
         """Begin a routine that runs whenever an interrupt comes."""
-        self.flow.begin(self.code.tokens[at + 1].text, self.code.where(at), at_any_time=True)
+        self.flow.begin(self.code.tokens[at + 1].text, self.code.location(at), at_any_time=True)
         return at + 2
 
     def handle(self, at: int, _: int) -> int:
@@ -134,7 +134,7 @@ class RapidReader(RapidData):
         self.flow.jump("return")
         name = f"{self.flow.routine} {self.code.tokens[at].text}"
         self.flow.finish()
-        self.flow.begin(name, self.code.where(at), at_any_time=True)
+        self.flow.begin(name, self.code.location(at), at_any_time=True)
         return self.code.partner[at + 1] + 1 if self.code.is_mark(at + 1, "(") else at + 1
 
     def declaration(self, at: int, _: int) -> int:
@@ -142,10 +142,10 @@ class RapidReader(RapidData):
         code, stop = self.code, self.end(at + 1)
         kind, name = code.tokens[at + 1].text, at + 2
         local = (at > 0 and code.tokens[at - 1].text == "LOCAL") or bool(self.flow.routine)
-        equals = code.until(name, stop, ":=")
+        equals = code.find_mark(name, stop, ":=")
         if kind in SIZES:
             shared, value = code.tokens[at].text != "CONST" and not local, (equals + 1, stop)
-            shown, key = code.shown(name, name + 1), code.tokens[name].text
+            shown, key = code.excerpt(name, name + 1), code.tokens[name].text
             if not code.is_mark(name + 1, "{"):
                 self.declare(key, Data(shown, 0, value if equals < stop else NO_VALUE, kind, shared))
             for k, span in enumerate(self.parts(value) if code.is_mark(name + 1, "{") else (), 1):
@@ -175,30 +175,30 @@ class RapidReader(RapidData):
         self.flow.pass_over()
         return stop
 
-    def known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
+    def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
         """Take in a call of a routine of the language; some set their arguments."""
         name = self.code.tokens[at].text
         if name in RAPID_SETS:
-            self.set_arguments(span, f"is set by '{self.code.shown(at, at + 1)}'")
+            self.note_arguments(span, f"is set by '{self.code.excerpt(at, at + 1)}'")
         return name in RAPID_SETS or name in self.harmless
 
     def statement(self, at: int, stop: int) -> None:
         """Take in an assignment or an instruction."""
         code, word = self.code, self.code.tokens[at].text
-        equals = code.until(at, stop, ":=")
+        equals = code.find_mark(at, stop, ":=")
         if code.tokens[at].kind != "name":
-            self.set_arguments((at, stop), "is an argument of a routine that is chosen at run time")
-            self.call_elsewhere(code.shown(at, stop), code.line(at))
+            self.note_arguments((at, stop), "is an argument of a routine that is chosen at run time")
+            self.call_elsewhere(code.excerpt(at, stop), code.line(at))
         elif equals < stop and code.is_mark(at + 1, ":=", "{", "."):
             self.assign(at, stop, equals)
-            self.uses.set(word)
+            self.uses.note_change(word)
         elif word == "CONNECT":
-            self.uses.set(code.tokens[at + 1].text)
+            self.uses.note_change(code.tokens[at + 1].text)
         elif word in ("CONFL", "CONFJ"):
-            self.flow.set(word, "OFF" not in self.names(at + 1, stop))
+            self.flow.note_setting(word, "OFF" not in self.names(at + 1, stop))
         elif word in _MODES:
             self.expression(at + 1, stop)
-            self.flow.set(*_MODES[word])
+            self.flow.note_setting(*_MODES[word])
         elif _MOVE.fullmatch(word) and stop > at + 1:
             self.expression(at + 1, stop)
             self._move(word, at, stop)
@@ -210,7 +210,7 @@ class RapidReader(RapidData):
         """Take in an instruction that moves: arguments between commas, and options behind backslashes."""
         code, spans, options = self.code, list[Span](), dict[str, Span]()
         for first, last in code.split(at + 1, stop):
-            end = code.until(first, last, "\\")
+            end = code.find_mark(first, last, "\\")
             if end > first:
                 spans.append((first, end))
             for left, right in code.split(end + 1, last, "\\"):
@@ -220,7 +220,7 @@ class RapidReader(RapidData):
                     spans.append((behind, right))
         if word.startswith("SEARCH"):
             for span in spans[1:2]:
-                self.set_arguments(span, "is set by a search")
+                self.note_arguments(span, "is set by a search")
         for k in range(at, stop) if word.endswith("SYNC") else ():
             if code.tokens[k].kind == "text":
                 self.run_at_any_time(k, lambda k=k: self._call_named(k))  # type: ignore[misc]
@@ -253,7 +253,7 @@ class RapidReader(RapidData):
         name = self.code.text(*span)
         if word.startswith("SEARCH"):
             raise LeftOutError("is where a search ends, not where the robot stops")
-        if self.code.inside(*span, "["):
+        if self.code.bracket_content(*span, "["):
             return Data("", 0, span, "JOINTTARGET" if _ABSOLUTE.match(word) else "ROBTARGET")
         data = self.declared.get(name)
         if data is not None and data.kind.endswith("TARGET") and data.span != NO_VALUE:
@@ -292,4 +292,4 @@ class RapidReader(RapidData):
         quarters = [round(value) for value in self.values(span, 4, "a configuration")]
         ranges = {joint: (q * _QUARTER, (q + 1) * _QUARTER) for joint, q in zip((0, 3, 5), quarters[:3], strict=True)}
         behind, elbow = bool(quarters[3] & 4), bool(quarters[3] & 2)
-        return Configuration(self.code.shown(*span), ranges, behind, elbow)
+        return Configuration(self.code.excerpt(*span), ranges, behind, elbow)

@@ -10,12 +10,12 @@ import pinocchio as pin
 
 from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.frames import Frame, Frames, selected
+from calib.programs.languages.frames import Frame, Frames, as_selected_frame
 from calib.programs.languages.harmless import RAPID
 from calib.programs.languages.orientations import pose_of
 from calib.programs.languages.reader import NO_VALUE, Data, Reader
-from calib.programs.languages.robot_program import MILLIMETRE, LeftOutError, Number, Source, cells_at
-from calib.programs.languages.tokens import Code, Span, word_pattern
+from calib.programs.languages.robot_program import MILLIMETRE, LeftOutError, Number, ProgramSource, cells_at
+from calib.programs.languages.tokens import ProgramWords, Span, word_pattern
 
 _WORDS = word_pattern(r"![^\n]*", r"[^\W\d]\w*", r":=|<=|>=|<>|[-+*/()\[\]{}=<>,.:;\\?|%]")
 SIZES = {"ROBTARGET": 4, "JOINTTARGET": 2, "TOOLDATA": 3, "WOBJDATA": 5}  # parts of the types that count here
@@ -36,8 +36,8 @@ class RapidData(Reader):
     language, assigning, danger = "RAPID", ":=", "change a mode of motion"
 
     def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
-        source = Source.read(path, "a RAPID module")
-        code = Code(source, _WORDS, lines="blank", ends=";:")
+        source = ProgramSource.read(path, "a RAPID module")
+        code = ProgramWords(source, _WORDS, lines="blank", ends=";:")
         start: State = {"PDISP": None, "EOFFS": None, "CONFL": True, "CONFJ": True}
         super().__init__([code], start, {**_FIXED, **frames}, RAPID | set(harmless))
         traps = [at for at in code.names(0, len(code.tokens) - 2) if code.tokens[at].text == "TRAP"]
@@ -54,7 +54,7 @@ class RapidData(Reader):
 
     def parts(self, span: Span) -> list[Span]:
         """Return what stands between the commas in brackets."""
-        inside = self.code.inside(*span, "[")
+        inside = self.code.bracket_content(*span, "[")
         return self.code.split(*inside) if inside else []
 
     def numbers(self, span: Span, count: int, what: str) -> list[tuple[int, int]]:
@@ -68,9 +68,9 @@ class RapidData(Reader):
         numbers = [self.code.number(*part) for part in spans]
         for number, part in zip(numbers, spans, strict=True):
             if number is None:
-                raise LeftOutError(f"'{self.code.shown(*part)}' is not a plain number")
+                raise LeftOutError(f"'{self.code.excerpt(*part)}' is not a plain number")
         if len(spans) != count:
-            raise DataError(f"{self.code.where(span[0])}: {what} has {len(spans)} numbers; expected {count}")
+            raise DataError(f"{self.code.location(span[0])}: {what} has {len(spans)} numbers; expected {count}")
         return [number for number in numbers if number is not None]
 
     def values(self, span: Span, count: int, what: str) -> list[float]:
@@ -82,7 +82,7 @@ class RapidData(Reader):
         parts = self.parts(data.span)
         if len(parts) != SIZES[data.kind]:
             what = f"{data.kind.lower()} '{data.name}' is not complete; correct it"
-            raise DataError(f"{self.code.where(data.span[0])}: {what}")
+            raise DataError(f"{self.code.location(data.span[0])}: {what}")
         return parts
 
     def pose(self, parts: Sequence[Span]) -> tuple[tuple[Number, ...], pin.SE3]:
@@ -91,7 +91,7 @@ class RapidData(Reader):
         Raises:
             DataError: There are not two parts.
         """
-        where = self.code.where(parts[0][0])
+        where = self.code.location(parts[0][0])
         if len(parts) != 2:
             raise DataError(f"{where}: a frame is written [[x,y,z],[q1,q2,q3,q4]]; correct it")
         spans = self.numbers(parts[0], 3, "a position") + self.numbers(parts[1], 4, "a quaternion")
@@ -123,7 +123,7 @@ class RapidData(Reader):
         known = [name for name in (self.code.text(*span) for span in spans) if self._is_frame(name, "TOOLDATA")]
         if not known:
             place = 4 if TWO_TARGETS.match(word) else 3
-            name = self.code.shown(*spans[place]) if len(spans) > place else "?"
+            name = self.code.excerpt(*spans[place]) if len(spans) > place else "?"
             raise LeftOutError(f"tool '{name}' is declared nowhere here; give its module with --frames")
         return self._usable(known[-1])
 
@@ -133,7 +133,7 @@ class RapidData(Reader):
             return Frame()
         name = self.code.text(*options["WOBJ"])
         if not self._is_frame(name, "WOBJDATA"):
-            shown = self.code.shown(*options["WOBJ"])
+            shown = self.code.excerpt(*options["WOBJ"])
             raise LeftOutError(f"work object '{shown}' is declared nowhere here; give its module with --frames")
         return self._usable(name)
 
@@ -145,5 +145,5 @@ class RapidData(Reader):
         if self.foreign and name not in _FIXED and (data is None or data.shared):
             raise LeftOutError(f"{shown} may be set by {self.foreign}")
         if data is None or data.span == NO_VALUE:
-            return selected(shown, self.frames.get(name, Unknown("is not constant: it has no value")))
+            return as_selected_frame(shown, self.frames.get(name, Unknown("is not constant: it has no value")))
         return self.frame(data)

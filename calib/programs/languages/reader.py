@@ -20,7 +20,7 @@ from calib.programs.languages.frames import Frame, Frames
 from calib.programs.languages.orientations import Rotation
 from calib.programs.languages.robot_program import Configuration, LeftOutError, Number, ProgramTarget, RobotProgram
 from calib.programs.languages.statements import Statements
-from calib.programs.languages.tokens import Code, Span
+from calib.programs.languages.tokens import ProgramWords, Span
 from calib.programs.languages.visits import Place, Visit, program_of
 
 NO_VALUE = (0, 0)
@@ -51,15 +51,15 @@ class Data:
         return self.file, self.span[0]
 
 
-class Placed(Protocol):
-    """What has a place in the text."""
+class HasPlace(Protocol):
+    """An object with a place in the text."""
 
     @property
     def place(self) -> Place:
         """Where its numbers stand."""
 
 
-_Goal = TypeVar("_Goal", bound=Placed)
+_Goal = TypeVar("_Goal", bound=HasPlace)
 Reached = tuple[ProgramTarget, tuple[Place, ...]]
 """A target, and where data stand that are its frame or tool."""
 
@@ -84,7 +84,7 @@ class Reader(Statements):
     lost: tuple[str, ...] = ()  # settings that a routine declared elsewhere may change; all if none
     danger = "change a tool, frame or mode of motion"  # that is
 
-    def __init__(self, codes: Sequence[Code], start: State, frames: Frames, harmless: Collection[str]) -> None:
+    def __init__(self, codes: Sequence[ProgramWords], start: State, frames: Frames, harmless: Collection[str]) -> None:
         super().__init__(codes, start)
         self.frames, self.harmless = frames, harmless
         self.visits = list[Visit]()
@@ -93,13 +93,13 @@ class Reader(Statements):
 
     # a language says
 
-    def known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
+    def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
         """Take in a call of a routine that the language has, if it is one; return whether it is."""
         return self.code.tokens[at].text in self.harmless
 
     def change(self, name: str, why: str = "is set while the program runs") -> None:
         """Take in that data become other ones."""
-        self.uses.set(name, why)
+        self.uses.note_change(name, why)
 
     def program(self) -> RobotProgram:
         """Read all statements, follow the program, and take in its moves.
@@ -131,22 +131,22 @@ class Reader(Statements):
 
     def assign(self, first: int, stop: int, equals: int) -> None:
         """Take in what an assignment computes; two in a statement are an error, see `wrong`."""
-        if self.code.until(equals + 1, stop, self.assigning) < stop:
-            raise self.wrong(equals, "stands twice in a statement")
+        if self.code.find_mark(equals + 1, stop, self.assigning) < stop:
+            raise self.syntax_error(equals, "stands twice in a statement")
         self.expression(first + 1, equals)
         self.expression(equals + 1, stop)
         self.uses.compute(self.code.tokens[first].text, self.names(first + 1, stop))
 
     def call(self, at: int, span: Span, *, maybe: bool = False) -> None:
         """Take in a call with its arguments, which may not happen."""
-        name, shown = self.code.tokens[at].text, self.code.shown(at, at + 1)
+        name, shown = self.code.tokens[at].text, self.code.excerpt(at, at + 1)
         if name in self.routines:
             self.uses.compute(f"{name}()", self.names(*span))
             if self.routines[name]:
-                self.set_arguments(span, f"is an argument of '{shown}', which can set it")
+                self.note_arguments(span, f"is an argument of '{shown}', which can set it")
             self.flow.call(name, maybe=maybe)
-        elif not self.known_call(at, span, maybe=maybe):
-            self.set_arguments(span, f"is an argument of '{shown}', which is declared nowhere here and can set it")
+        elif not self.read_known_call(at, span, maybe=maybe):
+            self.note_arguments(span, f"is an argument of '{shown}', which is declared nowhere here and can set it")
             self.uses.decide(self.names(*span), self.code.line(at))
             self.call_elsewhere(shown, self.code.line(at))
 
@@ -156,7 +156,7 @@ class Reader(Statements):
         self.flow.lose(f"is not known after {called} {self.danger}; {remedy} if it does not", self.lost)
         self.foreign = self.foreign or f"{called} set data; {remedy} if it does not"
 
-    def set_arguments(self, span: Span, why: str) -> None:
+    def note_arguments(self, span: Span, why: str) -> None:
         """Take in that all names that stand bare in a call may be set."""
         for at in self.code.names(*span) if not self.by_value else ():
             if not self.code.is_mark(at - 1, "\\", "."):
@@ -167,7 +167,7 @@ class Reader(Statements):
     def declare(self, key: str, data: Data) -> None:
         """Take in a declaration."""
         if key in self.declared:
-            self.uses.set(re.split(r"[\[{]", key)[0], "is declared in several places; name each otherwise")
+            self.uses.note_change(re.split(r"[\[{]", key)[0], "is declared in several places; name each otherwise")
             data = replace(data, span=NO_VALUE)
         self.declared[key] = data
 
@@ -209,7 +209,7 @@ class Reader(Statements):
             target: Returns the target, or raises `LeftOutError`.
         """
         where = self.sources[0].path, self.code.line(span[0])
-        shown, place = self.code.shown(*span), None
+        shown, place = self.code.excerpt(*span), None
         try:
             goal = find()
             if state is None:

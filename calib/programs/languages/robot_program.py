@@ -33,7 +33,7 @@ _LARGEST = 1e6
 
 
 class LeftOutError(Exception):
-    """What a program goes to cannot be compensated; the message says why."""
+    """A target of a program cannot be compensated; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Number:
     decimals: int
     width: int = 0
 
-    def shown(self, value: float) -> str:
+    def format(self, value: float) -> str:
         """Return a value [SI] as it shall stand there."""
         text = f"{value / self.unit:.{self.decimals}f}"
         text = text.replace("-", "") if float(text) == 0 else text
@@ -66,15 +66,16 @@ class Number:
 
 @dataclass(frozen=True)
 class Configuration:
-    """What a program says of the joints of a pose beside it.
+    """Joint configuration that a program states beside a pose.
 
     Attributes:
         text: As written.
         ranges: Joints by number, from 0, and between which values they are [rad].
-        behind: Whether the wrist is on the other side of axis 1 than in the reference pose; None: not said.
-        elbow: The same of the wrist and the line through axes 2 and 3; None: not said.
-        flipped: The same of the sign of joint 5; None: not said.
-        bent: Whether joint 3 is beyond the pose in which axes 2 and 3 and the wrist are in a line; None: not said.
+        behind: Whether the wrist is on the other side of axis 1 than in the reference pose; None: not stated.
+        elbow: The same of the wrist and the line through axes 2 and 3; None: not stated.
+        flipped: The same of the sign of joint 5; None: not stated.
+        elbow_bent: Whether joint 3 is beyond the pose in which axes 2 and 3 and the wrist are in a line; None: not
+            stated.
     """
 
     text: str
@@ -82,7 +83,7 @@ class Configuration:
     behind: bool | None = None
     elbow: bool | None = None
     flipped: bool | None = None
-    bent: bool | None = None
+    elbow_bent: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class ProgramTarget:
 
     @property
     def label(self) -> str:
-        """What to call it in messages."""
+        """Name in messages."""
         return f"{self.path}, line {self.line}" + (f" ({self.name})" if self.name else "")
 
     @property
@@ -127,7 +128,7 @@ class ProgramTarget:
         assert self.rotation is not None
         return self.frame * pose_of(self.values, self.rotation) * self.tool.inverse()
 
-    def written(self, flange: pin.SE3) -> tuple[float, ...]:
+    def numbers_of(self, flange: pin.SE3) -> tuple[float, ...]:
         """Return the numbers [SI] with which a pose brings the flange to T_base_flange."""
         assert self.rotation is not None
         pose = self.frame.inverse() * flange * self.tool
@@ -136,7 +137,7 @@ class ProgramTarget:
 
 @dataclass(frozen=True)
 class NotCompensated:
-    """What a program goes to and is not compensated.
+    """A target of a program that is not compensated.
 
     Attributes:
         path, line: Where.
@@ -154,7 +155,7 @@ class NotCompensated:
 
 
 @dataclass(frozen=True)
-class Source:
+class ProgramSource:
     """A file of a program: its bytes as text, each byte a character.
 
     Attributes:
@@ -166,7 +167,7 @@ class Source:
     text: str
 
     @classmethod
-    def read(cls, path: Path | str, what: str) -> Source:
+    def read(cls, path: Path | str, what: str) -> ProgramSource:
         """Read a file.
 
         Args:
@@ -192,11 +193,11 @@ class Source:
         """Return the line of a place in the text, from 1."""
         return bisect_left(self._ends, at) + 1
 
-    def where(self, at: int) -> str:
+    def location(self, at: int) -> str:
         """Return file and line of a place in the text."""
         return f"{self.path}, line {self.line(at)}"
 
-    def shown(self, start: int, end: int) -> str:
+    def excerpt(self, start: int, end: int) -> str:
         """Return a piece of the program for a message: one line, not too long."""
         return " ".join(self.text[start : min(end, start + 1000)].split())[:60]
 
@@ -213,7 +214,7 @@ class RobotProgram:
     """
 
     language: str
-    sources: tuple[Source, ...]
+    sources: tuple[ProgramSource, ...]
     targets: tuple[ProgramTarget, ...]
     left_out: tuple[NotCompensated, ...]
 
@@ -233,7 +234,7 @@ class RobotProgram:
             ]
             text, end = [], 0
             for cell, number in sorted(edits, key=lambda edit: edit[0].start):
-                text += [source.text[end : cell.start], cell.shown(number)]
+                text += [source.text[end : cell.start], cell.format(number)]
                 end = cell.end
             texts.append("".join([*text, source.text[end:]]).encode("latin-1"))
         return tuple(texts)
@@ -241,11 +242,13 @@ class RobotProgram:
     def as_written(self, values: Sequence[float], k: int) -> tuple[float, ...]:
         """Return the numbers [SI] of target k as a file holds them."""
         return tuple(
-            float(cell.shown(value)) * cell.unit for cell, value in zip(self.targets[k].cells, values, strict=True)
+            float(cell.format(value)) * cell.unit for cell, value in zip(self.targets[k].cells, values, strict=True)
         )
 
 
-def cells_at(source: Source, file: int, spans: Iterable[tuple[int, int]], units: Sequence[float]) -> tuple[Number, ...]:
+def cells_at(
+    source: ProgramSource, file: int, spans: Iterable[tuple[int, int]], units: Sequence[float]
+) -> tuple[Number, ...]:
     """Return numbers of a text.
 
     Args:
@@ -261,7 +264,7 @@ def cells_at(source: Source, file: int, spans: Iterable[tuple[int, int]], units:
     for (start, end), unit in zip(spans, units, strict=True):
         text = source.text[start:end]
         if abs(float(text)) > _LARGEST:
-            raise DataError(f"{source.where(start)}: '{text:.20}' is beyond what any machine reads; correct it")
+            raise DataError(f"{source.location(start)}: '{text:.20}' is beyond what any machine reads; correct it")
         least = _DECIMALS[unit] if unit else _QUATERNION_DECIMALS
         written = len(re.split("[eE]", text)[0].partition(".")[2])
         cells.append(Number(file, start, end, float(text) * (unit or 1.0), unit or 1.0, max(least, written)))

@@ -12,7 +12,7 @@ from typing import ClassVar
 from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import Flow, State
 from calib.programs.languages.data_uses import DataUses
-from calib.programs.languages.tokens import Code, Span
+from calib.programs.languages.tokens import ProgramWords, Span
 
 Action = Callable[[int, int], int]
 """What is done at a word that begins a statement: from its place, and where reading goes on, to where that then is."""
@@ -35,7 +35,7 @@ class Statements(ABC):
     WORDS: ClassVar[Mapping[str, str]] = {}
     ROUTINES: ClassVar[str] = ""
 
-    def __init__(self, codes: Sequence[Code], start: State) -> None:
+    def __init__(self, codes: Sequence[ProgramWords], start: State) -> None:
         self.sources, self.codes, self.code = [code.source for code in codes], codes, codes[0]
         self.flow, self.uses = Flow(start), DataUses()
         self.words: dict[str, list[Action]] = {
@@ -115,9 +115,9 @@ class Statements(ABC):
                 break
         return at
 
-    def wrong(self, at: int, why: str) -> DataError:
+    def syntax_error(self, at: int, why: str) -> DataError:
         """Return the error that names a word and its line."""
-        return DataError(f"{self.code.where(at)}: '{self.code.shown(at, at + 1)}' {why}; correct it")
+        return DataError(f"{self.code.location(at)}: '{self.code.excerpt(at, at + 1)}' {why}; correct it")
 
     # words that routines begin and end with
 
@@ -126,7 +126,7 @@ class Statements(ABC):
         last = min(at + 8, len(self.code.tokens))
         bracket = next((k for k in range(at + 1, last) if self.code.is_mark(k, "(")), None)
         if bracket is None:
-            raise self.wrong(at, "begins a routine that has no brackets")
+            raise self.syntax_error(at, "begins a routine that has no brackets")
         return bracket
 
     def _find_routine(self, at: int) -> None:
@@ -136,14 +136,14 @@ class Statements(ABC):
             parameters, set_by_it = self.parameter(span)
             settable |= set_by_it
             for parameter in parameters:
-                self.uses.set(parameter, "is given to a routine when it is called")
+                self.uses.note_change(parameter, "is given to a routine when it is called")
                 self.uses.compute(parameter, [f"{name}()"])
         self.routines[name] = settable
 
     def begin(self, at: int, _: int, *, at_any_time: bool = False) -> int:
         """Begin a routine."""
         bracket = self._routine(at)
-        self.flow.begin(self.code.tokens[bracket - 1].text, self.code.where(at), at_any_time=at_any_time)
+        self.flow.begin(self.code.tokens[bracket - 1].text, self.code.location(at), at_any_time=at_any_time)
         return self.code.partner[bracket] + 1
 
     def begin_thread(self, at: int, behind: int) -> int:
@@ -151,9 +151,9 @@ class Statements(ABC):
         return self.begin(at, behind, at_any_time=True)
 
     def finish(self, at: int, behind: int) -> int:
-        """End a routine; see `wrong` where there is none."""
+        """End a routine; see `syntax_error` where there is none."""
         if not self.flow.routine or self.flow.blocks:
-            raise self.wrong(at, "ends nothing")
+            raise self.syntax_error(at, "ends nothing")
         self.flow.finish()
         return behind
 
@@ -180,10 +180,10 @@ class Statements(ABC):
         self.flow.open_choice(self.code.tokens[at].text, self.code.line(at))
         return self.pass_over(at, behind)
 
-    def otherwise(self, at: int, behind: int) -> int:
-        """Begin the next branch; see `wrong` where there is none."""
+    def begin_branch(self, at: int, behind: int) -> int:
+        """Begin the next branch; see `syntax_error` where there is none."""
         if not self.flow.blocks or self.flow.blocks[-1].loop:
-            raise self.wrong(at, "belongs to nothing")
+            raise self.syntax_error(at, "belongs to nothing")
         self.flow.next_choice()
         return behind
 
@@ -202,18 +202,18 @@ class Statements(ABC):
         self.flow.open_loop(self.code.tokens[at].text, self.code.line(at))
         return behind
 
-    def until(self, at: int, behind: int) -> int:
-        """End a loop, behind a condition; see `wrong` where there is none."""
+    def end_loop(self, at: int, behind: int) -> int:
+        """End a loop, behind a condition; see `syntax_error` where there is none."""
         if not self.flow.blocks or self.flow.blocks[-1].kind != "REPEAT":
-            raise self.wrong(at, "belongs to nothing")
+            raise self.syntax_error(at, "belongs to nothing")
         behind = self.pass_over(at, self.condition(at, behind))
         self.flow.close()
         return behind
 
     def close(self, at: int, behind: int) -> int:
-        """End branches or a loop; `END` is followed by the word that began them; see `wrong`."""
+        """End branches or a loop; `END` is followed by the word that began them; see `syntax_error`."""
         if not self.flow.blocks or self.flow.blocks[-1].kind != self.code.tokens[at].text[3:]:
-            raise self.wrong(at, "ends nothing")
+            raise self.syntax_error(at, "ends nothing")
         self.flow.close()
         return behind
 

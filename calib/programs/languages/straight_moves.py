@@ -1,12 +1,12 @@
 """Straight moves for a controller that knows the nominal robot, cut so that the real one goes straight.
 
-A controller is told positions, makes of every point on the straight line between two of them joints by its nominal
+A controller gets positions, makes of every point on the straight line between two of them joints by its nominal
 inverse kinematics, and thinks that the tool is there. With T the position that joints bring the tool to, the real tool
 is then at
 
     g(p) = T_calibrated( T_nominal^-1 (p) )
 
-So it is told p' with g(p') = p, which is exact at the points told. Between them the controller goes straight in p', and
+So it gets p' with g(p') = p, which is exact at these points. Between them the controller goes straight in p', and
 the tool along g of that line, which bends by half the curvature of g^-1 times the square of the length. How far it is
 off is measured and not estimated: in the middle of every piece, and at three or more other points, one in every 2 mm, g
 is evaluated and compared with where the tool is meant to be at that moment. The points are not evenly spaced, so that
@@ -30,17 +30,17 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import ComputationError, DataError, InputError, UnreachablePoseError
 from calib.core.base.units import millimetres
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.robots.joint_errors import commands_for
 from calib.core.robots.parametrisation import result_use
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Condition
-from calib.core.rows.frames import Frame, program_frame
+from calib.core.rows.frames import CorrectionFrame, program_frame
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
-from calib.programs.reaching.compensation import compensated_in
+from calib.programs.reaching.compensation import compensate_in
 from calib.programs.reaching.goals import Goals
 from calib.programs.reaching.inverse import problem
-from calib.programs.reaching.reaching import Configured, descend
+from calib.programs.reaching.reaching import GoalConfigurations, descend
 from calib.programs.reaching.search import TOLERANCE
 
 _MEASURED_EVERY = 2e-3  # along a piece [m]
@@ -53,7 +53,7 @@ _CHUNK = 4096  # points at once
 
 @dataclass(frozen=True, eq=False)
 class StraightMoves(ReadOnlyArrays):
-    """What a program asks for.
+    """Straight moves of a program.
 
     Attributes:
         starts: Where moves begin, seen from the description's measurement frame, (n, 3) [m]; NaN where that is not
@@ -69,7 +69,7 @@ class StraightMoves(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class CompensatedMoves:
-    """What to tell the controller.
+    """Commands for the controller.
 
     Attributes:
         waypoints: Of each move the points to go through in straight lines, the last its end, (n_pieces, 3) [m].
@@ -94,7 +94,7 @@ class CompensatedMoves:
 
 
 @dataclass(frozen=True, eq=False)
-class _Way:
+class _MovePieces:
     """A move in pieces: waypoints and joints from its beginning on, (n_pieces + 1, 3), and what its end is off by."""
 
     waypoints: FloatArray
@@ -117,7 +117,7 @@ def compensate_moves(
 
     Args:
         calibrated: A robot of three motors, as of `calib.programs.reaching.compensation.compensate`.
-        moves: What is asked for.
+        moves: Moves of the program.
         tolerance: How far the tool may be off between points [m].
 
     Raises:
@@ -131,7 +131,8 @@ def compensate_moves(
     require_nominal_controller(robot)
     if len(robot.joint_names) != 3:
         raise DataError(
-            f"{robot.name}: has {counted(len(robot.joint_names), 'motor')}; a program of X, Y and Z is for a machine of"
+            f"{robot.name}: has {count_noun(len(robot.joint_names), 'motor')}; a program of X, Y and Z is for a"
+            f" machine of"
             " three, Cartesian or delta; give joints or poses (CSV)"
         )
     if not tolerance > 0:
@@ -139,13 +140,13 @@ def compensate_moves(
     frame = program_frame(replace(known, robot=_without_backlash(robot)))
     lengths = np.linalg.norm(moves.ends - moves.starts, axis=1)
     pieces = np.ones(len(lengths), dtype=np.intp)
-    ways: dict[int, _Way] = {}
+    ways: dict[int, _MovePieces] = {}
     deviations, n_measured = np.full(len(lengths), np.nan), 0
     active = np.arange(len(lengths))
     if frame.nothing_to_correct:
-        ways, active = _ways(frame, moves, active, pieces), active[:0]
+        ways, active = _pieces_by_move(frame, moves, active, pieces), active[:0]
     while len(active):
-        ways |= _ways(frame, moves, active, pieces[active])
+        ways |= _pieces_by_move(frame, moves, active, pieces[active])
         active = active[lengths[active] > 0]  # not so where the beginning is not known either
         off, n = _deviations(frame, moves, {k: ways[k] for k in map(int, active)})
         deviations[active], n_measured = off, n_measured + n
@@ -170,7 +171,9 @@ def _without_backlash(robot: Robot) -> Robot:
     return robot.with_parameters({parameter.name: 0.0 for term in directed for parameter in term.parameters})
 
 
-def _ways(frame: Frame, moves: StraightMoves, active: IntArray, pieces: IntArray) -> dict[int, _Way]:
+def _pieces_by_move(
+    frame: CorrectionFrame, moves: StraightMoves, active: IntArray, pieces: IntArray
+) -> dict[int, _MovePieces]:
     """The active moves in pieces, by the number of the move."""
     points = []
     for k, n in zip(active, pieces, strict=True):
@@ -180,22 +183,24 @@ def _ways(frame: Frame, moves: StraightMoves, active: IntArray, pieces: IntArray
     goals = np.concatenate(points)
     fresh = np.append(True, np.any(np.diff(goals, axis=0) != 0, axis=1))  # a move begins where another ended
     labels = tuple(moves.labels[k] for k in np.repeat(active, pieces + 1)[fresh])
-    compensated = compensated_in(frame, Goals(goals[fresh], labels=labels))
+    compensated = compensate_in(frame, Goals(goals[fresh], labels=labels))
     misses = list(dict.fromkeys(compensated.misses()))
     if misses:
         raise UnreachablePoseError(
-            f"{counted(len(misses), 'point')} cannot be compensated: {listed(misses, '; ')}; change the program there"
+            f"{count_noun(len(misses), 'point')} cannot be compensated: {listing(misses, '; ')}; change the program"
+            f" there"
         )
     at, cuts = np.cumsum(fresh) - 1, np.cumsum(pieces + 1)[:-1]
     sent = goals[fresh] if frame.nothing_to_correct else compensated.controller_poses(frame.nominal)[0]
     parts = (sent, compensated.q, compensated.before, compensated.expected)
     waypoints, q, before, expected = (np.split(part[at], cuts) for part in parts)
     return {
-        int(k): _Way(waypoints[i], q[i], float(before[i][-1]), float(expected[i][-1])) for i, k in enumerate(active)
+        int(k): _MovePieces(waypoints[i], q[i], float(before[i][-1]), float(expected[i][-1]))
+        for i, k in enumerate(active)
     }
 
 
-def _deviations(frame: Frame, moves: StraightMoves, ways: dict[int, _Way]) -> tuple[FloatArray, int]:
+def _deviations(frame: CorrectionFrame, moves: StraightMoves, ways: dict[int, _MovePieces]) -> tuple[FloatArray, int]:
     """The largest measured deviation of each move, (n_ways,) [m], and at how many points it was measured."""
     sent, near, meant, owner = [], [], [], []
     for row, (k, way) in enumerate(ways.items()):
@@ -217,16 +222,16 @@ def _deviations(frame: Frame, moves: StraightMoves, ways: dict[int, _Way]) -> tu
     at = np.concatenate(near)
     for first in range(0, len(places), _CHUNK):
         chunk = np.arange(first, min(first + _CHUNK, len(places)))
-        real = _driven(frame.robot, frame.nominal, goals.subset(chunk), at[chunk])
+        real = _driven_positions(frame.robot, frame.nominal, goals.subset(chunk), at[chunk])
         ideal = straight.positions[chunk]
         if frame.meant is not frame.nominal:
-            ideal = _driven(frame.meant, frame.nominal, straight.subset(chunk), at[chunk])
+            ideal = _driven_positions(frame.meant, frame.nominal, straight.subset(chunk), at[chunk])
         np.maximum.at(largest, rows[chunk], np.linalg.norm(real - ideal, axis=1))
     return largest, len(places)
 
 
-def _driven(robot: Robot, nominal: Robot, sent: Goals, near: FloatArray) -> FloatArray:
-    """Where a robot goes when a nominal controller is told positions: g, (n, 3) [m], if it is the calibrated one.
+def _driven_positions(robot: Robot, nominal: Robot, sent: Goals, near: FloatArray) -> FloatArray:
+    """Where a robot goes when a nominal controller gets positions: g, (n, 3) [m], if it is the calibrated one.
 
     Args:
         robot: The robot.
@@ -236,7 +241,7 @@ def _driven(robot: Robot, nominal: Robot, sent: Goals, near: FloatArray) -> Floa
     """
     reach = problem(nominal, sent)
     start = nominal.assemble(near, labels=sent.labels)
-    reached = descend(reach, np.arange(len(near)), Configured.unknown(start.actuated, start.passive))
+    reached = descend(reach, np.arange(len(near)), GoalConfigurations.unknown(start.actuated, start.passive))
     if np.any(reached.distance > TOLERANCE):
         label = sent.labels[int(np.argmax(reached.distance))]
         raise UnreachablePoseError(f"{label}: the controller cannot follow the line; keep away from there")

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
 from calib.core.base.errors import DataError
-from calib.programs.languages.robot_program import Source
+from calib.programs.languages.robot_program import ProgramSource
 
 Span = tuple[int, int]
 """The first of some words, and the one behind the last."""
@@ -50,7 +50,7 @@ def word_pattern(blank: str, name: str, marks: str, text: str = r'"[^"\n]*"') ->
     )
 
 
-class Code:
+class ProgramWords:
     """The words of a source.
 
     Args:
@@ -72,7 +72,7 @@ class Code:
 
     def __init__(
         self,
-        source: Source,
+        source: ProgramSource,
         words: re.Pattern[str],
         *,
         fold_case: bool = True,
@@ -89,9 +89,9 @@ class Code:
             if kind == "blank" or (kind == "line" and (lines == "blank" or (opened and lines == "outside"))):
                 continue
             if kind == "line" and opened:
-                raise self._unclosed(opened[-1])
+                raise self._unclosed_error(opened[-1])
             if kind == "odd":
-                raise DataError(f"{source.where(match.start())}: '{match[0]}' is not understood here; correct it")
+                raise DataError(f"{source.location(match.start())}: '{match[0]}' is not understood here; correct it")
             at = len(self.tokens)
             if kind == "line" or (kind == "mark" and match[0] in ends and not opened):
                 kind = "end"
@@ -102,33 +102,33 @@ class Code:
             if kind == "mark" and match[0] in "([{":
                 opened.append(at)
                 if len(opened) > _DEEPEST:
-                    raise DataError(f"{source.where(match.start())}: has brackets in more than {_DEEPEST} brackets")
+                    raise DataError(f"{source.location(match.start())}: has brackets in more than {_DEEPEST} brackets")
             elif kind == "mark" and match[0] in _CLOSING:
                 if not opened or self.tokens[opened[-1]].text != _CLOSING[match[0]]:
-                    raise self._unclosed(opened[-1] if opened else at)
+                    raise self._unclosed_error(opened[-1] if opened else at)
                 self.partner[at] = opened.pop()
                 self.partner[self.partner[at]] = at
         if opened:
-            raise self._unclosed(opened[-1])
+            raise self._unclosed_error(opened[-1])
         self.tokens.append(Token("end", "\n", len(source.text), len(source.text)))
         self.partner.append(len(self.tokens) - 1)
 
-    def _unclosed(self, at: int) -> DataError:
+    def _unclosed_error(self, at: int) -> DataError:
         start = self.tokens[at - 1].start if at and self.tokens[at - 1].kind == "name" else self.tokens[at].start
-        text = self.source.shown(start, self.tokens[at].end)
-        return DataError(f"{self.source.where(start)}: {text}: has a bracket that is not closed; correct it")
+        text = self.source.excerpt(start, self.tokens[at].end)
+        return DataError(f"{self.source.location(start)}: {text}: has a bracket that is not closed; correct it")
 
-    def where(self, at: int) -> str:
+    def location(self, at: int) -> str:
         """Return file and line of a word."""
-        return self.source.where(self.tokens[at].start)
+        return self.source.location(self.tokens[at].start)
 
     def line(self, at: int) -> int:
         """Return the line of a word."""
         return self.source.line(self.tokens[at].start)
 
-    def shown(self, first: int, end: int) -> str:
+    def excerpt(self, first: int, end: int) -> str:
         """Return words for a message."""
-        return self.source.shown(self.tokens[first].start, self.tokens[end - 1].end) if end > first else ""
+        return self.source.excerpt(self.tokens[first].start, self.tokens[end - 1].end) if end > first else ""
 
     def is_mark(self, at: int, *marks: str) -> bool:
         """Return whether a word is one of these marks."""
@@ -141,7 +141,7 @@ class Code:
             at = self.partner[at] + 1
         return at
 
-    def until(self, first: int, end: int, *marks: str) -> int:
+    def find_mark(self, first: int, end: int, *marks: str) -> int:
         """Return the place of the next of these marks outside of brackets, or the end."""
         at = first
         while at < end and not self.is_mark(at, *marks):
@@ -152,13 +152,13 @@ class Code:
         """Return the pieces between marks outside of brackets, without empty ones."""
         pieces = []
         while first < end:
-            stop = self.until(first, end, mark)
+            stop = self.find_mark(first, end, mark)
             if stop > first:
                 pieces.append((first, stop))
             first = stop + 1
         return pieces
 
-    def inside(self, first: int, end: int, opening: str) -> Span | None:
+    def bracket_content(self, first: int, end: int, opening: str) -> Span | None:
         """Return the words in a bracket if these words are one whole bracket of this kind."""
         whole = end > first and self.is_mark(first, opening) and self.partner[first] == end - 1
         return (first + 1, end - 1) if whole else None

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import ClassVar
 
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.frames import Frame, Frames, selected
+from calib.programs.languages.frames import Frame, Frames, as_selected_frame
 from calib.programs.languages.harmless import URSCRIPT, URSCRIPT_COMPUTED
 from calib.programs.languages.orientations import pose_of
 from calib.programs.languages.reader import Data, Reached, Reader
-from calib.programs.languages.robot_program import DEGREE, LeftOutError, Number, Source, cells_at
-from calib.programs.languages.tokens import Code, Span, word_pattern
+from calib.programs.languages.robot_program import DEGREE, LeftOutError, Number, ProgramSource, cells_at
+from calib.programs.languages.tokens import ProgramWords, Span, word_pattern
 from calib.programs.languages.visits import Place, Visit
 
 SUFFIXES = (".script", ".urscript")
@@ -65,8 +65,8 @@ class UrscriptReader(Reader):
     }
 
     def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
-        source = Source.read(path, "a URScript program")
-        code = Code(source, _WORDS, fold_case=False, lines="outside", ends=";:")
+        source = ProgramSource.read(path, "a URScript program")
+        code = ProgramWords(source, _WORDS, fold_case=False, lines="outside", ends=";:")
         start = {"tool": frames.get("TCP", Unknown(_NO_TOOL, whole=True))}
         super().__init__([code], start, frames, URSCRIPT | set(harmless))
 
@@ -84,13 +84,13 @@ class UrscriptReader(Reader):
     def statement(self, at: int, stop: int) -> None:
         """Take in an assignment, or an expression."""
         code, name = self.code, self.code.tokens[at].text
-        equals = code.until(at, stop, "=")
+        equals = code.find_mark(at, stop, "=")
         if equals == stop:
             self.expression(at, stop)
             return
         self.assign(at, stop, equals)
         if equals > at + 1 or name in self.declared or self._numbers((equals + 1, stop)) is None:
-            self.uses.set(name, "is set more than once, or not to plain numbers")
+            self.uses.note_change(name, "is set more than once, or not to plain numbers")
         else:
             self.declare(name, Data(name, 0, (equals + 1, stop)))
 
@@ -100,7 +100,7 @@ class UrscriptReader(Reader):
         moved = {k for at in moves for k in range(at, self.code.partner[at + 1])} if moves else ()
         return {self.code.tokens[at].text for at in self.code.names(first, stop) if at not in moved}
 
-    def known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
+    def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
         """Take in a move, or a change of the tool."""
         name = self.code.tokens[at].text
         if name in _MOVES:
@@ -120,9 +120,9 @@ class UrscriptReader(Reader):
     def _numbers(self, span: Span) -> tuple[Number, ...] | None:
         """The numbers of a list or pose; None where it is not six plain ones."""
         code, spans, units = self.code, [], []
-        inside = code.inside(span[0] + self._is_pose(span), span[1], "[")
+        inside = code.bracket_content(span[0] + self._is_pose(span), span[1], "[")
         for left, right in code.split(*inside) if inside else ():
-            angle = code.inside(left + 1, right, "(") if code.tokens[left].text == "d2r" else None
+            angle = code.bracket_content(left + 1, right, "(") if code.tokens[left].text == "d2r" else None
             number = code.number(*angle) if angle else code.number(left, right)
             if number is None:
                 return None
@@ -151,14 +151,14 @@ class UrscriptReader(Reader):
     def _tool(self, span: Span | None) -> Hashable:
         return (self._pose(self._constant(span)) if span else None) or Unknown(_NO_TOOL, whole=True)
 
-    def _named(self, span: Span) -> tuple[str, Span]:
+    def _named_argument(self, span: Span) -> tuple[str, Span]:
         """The name of an argument, empty if it has none, and its value."""
         named = span[1] > span[0] + 1 and self.code.is_mark(span[0] + 1, "=")
         return (self.code.tokens[span[0]].text, (span[0] + 2, span[1])) if named else ("", span)
 
     def _move(self, word: str, span: Span, state: State | None) -> None:
         """Take in the targets of a move, which may stand anywhere if they are named."""
-        given = sorted(map(self._named, self.code.split(*span)), key=lambda pair: pair[0] not in _GOALS)
+        given = sorted(map(self._named_argument, self.code.split(*span)), key=lambda pair: pair[0] not in _GOALS)
         for _, value in given[: _MOVES[word]]:
             self.go(value, state, lambda value=value: self._goal(value), self._target)  # type: ignore[misc]
 
@@ -168,7 +168,9 @@ class UrscriptReader(Reader):
         cells = self._numbers(data.span) or ()
         if not self._is_pose(data.span):
             return self.target(data, cells)
-        return self.target(data, cells, "vector", goal.frame, selected("its tool", state["tool"]), near=goal.near)
+        return self.target(
+            data, cells, "vector", goal.frame, as_selected_frame("its tool", state["tool"]), near=goal.near
+        )
 
     def _goal(self, span: Span) -> _Goal:
         """The target that an argument is, names, or has in another frame.
@@ -180,7 +182,7 @@ class UrscriptReader(Reader):
         if data is not None:
             return _Goal(data)
         code, word = self.code, self.code.tokens[span[0]]
-        inside = code.inside(span[0] + 1, span[1], "(")
+        inside = code.bracket_content(span[0] + 1, span[1], "(")
         if word.text not in ("get_inverse_kin", "pose_trans") or word.text in self.routines or inside is None:
             single = span[1] == span[0] + 1 and word.kind == "name"
             raise LeftOutError((self.uses.why_not(word.text) or "is declared nowhere here") if single else _AT_RUN_TIME)
@@ -192,9 +194,9 @@ class UrscriptReader(Reader):
             goal = self._pose_goal(given[1])
             inner = goal.frame
             return replace(goal, frame=Frame(feature.pose * inner.pose, feature.places + inner.places))
-        if not given or len(given) > 4 or any(self._named(argument)[0] == "tcp" for argument in given):
+        if not given or len(given) > 4 or any(self._named_argument(argument)[0] == "tcp" for argument in given):
             raise LeftOutError(_AT_RUN_TIME)
-        near = self._constant(self._named(given[1])[1]) if len(given) > 1 else None
+        near = self._constant(self._named_argument(given[1])[1]) if len(given) > 1 else None
         joints = self._numbers(near.span) or () if near is not None and not self._is_pose(near.span) else ()
         return replace(self._pose_goal(given[0]), near=tuple(joint.value for joint in joints))
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from calib.core.base.errors import DataError
-from calib.programs.languages.robot_program import NotCompensated, ProgramTarget, RobotProgram, Source
+from calib.programs.languages.robot_program import NotCompensated, ProgramSource, ProgramTarget, RobotProgram
 
 Place = tuple[int, int]
 """Where numbers stand: the file, and their first word."""
@@ -37,12 +37,12 @@ class Visit:
     why: str = ""
     frames: tuple[Place, ...] = ()
 
-    def left(self, why: str) -> NotCompensated:
+    def not_compensated(self, why: str) -> NotCompensated:
         """Return it as not compensated."""
         return NotCompensated(*self.where, self.text, why)
 
 
-def program_of(language: str, sources: Sequence[Source], visits: Iterable[Visit]) -> RobotProgram:
+def program_of(language: str, sources: Sequence[ProgramSource], visits: Iterable[Visit]) -> RobotProgram:
     """Return a program with the targets that can be compensated.
 
     Args:
@@ -57,19 +57,19 @@ def program_of(language: str, sources: Sequence[Source], visits: Iterable[Visit]
     same = dict[Place, list[Visit]]()
     for visit in visits:
         if visit.target is None:
-            left.append(visit.left(visit.why))
+            left.append(visit.not_compensated(visit.why))
         if visit.place is not None:
             same.setdefault(visit.place, []).append(visit)
     targets = dict[Place, ProgramTarget]()
     for place, group in same.items():
         stays = next((visit for visit in group if visit.target is None or _differs(group[0], visit)), None)
         if stays is None:
-            targets[place] = _together(group)
+            targets[place] = _join_visits(group)
             continue
         if stays.target is not None:
-            left.append(stays.left("is reached with different tools or frames; give each a target"))
+            left.append(stays.not_compensated("is reached with different tools or frames; give each a target"))
         because = f"stays as it is because of line {stays.where[1]}"
-        left += [visit.left(because) for visit in group if visit.target is not None and visit is not stays]
+        left += [visit.not_compensated(because) for visit in group if visit.target is not None and visit is not stays]
     along = {
         place: targets[frame].name
         for place in targets
@@ -78,7 +78,10 @@ def program_of(language: str, sources: Sequence[Source], visits: Iterable[Visit]
         if frame in targets
     }
     for place, name in along.items():
-        left += [visit.left(f"moves along with {name}, a target that is its frame or tool") for visit in same[place]]
+        left += [
+            visit.not_compensated(f"moves along with {name}, a target that is its frame or tool")
+            for visit in same[place]
+        ]
         del targets[place]
     once = dict[tuple[str, int, str], NotCompensated]()
     for place_left in left:
@@ -97,7 +100,7 @@ def _differs(first: Visit, visit: Visit) -> bool:
     return not (one.frame.isApprox(other.frame) and one.tool.isApprox(other.tool))
 
 
-def _together(group: Sequence[Visit]) -> ProgramTarget:
+def _join_visits(group: Sequence[Visit]) -> ProgramTarget:
     """The target of visits that are alike; what one of them says of joints to be near to counts."""
     targets = [visit.target for visit in group if visit.target is not None]
     return replace(targets[0], near=next((target.near for target in targets if target.near), ()))

@@ -41,18 +41,18 @@ from calib.core.base.errors import InputError, nearest
 from calib.core.base.units import DISPLAY_UNIT, millimetres, quantity_text
 from calib.core.data.in_memory import as_poses
 from calib.core.data.measurements import Poses, directions_of_motion
-from calib.core.robots.acceleration import compiled_for
+from calib.core.robots.acceleration import compile_for
 from calib.core.robots.closure import actuated_jacobian
 from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
-from calib.core.rows.frames import Frame, as_described, program_frame
+from calib.core.rows.frames import CorrectionFrame, as_described, program_frame
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.programs.reaching.expected_errors import ExpectedError, shown_errors
 from calib.programs.reaching.goals import Goals, goals_of_poses
 from calib.programs.reaching.inverse import BETWEEN_SIDES, problem, with_tilts
-from calib.programs.reaching.program_task import KEEP, ProgramTask, reached_goals, task_of_goals, task_of_joints
-from calib.programs.reaching.reaching import Configured, Reach, descend
+from calib.programs.reaching.program_task import KEEP, ProgramTask, is_reached, task_of_goals, task_of_joints
+from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
 from calib.programs.reaching.redundancy import near_joints
 from calib.programs.reaching.search import TOLERANCE
 
@@ -73,7 +73,7 @@ class Compensation(ReadOnlyArrays):
         program: Joints with which the nominal robot reaches the goals, (n, n_actuated) [m or rad]; NaN where none.
         q: Compensated commands, (n, n_actuated) [m or rad]; NaN where there are none.
         reasons: Why a row has no command; empty if it has one.
-        meant: The goal of the target in the measurement frame, (n, 3) [m]; NaN where that is not known.
+        programmed: The goal of the target in the measurement frame, (n, 3) [m]; NaN where that is not known.
         before: How far the calibrated robot is off there without compensation, (n,) [m]; NaN where not known.
         expected: Root mean square distance that is left, from the uncertainty of the parameters, (n,) [m]; NaN where
             there is no command, or the uncertainty of the robot is not known.
@@ -93,7 +93,7 @@ class Compensation(ReadOnlyArrays):
     program: FloatArray
     q: FloatArray
     reasons: tuple[str, ...]
-    meant: FloatArray
+    programmed: FloatArray
     before: FloatArray
     expected: FloatArray
     low95: FloatArray
@@ -180,10 +180,10 @@ def compensate(
         program = goals_of_poses(cast(ArrayLike, program))
     if not isinstance(program, Goals):
         program = as_poses(known.robot, program)
-    return compensated_in(program_frame(known), program, keep)
+    return compensate_in(program_frame(known), program, keep)
 
 
-def compensated_in(frame: Frame, program: Poses | Goals, keep: str | None = None) -> Compensation:
+def compensate_in(frame: CorrectionFrame, program: Poses | Goals, keep: str | None = None) -> Compensation:
     """Compensate a program in a frame; see `compensate`.
 
     Args:
@@ -191,13 +191,13 @@ def compensated_in(frame: Frame, program: Poses | Goals, keep: str | None = None
         program: Joints of the nominal robot, or goals.
         keep: What of a program of joints is kept.
     """
-    with compiled_for(_CLOSINGS * len(program) if frame.nominal.mechanism.loops else 0):
+    with compile_for(_CLOSINGS * len(program) if frame.nominal.mechanism.loops else 0):
         if isinstance(program, Goals):
-            return _compensated(frame, task_of_goals(frame.nominal, frame.meant, program))
-        return _compensated(frame, task_of_joints(frame.meant, program, keep))
+            return _compensate(frame, task_of_goals(frame.nominal, frame.meant, program))
+        return _compensate(frame, task_of_joints(frame.meant, program, keep))
 
 
-def _compensated(frame: Frame, task: ProgramTask) -> Compensation:
+def _compensate(frame: CorrectionFrame, task: ProgramTask) -> Compensation:
     """Solve all rows that can be."""
     robot, n = frame.robot, len(task.goals)
     reach = problem(robot, task.goals)
@@ -205,25 +205,25 @@ def _compensated(frame: Frame, task: ProgramTask) -> Compensation:
     program = np.where(np.isfinite(meant[:, :1]), task.joints, np.nan)
     approach = task.goals.approach
     directions = directions_of_motion(task.joints) if approach is None else approach
-    context = Context.of(directions, task.goals.context, task.goals.setups)
+    context = Context.from_conditions(directions, task.goals.context, task.goals.setups)
     columns = term_columns(robot, task.joints, context)
     closed = robot.close(task.joints, columns=columns)
     reasons = np.array(task.reasons, dtype=object)
     reasons[(reasons == "") & ~closed.ok] = "cannot be assembled by the calibrated robot at the program's own joints"
     rows = np.flatnonzero(reasons == "")
-    start = Configured.unknown(actual_joints(robot, task.joints, columns), closed.passive).subset(rows)
+    start = GoalConfigurations.unknown(actual_joints(robot, task.joints, columns), closed.passive).subset(rows)
     q, before = np.full(task.joints.shape, np.nan), np.full((2, n), np.nan)
     before[:, rows] = replace(reach, goals=task.goals.subset(rows)).misses(start.actuated, start.passive)[1:]
     if task.goals.asks_for == "position":
         before[1] = np.nan
     if frame.nothing_to_correct:
         commands = task.joints[rows]
-        reasons[rows] = [_beyond(reach, command, "in the program") for command in commands]
+        reasons[rows] = [_joint_beyond_limits(reach, command, "in the program") for command in commands]
     else:
-        commands, reasons[rows] = _solved(robot, reach, task, rows, start, context.at(rows))
+        commands, reasons[rows] = _solve_rows(robot, reach, task, rows, start, context.select(rows))
     good = np.flatnonzero(reasons[rows] == "")
     q[rows[good]] = commands[good]
-    errors = ExpectedError.of(frame, task.goals, commands[good], rows[good], context.at(rows[good]))
+    errors = ExpectedError.from_frame(frame, task.goals, commands[good], rows[good], context.select(rows[good]))
     return Compensation(
         names=task.goals.names,
         labels=task.goals.labels,
@@ -232,7 +232,7 @@ def _compensated(frame: Frame, task: ProgramTask) -> Compensation:
         program=program,
         q=q,
         reasons=tuple(reasons),
-        meant=meant,
+        programmed=meant,
         before=before[0],
         expected=errors.distance,
         low95=errors.distance95[0],
@@ -247,40 +247,48 @@ def _compensated(frame: Frame, task: ProgramTask) -> Compensation:
     )
 
 
-def _solved(
-    robot: Robot, reach: Reach, task: ProgramTask, rows: IntArray, start: Configured, context: Context
+def _solve_rows(
+    robot: Robot, reach: Reach, task: ProgramTask, rows: IntArray, start: GoalConfigurations, context: Context
 ) -> tuple[FloatArray, list[str]]:
     """Commands for some rows, (n_rows, n_actuated) [m or rad], and why a row has none."""
-    near = start if task.nearly is None else descend(problem(robot, task.nearly), rows, start)
-    solutions = _past_limits(reach, rows, start, near_joints(reach, rows, descend(reach, rows, near), near.actuated))
+    near = start if task.nearly_reached is None else descend(problem(robot, task.nearly_reached), rows, start)
+    solutions = _solve_beyond_limits(
+        reach, rows, start, near_joints(reach, rows, descend(reach, rows, near), near.actuated)
+    )
     solutions = with_tilts(robot, reach, rows, solutions, context)
     commands = reach.with_uncommanded(rows, commands_for(robot, solutions.actuated, context))
     reach_of_rows = replace(reach, goals=task.goals.subset(rows))
     return commands, _reasons(robot, reach_of_rows, solutions, commands, task.joints[rows])
 
 
-def _past_limits(reach: Reach, rows: IntArray, start: Configured, solutions: Configured) -> Configured:
+def _solve_beyond_limits(
+    reach: Reach, rows: IntArray, start: GoalConfigurations, solutions: GoalConfigurations
+) -> GoalConfigurations:
     """Take what would reach the goals if the actuated joints had no limits, where nothing within them does."""
     nothing = np.full(len(reach.lower), np.inf)
-    missed = np.flatnonzero(~reached_goals(reach, solutions))
+    missed = np.flatnonzero(~is_reached(reach, solutions))
     free = descend(replace(reach, lower=-nothing, upper=nothing), rows[missed], start.subset(missed))
-    won = reached_goals(reach, free)
+    won = is_reached(reach, free)
     together = deepcopy(solutions)
     together.take(missed[won], free.subset(np.flatnonzero(won)))
     return together
 
 
-def _reasons(robot: Robot, reach: Reach, solutions: Configured, commands: FloatArray, program: FloatArray) -> list[str]:
+def _reasons(
+    robot: Robot, reach: Reach, solutions: GoalConfigurations, commands: FloatArray, program: FloatArray
+) -> list[str]:
     """Say of every goal why its command (n, n_actuated) is none; empty where it is one."""
     _, miss, angle = reach.misses(solutions.actuated, solutions.passive)
     known = np.asarray(np.isfinite(commands).all(axis=1))
     closed = robot.close(np.where(known[:, None], commands, program)).ok  # the loops were followed from elsewhere
     result = []
-    for k, reached in enumerate(reached_goals(reach, solutions)):
+    for k, reached in enumerate(is_reached(reach, solutions)):
         if not known[k]:
             result.append(BETWEEN_SIDES)
             continue
-        why = _beyond(reach, program[k], "in the program") or (_beyond(reach, commands[k], "needed") if reached else "")
+        why = _joint_beyond_limits(reach, program[k], "in the program") or (
+            _joint_beyond_limits(reach, commands[k], "needed") if reached else ""
+        )
         if not (why or reached):
             degrees = f" and {np.degrees(angle[k]):.3f} deg" if angle[k] > TOLERANCE else ""
             why = f"is out of reach by {millimetres(float(miss[k])):.3f} mm{degrees}"
@@ -288,7 +296,7 @@ def _reasons(robot: Robot, reach: Reach, solutions: Configured, commands: FloatA
     return result
 
 
-def _beyond(reach: Reach, q: FloatArray, what: str) -> str:
+def _joint_beyond_limits(reach: Reach, q: FloatArray, what: str) -> str:
     """Say which joint of q (n_actuated,) is past its limit by most; empty where none is."""
     n = len(q)
     past = np.maximum(q - reach.upper[:n], reach.lower[:n] - q) / reach.scale[:n]

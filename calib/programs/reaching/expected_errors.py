@@ -16,7 +16,7 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.core.robots.terms.term import Context
 from calib.core.rows.common_motion import target_poses
-from calib.core.rows.frames import Frame
+from calib.core.rows.frames import CorrectionFrame
 from calib.core.rows.prediction import length95, rms_length
 from calib.programs.reaching.goals import Goals
 
@@ -28,7 +28,7 @@ class ExpectedError(ReadOnlyArrays):
     Attributes:
         distance: Root mean square distance from the goal, along the coordinates that it asks for, (n,) [m].
         distance95: The distance lies between them in 95 of 100 cases, (2, n) [m].
-        angle: Root mean square angle from the orientation or z axis that is asked for, (n,) [rad]; NaN where none is.
+        angle: Root mean square angle from the orientation or z axis of the goal, (n,) [rad]; NaN where none is.
         angle95: The same limits, (2, n) [rad].
         frame: In which frame the goals are meant, in words.
         nothing_to_correct: Whether commands are those of the nominal robot, because the verdict is that nothing is to
@@ -52,7 +52,9 @@ class ExpectedError(ReadOnlyArrays):
         return shown_errors(names, [values for values in parts if np.any(np.isfinite(values[0]))])
 
     @staticmethod
-    def of(frame: Frame, goals: Goals, commands: FloatArray, rows: IntArray, context: Context) -> ExpectedError:
+    def from_frame(
+        frame: CorrectionFrame, goals: Goals, commands: FloatArray, rows: IntArray, context: Context
+    ) -> ExpectedError:
         """Return them.
 
         Args:
@@ -83,19 +85,19 @@ def shown_errors(names: Sequence[str], parts: Sequence[Sequence[FloatArray]]) ->
     }
 
 
-def _errors(frame: Frame, goals: Goals, commands: FloatArray, context: Context) -> FloatArray:
-    """Root mean square, low and high error of the position [m] and of what is asked of the orientation, (6, n)."""
+def _errors(frame: CorrectionFrame, goals: Goals, commands: FloatArray, context: Context) -> FloatArray:
+    """Root mean square, low and high error of the position [m] and of the requested orientation, (6, n)."""
     predicted = frame.predict(commands, context)
     t = frame.robot.target_names.index(goals.target or frame.robot.target_names[0])
     errors = np.full((6, len(goals)), np.nan)
     given = ~np.isnan(goals.positions)
     spread = predicted.covariance[:, t] * (given[:, :, None] & given[:, None, :])
-    left = frame.not_corrected(commands, context)[:, t]
-    off = goals.off(predicted.positions[:, t] + left[:, :3])
+    left = frame.uncorrected_errors(commands, context)[:, t]
+    off = goals.distances(predicted.positions[:, t] + left[:, :3])
     errors[:3] = rms_length(spread, off), *length95(spread, predicted.coverage_factor, off)
     if predicted.turn_covariance is None or goals.asks_for == "position":
         return errors
-    turned = _turned(frame, goals, t, commands, context) + left[:, 3:]
+    turned = _turn_errors(frame, goals, t, commands, context) + left[:, 3:]
     spread = predicted.turn_covariance[:, t]
     if goals.directions is not None:  # turns about the axis itself do not count
         across = np.eye(3) - goals.directions[:, :, None] * goals.directions[:, None, :]
@@ -104,7 +106,7 @@ def _errors(frame: Frame, goals: Goals, commands: FloatArray, context: Context) 
     return errors
 
 
-def _turned(frame: Frame, goals: Goals, t: int, commands: FloatArray, context: Context) -> FloatArray:
+def _turn_errors(frame: CorrectionFrame, goals: Goals, t: int, commands: FloatArray, context: Context) -> FloatArray:
     """Rotation vectors by which the calibrated robot is off at the commands, (n, 3) [rad]; none where it is driven."""
     if not frame.nothing_to_correct:
         return np.zeros((len(goals), 3))

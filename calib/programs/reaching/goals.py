@@ -5,7 +5,7 @@ Columns, with units as everywhere: `<target>_x`, `_y`, `_z` (position in the mea
 `<target>_ax`, `_ay`, `_az` (the z axis of the target's link; any length). A column `pose` names the rows; `load`,
 `temperature`, `time`, `setup`, `approach_<joint>` and where gravity points say under which conditions the robot shall
 be there, and columns of joints that inclinometers read, or of these sensors, how it stands there. A coordinate of the
-position whose cell is empty is not asked for: a robot that moves in a plane cannot choose how high that lies.
+position whose cell is empty is free: a robot that moves in a plane cannot choose how high that lies.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Goals:
     """Places that a target shall reach, in the measurement frame.
 
     Attributes:
-        positions: (n, 3) [m]; NaN for coordinates that are not asked for.
+        positions: (n, 3) [m]; NaN for free coordinates.
         rotations: Orientation of the target's link, (n, 3, 3), or None.
         directions: Direction of the z axis of the target's link, (n, 3), or None; made unit vectors.
         names: Pose name of each; a running number if not given.
@@ -114,16 +114,16 @@ class Goals:
     def conditions(self, n_actuated: int) -> Context:
         """Return the conditions at the goals, for a robot with this number of motors."""
         approach = np.zeros((len(self), n_actuated)) if self.approach is None else self.approach
-        return Context.of(approach, self.context, self.setups)
+        return Context.from_conditions(approach, self.context, self.setups)
 
-    def off(self, positions: FloatArray, index: IntArray | slice = slice(None)) -> FloatArray:
-        """Return how far positions (n, 3) are from those of the goals `index`, 0 where nothing is asked, (n, 3) [m]."""
+    def distances(self, positions: FloatArray, index: IntArray | slice = slice(None)) -> FloatArray:
+        """Return how far positions (n, 3) are from those of the goals `index`, 0 where a goal is free, (n, 3) [m]."""
         goals = self.positions[index]
         return np.where(np.isnan(goals), 0.0, positions - goals)
 
     @property
     def asks_for(self) -> str:
-        """What is asked for: `full pose`, `position and axis` or `position`."""
+        """Kind of the goals: `full pose`, `position and axis` or `position`."""
         if self.rotations is not None:
             return "full pose"
         return "position" if self.directions is None else "position and axis"

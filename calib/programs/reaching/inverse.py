@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, numbers_in
 from calib.core.base.errors import DataError, InputError, UnreachablePoseError, nearest
 from calib.core.base.units import millimetres
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.data.measurements import Poses
 from calib.core.robots import loops
 from calib.core.robots.configurations import joint_vector
@@ -27,9 +27,9 @@ from calib.core.rows.frames import measurement_frame
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.programs.reaching.expected_errors import ExpectedError
 from calib.programs.reaching.goals import Goals, goals_of_poses
-from calib.programs.reaching.reaching import Configured, Reach, descend
+from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
 from calib.programs.reaching.redundancy import near_joints, without_full_turns
-from calib.programs.reaching.search import TOLERANCE, Search, closed_start, inside
+from calib.programs.reaching.search import TOLERANCE, Search, start_configuration, within_joint_limits
 
 BETWEEN_SIDES = "needs a joint between the two sides of its play, where no command brings it"
 _ROUNDS = 20
@@ -44,7 +44,7 @@ class Solution(ReadOnlyArrays):
         q: Actuated joints, (n, n_actuated) [m or rad]; where `ok` is False the nearest that was found.
         ok: Which goals are reached to `TOLERANCE`, at joint values at which `Robot.assemble` finds the robot, (n,).
         miss_position: Distance from the goal, (n,) [m].
-        miss_angle: Angle from the orientation or direction of the goal, (n,) [rad]; 0 where none is asked for.
+        miss_angle: Angle from the orientation or direction of the goal, (n,) [rad]; 0 where there is no goal.
         positions: Where the target is at `q`, (n, 3) [m].
         labels: What to call each goal in messages.
         expected: How far the real robot is expected to be off. Where the verdict is that nothing is to be corrected, it
@@ -68,7 +68,7 @@ class Solution(ReadOnlyArrays):
             else "take goals that are in reach: misses() says what is wrong with each of the others"
         )
         return (
-            f"{reached} of {counted(n, 'goal')} reached; the largest miss is {worst}\n"
+            f"{reached} of {count_noun(n, 'goal')} reached; the largest miss is {worst}\n"
             f"Inside: q {self.q.shape} [m or rad]; ok, which goals are reached; miss_position [m] and miss_angle [rad];"
             " positions, where the target is at q [m]; expected, how far off the real robot will be\n"
             f"Next: {following}"
@@ -124,16 +124,16 @@ def solve(
     robot, goals = frame.meant if frame.nothing_to_correct else frame.robot, _goals(goals)
     reach = problem(robot, goals)
     conditions = goals.conditions(len(robot.home))
-    best = _searched(robot, reach, _near(robot, reach, near), conditions)
+    best = _search(robot, reach, _near(robot, reach, near), conditions)
     positions, miss, angle = reach.misses(best.actuated, best.passive)
     index = np.arange(len(goals))
     commands = reach.with_uncommanded(index, commands_for(robot, best.actuated, conditions))
     ok = (miss <= TOLERANCE) & (angle <= TOLERANCE) & np.isfinite(commands).all(axis=1)
     reached = np.flatnonzero(ok)
-    columns = term_columns(robot, commands[reached], conditions.at(reached))
+    columns = term_columns(robot, commands[reached], conditions.select(reached))
     ok[reached] = robot.close(commands[reached], columns=columns).ok  # the loops were followed from elsewhere
     reached = np.flatnonzero(ok)
-    expected = ExpectedError.of(frame, goals, commands[reached], reached, conditions.at(reached))
+    expected = ExpectedError.from_frame(frame, goals, commands[reached], reached, conditions.select(reached))
     return Solution(commands, ok, miss, angle, positions, goals.labels, expected)
 
 
@@ -162,15 +162,15 @@ def _near(robot: Robot, reach: Reach, near: ArrayLike | None) -> FloatArray:
     commands = robot.home if near is None else joint_vector(robot, near)
     if np.ndim(commands) == 2 and len(commands) not in (1, n):
         raise DataError(f"near: {len(commands)} rows for {n} goals; give one row, or one for each")
-    return inside(reach, np.broadcast_to(commands, (n, len(robot.home))))
+    return within_joint_limits(reach, np.broadcast_to(commands, (n, len(robot.home))))
 
 
-def _searched(robot: Robot, reach: Reach, near: FloatArray, conditions: Context) -> Configured:
+def _search(robot: Robot, reach: Reach, near: FloatArray, conditions: Context) -> GoalConfigurations:
     """The best configuration of each goal, as near to commands (n, n_actuated) as it leaves a choice."""
     joints = actual_joints(robot, near, term_columns(robot, near, conditions))
-    search = Search(reach, closed_start(robot, reach))
+    search = Search(reach, start_configuration(robot, reach))
     search.run(robot)
-    solved = np.flatnonzero(search.solved)
+    solved = np.flatnonzero(search.is_solved)
     turned = without_full_turns(reach, search.best.subset(solved), joints[solved])
     search.best.take(solved, near_joints(reach, solved, turned, joints[solved]))
     return with_tilts(robot, reach, np.arange(len(reach.goals)), search.best, conditions)
@@ -186,7 +186,7 @@ def problem(robot: Robot, goals: Goals) -> Reach:
     lacking = [name for name in robot.sensed_names if name not in goals.stands]
     if lacking:
         raise InputError(
-            f"{robot.path}: inclinometers read {listed(lacking)}, so these are not commanded; give their values at"
+            f"{robot.path}: inclinometers read {listing(lacking)}, so these are not commanded; give their values at"
             " each goal, in columns of these joints or of their sensors (in Python: calib.Goals with stands); for a"
             " program that has no such columns, make these joints fixed in the URDF, as they stand"
         )
@@ -202,7 +202,9 @@ def problem(robot: Robot, goals: Goals) -> Reach:
     return Reach(robot.mechanism, robot.mode, target, goals, lower, upper)
 
 
-def with_tilts(robot: Robot, reach: Reach, index: IntArray, solution: Configured, context: Context) -> Configured:
+def with_tilts(
+    robot: Robot, reach: Reach, index: IntArray, solution: GoalConfigurations, context: Context
+) -> GoalConfigurations:
     """Descend again until links are tilted, and joints that are not commanded are, as they are at the commands found.
 
     They differ so little, and so nearly alike at neighbouring joint values, that each round gains digits.
@@ -222,5 +224,5 @@ def with_tilts(robot: Robot, reach: Reach, index: IntArray, solution: Configured
             break
         closed = loops.close(reach.mechanism, reach.mode, driven, solution.passive)
         passive = np.where(closed.ok[:, None], closed.passive, solution.passive)
-        solution = descend(reach, index, Configured(driven, passive, solution.distance))
+        solution = descend(reach, index, GoalConfigurations(driven, passive, solution.distance))
     return solution

@@ -18,7 +18,7 @@ from calib.core.robots.configurations import joint_vector
 from calib.core.robots.robot import Robot
 from calib.programs.reaching.goals import Goals
 from calib.programs.reaching.inverse import problem, solve
-from calib.programs.reaching.reaching import Configured, Reach, descend
+from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
 from calib.programs.reaching.search import TOLERANCE
 
 KEEP = ("pose", "axis", "position")
@@ -31,21 +31,21 @@ _STATED = {"full pose": "pose", "position and axis": "axis", "position": "positi
 
 @dataclass(frozen=True, eq=False)
 class ProgramTask:
-    """What a program asks of the calibrated robot.
+    """Goals of a program for the calibrated robot.
 
     Attributes:
         goals: Where its target is to be, and under which conditions.
         joints: Joints with which the nominal robot is there, (n, n_actuated) [m or rad].
         reasons: Why there are none; empty where there are.
         keep: Of `KEEP`.
-        nearly: What to be near, where less than the pose is kept.
+        nearly_reached: What to be near, where less than the pose is kept.
     """
 
     goals: Goals
     joints: FloatArray
     reasons: tuple[str, ...]
     keep: str
-    nearly: Goals | None
+    nearly_reached: Goals | None
 
 
 def task_of_joints(meant: Robot, program: Poses, keep: str | None) -> ProgramTask:
@@ -72,14 +72,14 @@ def task_of_joints(meant: Robot, program: Poses, keep: str | None) -> ProgramTas
         setups=program.setups,
         stands={name: joints[:, meant.joint_names.index(name)] for name in meant.sensed_names},
     )
-    pose, jacobian, closed = _reached_by(meant, joints, pose)
+    pose, jacobian, closed = _goals_reached(meant, joints, pose)
     if keep is None:
         keep = "pose" if _moves_freely(jacobian * mechanism.joint_scale, mechanism.length) else "position"
     reasons = tuple("" if good else "cannot be assembled by the nominal robot" for good in closed)
     return _task(pose, joints, reasons, keep)
 
 
-def _reached_by(robot: Robot, joints: FloatArray, goals: Goals) -> tuple[Goals, FloatArray, BoolArray]:
+def _goals_reached(robot: Robot, joints: FloatArray, goals: Goals) -> tuple[Goals, FloatArray, BoolArray]:
     """Goals where a robot brings their target, and its Jacobian (n_closed, 6, n_actuated); which joints close, (n,)."""
     closed = robot.close(joints)
     target = robot.mechanism.targets[robot.target_names.index(goals.target or robot.target_names[0])]
@@ -90,7 +90,7 @@ def _reached_by(robot: Robot, joints: FloatArray, goals: Goals) -> tuple[Goals, 
 
 
 def _task(pose: Goals, joints: FloatArray, reasons: tuple[str, ...], keep: str) -> ProgramTask:
-    """What of full poses is kept."""
+    """The kept part of full poses."""
     goals = pose if keep == "pose" else replace(pose, rotations=None)
     if keep == "axis":
         assert pose.rotations is not None
@@ -115,18 +115,18 @@ def task_of_goals(nominal: Robot, meant: Robot, program: Goals) -> ProgramTask:
         program: The goals, as the description sees them.
 
     Raises:
-        DataError: A coordinate is not asked for.
+        DataError: A coordinate is free.
     """
     filled = np.isfinite(program.positions).all(axis=1)
     if not np.all(filled):
         raise DataError(f"{program.labels[int(np.argmin(filled))]}: a coordinate is empty; a program needs all three")
     solution = solve(nominal, program)
     reasons = tuple("" if good else f"by the nominal robot {solution.miss(k)}" for k, good in enumerate(solution.ok))
-    joints = _on_one_branch(nominal, problem(nominal, program), solution.q, solution.ok)
-    return _task(_reached_by(meant, joints, program)[0], joints, reasons, _STATED[program.asks_for])
+    joints = _without_branch_changes(nominal, problem(nominal, program), solution.q, solution.ok)
+    return _task(_goals_reached(meant, joints, program)[0], joints, reasons, _STATED[program.asks_for])
 
 
-def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> FloatArray:
+def _without_branch_changes(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> FloatArray:
     """Solutions (n, n_actuated) without changes of branch between neighbouring rows, as far as that can be."""
     q, tried = q.copy(), np.zeros(len(q), dtype=bool)
     for _ in range(_ROUNDS):
@@ -137,14 +137,16 @@ def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> 
         rows = rows[np.diff(rows, prepend=-2) > 1]  # those that follow one of them come after it
         tried[rows] = True
         start = robot.assemble(q[rows - 1])
-        continued = descend(reach, rows, reach.as_given(rows, Configured.unknown(start.actuated, start.passive)))
+        continued = descend(
+            reach, rows, reach.as_given(rows, GoalConfigurations.unknown(start.actuated, start.passive))
+        )
         shorter = np.max(np.abs(continued.actuated - q[rows - 1]) / reach.scale, axis=1) < step[rows - 1]
-        better = shorter & reached_goals(reach, continued)
+        better = shorter & is_reached(reach, continued)
         q[rows[better]] = continued.actuated[better]
         tried[np.minimum(rows[better] + 1, len(q) - 1)] = False
     return q
 
 
-def reached_goals(reach: Reach, solutions: Configured) -> BoolArray:
+def is_reached(reach: Reach, solutions: GoalConfigurations) -> BoolArray:
     """Return which goals are reached, (n,)."""
     return solutions.distance <= TOLERANCE * min(1.0, reach.mechanism.length)

@@ -64,7 +64,7 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class Configured(Rows):
+class GoalConfigurations(Rows):
     """Configurations on the way to goals.
 
     Attributes:
@@ -78,13 +78,13 @@ class Configured(Rows):
     distance: FloatArray
 
     @classmethod
-    def unknown(cls, actuated: FloatArray, passive: FloatArray) -> Configured:
+    def unknown(cls, actuated: FloatArray, passive: FloatArray) -> GoalConfigurations:
         """Return configurations, (n, n_driven) and (n, n_passive), of which no distance is known yet."""
         return cls(actuated, passive, np.full(len(actuated), np.inf))
 
 
 @dataclass(frozen=True, eq=False)
-class Linear(Rows):
+class LinearisedGoals(Rows):
     """How configurations miss their goals, and how that changes, joints scaled to radians.
 
     Attributes:
@@ -119,7 +119,7 @@ class Reach:
 
     @property
     def scale(self) -> FloatArray:
-        """What one radian of each driven joint is compared with, (n_driven,)."""
+        """Scale of each driven joint: 1 [rad], or the characteristic length [m], (n_driven,)."""
         return self.mechanism.driven_scale
 
     @cached_property
@@ -134,7 +134,7 @@ class Reach:
             commands[:, self.mechanism.actuated.index(name)] = self.goals.stands_of(name)[index]
         return commands
 
-    def as_given(self, index: IntArray, at: Configured) -> Configured:
+    def as_given(self, index: IntArray, at: GoalConfigurations) -> GoalConfigurations:
         """Return configurations in which joints that are not commanded are as these goals, (n,), say; loops closed."""
         if not self.goals.stands:
             return at
@@ -142,7 +142,7 @@ class Reach:
         actuated = np.hstack([self.with_uncommanded(index, at.actuated[:, :n]), at.actuated[:, n:]])
         closed = loops.close(self.mechanism, self.mode, actuated, at.passive)
         passive = np.where(closed.ok[:, None], closed.passive, at.passive)
-        return Configured.unknown(actuated, passive)
+        return GoalConfigurations.unknown(actuated, passive)
 
     @cached_property
     def passive_scale(self) -> FloatArray:
@@ -151,7 +151,7 @@ class Reach:
 
     def linearise(
         self, index: IntArray, actuated: FloatArray, passive: FloatArray, closures: FloatArray | None = None
-    ) -> Linear:
+    ) -> LinearisedGoals:
         """Return e and its derivative at closed configurations.
 
         Args:
@@ -163,7 +163,7 @@ class Reach:
         position, rotation, jacobian, by_joint = motion(self.mechanism, self.target, actuated, passive, closures)
         jacobian = jacobian * self.scale
         given = ~np.isnan(self.goals.positions[index])
-        error, slope = [self.goals.off(position, index)], [jacobian[:, :3] * given[:, :, None]]
+        error, slope = [self.goals.distances(position, index)], [jacobian[:, :3] * given[:, :, None]]
         length = self.mechanism.length
         if self.goals.rotations is not None:
             relative = self.goals.rotations[index].transpose(0, 2, 1) @ rotation
@@ -173,7 +173,7 @@ class Reach:
             axis = rotation[:, :, 2]
             error.append(length * (axis - self.goals.directions[index]))
             slope.append(length * np.cross(jacobian[:, 3:], axis[:, :, None], axis=1))
-        return Linear(
+        return LinearisedGoals(
             np.concatenate(error, axis=1),
             np.concatenate(slope, axis=1),
             by_joint * self.scale / self.passive_scale[:, None],
@@ -193,9 +193,11 @@ class Reach:
         if self.goals.directions is not None:
             directions, axis = self.goals.directions, rotation[:, :, 2]
             angle = np.arctan2(np.linalg.norm(np.cross(directions, axis), axis=1), np.sum(directions * axis, axis=1))
-        return position, np.linalg.norm(self.goals.off(position), axis=1), angle
+        return position, np.linalg.norm(self.goals.distances(position), axis=1), angle
 
-    def follow(self, at: Configured, linear: Linear, trial: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    def follow(
+        self, at: GoalConfigurations, linear: LinearisedGoals, trial: FloatArray
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Follow the loops from one configuration of each goal to another by the tangent and Newton.
 
         Args:
@@ -212,9 +214,9 @@ class Reach:
         change = np.einsum("nij,nj->ni", linear.passive_slope, (trial - at.actuated) / self.scale)
         guess = at.passive + self.passive_scale * change
         passive, by_passive, by_actuated, ok = newton(self.mechanism, self.mode, trial, guess)
-        passive = loops.wrapped(self.mechanism, self.mode, passive)
+        passive = loops.wrap_turns(self.mechanism, self.mode, passive)
         closures = np.concatenate([by_passive, by_actuated], axis=2)
-        return passive, closures, ok & loops.within_limits(self.mechanism, passive)
+        return passive, closures, ok & loops.are_within_limits(self.mechanism, passive)
 
     def room(self, passive: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return how far passive joints (n, n_passive) are above their lower and below their upper limits, scaled."""
@@ -222,7 +224,9 @@ class Reach:
         return below / self.passive_scale, above / self.passive_scale
 
 
-def descend(reach: Reach, index: IntArray, start: Configured, iterations: int = _ITERATIONS) -> Configured:
+def descend(
+    reach: Reach, index: IntArray, start: GoalConfigurations, iterations: int = _ITERATIONS
+) -> GoalConfigurations:
     """Bring the target as near to its goals as the search from `start` goes.
 
     Args:
@@ -231,7 +235,7 @@ def descend(reach: Reach, index: IntArray, start: Configured, iterations: int = 
         start: A closed configuration for each.
         iterations: Largest number of trial steps.
     """
-    at = Configured.unknown(start.actuated.copy(), start.passive.copy())
+    at = GoalConfigurations.unknown(start.actuated.copy(), start.passive.copy())
     if len(index) == 0:
         return at
     linear = reach.linearise(index, at.actuated, at.passive)
@@ -266,7 +270,7 @@ def descend(reach: Reach, index: IntArray, start: Configured, iterations: int = 
     return at
 
 
-def _trial(reach: Reach, at: Configured, linear: Linear, damping: FloatArray) -> FloatArray:
+def _trial(reach: Reach, at: GoalConfigurations, linear: LinearisedGoals, damping: FloatArray) -> FloatArray:
     """Next actuated joints to try, (n, n_actuated) [m or rad]: a damped step that leaves no limit."""
     nothing = np.zeros(linear.passive_slope.shape[:2])
     step = _damped_step(reach, at, linear, damping, nothing, nothing)
@@ -287,7 +291,12 @@ def _trial(reach: Reach, at: Configured, linear: Linear, damping: FloatArray) ->
 
 
 def _damped_step(
-    reach: Reach, at: Configured, linear: Linear, damping: FloatArray, weight: FloatArray, aim: FloatArray
+    reach: Reach,
+    at: GoalConfigurations,
+    linear: LinearisedGoals,
+    damping: FloatArray,
+    weight: FloatArray,
+    aim: FloatArray,
 ) -> FloatArray:
     """Minimise |e + J s|^2 + |weight (G s - aim)|^2 + damping |s|^2 over joints that no limit holds."""
     slope, n_joints = linear.slope, linear.slope.shape[2]

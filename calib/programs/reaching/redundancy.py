@@ -32,7 +32,16 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.numerics import linalg
-from calib.programs.reaching.reaching import LARGEST_STEP, NEAR_LIMIT, NEARLY, Configured, Linear, Reach, Rows, descend
+from calib.programs.reaching.reaching import (
+    LARGEST_STEP,
+    NEAR_LIMIT,
+    NEARLY,
+    GoalConfigurations,
+    LinearisedGoals,
+    Reach,
+    Rows,
+    descend,
+)
 
 _STEPS = 60
 _TOLERANCE = 1e-7  # of the way left within the null space [rad, or characteristic lengths]
@@ -41,7 +50,7 @@ _WEIGHT = 100.0  # sigma; with 20, two in a hundred searches end early, with 1 a
 _ROUNDING = 1e-12  # of a step: what is smaller leaves no limit
 
 
-def without_full_turns(reach: Reach, at: Configured, near: FloatArray) -> Configured:
+def without_full_turns(reach: Reach, at: GoalConfigurations, near: FloatArray) -> GoalConfigurations:
     """Take whole turns out of joints where that brings them nearer to `near`, (n, n_actuated), and leaves no limit."""
     mechanism, actuated = reach.mechanism, at.actuated.copy()
     for j, name in enumerate(mechanism.actuated):
@@ -51,10 +60,10 @@ def without_full_turns(reach: Reach, at: Configured, near: FloatArray) -> Config
         turns = 2 * np.pi * np.round((actuated[:, j] - near[:, j]) / (2 * np.pi))
         inside = (actuated[:, j] - turns >= reach.lower[j]) & (actuated[:, j] - turns <= reach.upper[j])
         actuated[inside, j] -= turns[inside]
-    return Configured(actuated, at.passive, at.distance)
+    return GoalConfigurations(actuated, at.passive, at.distance)
 
 
-def near_joints(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -> Configured:
+def near_joints(reach: Reach, index: IntArray, start: GoalConfigurations, near: FloatArray) -> GoalConfigurations:
     """Move solved configurations towards the actuated joints `near`, (n, n_actuated), as the module docstring says."""
     n, n_joints = start.actuated.shape
     at = deepcopy(start)
@@ -71,13 +80,15 @@ def near_joints(reach: Reach, index: IntArray, start: Configured, near: FloatArr
             break
         now, current, held, step = now.subset(moving), current.subset(moving), held.subset(moving), step[moving]
         trial = _trial(reach, now, current, held, part[active], step)
-        good, reached, trial_linear, change = _tried(reach, index[active], now, current, held, trial, near[active])
+        good, reached, trial_linear, change = _successful_trials(
+            reach, index[active], now, current, held, trial, near[active]
+        )
         part[active] /= 3
         accepted = active[good]
         part[accepted] = np.minimum(1.0, 6 * part[accepted])
         bad = np.setdiff1d(active, accepted)
         hessian[bad] = np.eye(n_joints)
-        hessian[accepted] = _learned(
+        hessian[accepted] = _update_hessian(
             hessian[accepted], (reached.actuated - at.actuated[accepted]) / reach.scale, change
         )
         at.take(accepted, reached)
@@ -93,8 +104,8 @@ def near_joints(reach: Reach, index: IntArray, start: Configured, near: FloatArr
 
 
 @dataclass(frozen=True, eq=False)
-class _Held(Rows):
-    """What limits hold.
+class _ActiveLimits(Rows):
+    """Joints that limits hold.
 
     Attributes:
         joints: Actuated joints, (n, n_actuated).
@@ -106,11 +117,11 @@ class _Held(Rows):
     passive: BoolArray
     low: BoolArray
 
-    def rows(self, linear: Linear) -> FloatArray:
+    def rows(self, linear: LinearisedGoals) -> FloatArray:
         """Return A, with the columns of held joints, (n, n_rows + n_passive, n_actuated)."""
         return np.concatenate([linear.slope, self.passive[:, :, None] * linear.passive_slope], axis=1)
 
-    def gap(self, reach: Reach, linear: Linear, passive: FloatArray) -> FloatArray:
+    def gap(self, reach: Reach, linear: LinearisedGoals, passive: FloatArray) -> FloatArray:
         """Return c, (n, n_rows + n_passive)."""
         below, above = reach.room(passive)
         off = np.where(self.low, below - NEAR_LIMIT / 2, NEAR_LIMIT / 2 - above)
@@ -118,12 +129,12 @@ class _Held(Rows):
 
 
 def _step(
-    reach: Reach, at: Configured, linear: Linear, way: FloatArray, hessian: FloatArray
-) -> tuple[_Held, FloatArray, FloatArray]:
-    """What is held, the step d (n, n_actuated), and the largest part of P w, (n,): what is left."""
+    reach: Reach, at: GoalConfigurations, linear: LinearisedGoals, way: FloatArray, hessian: FloatArray
+) -> tuple[_ActiveLimits, FloatArray, FloatArray]:
+    """The active limits, the step d (n, n_actuated), and the largest entry of P w that remains, (n,)."""
     below, above = reach.room(at.passive)
     low, high = at.actuated <= reach.lower, at.actuated >= reach.upper
-    held = _Held(np.tile(reach.fixed_joints, (len(low), 1)), np.zeros(below.shape, dtype=bool), below < above)
+    held = _ActiveLimits(np.tile(reach.fixed_joints, (len(low), 1)), np.zeros(below.shape, dtype=bool), below < above)
     for _ in range(low.shape[1] + 1):
         inverse, projector = _inverse(held.rows(linear), held)
         back = -np.einsum("nij,nj->ni", inverse, held.gap(reach, linear, at.passive))
@@ -136,11 +147,11 @@ def _step(
         passive &= ~held.passive
         if not (np.any(outward) or np.any(passive)):
             break
-        held = _Held(held.joints | outward, held.passive | passive, held.low)
+        held = _ActiveLimits(held.joints | outward, held.passive | passive, held.low)
     return held, step, np.max(np.abs(projector @ way[:, :, None]), axis=(1, 2))
 
 
-def _inverse(rows: FloatArray, held: _Held) -> tuple[FloatArray, FloatArray]:
+def _inverse(rows: FloatArray, held: _ActiveLimits) -> tuple[FloatArray, FloatArray]:
     """A^+ (n, n_actuated, n_rows) and P (n, n_actuated, n_actuated), both zero in the rows of held joints."""
     left, values, right = linalg.svd(np.where(held.joints[:, None, :], 0.0, rows), full_matrices=False)
     used = values > 1e-9 * values[:, :1]
@@ -152,7 +163,14 @@ def _inverse(rows: FloatArray, held: _Held) -> tuple[FloatArray, FloatArray]:
     return inverse, projector
 
 
-def _trial(reach: Reach, at: Configured, linear: Linear, held: _Held, part: FloatArray, step: FloatArray) -> FloatArray:
+def _trial(
+    reach: Reach,
+    at: GoalConfigurations,
+    linear: LinearisedGoals,
+    held: _ActiveLimits,
+    part: FloatArray,
+    step: FloatArray,
+) -> FloatArray:
     """Actuated joints at the end of this part of the step, or at the first limit on the way, (n, n_actuated)."""
     change = np.einsum("nij,nj->ni", linear.passive_slope, step)
     room = np.where(step < 0, at.actuated - reach.lower, reach.upper - at.actuated) / reach.scale
@@ -165,9 +183,15 @@ def _trial(reach: Reach, at: Configured, linear: Linear, held: _Held, part: Floa
     return np.clip(at.actuated + length[:, None] * reach.scale * step, reach.lower, reach.upper)
 
 
-def _tried(
-    reach: Reach, index: IntArray, at: Configured, linear: Linear, held: _Held, trial: FloatArray, near: FloatArray
-) -> tuple[IntArray, Configured, Linear, FloatArray]:
+def _successful_trials(
+    reach: Reach,
+    index: IntArray,
+    at: GoalConfigurations,
+    linear: LinearisedGoals,
+    held: _ActiveLimits,
+    trial: FloatArray,
+    near: FloatArray,
+) -> tuple[IntArray, GoalConfigurations, LinearisedGoals, FloatArray]:
     """Which trials lower the merit, (n,); of these: where they end, linearised, and the change of A^T l on the way."""
     passive, closures, followed = reach.follow(at, linear, trial)
     moved = np.flatnonzero(followed)
@@ -182,11 +206,11 @@ def _tried(
     lower = np.flatnonzero(new < merit)
     good = moved[lower]
     change = np.einsum("nij,ni->nj", (rows - before)[lower], multipliers[lower])
-    reached = Configured(trial[good], passive[good], np.linalg.norm(trial_linear.error[lower], axis=1))
+    reached = GoalConfigurations(trial[good], passive[good], np.linalg.norm(trial_linear.error[lower], axis=1))
     return good, reached, trial_linear.subset(lower), change
 
 
-def _merit(rows: FloatArray, gap: FloatArray, held: _Held, way: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _merit(rows: FloatArray, gap: FloatArray, held: _ActiveLimits, way: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The function that a step must lower, (n,), and the multipliers l, (n, n_rows)."""
     inverse, _ = _inverse(rows, held)
     back = np.einsum("nij,nj->ni", inverse, gap)
@@ -194,7 +218,7 @@ def _merit(rows: FloatArray, gap: FloatArray, held: _Held, way: FloatArray) -> t
     return merit, np.einsum("nij,ni->nj", inverse, way)
 
 
-def _learned(hessian: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
+def _update_hessian(hessian: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
     """B after a step (n, n_actuated) that changed the gradient of c^T l by `change`: damped BFGS, positive definite."""
     product = np.einsum("nij,nj->ni", hessian, step)
     curvature = np.maximum(np.sum(step * product, axis=1, keepdims=True), 1e-300)

@@ -18,7 +18,7 @@ from calib.core.robots import loops
 from calib.core.robots.closure import actuated_jacobian
 from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.robot import Robot
-from calib.programs.reaching.reaching import Configured, Reach, descend
+from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
 
 TOLERANCE = 1e-9
 """Largest miss of a goal that counts as reached [m, rad]."""
@@ -27,16 +27,16 @@ _SPREAD, _SPREAD_NEIGHBOURS = 256, (8, 64)
 _LARGEST_ROUND = 8192  # searches in one round
 
 
-def inside(reach: Reach, q: FloatArray) -> FloatArray:
+def within_joint_limits(reach: Reach, q: FloatArray) -> FloatArray:
     """Return joint values (..., n_actuated) moved inside the joint limits where they are not."""
     n = q.shape[-1]
     return np.clip(q, reach.lower[:n], reach.upper[:n])
 
 
-def closed_start(robot: Robot, reach: Reach) -> Configured:
+def start_configuration(robot: Robot, reach: Reach) -> GoalConfigurations:
     """Return home, moved inside the joint limits where it is not."""
-    start = robot.assemble(inside(reach, robot.home))
-    return Configured.unknown(start.actuated, start.passive)
+    start = robot.assemble(within_joint_limits(reach, robot.home))
+    return GoalConfigurations.unknown(start.actuated, start.passive)
 
 
 class Search:
@@ -47,7 +47,7 @@ class Search:
         home: One closed configuration to start from.
     """
 
-    def __init__(self, reach: Reach, home: Configured) -> None:
+    def __init__(self, reach: Reach, home: GoalConfigurations) -> None:
         n = len(reach.goals)
         self.reach, self.home = reach, home
         self._reached = TOLERANCE * min(1.0, reach.mechanism.length)
@@ -58,20 +58,20 @@ class Search:
         self._features = np.where(np.isnan(goal_features), self._features_at(home), goal_features)
 
     @property
-    def solved(self) -> BoolArray:
+    def is_solved(self) -> BoolArray:
         """Which goals are reached, (n,)."""
         return self.best.distance <= self._reached
 
     def run(self, robot: Robot) -> None:
         """Try every start of the module docstring until a goal is reached."""
         for batch in self._batches():
-            self._improve(batch, self._known(), 1)
-        self._improve(np.flatnonzero(~self.solved), self._known(), _NEIGHBOURS)
-        if np.all(self.solved):
+            self._improve(batch, self._known_configurations(), 1)
+        self._improve(np.flatnonzero(~self.is_solved), self._known_configurations(), _NEIGHBOURS)
+        if np.all(self.is_solved):
             return
-        spread = _spread(robot, self.reach)
+        spread = _spread_configurations(robot, self.reach)
         for count in _SPREAD_NEIGHBOURS:
-            left = np.flatnonzero(~self.solved)
+            left = np.flatnonzero(~self.is_solved)
             self._improve(left, spread, min(count, _LARGEST_ROUND // max(len(left), 1)))
 
     def _batches(self) -> Iterator[IntArray]:
@@ -83,13 +83,13 @@ class Search:
             yield order[start : start + size]
             start, size = start + size, 2 * size
 
-    def _known(self) -> Configured:
+    def _known_configurations(self) -> GoalConfigurations:
         """Home and all solved configurations."""
-        solved = self.best.subset(np.flatnonzero(self.solved))
+        solved = self.best.subset(np.flatnonzero(self.is_solved))
         pairs = zip(vars(self.home).values(), vars(solved).values(), strict=True)
-        return Configured(*map(np.concatenate, pairs))
+        return GoalConfigurations(*map(np.concatenate, pairs))
 
-    def _improve(self, todo: IntArray, starts: Configured, count: int) -> None:
+    def _improve(self, todo: IntArray, starts: GoalConfigurations, count: int) -> None:
         """Search for the goals `todo`, each from the `count` nearest starts; keep what is better."""
         count = min(count, len(starts.actuated))
         if len(todo) == 0 or count == 0:
@@ -104,7 +104,7 @@ class Search:
         better = np.flatnonzero(solutions.distance[best] < self.best.distance[todo])
         self.best.take(todo[better], solutions.subset(best[better]))
 
-    def _features_at(self, at: Configured) -> FloatArray:
+    def _features_at(self, at: GoalConfigurations) -> FloatArray:
         position, rotation, _ = actuated_jacobian(self.reach.mechanism, self.reach.target, at.actuated, at.passive)
         goals = self.reach.goals
         return _features(
@@ -127,13 +127,13 @@ def _features(
     return np.concatenate(parts, axis=1)
 
 
-def _spread(robot: Robot, reach: Reach) -> Configured:
+def _spread_configurations(robot: Robot, reach: Reach) -> GoalConfigurations:
     """Configurations spread over the joint limits (one turn about home where there are none) that close."""
     turn, n_actuated = np.pi * robot.mechanism.joint_scale, len(robot.home)
     lower, upper = reach.lower[:n_actuated], reach.upper[:n_actuated]
     lower = np.where(np.isfinite(lower), lower, robot.home - turn)
     upper = np.where(np.isfinite(upper), upper, robot.home + turn)
     sample = joint_samples(reach.mode, _SPREAD)[:, :n_actuated]
-    actuated = reach.mechanism.untilted(np.array(lower + sample * (upper - lower), dtype=np.float64))
+    actuated = reach.mechanism.without_tilts(np.array(lower + sample * (upper - lower), dtype=np.float64))
     closed = loops.close(reach.mechanism, reach.mode, actuated)
-    return Configured.unknown(actuated[closed.ok], closed.passive[closed.ok])
+    return GoalConfigurations.unknown(actuated[closed.ok], closed.passive[closed.ok])

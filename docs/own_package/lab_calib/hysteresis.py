@@ -21,7 +21,7 @@ class Hysteresis(JointTerm):
     parameters: tuple[Parameter, ...]
 
     @classmethod
-    def of(cls, joint: Joint, section: TermSection, sigma: float | None) -> "Hysteresis":
+    def from_section(cls, joint: Joint, section: TermSection, sigma: float | None) -> "Hysteresis":
         """Return the term that an entry of a robot description means."""
         if cls.needs_more(joint.dimension):
             raise ValueError(cls.needs_more(joint.dimension))

@@ -20,7 +20,7 @@ class Lag(JointTerm):
     parameters: tuple[Parameter, ...]
 
     @classmethod
-    def of(cls, joint: Joint, section: TermSection, sigma: float | None) -> "Lag":
+    def from_section(cls, joint: Joint, section: TermSection, sigma: float | None) -> "Lag":
         """Return the term that an entry of a robot description means."""
         return cls(joint.name, (coefficient(f"{joint.name}.lag", joint.dimension, sigma or 1e-3),))
 

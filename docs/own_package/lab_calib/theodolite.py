@@ -50,11 +50,11 @@ class Theodolite(FrameInstrument):
     station: Place
 
     @classmethod
-    def of(cls, name: str, section: TheodoliteSection) -> "Theodolite":
+    def from_section(cls, name: str, section: TheodoliteSection) -> "Theodolite":
         """Return the instrument that an entry of a robot description means."""
         at, open_ = section.station, ("x", "y", "z", "rz")
         station = Place(f"{name}_station", at.frame, at.xyz, at.rpy, open_, section.sigma_station)
-        return cls(name, section.target, station, noise=Noise((PartNoise.of(section.sigma, 2),)))
+        return cls(name, section.target, station, noise=Noise((PartNoise.from_sigma(section.sigma, 2),)))
 
     def places(self) -> tuple[Place, ...]:
         """Return the station."""

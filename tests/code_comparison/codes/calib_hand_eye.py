@@ -8,14 +8,14 @@ from exchange import Answer, Photographs, fit_time, main
 import calib
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import judge
-from calib.photographs.left_out import rms
-from calib.photographs.scene import Scene
+from calib.photographs.left_out_images import rms
+from calib.photographs.scene import BoardScene
 
 
 def solve(problem: Photographs) -> Answer:
     # -- what a user writes, or in one line: calib hand-eye FOLDER --board BOARD --poses FILE --camera FILE
     names = tuple(str(k) for k in range(len(problem.tool)))
-    scene = Scene(names, problem.tool, problem.image, problem.corners, problem.pixels, "base", problem.size)
+    scene = BoardScene(names, problem.tool, problem.image, problem.corners, problem.pixels, "base", problem.size)
     with fit_time():
         result = calibrate(scene, np.array([*problem.intrinsics, 0, 0, 0, 0, 0]), mounts=("base",))
     # -- end

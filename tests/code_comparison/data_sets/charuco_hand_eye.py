@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.photographs.commands.boards import given_board
+from calib.photographs.commands.boards import read_board_option
 from calib.photographs.detection import detect
 from calib.photographs.images import shots
 
@@ -87,7 +87,7 @@ def _pose(told: tuple[float, ...]) -> np.ndarray:
 
 def read(folder: Path, board: str) -> Images:
     """Return the corners of all images of a folder, in the order of its table of poses."""
-    described = given_board(board)
+    described = read_board_option(board)
     table = np.loadtxt(folder / "poses.csv", delimiter=",", skiprows=1)
     *_, detected = detect(described, ((image.name, image.read()) for image in shots([str(folder / "images")])))
     seen = {Path(image.name).stem: image for image in detected.usable}

@@ -1,4 +1,4 @@
-"""Which terms of the joints' errors measurements can be asked about."""
+"""Which joint terms measurements can show."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from calib.core.base.errors import DescriptionError
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.joint_conventions import may_be_wrapped, uncounted_turns
-from calib.core.fitting.pose_checks import unmoved_joints, unstated
+from calib.core.fitting.pose_checks import first_unstated_visit, unmoved_joints
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Condition, JointTerm, TermSection
@@ -25,14 +25,14 @@ _SAME_TORQUE = 1e-6  # range of the torque of gravity below which a joint always
 
 
 @dataclass(frozen=True)
-class Candidate:
+class CandidateTerm:
     """A kind of term, for every joint that can show it and does not have it.
 
     Attributes:
         term: Its name.
         sections: Its entries; none where it cannot be tried.
         refused: Why it cannot be tried; empty where it can.
-        doubt: Why it must not be added without being asked for, though it can be tried; empty where it may.
+        doubt: Why it must not be added without a request, though it can be tried; empty where it may.
     """
 
     term: str
@@ -40,21 +40,21 @@ class Candidate:
     refused: str = ""
     doubt: str = ""
 
-    def of(self, robot: Robot) -> tuple[JointTerm, ...]:
+    def terms_in(self, robot: Robot) -> tuple[JointTerm, ...]:
         """Return its terms in a robot that has them."""
         joints = [section.joint for section in self.sections]
         return tuple(
             term for term in robot.terms if type(term) is TERMS[self.term] and {"all", term.joint} & set(joints)
         )
 
-    def resized(self, robot: Robot, factors: Mapping[str, float]) -> tuple[TermSection, ...]:
+    def scaled_sections(self, robot: Robot, factors: Mapping[str, float]) -> tuple[TermSection, ...]:
         """Return its entries for some joints, with coefficients that are so many times as large as is usual.
 
         Args:
             robot: A robot that has its terms.
             factors: Of each joint.
         """
-        terms = self.of(robot)
+        terms = self.terms_in(robot)
         sigma = {t.joint: float(factors[t.joint] * t.parameters[0].sigma_si) for t in terms if t.joint in factors}
         resized: list[TermSection] = []
         for section in self.sections:
@@ -66,13 +66,13 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class TriedTerm:
-    """What was found about one kind of term.
+class TermTrial:
+    """The trial of one kind of term.
 
     Attributes:
         term: Its name.
         added: Whether it is fitted.
-        evidence: By how much the log likelihood is higher with it, beside all other kinds; NaN where it was not asked.
+        evidence: By how much the log likelihood is higher with it, beside all other kinds; NaN where it was not tried.
         size: How many times as large as is usual its coefficients are, the largest of its joints.
         size95: The 95 % interval of that.
         joints: For which joints it is fitted, where each has a size of its own.
@@ -89,16 +89,16 @@ class TriedTerm:
 
     @property
     def proven(self) -> bool:
-        """Whether it is surely there."""
+        """Whether the term is significant."""
         return self.added and self.evidence >= TELLS
 
 
 @dataclass(frozen=True)
 class TermChoice:
-    """Which joint terms a fit was asked for.
+    """Joint terms that a fit was to choose from.
 
     Attributes:
-        requested: `auto`, `none`, or the list that was asked for.
+        requested: `auto`, `none`, or the requested list.
         sections: The entries that it has.
         tried: Of `auto`, what was found about each kind of term, those that were added first.
         undecided: Of `auto`, what the sizes of all kinds leave uncertain; None if nothing.
@@ -108,7 +108,7 @@ class TermChoice:
 
     requested: str
     sections: tuple[TermSection, ...]
-    tried: tuple[TriedTerm, ...] = ()
+    tried: tuple[TermTrial, ...] = ()
     undecided: UndecidedTerms | None = None
     expected_rms: float = float("nan")
 
@@ -118,22 +118,23 @@ class TermChoice:
         return self.requested == "auto"
 
 
-def candidates(robot: Robot, data: Measurements) -> tuple[Candidate, ...]:
-    """Return a candidate for each kind of term, in the order of the registry, then what some joints cannot be asked.
+def candidates(robot: Robot, data: Measurements) -> tuple[CandidateTerm, ...]:
+    """Return a candidate for each kind of term, in the order of the registry, then remarks on terms that cannot be
+    tried.
 
     Args:
         robot: The robot with the terms that it has anyway.
         data: Its measurements.
     """
-    kinds = [_candidate(name, robot, data) for name in TERMS if _in_auto(name)]
+    kinds = [_candidate(name, robot, data) for name in TERMS if _is_tried_by_auto(name)]
     uncounted = uncounted_turns(robot, data.joints)
     if uncounted:
         tried = [kind.term for kind in kinds if kind.sections and TERMS[kind.term].counts_turns]
-        kinds += [Candidate(name, refused=may_be_wrapped(uncounted, [f"a {name}"])) for name in tried]
+        kinds += [CandidateTerm(name, refused=may_be_wrapped(uncounted, [f"a {name}"])) for name in tried]
     return tuple(kinds)
 
 
-def _in_auto(name: str) -> bool:
+def _is_tried_by_auto(name: str) -> bool:
     try:
         return TERMS[name].in_auto
     except DescriptionError:  # of another package, which is broken: that is said
@@ -154,26 +155,28 @@ def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[Term
     return tuple(missing)
 
 
-def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
+def _candidate(name: str, robot: Robot, data: Measurements) -> CandidateTerm:
     try:
         kind = TERMS[name]
     except DescriptionError as error:  # of another package, which is broken
-        return Candidate(name, refused=str(error))
+        return CandidateTerm(name, refused=str(error))
     joints = [joint for joint in robot.joint_names if _shows(kind, joint, robot, data)]
-    refused = not_known(kind, data) or ("" if joints else _nothing_shows(name, kind, robot, data))
+    refused = why_term_unknown(kind, data) or ("" if joints else _nothing_shows(name, kind, robot, data))
     if refused:
-        return Candidate(name, refused=refused)
+        return CandidateTerm(name, refused=refused)
     try:
         entries = kind.entries(name, joints, robot.joint_names)
         sections = missing_terms(robot, entries)
         if not sections:
-            return Candidate(name, refused="the description has it already" if entries else "there is no other joint")
+            return CandidateTerm(
+                name, refused="the description has it already" if entries else "there is no other joint"
+            )
         with_it = robot.with_terms((*robot.description.terms, *sections))
         columns = term_columns(with_it, data.joints, data.conditions)
     except ValidationError:
-        return Candidate(name, refused="it needs more than a joint, which only a description can state")
+        return CandidateTerm(name, refused="it needs more than a joint, which only a description can state")
     except DescriptionError as error:  # no masses, a prismatic joint without limits
-        return Candidate(name, refused=str(error).removeprefix(f"{robot.path}: "))
+        return CandidateTerm(name, refused=str(error).removeprefix(f"{robot.path}: "))
     if kind.needs_torque:
         loaded = [
             term.joint
@@ -182,19 +185,19 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
         ]
         sections = missing_terms(robot, tuple(kind.section(joint=joint, term=name) for joint in loaded))
         if not sections:
-            return Candidate(name, refused="gravity loads no joint differently from pose to pose")
+            return CandidateTerm(name, refused="gravity loads no joint differently from pose to pose")
     doubtful = Condition.APPROACH in kind.depends_on and not data.states_approach
-    return Candidate(name, sections, doubt=_OF_ORDER if doubtful else "")
+    return CandidateTerm(name, sections, doubt=_OF_ORDER if doubtful else "")
 
 
-def not_known(kind: type[JointTerm], data: Measurements) -> str:
+def why_term_unknown(kind: type[JointTerm], data: Measurements) -> str:
     """Return why data cannot show a term, by the conditions that it depends on; empty if they can."""
     for condition in kind.depends_on:
         by_torque = condition == Condition.LOAD and kind.needs_torque  # the robot's own masses load it, too
         stated = np.nan_to_num(data.context.get(condition.column, np.zeros(len(data))))
         if condition.column and not by_torque and np.ptp(stated) == 0:
             return f"the data have no column '{condition.column}' that changes"
-        if unstated(condition, data) is not None:
+        if first_unstated_visit(condition, data) is not None:
             return f"some rows do not say {condition.words}"
     return ""
 

@@ -72,7 +72,7 @@ def joint_curves(fit: Fit) -> tuple[JointCurve, ...]:
     return tuple(curves)
 
 
-def beyond_learned(robot: Robot, learned: FloatArray, q: FloatArray) -> BoolArray:
+def is_beyond_learned(robot: Robot, learned: FloatArray, q: FloatArray) -> BoolArray:
     """Return which joint values q (n, n_actuated) lie outside the range of those from which curves were learned.
 
     Args:

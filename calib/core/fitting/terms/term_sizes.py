@@ -16,7 +16,7 @@ stays where both are true:
     evidence     the log likelihood is higher with it by odds of 20 to 1 (kass1995), times the number of kinds: of many
                  that are not there, one looks as if it were
 
-A kind that was left out is asked again beside those that stay. One that stays is surely there if the log likelihood is
+A kind that was left out is tried again beside those that stay. One that stays is surely there if the log likelihood is
 higher by odds of 20 to 1 with it beside all other kinds, too: of kinds that look alike, one may stay, none is claimed.
 
 What follows:
@@ -53,12 +53,19 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.data.pose_groups import boxes
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.regions import BLOCKS
-from calib.core.fitting.terms.candidate_terms import TELLS, Candidate, TermChoice, TriedTerm, candidates, missing_terms
+from calib.core.fitting.terms.candidate_terms import (
+    TELLS,
+    CandidateTerm,
+    TermChoice,
+    TermTrial,
+    candidates,
+    missing_terms,
+)
 from calib.core.fitting.validation import stretches
 from calib.core.numerics import linalg
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.mixed_rows import MixedRows
-from calib.core.numerics.size_search import drawn_sizes, least_sizes, likeliest_sizes
+from calib.core.numerics.size_search import draw_sizes, least_sizes, likeliest_sizes
 from calib.core.robots.terms.term import TermSection
 from calib.core.rows.observed import observe
 from calib.core.rows.prediction import UndecidedTerms
@@ -94,11 +101,11 @@ def size_terms(fit: Fit) -> TermChoice:
     kinds = candidates(fit.robot, data)
     if fit.computed:
         why = "nothing is left to explain: these data were computed, not measured"
-        return TermChoice("auto", described, tuple(TriedTerm(candidate.term, why=why) for candidate in kinds))
-    asked = tuple(candidate for candidate in kinds if not (candidate.refused or candidate.doubt))
-    model = _TermModel(fit, asked)
-    tried = [model.outcome(c) if c in asked else TriedTerm(c.term, why=c.refused or c.doubt) for c in kinds]
-    sections = (*described, *(section for candidate in asked for section in model.entries(candidate)))
+        return TermChoice("auto", described, tuple(TermTrial(candidate.term, why=why) for candidate in kinds))
+    requested = tuple(candidate for candidate in kinds if not (candidate.refused or candidate.doubt))
+    model = _TermModel(fit, requested)
+    tried = [model.outcome(c) if c in requested else TermTrial(c.term, why=c.refused or c.doubt) for c in kinds]
+    sections = (*described, *(section for candidate in requested for section in model.entries(candidate)))
     tried.sort(key=lambda term: not term.added)
     return TermChoice("auto", sections, tuple(tried), model.undecided(sections), model.expected_rms())
 
@@ -124,15 +131,15 @@ class _TermModel:
         kinds: The kinds.
     """
 
-    def __init__(self, fit: Fit, kinds: Sequence[Candidate]) -> None:
+    def __init__(self, fit: Fit, kinds: Sequence[CandidateTerm]) -> None:
         self._fit = fit
         self._sections = tuple(section for candidate in kinds for section in candidate.sections)
         self.robot = fit.robot.with_terms((*fit.robot.description.terms, *self._sections))
-        self._unknowns = Unknowns.of(self.robot)
+        self._unknowns = Unknowns.from_robot(self.robot)
         owner = {
             p.name: _Family(candidate.term, term.joint if term.differs else "")
             for candidate in kinds
-            for term in candidate.of(self.robot)
+            for term in candidate.terms_in(self.robot)
             for p in term.parameters
         }
         own = [self._unknowns.families[k] if k >= 0 else "" for k in self._unknowns.family]
@@ -141,10 +148,10 @@ class _TermModel:
         numbers = {family: k for k, family in enumerate(self._families)}
         self._family = np.array([numbers.get(label, -1) for label in labels], dtype=np.intp)
         self._solved = dict[frozenset[str], SolvedModel]()
-        self._asked = np.array([family in owner.values() for family in self._families], dtype=bool)
+        self._requested = np.array([family in owner.values() for family in self._families], dtype=bool)
 
     @cached_property
-    def _read(self) -> IntArray:
+    def _informative_rows(self) -> IntArray:
         """Rows that tell the sizes."""
         layout = self._fit.whitening.layout
         poses = np.unique(layout.pose_of_row)
@@ -152,9 +159,9 @@ class _TermModel:
         return np.flatnonzero((layout.group >= 0) & np.isin(layout.pose_of_row, some))
 
     @cached_property
-    def _at(self) -> SolvedModel:
+    def _solved_model(self) -> SolvedModel:
         """The model with its likeliest sizes."""
-        return likeliest_sizes(MixedModel.of(self._rows))
+        return likeliest_sizes(MixedModel.from_rows(self._rows))
 
     @cached_property
     def _rows(self) -> MixedRows:
@@ -166,19 +173,23 @@ class _TermModel:
         )
         groups, deviations = fit.scales.groups, self._unknowns.deviations(self.robot.values)
         weighing = fit.whitening.weighing(fit.scales.ratios)
-        rows = fit.whitening.rows(observed, groups, self._unknowns, deviations).weighted(fit.weights).whitened(weighing)
+        rows = (
+            fit.whitening.rows(observed, groups, self._unknowns, deviations)
+            .with_weights(fit.weights)
+            .whiten_shared(weighing)
+        )
         by_joint = fit.whitening.joint_columns(observed) / fit.whitening.row_scale(groups)[:, None]
         levers: FloatArray = np.sqrt(fit.weights)[layout.reading, None] * by_joint * fit.robot.mechanism.joint_scale
         levers = levers if weighing is None else weighing.whiten(levers)
-        read = self._read
+        read = self._informative_rows
         found = np.zeros(len(layout.groups), dtype=bool)  # stated noise knows nothing of what the robot does
-        return MixedRows.of(rows.at(read), self._family, found, layout.pose_of_row[read], levers[read])
+        return MixedRows.from_linear_problem(rows.at(read), self._family, found, layout.pose_of_row[read], levers[read])
 
     def _without_families(self, families: BoolArray) -> SolvedModel:
         """The model without some families, (n_families,), and with the likeliest sizes of the others."""
-        zero = np.arange(len(self._at.logs)) < len(families)
+        zero = np.arange(len(self._solved_model.logs)) < len(families)
         zero[: len(families)] = families
-        return likeliest_sizes(self._at.model.without(families), self._at.logs, zero)
+        return likeliest_sizes(self._solved_model.model.without(families), self._solved_model.logs, zero)
 
     @cached_property
     def _blocks(self) -> IntArray:
@@ -186,7 +197,9 @@ class _TermModel:
         data, depths = self._fit.identification.data, self._fit.robot.mechanism.depths
         setups = np.zeros(len(data), dtype=np.intp) if data.setups is None else data.setups
         layout, block, start = self._fit.whitening.layout, np.zeros(len(data), dtype=np.intp), 0
-        visits = layout.visit[layout.reading[self._read[[places[0] for places in self._at.model.poses]]]]
+        visits = layout.visit[
+            layout.reading[self._informative_rows[[places[0] for places in self._solved_model.model.poses]]]
+        ]
         each = np.unique(setups[visits])
         for setup in each:
             there = np.flatnonzero(setups == setup)
@@ -195,103 +208,107 @@ class _TermModel:
                 block[there[part]], start = start, start + 1
         return np.unique(block[visits], return_inverse=True)[1]
 
-    def _with(self, kinds: frozenset[str]) -> SolvedModel:
-        """The model with some of the kinds that were asked."""
+    def _solve_with_kinds(self, kinds: frozenset[str]) -> SolvedModel:
+        """The model with some of the requested kinds."""
         if kinds not in self._solved:
-            self._solved[kinds] = self._without_families(self._asked & ~np.isin(self._terms, list(kinds)))
+            self._solved[kinds] = self._without_families(self._requested & ~np.isin(self._terms, list(kinds)))
         return self._solved[kinds]
 
     def _squares(self, at: SolvedModel) -> FloatArray:
         """Squares of errors of blocks left out, in units of what no term leaves, (n_blocks,)."""
-        bare = self._with(frozenset())
+        bare = self._solve_with_kinds(frozenset())
         rows, left = bare.model.rows, bare.left
         squares = bare.variance * left**2
-        sums, counts = (np.bincount(rows.group, values, len(rows.stated)) for values in (squares, np.ones(len(left))))
+        sums, counts = (
+            np.bincount(rows.group, values, len(rows.has_stated_noise)) for values in (squares, np.ones(len(left)))
+        )
         return at.left_out_squares(self._blocks, counts / np.where(sums > 0.0, sums, np.inf))
 
     def _earns(self, kind: str, kinds: frozenset[str]) -> bool:
         """Whether a kind earns its place among some by the module docstring."""
-        at, without = self._with(kinds | {kind}), self._with(kinds - {kind})
+        at, without = self._solve_with_kinds(kinds | {kind}), self._solve_with_kinds(kinds - {kind})
         fewer = self._squares(without) - self._squares(at)
         clearly = float(np.sum(fewer)) > np.sqrt(len(fewer)) * float(np.std(fewer, ddof=1))
-        return clearly and without.cost - at.cost > TELLS + float(np.log(len(self._every)))
+        return clearly and without.cost - at.cost > TELLS + float(np.log(len(self._requested_kinds)))
 
     @cached_property
-    def _every(self) -> frozenset[str]:
-        """Kinds that were asked."""
-        return frozenset(map(str, self._terms[self._asked]))
+    def _requested_kinds(self) -> frozenset[str]:
+        """Requested kinds."""
+        return frozenset(map(str, self._terms[self._requested]))
 
     @cached_property
-    def _chosen(self) -> SolvedModel:
+    def _chosen_model(self) -> SolvedModel:
         """The model with the kinds that earn their place."""
-        every = kinds = self._every
+        every = kinds = self._requested_kinds
         seen = set[frozenset[str]]()
         while kinds not in seen:
             seen.add(kinds)
-            idle = next((kind for kind in self._by_freedom(kinds) if not self._earns(kind, kinds)), None)
+            idle = next((kind for kind in self._kinds_by_freedom(kinds) if not self._earns(kind, kinds)), None)
             if idle is not None:
                 kinds -= {idle}
                 continue
             more = [kind for kind in sorted(every - kinds) if self._earns(kind, kinds)]
-            kinds |= {min(more, key=lambda kind: self._with(kinds | {kind}).cost)} if more else kinds
-        return self._with(kinds)
+            kinds |= {min(more, key=lambda kind: self._solve_with_kinds(kinds | {kind}).cost)} if more else kinds
+        return self._solve_with_kinds(kinds)
 
     @cached_property
-    def _least(self) -> FloatArray:
+    def _smallest_logs(self) -> FloatArray:
         """Logarithms of sizes that are as good as zero, (n_sizes,)."""
-        return least_sizes(self._at.model)
+        return least_sizes(self._solved_model.model)
 
-    def _shown(self, k: int) -> bool:
+    def _is_shown(self, k: int) -> bool:
         """Whether rows show a family of the chosen model: its log likelihood is higher with it."""
-        logs = self._chosen.logs[: len(self._families)]
-        least = logs <= self._least[: len(logs)]
+        logs = self._chosen_model.logs[: len(self._families)]
+        least = logs <= self._smallest_logs[: len(logs)]
         if least[k]:
             return False
-        return self._without_families(least | (np.arange(len(logs)) == k)).cost - self._chosen.cost > _SHOWS
+        return self._without_families(least | (np.arange(len(logs)) == k)).cost - self._chosen_model.cost > _SHOWS
 
     @cached_property
-    def _there(self) -> BoolArray:
+    def _is_fitted(self) -> BoolArray:
         """Which families are fitted, (n_families,)."""
-        large = np.exp(self._chosen.logs[: len(self._families)]) > _SMALL
-        return np.array([some or self._shown(k) for k, some in enumerate(large)], dtype=bool)
+        large = np.exp(self._chosen_model.logs[: len(self._families)]) > _SMALL
+        return np.array([some or self._is_shown(k) for k, some in enumerate(large)], dtype=bool)
 
     @cached_property
     def _terms(self) -> NDArray[np.str_]:
         """Kind of each family, (n_families,)."""
         return np.array([family.term for family in self._families], dtype=np.str_)
 
-    def _by_freedom(self, kinds: frozenset[str]) -> list[str]:
+    def _kinds_by_freedom(self, kinds: frozenset[str]) -> list[str]:
         """Some kinds, that of most coefficients that rows decide first."""
-        at = self._with(kinds)
+        at = self._solve_with_kinds(kinds)
         decided = 1.0 - np.diag(at.inverse)
         return sorted(kinds, key=lambda kind: -np.sum(decided[np.isin(at.model.family, self._members(kind))]))
 
     def _members(self, kind: str) -> IntArray:
         return np.flatnonzero(self._terms == kind)
 
-    def entries(self, candidate: Candidate) -> tuple[TermSection, ...]:
+    def entries(self, candidate: CandidateTerm) -> tuple[TermSection, ...]:
         """Return the entries of a kind that are fitted, with the sigma that was found."""
         factors = dict[str, float]()
-        terms = candidate.of(self.robot)
-        for k in (k for k in self._members(candidate.term) if self._there[k]):
+        terms = candidate.terms_in(self.robot)
+        for k in (k for k in self._members(candidate.term) if self._is_fitted[k]):
             joints = [term.joint for term in terms if self._families[k].joint in ("", term.joint)]
-            factors |= dict.fromkeys(joints, float(np.exp(self._chosen.logs[k])))
+            factors |= dict.fromkeys(joints, float(np.exp(self._chosen_model.logs[k])))
         if any(p.family for term in terms for p in term.parameters):  # the fit finds its size again
             section = candidate.sections[0]
             return tuple(section.model_copy(update={"joint": joint}) for joint in factors)
-        return candidate.resized(self.robot, factors)
+        return candidate.scaled_sections(self.robot, factors)
 
-    def outcome(self, candidate: Candidate) -> TriedTerm:
+    def outcome(self, candidate: CandidateTerm) -> TermTrial:
         """Return what was found about a kind."""
         members = self._members(candidate.term)
-        there = [k for k in members if self._there[k]]
-        most = max(members, key=lambda k: self._chosen.logs[k])
+        there = [k for k in members if self._is_fitted[k]]
+        most = max(members, key=lambda k: self._chosen_model.logs[k])
         low, high = np.quantile(np.exp(self._draws[:, most]), _LIMITS)
-        return TriedTerm(
+        return TermTrial(
             candidate.term,
             bool(there),
-            self._with(self._every - {candidate.term}).cost - self._at.cost if there else float("nan"),
-            float(np.exp(self._chosen.logs[most])),
+            self._solve_with_kinds(self._requested_kinds - {candidate.term}).cost - self._solved_model.cost
+            if there
+            else float("nan"),
+            float(np.exp(self._chosen_model.logs[most])),
             (float(low), float(high)),
             tuple(self._families[k].joint for k in there if self._families[k].joint),
         )
@@ -299,26 +316,26 @@ class _TermModel:
     @cached_property
     def _draws(self) -> FloatArray:
         """Logarithms of sizes that the rows leave open, (n_draws, n_sizes)."""
-        return drawn_sizes(self._at, _DRAWS, np.random.default_rng(self._fit.seed))
+        return draw_sizes(self._solved_model, _DRAWS, np.random.default_rng(self._fit.seed))
 
     def undecided(self, fitted_terms: tuple[TermSection, ...]) -> UndecidedTerms | None:
         """Return what the sizes leave uncertain of these terms and of the others; None if that is nothing."""
-        model = MixedModel.of(self._rows, _HARDLY_FELT)
-        logs = self._chosen.logs.copy()
-        logs[: len(self._families)][~self._there] = self._least[: len(self._families)][~self._there]
-        fitted = model.solved(logs)
+        model = MixedModel.from_rows(self._rows, _HARDLY_FELT)
+        logs = self._chosen_model.logs.copy()
+        logs[: len(self._families)][~self._is_fitted] = self._smallest_logs[: len(self._families)][~self._is_fitted]
+        fitted = model.solve(logs)
         more, steps = -fitted.covariance, []
         for draw in self._draws:
-            solved = model.solved(draw)
+            solved = model.solve(draw)
             more += solved.covariance / _DRAWS
             steps.append(solved.scale * solved.v - fitted.scale * fitted.v)
         more += np.array(steps).T @ np.array(steps) / _DRAWS
-        felt = np.linalg.norm(model.x, axis=0) + 1e-30
-        values, vectors = linalg.eigh(felt[:, None] * more * felt)
+        sizes = np.linalg.norm(model.x, axis=0) + 1e-30
+        values, vectors = linalg.eigh(sizes[:, None] * more * sizes)
         kept = values > _LITTLE * max(float(values[-1]), 0.0)
         if not np.any(kept):
             return None
-        condensed = vectors[:, kept] * np.sqrt(values[kept]) / felt[:, None]
+        condensed = vectors[:, kept] * np.sqrt(values[kept]) / sizes[:, None]
         spread = np.stack([model.coefficients(column) for column in condensed.T], axis=1)
         spread *= self._unknowns.scales[:, None]
         names = [k for k, row in enumerate(spread) if np.any(row)]
@@ -332,14 +349,14 @@ class _TermModel:
         what these share is not known, and that of joints may be far from it.
         """
         fit, layout = self._fit, self._fit.whitening.layout
-        if layout.n_readings > len(np.unique(layout.pose)) or not np.any(self._there & self._asked):
+        if layout.n_readings > len(np.unique(layout.pose)) or not np.any(self._is_fitted & self._requested):
             return float("nan")
         weighing = fit.whitening.weighing(fit.scales.ratios)
         std = np.full(layout.n_rows, np.nan)
-        for places, _, covariance in self._chosen.left_out():
-            std[self._read[places]] = np.sqrt(np.diag(covariance))
+        for places, _, covariance in self._chosen_model.left_out_errors():
+            std[self._informative_rows[places]] = np.sqrt(np.diag(covariance))
         std *= np.sqrt((1.0 if weighing is None else weighing.variances()) / fit.weights[layout.reading])
         scales = replace(fit.scales, ratios=np.zeros(len(fit.scales.ratios)))
-        expected = replace(fit.identification, after=fit.whitening.read(std, scales))
+        expected = replace(fit.identification, after=fit.whitening.unwhiten_rows(std, scales))
         lengths = np.nansum(expected.errors("after", expected.main_part.name) ** 2, axis=1)
         return float(np.sqrt(np.mean(lengths[lengths > 0.0]))) if np.any(lengths > 0.0) else float("nan")

@@ -31,7 +31,7 @@ def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
     return sets
 
 
-def judged_by(fit: Fit) -> tuple[str, ErrorSet]:
+def judging_errors(fit: Fit) -> tuple[str, ErrorSet]:
     """Return the errors that count, and what their poses are called: those that were not used, if there are any."""
     sets = {NAMES.get(name, name): errors for name, errors in error_sets(fit)}
     name = next(name for name in _JUDGED_BY if name in sets)
@@ -85,9 +85,9 @@ def change_text(fit: Fit, claim: Claim | None) -> Table:
             cells = [" -> ".join(f"{value:.4f}" for value in pair) for pair in pairs]
             name = f"{part.name} [{ERROR_UNIT[part.dimension]}], {NAMES.get(label, label)}"
             table.add_row(name, str(error_set.data.n_poses), *cells)
-    if claim is not None and np.isfinite(claim.told.limit95):
-        told, scale = claim.told, error_scale(claim.told.dimension)
-        before = f"{scale * told.before:.4f} -> " if np.isfinite(told.before) else ""
-        name = f"{told.part} [{ERROR_UNIT[told.dimension]}], expected"
-        table.add_row(name, "", f"{before}{scale * told.rms:.4f}", f"{scale * told.limit95:.4f}", "")
+    if claim is not None and np.isfinite(claim.at_measured_poses.limit95):
+        measured, scale = claim.at_measured_poses, error_scale(claim.at_measured_poses.dimension)
+        before = f"{scale * measured.before:.4f} -> " if np.isfinite(measured.before) else ""
+        name = f"{measured.part} [{ERROR_UNIT[measured.dimension]}], expected"
+        table.add_row(name, "", f"{before}{scale * measured.rms:.4f}", f"{scale * measured.limit95:.4f}", "")
     return table

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calib.core.base.units import ERROR_UNIT, error_scale, quantity_text
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.fitting.fitted import Fit
 
 
@@ -37,7 +37,7 @@ def start_lines(fit: Fit) -> list[str]:
     dimension = fit.identification.main_part.dimension
     minima = [f"RMS {quantity_text(m.rms, dimension, '.4f')} from {m.count}" for m in fit.starts.minima]
     failed = f", {fit.starts.failed} failed" if fit.starts.failed else ""
-    return [f"{counted(fit.starts.total, 'start')} (seed {fit.starts.seed}): {listed(minima, '; ')}{failed}"]
+    return [f"{count_noun(fit.starts.total, 'start')} (seed {fit.starts.seed}): {listing(minima, '; ')}{failed}"]
 
 
 def fold_lines(fit: Fit) -> list[str]:

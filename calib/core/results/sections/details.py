@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.core.base.words import counted, listed
+from calib.core.base.words import count_noun, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.results.sections.attempts import fold_lines, start_lines
 from calib.core.results.sections.budget import budget_lines
@@ -35,7 +35,8 @@ def details(fit: Fit, *, brief: bool = False) -> list[str]:
 def _size(fit: Fit) -> list[str]:
     data, statistics = fit.identification.data, fit.statistics
     return [
-        f"{counted(data.n_poses, 'pose')}, {counted(data.n_readings, 'reading')}, {statistics.freedom:.0f} degrees of"
+        f"{count_noun(data.n_poses, 'pose')}, {count_noun(data.n_readings, 'reading')}, {statistics.freedom:.0f}"
+        f" degrees of"
         f" freedom, {fit.seconds:.3f} s"
     ]
 
@@ -53,7 +54,7 @@ def _places(fit: Fit) -> list[str]:
     lines = []
     if fit.placed_later:
         places = dict.fromkeys(name.rpartition(".")[0] for name in fit.placed_later)
-        lines.append(f"Placed by the poses that were not used, because only these show them: {listed(list(places))}")
+        lines.append(f"Placed by the poses that were not used, because only these show them: {listing(list(places))}")
     if any(p.placement for p in fit.nominal.parameters):
         lines.append("'before' is the nominal robot, with only its base and targets placed")
     return lines

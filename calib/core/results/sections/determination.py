@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.core.base.words import counted, listed, sentence
+from calib.core.base.words import count_noun, listing, sentence
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.rows.prediction import PositionUncertainty
@@ -27,7 +27,7 @@ def rank_content(fit: Fit) -> dict[str, object]:
     }
 
 
-def correlated(fit: Fit) -> list[dict[str, object]]:
+def correlated_pairs(fit: Fit) -> list[dict[str, object]]:
     """Return pairs of free parameters whose estimates move together, strongest first."""
     correlations = fit.statistics.correlations()
     names = fit.free_names
@@ -59,9 +59,9 @@ def observability_lines(fit: Fit) -> list[str]:
         "Observability (scaled columns): "
         + ", ".join(f"{name} {value:.3g}" for name, value in fit.observability.items()),
     ]
-    pairs = [f"{row['a']} and {row['b']} ({row['correlation']:+.3f})" for row in correlated(fit)]
+    pairs = [f"{row['a']} and {row['b']} ({row['correlation']:+.3f})" for row in correlated_pairs(fit)]
     if pairs:
-        lines.append(f"Estimates that move together ({counted(len(pairs), 'pair')}): {listed(pairs)}")
+        lines.append(f"Estimates that move together ({count_noun(len(pairs), 'pair')}): {listing(pairs)}")
     return lines
 
 
@@ -98,6 +98,6 @@ def position_lines(fit: Fit) -> list[str]:
         lines.append(
             f"Predicted positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
             f" (pose {errors.data.names[uncertainty.worst]}), over the {name},"
-            f" {fit.uncertainty.counted}{uncertainty.remark()}"
+            f" {fit.uncertainty.coverage_sentence}{uncertainty.remark()}"
         )
     return lines

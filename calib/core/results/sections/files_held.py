@@ -1,4 +1,4 @@
-"""What is said of the robots that files of a fit get: what each kind of file holds, and how good it is."""
+"""Remarks on the robots that files of a fit get: what each kind of file holds, and how good it is."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
+from calib.core.robots.accuracy_of_files import FileRobot, Holds
 from calib.core.robots.file_formats import formats_that_hold
-from calib.core.robots.held import FileRobot, Holds
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import lost_by
 
@@ -42,8 +42,9 @@ def files_grid(fit: Fit) -> Grid | None:
         rows.append((holds.value, GridNumber(scale * accuracy.rms), GridNumber(scale * accuracy.limit95), words))
     columns = (GridColumn("file holds", "a file holds", words=True), GridColumn("RMS"), GridColumn("95 % limit"))
     return Grid(
-        f"What files are worth, {unit} ({whole.part} error, {whole.where})",
-        f"What files are worth: {whole.part} error [{unit}], {whole.where}; the error at one more such pose is below"
+        f"What files are worth, {unit} ({whole.part} error, {whole.pose_words})",
+        f"What files are worth: {whole.part} error [{unit}], {whole.pose_words}; the error at one more such pose is"
+        f" below"
         " the 95 % limit with a chance of 95 %",
         (*columns, GridColumn("formats", words=True)),
         tuple(rows),

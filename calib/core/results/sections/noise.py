@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.units import ERROR_UNIT, error_scale, millimetres, quantity_text
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.repeatability import repeatability, repeats
@@ -94,9 +94,10 @@ def noise_lines(fit: Fit) -> list[str]:
 def scatter_lines(fit: Fit) -> list[str]:
     """Return what readings of a visit share, and whether the scatter agrees with what was stated, one line each."""
     lines = []
-    if fit.statistics.shared is not None:
+    if fit.statistics.shared_scatter is not None:
         lines.append(
-            f"Readings of the same pose share errors: poses scatter {fit.statistics.shared.ratio:.2g} times as much as"
+            f"Readings of the same pose share errors: poses scatter {fit.statistics.shared_scatter.ratio:.2g} times"
+            f" as much as"
             " independent readings would. Intervals include it"
         )
     for name, offsets in fit.offsets.items():
@@ -134,7 +135,7 @@ def repeat_lines(fit: Fit) -> list[str]:
             sizes = (repeated.accuracy_before, repeated.accuracy_after, repeated.repeatability)
             before, after, again = map(millimetres, sizes)
             lines.append(
-                f"ISO 9283-style, {counted(len(repeated.poses), 'pose')} {name}: accuracy AP {before.mean():.3f} mm"
+                f"ISO 9283-style, {count_noun(len(repeated.poses), 'pose')} {name}: accuracy AP {before.mean():.3f} mm"
                 f" before, {after.mean():.3f} after (largest {after.max():.3f}); repeatability RP {again.mean():.3f} mm"
                 f" (largest {again.max():.3f})"
             )

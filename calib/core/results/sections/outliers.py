@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from calib.core.base.arrays import IntArray
-from calib.core.base.remembered import remembered
+from calib.core.base.memoize import memoize
 from calib.core.base.units import ERROR_UNIT, error_scale, quantity_text
-from calib.core.base.words import listed
+from calib.core.base.words import listing
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import Outlier, outliers_in_words
@@ -37,7 +37,7 @@ class OutlierGrid:
     points: bool
 
 
-@remembered
+@memoize
 def residual_sets(fit: Fit) -> dict[str, tuple[ErrorSet, Rows]]:
     """Return the sets of readings that `residuals.csv` holds, with their rows."""
     sets = {"identification": (fit.identification, fit.rows)}
@@ -45,7 +45,7 @@ def residual_sets(fit: Fit) -> dict[str, tuple[ErrorSet, Rows]]:
         sets["validation"] = fit.validation, fit.validation_rows
     excluded = findings.excluded_errors(fit)
     if excluded is not None:
-        sets[LEFT_OUT] = excluded, fit.whitened(excluded)[1]
+        sets[LEFT_OUT] = excluded, fit.whitened_residuals_and_rows(excluded)[1]
     return sets
 
 
@@ -148,6 +148,6 @@ def outliers_left_out(fit: Fit) -> list[str]:
     several = layout.n_readings > len(np.unique(layout.visit))
     count = f" ({layout.n_readings - left} of {layout.n_readings} readings)" if several else ""
     return [
-        f"Outliers left out{count}: {listed(outliers_in_words(fit.excluded), '; ', 2)}. With them: RMS"
+        f"Outliers left out{count}: {listing(outliers_in_words(fit.excluded), '; ', 2)}. With them: RMS"
         f" {before:.4f} {unit}, noise {noise}; without: RMS {after:.4f} {unit}"
     ]

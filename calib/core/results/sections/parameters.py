@@ -49,7 +49,7 @@ def _row(estimate: Estimate) -> tuple[str | GridNumber, ...]:
     )
 
 
-def changed_most(fit: Fit) -> list[str | Table]:
+def most_changed_lines(fit: Fit) -> list[str | Table]:
     """Return the parameters that changed most against their standard deviation; places are no errors of the robot."""
     places = {parameter.name for parameter in fit.nominal.parameters if parameter.placement}
     changed = [

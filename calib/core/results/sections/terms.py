@@ -1,13 +1,13 @@
-"""Joint terms: what was asked for, what choosing them found, and where curves hold."""
+"""Joint terms: the request, the choice, and where curves hold."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 
 from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, quantity_text
-from calib.core.base.words import listed
+from calib.core.base.words import listing
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.terms.candidate_terms import TriedTerm, not_known
+from calib.core.fitting.terms.candidate_terms import TermTrial, why_term_unknown
 from calib.core.fitting.terms.joint_curves import joint_curves
 from calib.core.robots.terms.terms import TERMS
 
@@ -15,7 +15,7 @@ _NONE = "none, because the measurements show none"
 
 
 def terms_table(fit: Fit) -> dict[str, object]:
-    """Return what was asked for, the entries, what choosing them found, and where curves hold."""
+    """Return the request, the entries, the choice, and where curves hold."""
     choice = fit.terms
     tried = [] if choice is None else choice.tried
     return {
@@ -43,21 +43,21 @@ def terms_lines(fit: Fit) -> list[str]:
     if fit.terms is None or not fit.terms.automatic:
         return [] if fit.terms is None else [f"Joint terms asked for: {fit.terms.requested}"]
     tried, count = fit.terms.tried, len(fit.terms.tried)
-    added = [_found(trial) for trial in tried if trial.added]
-    left = [_found(trial) for trial in tried if not (trial.added or trial.why)]
+    added = [_size_in_words(trial) for trial in tried if trial.added]
+    left = [_size_in_words(trial) for trial in tried if not (trial.added or trial.why)]
     refused = [f"{trial.term} ({trial.why})" for trial in tried if trial.why]
-    lines = [f"Joint terms added: {listed(added, '; ', count) or _NONE}"]
+    lines = [f"Joint terms added: {listing(added, '; ', count) or _NONE}"]
     lines += [line for trial in tried if trial.added for line in _coefficients(fit, trial.term)]
-    lines += [f"The measurements do not say whether there are: {listed(left, '; ', count)}"] if left else []
-    return lines + ([f"Joint terms that they cannot show: {listed(refused, '; ', count)}"] if refused else [])
+    lines += [f"The measurements do not say whether there are: {listing(left, '; ', count)}"] if left else []
+    return lines + ([f"Joint terms that they cannot show: {listing(refused, '; ', count)}"] if refused else [])
 
 
-def _found(trial: TriedTerm) -> str:
+def _size_in_words(trial: TermTrial) -> str:
     """A kind of term and its size, in words."""
     low, high = trial.size95
     if not trial.added:
         return f"{trial.term} (up to {high:.2g} times what is usual)"
-    of = f" of {listed(list(trial.joints))}" if trial.joints else ""
+    of = f" of {listing(list(trial.joints))}" if trial.joints else ""
     sure = "surely there" if trial.proven else "probably there"
     size = f"{trial.size:.2g} times what is usual ({low:.2g} to {high:.2g})"
     return f"{trial.term}{of} ({size}, {sure}: log evidence {trial.evidence:+.1f})"
@@ -70,8 +70,8 @@ def _coefficients(fit: Fit, kind: str) -> list[str]:
     clear = [c for c in found if abs(c.value_si) > float(c.half95_si)]
     sizes = [f"{c.name} {c.value:+.2g} {c.unit} ({c.low95:+.2g} to {c.high95:+.2g})" for c in clear]
     open_ = f"{len(found) - len(clear)} more that the measurements do not tell from zero"
-    said = [*sizes, *([open_] if len(clear) < len(found) else [])]
-    return [f"Coefficients of {kind}: {listed(said, '; ', len(said))}"] if found else []
+    texts = [*sizes, *([open_] if len(clear) < len(found) else [])]
+    return [f"Coefficients of {kind}: {listing(texts, '; ', len(texts))}"] if found else []
 
 
 def terms_added(fit: Fit) -> list[str]:
@@ -85,9 +85,9 @@ def terms_added(fit: Fit) -> list[str]:
 def terms_not_shown(fit: Fit) -> list[str]:
     """Return which joint terms of the robot these measurements cannot show, in a line; none where they show all."""
     data, names = fit.identification.data, dict.fromkeys(section.term for section in fit.robot.description.terms)
-    reasons = {name: why for name in names if (why := not_known(TERMS[name], data))}
+    reasons = {name: why for name in names if (why := why_term_unknown(TERMS[name], data))}
     words = [f"{name} ({why})" for name, why in reasons.items()]
-    return [f"Joint terms that these measurements cannot show: {listed(words, '; ')}"] if words else []
+    return [f"Joint terms that these measurements cannot show: {listing(words, '; ')}"] if words else []
 
 
 def curve_lines(fit: Fit) -> list[str]:

@@ -26,26 +26,26 @@ def check_term(term: JointTerm, q: FloatArray, j: int, context: Context) -> None
         ComputationError: Columns have a wrong shape or are not finite, do not change with what it says that it depends
             on, or are not those of its formula; a derivative by the torque is not that of the columns.
     """
-    said, shape = type(term).__qualname__, (len(q), len(term.parameters))
+    subject, shape = type(term).__qualname__, (len(q), len(term.parameters))
     columns = term.columns(q, j, context)
-    _require(np.shape(columns) == shape, f"{said}: columns gives {np.shape(columns)}, not {shape}")
-    _require(bool(np.isfinite(columns).all()), f"{said}: columns gives numbers that are not finite")
-    _require(bool(np.any(columns)), f"{said}: columns are zero at all of these commands")
+    _require(np.shape(columns) == shape, f"{subject}: columns gives {np.shape(columns)}, not {shape}")
+    _require(bool(np.isfinite(columns).all()), f"{subject}: columns gives numbers that are not finite")
+    _require(bool(np.any(columns)), f"{subject}: columns are zero at all of these commands")
     formula = term.formula(j)
     if formula is not None:
-        off = np.abs(formula.columns(context.known(q)) - columns)
-        _require(bool(np.all(off < _NEAR)), f"{said}: its formula gives other columns than `columns`")
+        off = np.abs(formula.columns(context.inputs(q)) - columns)
+        _require(bool(np.all(off < _NEAR)), f"{subject}: its formula gives other columns than `columns`")
     for condition in term.depends_on:
         by_torque = condition == Condition.LOAD and term.needs_torque  # which has the load in it
         less = None if by_torque else _without(context, condition)
         changes = less is None or not np.array_equal(term.columns(q, j, less), columns)
-        _require(changes, f"{said}: says that it depends on {condition.words}, and columns are the same without it")
+        _require(changes, f"{subject}: says that it depends on {condition.words}, and columns are the same without it")
     if term.needs_torque and context.torque is not None:
         rate = np.ones_like(context.torque)
         step = 1e-6 * max(float(np.max(np.abs(context.torque))), 1.0)
         ends = [term.columns(q, j, replace(context, torque=context.torque + s * rate)) for s in (step, -step)]
-        off = np.abs(term.by_torque(q, j, context, rate) - (ends[0] - ends[1]) / (2 * step))
-        _require(bool(np.all(off < 1e-4 * max(float(np.max(np.abs(columns))), 1.0))), f"{said}: by_torque is wrong")
+        off = np.abs(term.torque_derivative(q, j, context, rate) - (ends[0] - ends[1]) / (2 * step))
+        _require(bool(np.all(off < 1e-4 * max(float(np.max(np.abs(columns))), 1.0))), f"{subject}: by_torque is wrong")
 
 
 def _without(context: Context, condition: Condition) -> Context | None:
@@ -59,6 +59,6 @@ def _without(context: Context, condition: Condition) -> Context | None:
     return None
 
 
-def _require(right: bool, said: str) -> None:
+def _require(right: bool, message: str) -> None:
     if not right:
-        raise ComputationError(said)
+        raise ComputationError(message)

@@ -45,7 +45,7 @@ class Coupling(JointTerm):
     other: int
 
     @classmethod
-    def of(cls, joint: Joint, section: CouplingSection, sigma: float | None) -> Coupling:
+    def from_section(cls, joint: Joint, section: CouplingSection, sigma: float | None) -> Coupling:
         """Return the term that an entry of a robot description means.
 
         Raises:
@@ -67,12 +67,12 @@ class Coupling(JointTerm):
         return tuple(CouplingSection(joint=joint, term=term, driven_by=other) for joint, other in pairs)
 
     def answers(self, section: TermSection) -> bool:
-        """Whether it is of the same two joints."""
+        """Whether a term couples the same two joints."""
         return isinstance(section, CouplingSection) and self.parameters[0].name == coupling_name(
             section.joint, section.driven_by
         )
 
-    def followed(self, actuated: tuple[str, ...]) -> str:
+    def driving_joint(self, actuated: tuple[str, ...]) -> str:
         """Return the joint that drives."""
         return actuated[self.other]
 

@@ -73,7 +73,7 @@ class GravitySection(Section):
             raise ValueError(f"{np.degrees(value):.0f} deg means that nothing is known; write a unit, such as '3 deg'")
         return value
 
-    def stated(self, setups: Sequence[str] = ()) -> FloatArray:
+    def stated_directions(self, setups: Sequence[str] = ()) -> FloatArray:
         """Return the unit vector of each setup, of the only one where none is named, (n_setups, 3)."""
         rows = np.array([self.setups.get(name, self.down) for name in setups] or [self.down], dtype=float)
         result: FloatArray = rows / np.linalg.norm(rows, axis=1, keepdims=True)
@@ -82,7 +82,7 @@ class GravitySection(Section):
     @property
     def axes(self) -> tuple[int, int]:
         """Number of the two axes of the root link, about which the direction is turned where it is found."""
-        first, second = sorted(np.argsort(np.abs(self.stated()[0]), kind="stable")[:2].tolist())
+        first, second = sorted(np.argsort(np.abs(self.stated_directions()[0]), kind="stable")[:2].tolist())
         return first, second
 
 

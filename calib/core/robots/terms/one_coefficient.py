@@ -50,7 +50,7 @@ class OneCoefficient(JointTerm):
     parameters: tuple[Parameter, ...]
 
     @classmethod
-    def of(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
+    def from_section(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
         """Return the term that an entry of a robot description means."""
         return cls(joint.name, cls.coefficients(joint, sigma))
 
@@ -159,7 +159,7 @@ class GravityBacklash(OneCoefficient):
     knee: float
 
     @classmethod
-    def of(cls, joint: Joint, section: GravityBacklashSection, sigma: float | None) -> GravityBacklash:
+    def from_section(cls, joint: Joint, section: GravityBacklashSection, sigma: float | None) -> GravityBacklash:
         """Return the term that an entry of a robot description means."""
         return cls(joint.name, cls.coefficients(joint, sigma), section.torque)
 
@@ -175,7 +175,7 @@ class Bending(Compliance):
     tilts = True
 
     @classmethod
-    def of(cls, joint: Joint, section: TermSection, sigma: float | None) -> JointTerm:
+    def from_section(cls, joint: Joint, section: TermSection, sigma: float | None) -> JointTerm:
         """Return the term that an entry of a robot description means."""
         size = cls.expected_angle if sigma is None else sigma  # a joint that slides tilts, too
         return cls(joint.name, (coefficient(f"{joint.name}.{cls.word}", "angle", size),))

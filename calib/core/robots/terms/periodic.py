@@ -97,7 +97,7 @@ class Harmonics(_Periodic):
     section = HarmonicsSection
 
     @classmethod
-    def of(cls, joint: Joint, section: HarmonicsSection, sigma: float | None) -> Harmonics:
+    def from_section(cls, joint: Joint, section: HarmonicsSection, sigma: float | None) -> Harmonics:
         """Return the term that an entry of a robot description means.
 
         Raises:
@@ -129,7 +129,7 @@ class CurveSection(TermSection):
     stroke: Annotated[Length, Field(gt=0)] | None = None
     found: bool = True
 
-    def within(self, stroke: float) -> CurveSection:
+    def with_stroke(self, stroke: float) -> CurveSection:
         """Return the entry with the stroke of a prismatic joint [m] where it states none."""
         return self if self.stroke is not None else self.model_copy(update={"stroke": stroke})
 
@@ -142,7 +142,7 @@ class Curve(_Periodic):
     section = CurveSection
 
     @classmethod
-    def of(cls, joint: Joint, section: CurveSection, sigma: float | None) -> Curve:
+    def from_section(cls, joint: Joint, section: CurveSection, sigma: float | None) -> Curve:
         """Return the term that an entry of a robot description means.
 
         Raises:

@@ -1,6 +1,6 @@
 """What a term of a joint's error is.
 
-Joints do not stand where they are told. The error of joint j is a sum of terms,
+Joints do not stand at their commands. The error of joint j is a sum of terms,
 
     dq_j = sum over terms of c_k phi_k(q, context)
 
@@ -45,14 +45,14 @@ class TermSection(Section):
     term: str
     sigma: Quantity | None = None
 
-    def within(self, stroke: float) -> TermSection:
+    def with_stroke(self, stroke: float) -> TermSection:
         """Return the entry for a prismatic joint with this stroke [m], which says no more unless a term asks for it."""
         return self
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What the error of a joint may depend on beside the joint's own command; a term may name one that is new.
+    """A quantity that a joint error may depend on beside the joint's own command; a term may bring a new one.
 
     Attributes:
         words: What it is, in words.
@@ -127,7 +127,7 @@ class Context(ReadOnlyArrays):
         """Return what a column that a term names says, (n,) [SI]; 0 where not known."""
         return self.others.get(name, np.zeros(len(self.time)))
 
-    def known(self, q: FloatArray) -> dict[Source, FloatArray]:
+    def inputs(self, q: FloatArray) -> dict[Source, FloatArray]:
         """Return the numbers that terms may depend on, with those of the commands q (n, n_actuated)."""
         numbers = {
             Source.ONE: np.ones((len(q), 1)),
@@ -144,13 +144,15 @@ class Context(ReadOnlyArrays):
         nothing, none = np.zeros(n), np.zeros((n, n_actuated))
         return Context(none, nothing, nothing, nothing)
 
-    def at(self, which: slice | IntArray) -> Context:
+    def select(self, which: slice | IntArray) -> Context:
         """Return the conditions of some of the commands, a slice or places (k,)."""
         known = {key: value[which] for key, value in vars(self).items() if isinstance(value, np.ndarray)}
         return Context(**known, others={name: values[which] for name, values in self.others.items()})
 
     @staticmethod
-    def of(approach: FloatArray, conditions: Mapping[str, FloatArray], setups: IntArray | None = None) -> Context:
+    def from_conditions(
+        approach: FloatArray, conditions: Mapping[str, FloatArray], setups: IntArray | None = None
+    ) -> Context:
         """Return the context of visits.
 
         Args:
@@ -207,7 +209,7 @@ class JointTerm(ABC):
 
     @classmethod
     @abstractmethod
-    def of(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
+    def from_section(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
         """Return the term that an entry of a robot description means.
 
         Args:
@@ -240,7 +242,7 @@ class JointTerm(ABC):
         """Whether a robot that has this term needs no other one for an entry of the same term."""
         return section.joint in ("all", self.joint)
 
-    def moved(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
+    def driven_joint_names(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
         """Return the names of the driven joints whose errors depend on it.
 
         Args:
@@ -248,7 +250,7 @@ class JointTerm(ABC):
         """
         return tilts_of(self.joint, dimensions[self.joint]) if self.tilts else (self.joint,)
 
-    def followed(self, actuated: tuple[str, ...]) -> str:
+    def driving_joint(self, actuated: tuple[str, ...]) -> str:
         """Return the joint whose command it follows, of the actuated ones."""
         return self.joint
 
@@ -275,9 +277,9 @@ class JointTerm(ABC):
         formula = self.formula(j)
         if formula is None:
             raise NotImplementedError(f"{type(self).__qualname__} gives neither columns nor a formula")
-        return formula.columns(context.known(q))
+        return formula.columns(context.inputs(q))
 
-    def by_torque(self, q: FloatArray, j: int, context: Context, rate: FloatArray) -> FloatArray:
+    def torque_derivative(self, q: FloatArray, j: int, context: Context, rate: FloatArray) -> FloatArray:
         """Return how phi of a term that asks for the torque changes as that does, (n, n_coefficients).
 
         By its formula; without one, by a central difference.
@@ -288,7 +290,7 @@ class JointTerm(ABC):
         """
         formula, largest = self.formula(j), float(np.max(np.abs(rate), initial=0.0))
         if isinstance(formula, Proportional) and formula.knee:
-            return formula.slope(context.known(q)) * rate[:, formula.place, None]
+            return formula.slope(context.inputs(q)) * rate[:, formula.place, None]
         if formula is not None:
             return self.columns(q, j, replace(context, torque=rate))  # it is linear in it
         assert context.torque is not None  # the term asks for it

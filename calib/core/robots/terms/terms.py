@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import TypeAdapter, ValidationError
 
 from calib.core.base.errors import DescriptionError, InputError, nearest
-from calib.core.base.other_words import way
+from calib.core.base.other_words import hint_for
 from calib.core.base.registry import Registry, entry
 from calib.core.base.units import Dimension
 from calib.core.robots.terms.coupling import Coupling
@@ -57,7 +57,7 @@ else:
 def condition_columns(terms: Iterable[JointTerm] = ()) -> dict[str, Dimension | None]:
     """Return the columns of a file that say under which conditions a visit was made, with what they measure.
 
-    Those of a term that cannot be loaded are left out: whoever names the term is told why.
+    Those of a term that cannot be loaded are left out: whoever names the term gets the reason.
 
     Args:
         terms: A robot's, some of which read columns of their own.
@@ -86,7 +86,7 @@ def terms_text(terms: str | Sequence[str]) -> str:
     return ",".join(terms)
 
 
-def listed_terms(text: str) -> tuple[TermSection, ...]:
+def parse_terms(text: str) -> tuple[TermSection, ...]:
     """Return the entries that a list such as `curve,backlash` or `curve,elbow=backlash` means.
 
     Args:
@@ -99,7 +99,7 @@ def listed_terms(text: str) -> tuple[TermSection, ...]:
     for item in text.split(","):
         joint, _, term = (part.strip() for part in item.rpartition("="))
         if term not in TERMS:
-            raise InputError(f"terms '{text}': no term '{term}'{way(term, 'joint terms') or nearest(term, TERMS)}")
+            raise InputError(f"terms '{text}': no term '{term}'{hint_for(term, 'joint terms') or nearest(term, TERMS)}")
         try:
             sections.append(TERMS[term].section(joint=joint or "all", term=term))
         except ValidationError:

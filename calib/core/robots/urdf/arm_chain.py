@@ -19,7 +19,7 @@ import re
 from dataclasses import dataclass, replace
 
 from calib.core.base.errors import DescriptionError, nearest
-from calib.core.base.words import listed
+from calib.core.base.words import listing
 from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText, require_supported
 
 _SHORT = 1 / 3  # reach of fingers over the way from the arm's first joint to them
@@ -38,7 +38,7 @@ class ArmChain:
         base: Link that its first moving joint stands on.
         joints: Its moving joints, without those that follow others.
         fingers: Moving joints that hang on its end and were taken for those of a gripper.
-        branches: The robot's other moving joints, if the chain was chosen and not asked for.
+        branches: The robot's other moving joints, if the chain was chosen by the program.
         still: Joints on the way whose limits nobody has stated, taken for fixed ones.
         others: If the chain was chosen, other links at which it could end, likely ones first.
     """
@@ -53,13 +53,13 @@ class ArmChain:
 
     @property
     def remark(self) -> str:
-        """What was chosen, what that leaves out, and how to choose another link; empty if nothing was chosen."""
+        """A sentence on the chosen tool link, what it leaves out, and how to choose another; empty without a choice."""
         reasons = (
             (self.fingers, "taken for a gripper"),
             (self.branches, "not on the way to it"),
             (self.still, "no motor: a <limit> without lower and upper is 0 to 0; write its limits into the URDF"),
         )
-        parts = [f"{listed(names, shown=_SHOWN)} ({why})" for names, why in reasons if names]
+        parts = [f"{listing(names, shown=_SHOWN)} ({why})" for names, why in reasons if names]
         left = f"left out: {'; '.join(parts)}" if parts else ""
         if not self.others:
             return left
@@ -69,7 +69,7 @@ class ArmChain:
                 [
                     f"the arm is taken to end at {self.target}",
                     left,
-                    f"another end, such as {listed(self.others)}: calib init --target NAME",
+                    f"another end, such as {listing(self.others)}: calib init --target NAME",
                 ],
             )
         )
@@ -134,7 +134,7 @@ class _Tree:
         still = tuple(joint.name for joint in way if joint.unstated and not joint.moves)
         if not names:
             why = (
-                f"{listed(still)} have a <limit> without lower and upper, which is 0 to 0; write the limits into the"
+                f"{listing(still)} have a <limit> without lower and upper, which is 0 to 0; write the limits into the"
                 ' URDF, or type="continuous"'
                 if still
                 else "there is nothing to calibrate"
@@ -148,14 +148,14 @@ class _Tree:
         bodies = [
             body
             for body in dict.fromkeys(self.body.values())
-            if all(joint.name in cut for joint in self._on(body)) and not cut & self._before(body)
+            if all(joint.name in cut for joint in self._joints_on(body)) and not cut & self._joints_before(body)
         ]
         ends = sorted((self._end(body) for body in bodies), key=lambda link: -len(_motors(self.way[link])))
         chain = self.chain(ends[0])
         kept = {joint.name for joint in self.way[chain.target]}
         left = [joint for joint in _moving(self.urdf.joints) if joint.name not in kept]
-        fingers = [joint for joint in left if self.body[chain.target] in self._before(self.body[joint.parent])]
-        tips = [joint.child for joint in fingers if not self._on(joint.name)]
+        fingers = [joint for joint in left if self.body[chain.target] in self._joints_before(self.body[joint.parent])]
+        tips = [joint.child for joint in fingers if not self._joints_on(joint.name)]
         others = [*(link for link in ends[1:] if _motors(self.way[link])), *tips]
         if not others:  # the end's own links, and those before it
             others = [link for link in reversed(self.urdf.links) if self.body[link] == self.body[chain.target]]
@@ -167,11 +167,11 @@ class _Tree:
             others=tuple(link for link in dict.fromkeys(others) if link != chain.target),
         )
 
-    def _on(self, body: str) -> list[UrdfJoint]:
+    def _joints_on(self, body: str) -> list[UrdfJoint]:
         """Moving joints that stand on a body."""
         return [joint for joint in _moving(self.urdf.joints) if self.body[joint.parent] == body]
 
-    def _before(self, body: str) -> set[str]:
+    def _joints_before(self, body: str) -> set[str]:
         """Moving joints on the way to a body, its own with them."""
         return {joint.name for joint in _moving(self.way[self.carried[body]])} if body else set()
 
@@ -179,7 +179,7 @@ class _Tree:
         """Joints at which fingers begin, by structure."""
         fingers: set[str] = set()
         for body in set(self.body.values()) - {""}:
-            joints = self._on(body)
+            joints = self._joints_on(body)
             reach = sorted(self._reach(joint) for joint in joints)
             if len(joints) > 1 and _ALIKE * reach[-1] <= reach[-2] and reach[-1] < _SHORT * self._arm_length(joints):
                 fingers |= {joint.name for joint in joints}
@@ -205,7 +205,7 @@ class _Tree:
         plain = [link for link in links if not self._is_stiff_finger(link)] or links
         parents = {joint.parent for joint in self.urdf.joints if joint.child in plain}
         ends = [link for link in plain if link not in parents]
-        palms = {joint.parent for joint in self._on(body)}
+        palms = {joint.parent for joint in self._joints_on(body)}
         beyond = [link for link in ends if palms & {link, *(joint.parent for joint in self.way[link])}]
         return (beyond or ends)[-1]
 

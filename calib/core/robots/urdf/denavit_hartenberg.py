@@ -76,14 +76,14 @@ class DhRow:
     upper: float = math.inf
 
     @property
-    def along(self) -> pin.SE3:
+    def motion_along_z(self) -> pin.SE3:
         """Z at q = 0."""
-        return _along(self.theta, self.d)
+        return _z_transform(self.theta, self.d)
 
     @property
-    def across(self) -> pin.SE3:
+    def motion_along_x(self) -> pin.SE3:
         """X."""
-        return _across(self.a, self.alpha, self.beta)
+        return _x_transform(self.a, self.alpha, self.beta)
 
 
 @dataclass(frozen=True)
@@ -103,10 +103,10 @@ class DhTable:
         poses = np.tile(np.eye(4), (len(q), 1, 1))
         columns = iter(q.T)
         for row in self.rows:
-            along = np.tile(row.along.homogeneous, (len(q), 1, 1))
+            along = np.tile(row.motion_along_z.homogeneous, (len(q), 1, 1))
             if row.kind != "fixed":
                 along = along @ _motions(row.kind, row.sign * next(columns))
-            across = row.across.homogeneous
+            across = row.motion_along_x.homogeneous
             poses = poses @ along @ across if self.convention == "standard" else poses @ across @ along
         return poses
 
@@ -125,7 +125,7 @@ def dh_table(links: Sequence[pin.SE3], joints: Sequence[DhRow], convention: Conv
     rest = pin.SE3.Identity()
     for k, link in enumerate(links):
         theta, d, a, alpha, beta = (0.0 if abs(v) < _ROUNDING else v for v in _to_next_axis(rest * link))
-        rest = (_along(theta, d) * _across(a, alpha, beta)).inverse() * rest * link
+        rest = (_z_transform(theta, d) * _x_transform(a, alpha, beta)).inverse() * rest * link
         rows[k] = replace(rows[k], theta=theta, d=d, a=a, alpha=alpha, beta=beta)
     theta = math.atan2(rest.rotation[1, 0], rest.rotation[0, 0])
     rows.append(DhRow(_new_name("tool", names), "fixed", theta, float(rest.translation[2])))
@@ -149,7 +149,7 @@ def urdf_text(table: DhTable, name: str) -> str:
     for k, row in enumerate(table.rows, start=1):
         origin, rest = _origin(table.convention, rest, row)
         if row.kind == "revolute":
-            origin, rest = _slid(origin, rest)
+            origin, rest = _slide_origin(origin, rest)
         links.append(LAST_LINK if k == len(table.rows) and not last_moves else f"link_{k}")
         joints.append(_joint(row, links[-2], links[-1], origin))
     if last_moves:
@@ -163,13 +163,13 @@ def urdf_text(table: DhTable, name: str) -> str:
 def _origin(convention: Convention, rest: pin.SE3, row: DhRow) -> tuple[pin.SE3, pin.SE3]:
     """The URDF origin of a row's joint, and what is left for the next one."""
     if convention == "modified":
-        return rest * row.across * row.along, pin.SE3.Identity()
+        return rest * row.motion_along_x * row.motion_along_z, pin.SE3.Identity()
     if row.kind == "fixed":
-        return rest * row.along * row.across, pin.SE3.Identity()
-    return rest * row.along, row.across
+        return rest * row.motion_along_z * row.motion_along_x, pin.SE3.Identity()
+    return rest * row.motion_along_z, row.motion_along_x
 
 
-def _slid(origin: pin.SE3, rest: pin.SE3) -> tuple[pin.SE3, pin.SE3]:
+def _slide_origin(origin: pin.SE3, rest: pin.SE3) -> tuple[pin.SE3, pin.SE3]:
     """The origin of a joint that turns, moved along its axis to where the joint before is, if it lies far away.
 
     In tables of nearly parallel axes (calibrated robots of Universal Robots) d is hundreds of metres there and back. A
@@ -178,7 +178,7 @@ def _slid(origin: pin.SE3, rest: pin.SE3) -> tuple[pin.SE3, pin.SE3]:
     away = float(origin.translation @ origin.rotation[:, 2])
     if abs(away) < _FAR_AWAY:
         return origin, rest
-    return origin * _along(0.0, -away), _along(0.0, away) * rest
+    return origin * _z_transform(0.0, -away), _z_transform(0.0, away) * rest
 
 
 def _joint(row: DhRow, parent: str, child: str, origin: pin.SE3) -> str:
@@ -193,11 +193,11 @@ def _triple(values: FloatArray) -> Triple:
     return float(values[0]), float(values[1]), float(values[2])
 
 
-def _along(theta: float, d: float) -> pin.SE3:
+def _z_transform(theta: float, d: float) -> pin.SE3:
     return pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, theta), np.array([0.0, 0.0, d]))
 
 
-def _across(a: float, alpha: float, beta: float) -> pin.SE3:
+def _x_transform(a: float, alpha: float, beta: float) -> pin.SE3:
     turn = pin.rpy.rpyToMatrix(alpha, 0.0, 0.0) @ pin.rpy.rpyToMatrix(0.0, beta, 0.0)
     return pin.SE3(turn, np.array([a, 0.0, 0.0]))
 
@@ -220,18 +220,18 @@ def _to_next_axis(link: pin.SE3) -> tuple[float, float, float, float, float]:
     sine = math.hypot(u[0], u[1])
     if sine < NEARLY_PARALLEL:
         pierced = p - p[2] / u[2] * u
-        theta = _turned(*pierced[:2]) if math.hypot(*pierced[:2]) > _COINCIDENT else 0.0
+        theta = _line_angle(*pierced[:2]) if math.hypot(*pierced[:2]) > _COINCIDENT else 0.0
         x = np.array([math.cos(theta), math.sin(theta), 0.0])
         y = np.array([-x[1], x[0], 0.0])
         return theta, 0.0, float(pierced @ x), math.atan2(-u @ y, u[2]), math.asin(u @ x)
-    theta = _turned(-u[1], u[0])
+    theta = _line_angle(-u[1], u[0])
     x = np.array([math.cos(theta), math.sin(theta), 0.0])
     across = np.array([x[1], -x[0], 0.0])  # with x and z a right-handed frame: z = x cross (-across)
     along_next = (p @ across) / (u @ across)
     return theta, float(p[2] - along_next * u[2]), float(p @ x), math.atan2(u @ across, u[2]), 0.0
 
 
-def _turned(x: float, y: float) -> float:
+def _line_angle(x: float, y: float) -> float:
     """The angle of a direction or of its opposite, whichever is within a quarter turn of the x axis."""
     theta = math.atan2(y, x)
     return theta if abs(theta) <= math.pi / 2 else theta - math.copysign(math.pi, theta)

@@ -39,7 +39,7 @@ class Inertial:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class LinkShape:
     """One visual or collision geometry.
 
     Attributes:
@@ -62,8 +62,8 @@ class Link:
     """A link's inertial (None where the file has none), visuals and collisions; which kinds of visuals are unknown."""
 
     inertial: Inertial | None
-    visuals: tuple[Shape, ...]
-    collisions: tuple[Shape, ...]
+    visuals: tuple[LinkShape, ...]
+    collisions: tuple[LinkShape, ...]
     unknown: tuple[str, ...]
 
 
@@ -96,7 +96,7 @@ def read_links(urdf: UrdfText) -> dict[str, Link]:
 
 
 def _link(link: Element, colours: dict[str, tuple[float, ...]], where: str) -> Link:
-    shapes: dict[str, list[Shape]] = {"visual": [], "collision": []}
+    shapes: dict[str, list[LinkShape]] = {"visual": [], "collision": []}
     for role, of_role in shapes.items():
         for element in link.iterfind(role):
             shape = _shape(element, colours, f"{where}, {role}")
@@ -125,7 +125,7 @@ def _inertial(element: Element, where: str) -> Inertial:
     return Inertial(value, placement.translation.copy(), rotation @ about @ rotation.T)
 
 
-def _shape(element: Element, colours: dict[str, tuple[float, ...]], where: str) -> Shape | None:
+def _shape(element: Element, colours: dict[str, tuple[float, ...]], where: str) -> LinkShape | None:
     geometry = element.find("geometry")
     shape = next(iter(geometry), None) if geometry is not None else None
     if shape is None or shape.tag not in _KINDS:
@@ -140,7 +140,7 @@ def _shape(element: Element, colours: dict[str, tuple[float, ...]], where: str) 
         size = tuple(_numbers(shape.get(key, ""), 1, where)[0] for key in keys)
     material = element.find("material")
     colour = _colour(material, colours, where) if material is not None else None
-    return Shape(shape.tag, _placement(element, where), size, shape.get("filename", ""), colour)
+    return LinkShape(shape.tag, _placement(element, where), size, shape.get("filename", ""), colour)
 
 
 def _colour(material: Element, named: dict[str, tuple[float, ...]], where: str) -> tuple[float, ...] | None:

@@ -34,7 +34,7 @@ Lengths = Mapping[str, float]
 
 @dataclass
 class Plan:
-    """What a mechanism's function puts together.
+    """Links and joints of a mechanism under construction.
 
     Attributes:
         axes: Directions that each closure holds.
@@ -56,7 +56,7 @@ class Plan:
     targets: dict[str, tuple[str, Triple]] = field(default_factory=dict)
     free: list[tuple[str, str]] = field(default_factory=list)
 
-    def fixed(self, name: str, parent: str, child: str, xyz: Iterable[float], free: str) -> None:
+    def add_fixed_joint(self, name: str, parent: str, child: str, xyz: Iterable[float], free: str) -> None:
         """A joint that only holds a place."""
         self._add(name, "fixed", parent, child, xyz)
         self.free.append((name, free))
@@ -113,9 +113,9 @@ def four_bar(length: Lengths) -> Plan:
     plan = Plan("x, y")
     plan.hinge("crank", BASE, "crank_link", angle, motor=True)
     plan.hinge("coupler", "crank_link", "coupler_link", along - angle, (crank, 0, 0))
-    plan.fixed("coupler_end", "coupler_link", "coupler_tip", (coupler, 0, 0), "x")
+    plan.add_fixed_joint("coupler_end", "coupler_link", "coupler_tip", (coupler, 0, 0), "x")
     plan.hinge("rocker", BASE, "rocker_link", along + bend + math.pi, (ground, 0, 0))
-    plan.fixed("rocker_end", "rocker_link", "rocker_tip", (rocker, 0, 0), "x")
+    plan.add_fixed_joint("rocker_end", "rocker_link", "rocker_tip", (rocker, 0, 0), "x")
     plan.loops.append(("coupler_tip", "rocker_tip"))
     plan.targets["pin"] = ("coupler_link", (coupler / 2, 0.0, 0.0))
     plan.free += [("crank", "x, y, rz"), ("coupler", "x"), ("rocker", "x, y")]
@@ -150,9 +150,9 @@ def three_rrr(length: Lengths) -> Plan:
         turn = _planar_arm(plan, f"arm_{k}", length["base_radius"] * _direction(angle)[:2], anchor, links, 1)
         if k == 1:
             plan.hinge("wrist", "arm_1_tip", "wrist_link", -turn)
-            plan.fixed("platform_1", "wrist_link", "platform", (*-anchor, 0), "x, y")
+            plan.add_fixed_joint("platform_1", "wrist_link", "platform", (*-anchor, 0), "x, y")
         else:
-            plan.fixed(f"platform_{k}", "platform", f"platform_{k}_link", (*anchor, 0), "x, y")
+            plan.add_fixed_joint(f"platform_{k}", "platform", f"platform_{k}_link", (*anchor, 0), "x, y")
             plan.loops.append((f"platform_{k}_link", f"arm_{k}_tip"))
     plan.targets["reflector_1"] = ("platform", (length["platform_radius"] / 2, 0.0, 0.0))
     plan.targets["reflector_2"] = ("platform", (-length["platform_radius"] / 2, 0.0, 0.0))
@@ -184,7 +184,7 @@ def delta(length: Lengths) -> Plan:
             )
             plan.hinge(f"{name}_x", f"{name}_cross", f"{name}_link", 0.0, axis="1 0 0")
             plan.free.append((f"{name}_y", "x, y, z"))
-            plan.fixed(f"{name}_end", f"{name}_link", f"{name}_tip", (0, 0, -rod), "z")
+            plan.add_fixed_joint(f"{name}_end", f"{name}_link", f"{name}_tip", (0, 0, -rod), "z")
             _anchor(plan, name, length["platform_radius"] * outwards + side * sideways)
     plan.targets["tool"] = ("platform", _HERE)
     return plan
@@ -250,7 +250,7 @@ def _planar_arm(
         f"{arm}_motor", BASE, f"{arm}_proximal", start, (*foot, 0), motor=True, limits=(start - 0.6, start + 0.6)
     )
     plan.hinge(f"{arm}_elbow", f"{arm}_proximal", f"{arm}_distal", bend, (links[0], 0, 0))
-    plan.fixed(f"{arm}_end", f"{arm}_distal", f"{arm}_tip", (links[1], 0, 0), "x")
+    plan.add_fixed_joint(f"{arm}_end", f"{arm}_distal", f"{arm}_tip", (links[1], 0, 0), "x")
     plan.free += [(f"{arm}_motor", "x, y, rz"), (f"{arm}_elbow", "x")]
     return start + bend
 
@@ -269,5 +269,5 @@ def _platform(plan: Plan, z: float, reach: float) -> None:
 
 def _anchor(plan: Plan, leg: str, xyz: FloatArray) -> None:
     """The point of the platform in which a leg ends."""
-    plan.fixed(f"{leg}_anchor", "platform", f"{leg}_place", xyz, "x, y, z")
+    plan.add_fixed_joint(f"{leg}_anchor", "platform", f"{leg}_place", xyz, "x, y, z")
     plan.loops.append((f"{leg}_place", f"{leg}_tip"))

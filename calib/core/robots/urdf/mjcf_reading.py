@@ -42,11 +42,11 @@ from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import UrdfError
 from calib.core.numerics import linalg
 from calib.core.robots.urdf.writing import (
-    across,
     document,
     inertial_element,
     joint_element,
-    spaced,
+    number_attribute,
+    perpendicular_axes,
     visual_element,
 )
 
@@ -74,7 +74,7 @@ class MjcfLoop:
 
 @dataclass(frozen=True)
 class MjcfRobot:
-    """What an MJCF file says of a robot.
+    """A robot as read from an MJCF file.
 
     Attributes:
         source: The URDF.
@@ -149,10 +149,10 @@ def read_mjcf(path: Path | str) -> MjcfRobot:
     except (ValueError, OSError) as error:
         raise UrdfError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None
     folder = Path(str(path)).resolve().parent
-    return _Reader(mujoco, model, str(path), os.path.relpath(folder / (spec.meshdir or "."), folder)).read()
+    return _MjcfReader(mujoco, model, str(path), os.path.relpath(folder / (spec.meshdir or "."), folder)).read()
 
 
-class _Reader:
+class _MjcfReader:
     def __init__(self, mujoco: Any, model: Any, path: str, meshes: str) -> None:
         self.mujoco, self.model, self.path, self.meshes = mujoco, model, path, meshes
         self.root = Element("robot", name=_text(model.names) or Path(path).stem)
@@ -169,7 +169,7 @@ class _Reader:
         for site in range(self.model.nsite):
             name = self._new(self._name("SITE", site), self.links)
             carrier = self.link_of[int(self.model.site_bodyid[site])]
-            self._fixed(carrier, name, _se3(self.model.site_pos[site], self.model.site_quat[site]))
+            self._add_fixed_joint(carrier, name, _se3(self.model.site_pos[site], self.model.site_quat[site]))
         loops = tuple(self._equalities())
         remark = "".join(f"; {remark}" for remark in self.remarks).replace("--", "- -")
         self.root.insert(0, ElementTree.Comment(f" from MJCF: {Path(self.path).name.replace('--', '- -')}{remark} "))
@@ -202,10 +202,10 @@ class _Reader:
             self._link(child, body if ends else None)
             parent, place = child, pin.SE3(np.eye(3), -motion.after)
         if name not in self.links:
-            self._fixed(parent, name, place, body)
+            self._add_fixed_joint(parent, name, place, body)
 
     def _motions(self, joint: int) -> Iterator[_Motion]:
-        """What the motion of a joint is made of: nothing of a free one."""
+        """Elementary motions of a joint: none of a free one."""
         model, types = self.model, self.mujoco.mjtJoint
         kind, name = int(model.jnt_type[joint]), self._name("JOINT", joint)
         about, nowhere = np.array(model.jnt_pos[joint]), np.zeros(3)
@@ -214,7 +214,7 @@ class _Reader:
             self.remarks.append(f"body {body} moves freely in the file, and stands still here")
         elif kind == types.mjJNT_BALL:
             along = self._rod(int(model.jnt_bodyid[joint]), about)
-            axes = np.eye(3) if along is None else across(along)
+            axes = np.eye(3) if along is None else perpendicular_axes(along)
             names = [f"{name}_{letter}" for letter, _ in zip("xyz", axes, strict=False)]
             hinges = f"{', '.join(names[:-1])} and {names[-1]}"
             self.remarks.append(
@@ -247,7 +247,7 @@ class _Reader:
         for number in np.flatnonzero(model.eq_active0):
             if model.eq_type[number] == types.mjEQ_JOINT:
                 continue
-            bodies, places = self._tied(int(number))
+            bodies, places = self._bodies_of_tie(int(number))
             if body in bodies and model.eq_type[number] != types.mjEQ_CONNECT:
                 return None
             points += [place.translation - centre for place, own in zip(places, bodies, strict=True) if own == body]
@@ -265,7 +265,7 @@ class _Reader:
             self.joints[motion.number] = element
         self.home[motion.name] = motion.value
 
-    def _fixed(self, parent: str, child: str, origin: pin.SE3, body: int | None = None) -> None:
+    def _add_fixed_joint(self, parent: str, child: str, origin: pin.SE3, body: int | None = None) -> None:
         joint_element(self.root, f"{child}_fixed", "fixed", (parent, child), origin)
         self._link(child, body)
 
@@ -290,7 +290,7 @@ class _Reader:
         kind = int(model.geom_type[geom])
         shape: tuple[str, dict[str, str]] | None = None
         if kind == types.mjGEOM_BOX:
-            shape = "box", {"size": spaced(2 * size)}
+            shape = "box", {"size": number_attribute(2 * size)}
         elif kind == types.mjGEOM_SPHERE:
             shape = "sphere", {"radius": repr(float(size[0]))}
         elif kind in (types.mjGEOM_CYLINDER, types.mjGEOM_CAPSULE):
@@ -301,7 +301,7 @@ class _Reader:
             if Path(file).suffix.lower() in _MESHES:
                 place = place * _se3(model.mesh_pos[mesh], model.mesh_quat[mesh]).inverse()  # MuJoCo centres meshes
                 where = Path(self.meshes, file).as_posix()
-                shape = "mesh", {"filename": where, "scale": spaced(model.mesh_scale[mesh])}
+                shape = "mesh", {"filename": where, "scale": number_attribute(model.mesh_scale[mesh])}
         if shape is not None:
             visual_element(link, place, Element(*shape))
 
@@ -340,20 +340,20 @@ class _Reader:
         SubElement(element, "mimic", joint=led_by, multiplier=repr(factor), offset=repr(offset))
 
     def _loop(self, number: int, name: str, *, whole: bool) -> MjcfLoop:
-        bodies, places = self._tied(number)
+        bodies, places = self._bodies_of_tie(number)
         axes: tuple[str, ...] = ("x", "y", "z", "rx", "ry", "rz")
         if not whole:
-            turn, count = self._held(bodies, [place.translation for place in places])
+            turn, count = self._loop_axes(bodies, [place.translation for place in places])
             axes = axes[:count]
             places = [pin.SE3(turn, place.translation) for place in places]  # of the second, its point alone counts
         links = []
         for letter, body, place in zip("ab", bodies, places, strict=True):
             link = self._new(f"{name}_{letter}", self.links)
-            self._fixed(self.link_of[body], link, place)
+            self._add_fixed_joint(self.link_of[body], link, place)
             links.append(link)
         return MjcfLoop((links[0], links[1]), "6d" if whole else "3d", axes)
 
-    def _tied(self, number: int) -> tuple[list[int], list[pin.SE3]]:
+    def _bodies_of_tie(self, number: int) -> tuple[list[int], list[pin.SE3]]:
         """The two bodies of a tie, and where it holds each."""
         model = self.model
         ids = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
@@ -364,7 +364,7 @@ class _Reader:
             return ids, [_se3(data[3:6], data[6:10]), _se3(data[0:3], straight)]
         return ids, [_se3(data[0:3], straight), _se3(data[3:6], straight)]
 
-    def _held(self, bodies: list[int], points: list[FloatArray]) -> tuple[FloatArray, int]:
+    def _loop_axes(self, bodies: list[int], points: list[FloatArray]) -> tuple[FloatArray, int]:
         """Axes of a loop in its first body, (3, 3), those that its joints move along before the others; how many do."""
         mujoco, model = self.mujoco, self.model
         data, random = mujoco.MjData(model), np.random.default_rng(0)
@@ -387,7 +387,7 @@ class _Reader:
         if count == 3:
             return np.eye(3), 3
         axis = directions[:, 2] if count == 2 else directions[:, 0]
-        second, third = across(axis)
+        second, third = perpendicular_axes(axis)
         return np.column_stack([second, third, axis] if count == 2 else [axis, second, third]), max(count, 1)
 
 

@@ -67,7 +67,7 @@ class UrdfJoint:
 
     @property
     def moves(self) -> bool:
-        """Whether it has a value of its own, or follows another joint, and a range over which it can go."""
+        """Whether the joint has a value of its own, or follows another one, and a range to move in."""
         if self.type in HELD_TYPES:
             return False
         return self.mimic is not None or not self.unstated
@@ -149,7 +149,7 @@ class UrdfReader:
             self.name = attributes.get("name", "")
             self.root_span = self._span() or (0, 0)
         elif depth == 1 and tag == "link":
-            self.links.append(self._required(attributes, "name", "<link>"))
+            self.links.append(self._require(attributes, "name", "<link>"))
         elif depth == 1 and tag == "joint":
             self._start_joint(attributes)
         elif depth == 2 and self._joint:
@@ -174,8 +174,8 @@ class UrdfReader:
                     )
 
     def _start_joint(self, attributes: dict[str, str]) -> None:
-        name = self._required(attributes, "name", "<joint>")
-        kind = self._required(attributes, "type", f"joint '{name}'")
+        name = self._require(attributes, "name", "<joint>")
+        kind = self._require(attributes, "type", f"joint '{name}'")
         if kind not in MOVING_TYPES + HELD_TYPES:
             raise UrdfError(
                 f"{self.path}, joint '{name}': unknown type '{kind}'{nearest(kind, MOVING_TYPES + HELD_TYPES)}"
@@ -203,7 +203,7 @@ class UrdfReader:
             raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {where} has two <{tag}>; keep one")
         self._seen[tag] = attributes
         if tag in ("parent", "child"):
-            joint[tag] = self._required(attributes, "link", f"<{tag}> of {where}")
+            joint[tag] = self._require(attributes, "link", f"<{tag}> of {where}")
         elif tag == "origin":
             joint["origin_span"] = self._span()
             joint["xyz"] = self._triple(attributes.get("xyz", "0 0 0"), f"{where}, xyz")
@@ -226,9 +226,9 @@ class UrdfReader:
                 joint |= {"lower": -math.inf, "upper": math.inf, "unstated": True}
         elif tag == "mimic":
             joint["mimic"] = (
-                self._required(attributes, "joint", f"<mimic> of {where}"),
-                self._bounded(attributes.get("multiplier", "1"), f"{where}, mimic multiplier"),
-                self._bounded(attributes.get("offset", "0"), f"{where}, mimic offset"),
+                self._require(attributes, "joint", f"<mimic> of {where}"),
+                self._bounded_number(attributes.get("multiplier", "1"), f"{where}, mimic multiplier"),
+                self._bounded_number(attributes.get("offset", "0"), f"{where}, mimic offset"),
             )
 
     def _axis(self, attributes: dict[str, str], where: str, moving: bool) -> Triple:
@@ -251,7 +251,7 @@ class UrdfReader:
             self.joints.append(UrdfJoint(**self._joint))  # type: ignore[arg-type]
             self._joint = {}
 
-    def _required(self, attributes: dict[str, str], key: str, where: str) -> str:
+    def _require(self, attributes: dict[str, str], key: str, where: str) -> str:
         if not attributes.get(key):
             raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {where} has no '{key}'")
         if problem := unseen(attributes[key]):
@@ -270,12 +270,12 @@ class UrdfReader:
 
     def _triple(self, text: str, where: str) -> Triple:
         parts = [text] if "$" in text else re.split(f"[{_SPACE}]+", text.strip(_SPACE))
-        numbers = tuple(self._bounded(part, where) for part in parts)
+        numbers = tuple(self._bounded_number(part, where) for part in parts)
         if len(numbers) != 3:
             raise UrdfError(f"{self.path}, {where}: '{text}' is not three numbers separated by spaces")
         return numbers
 
-    def _bounded(self, text: str, where: str) -> float:
+    def _bounded_number(self, text: str, where: str) -> float:
         value = self._number(text, where)
         if abs(value) > _LARGEST:
             raise UrdfError(f"{self.path}, {where}: '{text}' is beyond 1e9, more than any robot needs; correct it")

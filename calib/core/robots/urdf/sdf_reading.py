@@ -29,7 +29,7 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError, nearest
 from calib.core.robots.urdf.mjcf_reading import MjcfLoop, MjcfRobot
-from calib.core.robots.urdf.writing import across, document, inertial_element, joint_element, visual_element
+from calib.core.robots.urdf.writing import document, inertial_element, joint_element, perpendicular_axes, visual_element
 
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _ENDLESS = 1e10  # limits of SDF beyond which there are none [m or rad]
@@ -61,10 +61,10 @@ def read_sdf(source: bytes, path: str) -> MjcfRobot:
                 f"{path}: model '{model.get('name')}' holds other models; write it as one, or give the URDF"
             )
     version = [int(part) for part in root.get("version", "1.6").split(".") if part.isdigit()]
-    return _Reader(model, version < [1, 5], path).read()
+    return _SdfReader(model, version < [1, 5], path).read()
 
 
-class _Reader:
+class _SdfReader:
     def __init__(self, model: Element, old: bool, path: str) -> None:
         self.model, self.old, self.path = model, old, path
         self.named = {e.get("name", ""): e for tag in ("link", "joint", "frame") for e in model.findall(tag)}
@@ -96,7 +96,7 @@ class _Reader:
     def _text(self, element: Element, tag: str, default: str = "") -> str:
         return (element.findtext(tag) or default).strip()
 
-    def _wrong(self, element: Element, text: str) -> UrdfError:
+    def _error(self, element: Element, text: str) -> UrdfError:
         return UrdfError(f"{self.path}: {element.tag} '{element.get('name', '')}': {text}")
 
     def _numbers(self, element: Element, text: str, count: int) -> FloatArray:
@@ -105,7 +105,7 @@ class _Reader:
         except ValueError:
             numbers = np.zeros(0)
         if len(numbers) != count or not np.all(np.isfinite(numbers)):
-            raise self._wrong(element, f"'{text}' are not {count} numbers")
+            raise self._error(element, f"'{text}' are not {count} numbers")
         return numbers
 
     def _pose(self, owner: Element) -> pin.SE3:
@@ -152,7 +152,7 @@ class _Reader:
                 break
             name = self._text(element, "child") if element.tag == "joint" else element.get("attached_to", "")
         if name != "world" and (name not in self.named or self.named[name].tag != "link"):
-            raise self._wrong(joint, f"its {tag} '{self._text(joint, tag)}' is no link{nearest(name, self.named)}")
+            raise self._error(joint, f"its {tag} '{self._text(joint, tag)}' is no link{nearest(name, self.named)}")
         return name
 
     def _axis(self, joint: Element) -> FloatArray:
@@ -160,10 +160,10 @@ class _Reader:
         axis = joint.find("axis")
         xyz = None if axis is None else axis.find("xyz")
         if axis is None or xyz is None:
-            raise self._wrong(joint, "has no axis; write <axis><xyz>0 0 1</xyz></axis>")
+            raise self._error(joint, "has no axis; write <axis><xyz>0 0 1</xyz></axis>")
         direction = self._numbers(joint, (xyz.text or "").strip(), 3)
         if not np.linalg.norm(direction) > 0:
-            raise self._wrong(joint, "its axis is zero")
+            raise self._error(joint, "its axis is zero")
         of_model = self.old or self._text(axis, "use_parent_model_frame") in ("true", "1")
         frame = xyz.get("expressed_in", "") or (_MODEL if of_model else joint.get("name", ""))
         turned = self._place(joint.get("name", "")).rotation.T @ self._place(frame).rotation @ direction
@@ -172,7 +172,7 @@ class _Reader:
     def _joint(self, joint: Element, parent: str, child: str) -> None:
         name, kind = joint.get("name", ""), joint.get("type", "")
         if kind not in _TYPES:
-            raise self._wrong(joint, f"is {kind}, which no URDF has; make it of {', '.join(_TYPES)} joints")
+            raise self._error(joint, f"is {kind}, which no URDF has; make it of {', '.join(_TYPES)} joints")
         place = self._place(name)
         rest, between = place.inverse() * self._place(child), child
         if kind != "fixed" and not rest.isIdentity(1e-12):
@@ -187,7 +187,7 @@ class _Reader:
             limits = (lower if lower > -_ENDLESS else -np.inf, upper if upper < _ENDLESS else np.inf)
         if not np.all(np.isfinite(limits)):
             if kind == "prismatic":
-                raise self._wrong(joint, "slides without limits, which a URDF must have: add them")
+                raise self._error(joint, "slides without limits, which a URDF must have: add them")
             kind = "continuous" if kind == "revolute" else kind
         if kind == "fixed":
             joint_element(self.root, name, kind, (parent, between), origin)
@@ -214,10 +214,10 @@ class _Reader:
         ends = self._end(joint, "parent"), self._end(joint, "child")
         axes: tuple[str, ...] = ("x", "y", "z", "rx", "ry", "rz")
         if kind not in ("revolute", "continuous", "ball", "fixed"):
-            raise self._wrong(joint, f"closes a loop and is {kind}; close the loop at a revolute or ball joint")
+            raise self._error(joint, f"closes a loop and is {kind}; close the loop at a revolute or ball joint")
         if kind in ("revolute", "continuous"):
             axis = self._axis(joint)
-            place = place * pin.SE3(np.column_stack([*across(axis), axis]), np.zeros(3))
+            place = place * pin.SE3(np.column_stack([*perpendicular_axes(axis), axis]), np.zeros(3))
             axes = axes[: 2 if self._planar(place.rotation[:, 2], ends) else 3]
         elif kind == "ball":
             axes = axes[:3]
@@ -229,7 +229,7 @@ class _Reader:
 
     def _planar(self, axis: FloatArray, ends: tuple[str, str]) -> bool:
         """Whether the joints between two links turn about an axis of the model, (3,), or slide across it."""
-        ways = [list(self._way(end)) for end in ends]
+        ways = [list(self._path(end)) for end in ends]
         own = [joint for joint in ways[0] + ways[1] if (joint in ways[0]) != (joint in ways[1])]
         for joint in own:
             if joint.get("type") == "fixed":
@@ -239,7 +239,7 @@ class _Reader:
                 return False
         return True
 
-    def _way(self, link: str) -> Iterator[Element]:
+    def _path(self, link: str) -> Iterator[Element]:
         while link in self.tree:
             yield self.tree[link]
             link = self._end(self.tree[link], "parent")

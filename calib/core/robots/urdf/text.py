@@ -6,7 +6,7 @@ Where nothing changes the bytes are identical: comments, order, spelling of numb
 
 Angles of an edited rotation are recovered with Pinocchio's `matrixToRpy`, which is exact to 1e-15 also near
 pitch = +-90 degrees, and written as the shortest decimal that reads back to the same number. Every edited file is read
-back, and must then have the origins that were asked for.
+back, and must then have the requested origins.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from calib.core.robots.urdf.reader import (
 )
 from calib.core.robots.urdf.sdf_reading import read_sdf
 from calib.core.robots.urdf.ur_kinematics import read_origins, ur_urdf
-from calib.core.robots.urdf.writing import shortest, spelled
-from calib.core.robots.urdf.xacro_files import expanded
+from calib.core.robots.urdf.writing import readers_by_word, shortest
+from calib.core.robots.urdf.xacro_files import expand
 
 __all__ = [
     "HELD_TYPES",
@@ -85,7 +85,7 @@ class UrdfText:
         return next(link for link in self.links if link not in children)
 
     @property
-    def outwards(self) -> list[UrdfJoint]:
+    def joints_from_root(self) -> list[UrdfJoint]:
         """Joints so that parents come first, otherwise in file order."""
         children: dict[str, list[UrdfJoint]] = {link: [] for link in self.links}
         for joint in self.joints:
@@ -138,7 +138,7 @@ class UrdfText:
         if joint.origin_span is None:
             end = joint.tag_span[1]
             blank = _BLANK.match(self.source, end)  # the line end and indent of what follows
-            attributes = " ".join(f'{key}="{spelled(value)}"' for key, value in changes.items())
+            attributes = " ".join(f'{key}="{readers_by_word(value)}"' for key, value in changes.items())
             return [(end, end, (blank.group() if blank else b"") + f"<origin {attributes}/>".encode())]
         return _attribute_edits(self.source, joint.origin_span, changes)
 
@@ -168,7 +168,7 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
     if arguments and Path(path).suffix != ".xacro":
         raise UrdfError(f"{path}: is no xacro file, and takes no arguments; leave out {', '.join(arguments)}")
     if Path(path).suffix == ".xacro":
-        source = expanded(path, arguments or {})
+        source = expand(path, arguments or {})
     elif Path(path).suffix.lower() in (".yaml", ".yml"):
         source = ur_urdf(read_origins(path))
     elif (tag := outermost(source)) in ("mujoco", "sdf"):
@@ -218,7 +218,7 @@ def _attribute_edits(source: bytes, span: Span, changes: Mapping[str, Triple]) -
             edits.append((start + first + 1, start + last - 1, _respell(old, value)))
         else:
             at = start + len(b"<origin")
-            edits.append((at, at, f' {key}="{spelled(value)}"'.encode()))
+            edits.append((at, at, f' {key}="{readers_by_word(value)}"'.encode()))
     return edits
 
 
@@ -227,7 +227,7 @@ def _respell(old: bytes, values: Triple) -> bytes:
     text = old.decode("ascii", errors="replace")
     numbers = list(NUMBER.finditer(text))
     if len(numbers) != 3 or "&" in text:  # spelled with character references: write it plainly
-        return spelled(values).encode()
+        return readers_by_word(values).encode()
     for match, value in reversed(list(zip(numbers, values, strict=True))):
         if float(match.group()) != value:
             text = text[: match.start()] + shortest(value) + text[match.end() :]

@@ -16,7 +16,7 @@ from calib.core.robots.urdf.reader import Triple
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
-def quoted(text: str) -> str:
+def quote_attribute(text: str) -> str:
     """Return a text as the value of an attribute, with its quotes; `xml.sax.saxutils` would import a web client."""
     escaped = html.escape(text)
     for letter in "\n\r\t":
@@ -33,8 +33,8 @@ def robot_text(name: str, note: str, links: Sequence[str], joints: Sequence[str]
         links: Names of links.
         joints: Of `joint_text`.
     """
-    body = "".join([*(f"  <link name={quoted(link)}/>\n" for link in links), *joints])
-    return f'<?xml version="1.0"?>\n<!-- {note} -->\n<robot name={quoted(name)}>\n{body}</robot>\n'
+    body = "".join([*(f"  <link name={quote_attribute(link)}/>\n" for link in links), *joints])
+    return f'<?xml version="1.0"?>\n<!-- {note} -->\n<robot name={quote_attribute(name)}>\n{body}</robot>\n'
 
 
 def joint_text(
@@ -56,17 +56,20 @@ def joint_text(
         axis: Three numbers; empty if it does not move.
         limits: Lowest and highest value [m or rad], if there are any.
     """
-    parent, child = map(quoted, links)
-    lines = [f"<parent link={parent}/> <child link={child}/>", f'<origin xyz="{spelled(xyz)}" rpy="{spelled(rpy)}"/>']
+    parent, child = map(quote_attribute, links)
+    lines = [
+        f"<parent link={parent}/> <child link={child}/>",
+        f'<origin xyz="{readers_by_word(xyz)}" rpy="{readers_by_word(rpy)}"/>',
+    ]
     if axis:
         lines.append(f'<axis xyz="{axis}"/>')
     if axis and limits:
         lines.append(f'<limit lower="{limits[0]!r}" upper="{limits[1]!r}" effort="0" velocity="0"/>')
     inside = "".join(f"    {line}\n" for line in lines)
-    return f'  <joint name={quoted(name)} type="{kind}">\n{inside}  </joint>\n'
+    return f'  <joint name={quote_attribute(name)} type="{kind}">\n{inside}  </joint>\n'
 
 
-def spelled(values: Triple) -> str:
+def readers_by_word(values: Triple) -> str:
     """Return three numbers as an attribute."""
     return " ".join(shortest(value) for value in values)
 
@@ -97,7 +100,7 @@ def joint_element(
     SubElement(element, "child", link=links[1])
     SubElement(element, "origin", origin_of(origin))
     if axis is not None:
-        SubElement(element, "axis", xyz=spaced(axis))
+        SubElement(element, "axis", xyz=number_attribute(axis))
     if limits is not None:
         SubElement(element, "limit", lower=repr(limits[0]), upper=repr(limits[1]), effort="0", velocity="0")
     return element
@@ -120,15 +123,15 @@ def visual_element(link: Element, origin: pin.SE3, shape: Element) -> None:
 
 def origin_of(place: pin.SE3) -> dict[str, str]:
     """Return the attributes of a URDF's origin."""
-    return {"xyz": spaced(place.translation), "rpy": spaced(pin.rpy.matrixToRpy(place.rotation))}
+    return {"xyz": number_attribute(place.translation), "rpy": number_attribute(pin.rpy.matrixToRpy(place.rotation))}
 
 
-def spaced(values: Iterable[float]) -> str:
+def number_attribute(values: Iterable[float]) -> str:
     """Return numbers as an attribute of a URDF."""
     return " ".join(repr(float(value) + 0.0) for value in values)
 
 
-def across(axis: FloatArray) -> FloatArray:
+def perpendicular_axes(axis: FloatArray) -> FloatArray:
     """Return two unit vectors across one (3,), and each other, (2, 3)."""
     second = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     second /= np.linalg.norm(second)

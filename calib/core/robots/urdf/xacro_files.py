@@ -3,7 +3,7 @@
 Expressions of xacro are Python, and may compute for ever (`${9**9**9}`), read what they like (`xacro.load_yaml`) and
 say it in an error. So the child process has no variables of the environment but those that say where packages are, it
 ends after some seconds, and opens only files of the package that the xacro file is in, of packages that are installed,
-and of Python. What goes wrong is told by its kind and place; no message quotes what a file holds.
+and of Python. An error is reported by its kind and place; no message quotes what a file holds.
 
 The package is the folder around the file that has a `package.xml`; without one, the folder above the file's own.
 `$(find NAME)` is the package around the file of that name, one that lies beside it, or one in the folders of ROS:
@@ -41,7 +41,7 @@ _QUOTED = re.compile(
 _EMPTY = re.compile(r"<xacro:arg\s+name=\"([A-Za-z]\w*)\"\s+default=\"\"")
 
 
-def expanded(path: Path | str, arguments: Mapping[str, str]) -> bytes:
+def expand(path: Path | str, arguments: Mapping[str, str]) -> bytes:
     """Return the URDF that a xacro file stands for, by the package xacro, which not everybody has.
 
     Args:
@@ -67,8 +67,8 @@ def expanded(path: Path | str, arguments: Mapping[str, str]) -> bytes:
         )
     if done.returncode:
         last = done.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
-        said = last[0] if done.returncode == _FAILED and last else "it ended without a word"
-        raise UrdfError(f"{path}: xacro cannot expand it ({said}); correct it, {elsewhere}")
+        message = last[0] if done.returncode == _FAILED and last else "it ended without a word"
+        raise UrdfError(f"{path}: xacro cannot expand it ({message}); correct it, {elsewhere}")
     return done.stdout
 
 
@@ -86,7 +86,7 @@ def _main(path: str, *given: str) -> int:
     os.environ.clear()  # no expression reads it from here on
     values = dict(argument.split(":=", 1) for argument in given)
     try:
-        text: bytes = _processed(xacro, path, values).toprettyxml(indent="  ", encoding="utf-8")
+        text: bytes = _process(xacro, path, values).toprettyxml(indent="  ", encoding="utf-8")
     except BaseException as error:  # of xacro, of the XML parser, of expressions in the file
         sys.stderr.write(f"\n{_kind(error)}\n")
         return _FAILED
@@ -94,7 +94,7 @@ def _main(path: str, *given: str) -> int:
     return 0
 
 
-def _processed(xacro: Any, path: str, values: dict[str, str]) -> Any:
+def _process(xacro: Any, path: str, values: dict[str, str]) -> Any:
     """The expanded document.
 
     Raises:
@@ -126,7 +126,7 @@ def _without_value(names: Mapping[str, str]) -> str:
 
 
 def _without_file(path: str, missing: str, values: Mapping[str, str]) -> str:
-    """What to do about a file that is not there: often its name has a part of an argument that nobody gave."""
+    """Advice on a missing file: often its name contains an argument that was not given."""
     text = Path(path).read_text(encoding="utf-8", errors="replace")
     empty = [name for name in dict.fromkeys(_EMPTY.findall(text)) if not values.get(name)]
     given = f"; these arguments are empty: {', '.join(empty)}; give them: --xacro {empty[0]}:=VALUE" if empty else ""
@@ -143,7 +143,7 @@ def _causes(error: BaseException) -> list[BaseException]:
 
 
 def _kind(error: BaseException) -> str:
-    """What went wrong, with the one name that may be quoted: no text of a file, and none of another package."""
+    """The kind of an error, with the one name that may be quoted: no text of a file or of another package."""
     causes = _causes(error)
     outside = next((cause for cause in causes if isinstance(cause, _OutsideError)), None)
     if outside is not None:
@@ -164,11 +164,11 @@ def _kind(error: BaseException) -> str:
 
 
 class _OutsideError(Exception):
-    """An expression asked for what is not its own, or for what nobody gave."""
+    """An expression uses a name that is not its own, or that has no value."""
 
 
 class _Packages:
-    """Where packages are: the one around a file, and others as they are asked for.
+    """Where packages are: the one around a file, and others at first use.
 
     Attributes:
         own: Folder of the package around the file.
@@ -179,7 +179,10 @@ class _Packages:
         around = next((folder for folder in path.parents if (folder / "package.xml").is_file()), None)
         self.own = around or (path.parents[1] if len(path.parents) > 2 else path.parent)
         self.found: dict[str, str] = {}
-        self._prefixes, self._roots = _listed("AMENT_PREFIX_PATH"), _listed("ROS_PACKAGE_PATH")
+        self._prefixes, self._roots = (
+            _folders_in_variable("AMENT_PREFIX_PATH"),
+            _folders_in_variable("ROS_PACKAGE_PATH"),
+        )
 
     def find(self, name: str) -> str:
         """Return the folder of a package."""
@@ -202,7 +205,7 @@ class _Packages:
                 yield from (file.parent for file in sorted(root.glob("*/" * depth + "package.xml")))
 
 
-def _listed(name: str) -> list[str]:
+def _folders_in_variable(name: str) -> list[str]:
     """Folders that a variable of the environment lists."""
     return [entry for entry in os.environ.get(name, "").split(os.pathsep) if entry]
 
@@ -218,7 +221,7 @@ def _is_package(folder: Path, name: str) -> bool:
 
 def _guard(packages: _Packages) -> Callable[[str, tuple[object, ...]], None]:
     """A hook of Python that refuses to open files outside packages, and to start programs."""
-    installed = [entry for name in _PACKAGES for entry in _listed(name)]
+    installed = [entry for name in _PACKAGES for entry in _folders_in_variable(name)]
     python = [sys.prefix, sys.base_prefix, *sys.path]
     folders = [os.path.realpath(folder) for folder in (str(packages.own), *installed, *python) if folder]
 

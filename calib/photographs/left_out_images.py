@@ -9,12 +9,12 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.photographs.estimation import solve
-from calib.photographs.scene import Placed, Scene, on_board, residuals
+from calib.photographs.scene import BoardScene, HandEyePlacement, plane_errors_on_board, residuals
 from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior
 
 
 @dataclass(frozen=True, eq=False)
-class LeftOut(ReadOnlyArrays):
+class LeftOutImages(ReadOnlyArrays):
     """Images predicted by the others.
 
     Attributes:
@@ -26,15 +26,15 @@ class LeftOut(ReadOnlyArrays):
     board: FloatArray
 
 
-def left_out(
-    scene: Scene,
-    placed: Placed,
+def solve_without_each_image(
+    scene: BoardScene,
+    placed: HandEyePlacement,
     free: Sequence[int],
     weights: ErrorSizes,
     prior: IntrinsicsPrior | None = None,
     *,
     scaled: bool = False,
-) -> list[Placed]:
+) -> list[HandEyePlacement]:
     """Return the solution without each image in turn, in order.
 
     Args:
@@ -48,26 +48,26 @@ def left_out(
     result = []
     for i in range(len(scene)):
         others: BoolArray = np.arange(len(scene)) != i
-        result.append(solve(scene.only(others), placed, free, weights, prior, scaled=scaled, steps=6))
+        result.append(solve(scene.select_images(others), placed, free, weights, prior, scaled=scaled, steps=6))
     return result
 
 
-def predicted(
-    scene: Scene,
-    placed: Placed,
+def predict_left_out_images(
+    scene: BoardScene,
+    placed: HandEyePlacement,
     free: Sequence[int],
     weights: ErrorSizes,
     prior: IntrinsicsPrior | None = None,
     *,
     scaled: bool = False,
-) -> LeftOut:
-    """Return how far each image is from where the others put it; see `left_out`."""
+) -> LeftOutImages:
+    """Return how far each image is from where the others put it; see `solve_without_each_image`."""
     pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
-    for i, without in enumerate(left_out(scene, placed, free, weights, prior, scaled=scaled)):
+    for i, without in enumerate(solve_without_each_image(scene, placed, free, weights, prior, scaled=scaled)):
         in_image = scene.image == i
-        part = scene.only(np.arange(len(scene)) == i)
-        pixels[in_image], board[in_image] = residuals(part, without), on_board(part, without)
-    return LeftOut(pixels, board)
+        part = scene.select_images(np.arange(len(scene)) == i)
+        pixels[in_image], board[in_image] = residuals(part, without), plane_errors_on_board(part, without)
+    return LeftOutImages(pixels, board)
 
 
 def rms(errors: FloatArray) -> float:

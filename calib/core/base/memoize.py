@@ -16,7 +16,7 @@ Thing = TypeVar("Thing")
 Answer = TypeVar("Answer")
 
 
-def remembered(function: Callable[[Thing], Answer]) -> Callable[[Thing], Answer]:
+def memoize(function: Callable[[Thing], Answer]) -> Callable[[Thing], Answer]:
     """Make a function of one object remember its answer for each object."""
     key = f"{function.__module__}.{function.__qualname__}"
 

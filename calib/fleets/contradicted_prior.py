@@ -29,7 +29,7 @@ from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.robots.fleet_prior import FleetSection
 from calib.core.robots.robot import Robot
 from calib.fleets.hierarchy import likeness
-from calib.fleets.shared_parameters import expected_by, shared_parameters, told_of, without_fleet
+from calib.fleets.shared_parameters import evidence_of_fit, expectation_of_fleet, shared_parameters, without_fleet
 
 _WIDE = 5.0  # by which a prior is wider that shall decide little
 _MOST = 0.25  # part of the parameters that may be unlike before the whole robot is
@@ -52,9 +52,9 @@ def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Setti
     freedom = alone.statistics.freedom
     unlike: list[str] = []
     while shared:
-        told = told_of(alone.robot, alone.free, alone.statistics.covariance, freedom, shared)
-        mean, expected = expected_by(fleet, robot, shared)
-        compared = likeness(told, mean, expected, np.full(len(shared), fleet.robots + _EXTRA))
+        evidence = evidence_of_fit(alone.robot, alone.free, alone.statistics.covariance, freedom, shared)
+        mean, expected = expectation_of_fleet(fleet, robot, shared)
+        compared = likeness(evidence, mean, expected, np.full(len(shared), fleet.robots + _EXTRA))
         if not compared.p_value() < FALSE_ALARM:
             break
         if len(unlike) + 1 > _MOST * len(fleet.parameters) or not np.any(np.isfinite(compared.distances)):
@@ -71,7 +71,7 @@ def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Setti
 
 def _with_little_of_it(robot: Robot, fleet: FleetSection, data: Measurements, settings: Settings) -> Fit | None:
     """The fit without the fleet, or with little of what it says; None where neither is possible."""
-    wide = robot.description.model_copy(update={"fleet": fleet.widened(_WIDE, robot.parameters)})
+    wide = robot.description.model_copy(update={"fleet": fleet.widen(_WIDE, robot.parameters)})
     for tried in (without_fleet(robot), replace(robot, description=wide)):
         with suppress(CalibrationError):
             return fit_data(tried, settings, data)

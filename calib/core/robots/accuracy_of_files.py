@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.units import Dimension, quantity_text
-from calib.core.base.words import counted
+from calib.core.base.words import count_noun
 from calib.core.robots.terms.term import JointTerm
 
 
@@ -34,7 +34,7 @@ class Holds(Enum):
         return self is Holds.EVERYTHING or (self is Holds.TABLES and not term.depends_on)
 
 
-class SeenAt(Enum):
+class PoseUse(Enum):
     """At which poses errors were seen, in words."""
 
     VALIDATION = "validation"
@@ -62,7 +62,7 @@ class Accuracy:
         readings: What was read there in a sentence, such as `distances`.
     """
 
-    poses: SeenAt
+    poses: PoseUse
     n_poses: int
     part: str
     dimension: Dimension
@@ -73,20 +73,22 @@ class Accuracy:
     readings: str = "readings"
 
     @property
-    def where(self) -> str:
+    def pose_words(self) -> str:
         """The poses in words."""
-        counts = counted(self.n_poses, "pose")
-        return f"{self.n_poses} validation poses" if self.poses is SeenAt.VALIDATION else f"{counts} {self.poses.value}"
+        counts = count_noun(self.n_poses, "pose")
+        return (
+            f"{self.n_poses} validation poses" if self.poses is PoseUse.VALIDATION else f"{counts} {self.poses.value}"
+        )
 
-    def shown(self, error: float) -> str:
+    def in_unit(self, error: float) -> str:
         """Return an error [SI] with its unit."""
         return quantity_text(error, self.dimension, ".4f")
 
     @property
     def words(self) -> str:
         """One clause: its error, what nearly all errors stay below, and where."""
-        limit = f", 95 % within {self.shown(self.limit95)}" if np.isfinite(self.limit95) else ""
-        return f"{self.shown(self.rms)} RMS{limit} ({self.where})"
+        limit = f", 95 % within {self.in_unit(self.limit95)}" if np.isfinite(self.limit95) else ""
+        return f"{self.in_unit(self.rms)} RMS{limit} ({self.pose_words})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +99,7 @@ class FileRobot(ReadOnlyArrays):
         values: Of all its parameters, by name [SI]; none where it is the nominal robot with joint zeros.
         accuracy: How good it is.
         withheld: Why it is not to be used without being forced; empty where it may.
-        signs, offsets: Joint zeros: joints are at sign * q + offset where they are told q, (n_actuated,) [m or rad];
+        signs, offsets: Joint zeros: joints are at sign * q + offset at command q, (n_actuated,) [m or rad];
             empty where the values say all.
     """
 

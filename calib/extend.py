@@ -48,7 +48,7 @@ from calib.core.robots.named_origins import NamedComponent, NamedOrigins
 from calib.core.robots.parameters import Origin, Parametrisation, ResultUse, twist_of_edit
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.checking import check_term
-from calib.core.robots.terms.formula import Formula, Proportional, Source, Waves
+from calib.core.robots.terms.formula import Formula, Proportional, Source, WaveFormula
 from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm, TermSection, coefficient
 from calib.core.robots.terms.terms import TERMS
 from calib.quality.protocol import Check, Phase
@@ -107,7 +107,7 @@ __all__ = [
     "Source",
     "TermSection",
     "View",
-    "Waves",
+    "WaveFormula",
     "check_kind",
     "check_term",
     "coefficient",

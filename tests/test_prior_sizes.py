@@ -74,7 +74,7 @@ def test_intervals_of_families_that_are_hardly_seen_hold():
             RowGroups.from_groups(np.zeros(60, dtype=int), 1),
         )
         sizes = find_noise_with_families(
-            Products.of_model(model), model.prior, model.deviations, np.array([False]), family, np.ones(1)
+            Products.from_model(model), model.prior, model.deviations, np.array([False]), family, np.ones(1)
         )[1][family]
         covariance = np.linalg.inv((jacobian * sizes).T @ (jacobian * sizes) + np.eye(36))
         u = -covariance @ (jacobian * sizes).T @ model.residuals

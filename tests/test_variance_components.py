@@ -164,7 +164,7 @@ def with_families(seed):
 def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
     model, family = with_families(seed)
     scales, sizes = find_noise_with_families(
-        Products.of_model(model), model.prior, model.deviations, ONE, family, np.array([1.0])
+        Products.from_model(model), model.prior, model.deviations, ONE, family, np.array([1.0])
     )
 
     def minus_twice_log(x):
@@ -183,7 +183,7 @@ def test_a_family_that_is_not_seen_keeps_the_size_that_is_expected():
     unseen = replace(model, jacobian=model.jacobian * np.where(family == 1, 1e-9, 1.0))
     assert (
         find_noise_with_families(
-            Products.of_model(unseen), unseen.prior, unseen.deviations, ONE, family, np.array([1.0])
+            Products.from_model(unseen), unseen.prior, unseen.deviations, ONE, family, np.array([1.0])
         )[1][1]
         == 1.0
     )

@@ -80,7 +80,7 @@ def report_page(
         scene: The fit's scene, where it has been made before.
     """
     shown = scene_of_fit(fit) if scene is None and fit.assembles else scene
-    headline, table, budget, claim = Headline.of(fit), from_fit(fit), budget_table(fit), judge(fit).claim
+    headline, table, budget, claim = Headline.from_fit(fit), from_fit(fit), budget_table(fit), judge(fit).claim
     frame = "" if shown is None else scene_page(shown, embedded=True).html
     return printed_page(
         "report.html",

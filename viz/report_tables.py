@@ -31,7 +31,7 @@ class Headline:
     after: dict[str, Any]
 
     @staticmethod
-    def of(fit: Fit) -> Headline:
+    def from_fit(fit: Fit) -> Headline:
         """Return that of the main part."""
         group, errors = judging_errors(fit)
         part = errors.main_part

@@ -152,7 +152,7 @@ def against_minpack(robot, data):
             theirs = scipy.optimize.least_squares(
                 lambda u: np.nan_to_num(residuals(u), nan=1e6),
                 start,
-                lambda u: RowStack.of(jacobian(u)).whole,
+                lambda u: RowStack.from_matrix(jacobian(u)).whole,
                 method="lm",
                 max_nfev=300,
             )
@@ -191,7 +191,7 @@ def lowest_costs(robot, data):
                 lambda seen, name=name: scipy.optimize.least_squares(
                     lambda u: np.nan_to_num(seen(u), nan=1e6),
                     start,
-                    lambda u: RowStack.of(jacobian(u)).whole,
+                    lambda u: RowStack.from_matrix(jacobian(u)).whole,
                     method=name,
                     **dict.fromkeys(("ftol", "xtol", "gtol"), 1e-15),
                     max_nfev=300,

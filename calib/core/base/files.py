@@ -58,7 +58,9 @@ def read_text(path: Path | str, expected: str, error: type[CalibrationError], *,
     """Return the text of a file without the mark that some editors put first, and with one kind of line ends.
 
     Args:
-        path, expected, error: As of `read_bytes`.
+        path: The file.
+        expected: What it should hold, for the error.
+        error: Class of the error.
         growing: Whether the file is still written: a last line without its end is left out.
     """
     content = read_bytes(path, expected, error)

@@ -281,7 +281,7 @@ def read_table(
 
 
 def _without_comments(lines: Sequence[str], above: int) -> tuple[list[str], list[int]]:
-    """What the comments of a file say, whose first `above` lines are comments too; numbers of its header and rows."""
+    """Return the comments of a file, whose first `above` lines are comments too, and numbers of its header and rows."""
     comments, numbers = list[str](), list[int]()
     for number, line in enumerate(lines, start=1):
         if is_comment(line):

@@ -28,7 +28,7 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     ones, unknowns = np.ones(len(groups)), problem.unknowns
     plain = problem.weighing is None
     if unknowns.families:
-        products = problem.products(evaluation, ones) if plain else Products.of_model(problem.rows(evaluation, ones))
+        products = problem.products(evaluation, ones) if plain else Products.from_model(problem.rows(evaluation, ones))
         deviations = unknowns.deviations(evaluation.robot.values)
         return find_noise_with_families(
             products, unknowns.prior, deviations, problem.noise_found, unknowns.family, groups

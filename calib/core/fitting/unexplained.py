@@ -64,5 +64,5 @@ def _model(rows: Rows, by_joint: FloatArray) -> MixedModel:
     use = np.isin(pose, poses[:: -(-len(poses) // _POSES)]) & (layout.group >= 0) & np.any(rows.jacobian != 0.0, axis=1)
     no_family, stated = np.full(rows.jacobian.shape[1], -1), np.array([group.stated for group in layout.groups])
     return MixedModel.from_rows(
-        MixedRows.from_linear_problem(rows.at(use), no_family, stated, pose[use], by_joint[use])
+        MixedRows.from_linear_problem(rows.take_rows(use), no_family, stated, pose[use], by_joint[use])
     )

@@ -89,7 +89,7 @@ class Relation(FrameInstrument):
 
     @property
     def named(self) -> tuple[str, ...]:
-        """What a row may be about, in the order of the detail: its places, unless a kind says more."""
+        """Names of what a row may be about, in the order of the detail: its places, unless a kind says more."""
         return tuple(place.name for place in self.own)
 
     def text_columns(self) -> tuple[str, ...]:

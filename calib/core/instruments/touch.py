@@ -94,7 +94,7 @@ class Touch(Relation):
 
     @property
     def named(self) -> tuple[str, ...]:
-        """What is touched."""
+        """Return the names of what is touched."""
         return self.touched
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:

@@ -34,7 +34,7 @@ class Touching(Protocol):
         """Kind of the touched surfaces."""
 
     @property
-    def touched_names(self) -> tuple[str, ...]:
+    def named(self) -> tuple[str, ...]:
         """Names of what it touches."""
 
     @property
@@ -146,7 +146,7 @@ def _artefacts(
 
 def _homogeneous_places(touch: Touching) -> FloatArray:
     """Each thing that is touched in its place, as homogeneous coordinates, (m, 4) [m]."""
-    points = np.array(touch.points_of_artefact or [(0.0, 0.0, 0.0)] * len(touch.touched_names))
+    points = np.array(touch.points_of_artefact or [(0.0, 0.0, 0.0)] * len(touch.named))
     return np.column_stack([points, np.ones(len(points))])
 
 

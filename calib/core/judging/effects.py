@@ -79,7 +79,7 @@ class EffectSetting:
 
     @cached_property
     def joint_columns(self) -> FloatArray:
-        """What the rows gain for an error of 1 of each joint, (n_rows, n_actuated)."""
+        """Changes of the rows for an error of 1 of each joint, (n_rows, n_actuated)."""
         return self.whiten(self.fit.joint_derivative)
 
     def size(self, rows: FloatArray) -> FloatArray:
@@ -356,7 +356,7 @@ def _other_joints(robot: Robot, target: str) -> list[int]:
 
 
 def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, FloatArray]]:
-    """What moving a target along the axes of a link does to all readings, (n, n_rows, 3) each.
+    """Return the changes of all readings by moving a target along the axes of a link, (n, n_rows, 3) each.
 
     The link is its own, then that behind each of the joints that do not move it.
     """

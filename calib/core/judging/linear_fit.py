@@ -41,7 +41,7 @@ class LinearFit:
         """Return M Z, what a fit leaves of effects Z (n_rows, n_effects) on the residuals, (n_rows, n_effects)."""
         return effect - self.span.times(self.span.transposed_product(effect))
 
-    def beside(self, effects: FloatArray) -> LinearFit:
+    def with_parameters(self, effects: FloatArray) -> LinearFit:
         """Return the fit as it would be if effects Z (n_rows, k) were parameters too, as far as they can be seen."""
         size = np.linalg.norm(effects, axis=0)
         columns = effects[:, size > 0] / size[size > 0]

@@ -56,7 +56,7 @@ _ALIKE = 9.2  # of the noise squared: chance makes a sine and cosine explain mor
 
 @dataclass(frozen=True, eq=False)
 class _Moments:
-    """What tests need to know of m effects with k columns Z each.
+    """Products of m effects with k columns Z each, for their tests.
 
     Attributes:
         effects: The effects.
@@ -72,8 +72,8 @@ class _Moments:
 
 
 @dataclass(frozen=True, eq=False)
-class _Tests:
-    """What the tests of m effects with k columns each gave.
+class _EffectTests:
+    """Results of the tests of m effects with k columns each.
 
     Attributes:
         effects: Of one kind and name.
@@ -149,9 +149,9 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
     return tuple(sorted(result, key=lambda pattern: (pattern.p_value, -pattern.size)))
 
 
-def _kept(tested: Iterable[_Tests]) -> list[tuple[_Tests, int]]:
+def _kept(tested: Iterable[_EffectTests]) -> list[tuple[_EffectTests, int]]:
     """Of the kinds that are tried by the dozen, keep the most significant of each name; of the others, all."""
-    kept: dict[tuple[Kind, str, int], tuple[_Tests, int]] = {}
+    kept: dict[tuple[Kind, str, int], tuple[_EffectTests, int]] = {}
     for tests in tested:
         kind, name = tests.effects.kind, tests.effects.name
         if Trait.BY_THE_DOZEN not in kind.traits:
@@ -164,7 +164,7 @@ def _kept(tested: Iterable[_Tests]) -> list[tuple[_Tests, int]]:
     return list(kept.values())
 
 
-def _effects_with_residuals(residuals: LinearFit, kept: Sequence[tuple[_Tests, int]]) -> FloatArray:
+def _effects_with_residuals(residuals: LinearFit, kept: Sequence[tuple[_EffectTests, int]]) -> FloatArray:
     """Return M Z c of each effect, (n_rows, n_effects), which takes less time for several than `after_fit`."""
     absorbed = np.stack([tests.absorbed[row] @ tests.coefficients[row] for tests, row in kept], axis=1)
     whole = [tests.effects.times(int(tests.numbers[row]), tests.coefficients[row]) for tests, row in kept]
@@ -234,7 +234,7 @@ def _sums_of_visits(base: FloatArray, others: list[FloatArray], firsts: IntArray
     return np.asarray(np.add.reduceat(base[:, :, None] * np.hstack(others)[:, None, :], firsts))
 
 
-def _tests(residuals: LinearFit, some: list[Effects]) -> list[_Tests]:
+def _tests(residuals: LinearFit, some: list[Effects]) -> list[_EffectTests]:
     """Test those effects that can be seen, all with equally many columns at once; those of one base stand together."""
     groups = [list(members) for _, members in groupby(some, key=lambda effect: id(effect.base))]
     by_width: dict[int, list[_Moments]] = {}
@@ -243,7 +243,7 @@ def _tests(residuals: LinearFit, some: list[Effects]) -> list[_Tests]:
     return [tests for alike in by_width.values() for tests in _tests_at_once(residuals, alike)]
 
 
-def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_Tests]:
+def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTests]:
     """Test effects with equally many columns.
 
     Those are left out that do nothing that the fit does not absorb, or leave no degree of freedom to compare the gain
@@ -274,11 +274,11 @@ def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_Tests]:
         first = end - len(moments.score)
         own = slice(*np.searchsorted(rows, (first, end)).tolist())
         if own.start < own.stop:
-            tested.append(_Tests(moments.effects, rows[own] - first, *(array[own] for array in found)))
+            tested.append(_EffectTests(moments.effects, rows[own] - first, *(array[own] for array in found)))
     return tested
 
 
-def _chance(residuals: LinearFit, tests: _Tests, row: int, explained: FloatArray, limit: float) -> float:
+def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: FloatArray, limit: float) -> float:
     """Chance of a gain as large from noise; where poses scatter together, F is divided by how much more its score does.
 
     Args:

@@ -106,7 +106,7 @@ class LinearModel:
         jacobian, deviations = self.jacobian[:, chosen], self.deviations[chosen]
         return replace(self, jacobian=jacobian, prior=self.prior.select(chosen), deviations=deviations)
 
-    def at(self, places: IntArray | BoolArray) -> LinearModel:
+    def take_rows(self, places: IntArray | BoolArray) -> LinearModel:
         """Return some of the rows: their places (k,), or a mask (n_rows,)."""
         groups = RowGroups.from_groups(self.layout.group[places], len(self.layout.counts))
         return LinearModel(self.residuals[places], self.jacobian[places], self.prior, self.deviations, groups)

@@ -49,7 +49,7 @@ class RowStack:
     products: Callable[[], tuple[FloatArray, FloatArray]] | None = None
 
     @staticmethod
-    def of(matrix: FloatArray | RowStack) -> RowStack:
+    def from_matrix(matrix: FloatArray | RowStack) -> RowStack:
         """Return a matrix (m, n) as such a one without a prior."""
         if isinstance(matrix, RowStack):
             return matrix
@@ -97,7 +97,7 @@ class LinearPoint:
     """
 
     def __init__(self, x: FloatArray, residuals: FloatArray, jacobian: FloatArray | RowStack) -> None:
-        self.x, self.residuals, self.given, self.jacobian = x, residuals, jacobian, RowStack.of(jacobian)
+        self.x, self.residuals, self.given, self.jacobian = x, residuals, jacobian, RowStack.from_matrix(jacobian)
         self.cost = float(residuals @ residuals)
         self.triangle, self.projected, self.unseen = _reduce(self.jacobian, residuals)
 

@@ -47,7 +47,8 @@ class MixedRows(ReadOnlyArrays):
         Args:
             model: Its residuals are predicted minus read.
             family: Family of each parameter whose size is found, -1 for others, (n_columns,).
-            stated, pose, levers: As of the class.
+            stated: Whether the noise of each group is stated, (n_groups,).
+            pose, levers: Attributes of the rows.
         """
         rows, prior = model.jacobian, model.prior
         kind = np.where(family >= 0, family, np.where(prior.has, KNOWN, FLAT))

@@ -112,7 +112,7 @@ class Products:
         return Products(gram, pull, square, np.bincount(group[group >= 0], minlength=n_groups))
 
     @staticmethod
-    def of_model(model: LinearModel) -> Products:
+    def from_model(model: LinearModel) -> Products:
         """Return those of the rows of a linear model."""
         counts = model.layout.counts
         return replace(

@@ -87,9 +87,13 @@ class CorrectionFrame(ReadOnlyArrays):
             unknown = np.full((*positions.shape, 3), np.nan)
             return PositionUncertainty(positions, unknown, np.nan, unknown, self.robot.unreported_targets)
         counts = uncertainty.counting(self.robot, self.counts)
-        told = uncertainty.predict(self.robot, q, context, counts=counts, common=self._common)
+        predicted = uncertainty.predict(self.robot, q, context, counts=counts, common=self._common)
         return PositionUncertainty(
-            told.positions, told.covariance, told.coverage_factor, told.turn_covariance, self.robot.unreported_targets
+            predicted.positions,
+            predicted.covariance,
+            predicted.coverage_factor,
+            predicted.turn_covariance,
+            self.robot.unreported_targets,
         )
 
     def uncorrected_errors(self, q: FloatArray, context: Context) -> FloatArray:
@@ -116,14 +120,15 @@ class CorrectionFrame(ReadOnlyArrays):
         """The common motion that follows what is uncertain; None where all counts."""
         if self.motion is None or self.known.uncertainty is None:
             return None
-        return beside_motion(self.motion, self.robot, self.known.uncertainty)
+        return following_motion(self.motion, self.robot, self.known.uncertainty)
 
 
-def beside_motion(
+def following_motion(
     motion: CommonMotion, robot: Robot, uncertainty: ParameterUncertainty
 ) -> Callable[[UncertaintyJacobian], FloatArray]:
     """Return `common` of `ParameterUncertainty.predict`: the common motion that follows all that is uncertain of a
-    robot."""
+    robot.
+    """
     linear = uncertainty.linearise(robot, motion.joints, Context.neutral(*motion.joints.shape))
     following = motion.following(linear.jacobian) * uncertainty.lasting(robot)
     return partial(_common, motion, following)

@@ -43,7 +43,7 @@ CHUNK = 1024
 """Poses at once."""
 ROWS = (slice(3), slice(3, 6))
 """Rows of positions and of turns."""
-_DIFFERS = 1.5  # uncertainty in the measurement frame over that told, above which both are said
+_DIFFERS = 1.5  # uncertainty in the measurement frame over that predicted, above which both are said
 _CERTAIN = 1e-12  # of the square of a length, its variance that does not show
 
 
@@ -457,7 +457,7 @@ class ParameterUncertainty(ReadOnlyArrays):
                 for covariance, rows in zip(to, ROWS, strict=False):
                     covariance[some] = propagate_covariance(jacobian[:, :, rows], known)
         hold(points, *whole, *beside)
-        told, measured = (
+        predicted, measured = (
             PositionUncertainty(
                 points,
                 own[0],
@@ -468,4 +468,4 @@ class ParameterUncertainty(ReadOnlyArrays):
             )
             for own in (beside, whole)
         )
-        return measured if common is None else replace(told, measured=measured)
+        return measured if common is None else replace(predicted, measured=measured)

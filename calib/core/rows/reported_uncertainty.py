@@ -22,7 +22,7 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from calib.core.rows.common_motion import CommonMotion, UnknownPlaces
-from calib.core.rows.frames import beside_motion, poses_of_agreement
+from calib.core.rows.frames import following_motion, poses_of_agreement
 from calib.core.rows.known_robot import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UncertaintyJacobian
 
@@ -89,4 +89,4 @@ class ReportedUncertainty(ReadOnlyArrays):
     def _common(self) -> Callable[[UncertaintyJacobian], FloatArray]:
         """The common motion that follows what is uncertain."""
         assert self.motion is not None
-        return beside_motion(self.motion, self.robot, self.uncertainty)
+        return following_motion(self.motion, self.robot, self.uncertainty)

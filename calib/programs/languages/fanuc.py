@@ -198,8 +198,8 @@ class FanucReader(Reader):
         target = position.target()
         if target.rotation is None:
             return target, ()
-        frame = self._frame("UFRAME", position.said["UF"], state)
-        tool = self._frame("UTOOL", position.said["UT"], state)
+        frame = self._frame("UFRAME", position.statements["UF"], state)
+        tool = self._frame("UTOOL", position.statements["UT"], state)
         return replace(target, frame=frame.pose, tool=tool.pose), ()
 
     def _frame(self, kind: str, number: str, state: State) -> Frame:

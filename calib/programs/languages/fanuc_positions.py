@@ -56,14 +56,14 @@ class FanucPosition:
         text_start: Its first word.
         groups: Its motion groups.
         fields: Of its first group the place of the number of each field, from behind the equals sign, and its unit.
-        said: What it says behind colons: UF, UT, CONFIG.
+        statements: What it says behind colons: UF, UT, CONFIG.
     """
 
     code: ProgramWords
     text_start: int
     groups: tuple[str, ...]
     fields: Mapping[str, tuple[int, Span, str]]
-    said: Mapping[str, str]
+    statements: Mapping[str, str]
 
     @property
     def place(self) -> Place:
@@ -94,9 +94,9 @@ class FanucPosition:
         missing = next((key for key in _POSE if key not in self.fields), None)
         if missing is not None:
             raise self._error(f"{self.name} has no number for {missing}; correct it")
-        if not {"UF", "UT"} <= set(self.said):
+        if not {"UF", "UT"} <= set(self.statements):
             raise self._error(f"{self.name} does not say UF and UT; save the program again")
-        cells, match = self._cells(_POSE), _CONFIG.fullmatch(self.said.get("CONFIG", ""))
+        cells, match = self._cells(_POSE), _CONFIG.fullmatch(self.statements.get("CONFIG", ""))
         if match is None:
             raise self._error("has no CONFIG such as 'N U T, 0, 0, 0'; save it again")
         if any(int(turn) for turn in match.groups()[3:]):

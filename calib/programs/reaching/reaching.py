@@ -50,7 +50,7 @@ NEAR_LIMIT = 1e-3  # a passive joint this close to its limit is held back [rad, 
 _HEAVY = 1e3  # weight of the row that does so
 
 
-class Rows:
+class ConfigurationRows:
     """Base of dataclasses of arrays that have a row for each configuration."""
 
     def subset(self, index: IntArray) -> Self:
@@ -64,7 +64,7 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class GoalConfigurations(Rows):
+class GoalConfigurations(ConfigurationRows):
     """Configurations on the way to goals.
 
     Attributes:
@@ -84,7 +84,7 @@ class GoalConfigurations(Rows):
 
 
 @dataclass(frozen=True, eq=False)
-class LinearisedGoals(Rows):
+class LinearisedGoals(ConfigurationRows):
     """How configurations miss their goals, and how that changes, joints scaled to radians.
 
     Attributes:

@@ -36,10 +36,10 @@ from calib.programs.reaching.reaching import (
     LARGEST_STEP,
     NEAR_LIMIT,
     NEARLY,
+    ConfigurationRows,
     GoalConfigurations,
     LinearisedGoals,
     Reach,
-    Rows,
     descend,
 )
 
@@ -104,7 +104,7 @@ def near_joints(reach: Reach, index: IntArray, start: GoalConfigurations, near: 
 
 
 @dataclass(frozen=True, eq=False)
-class _ActiveLimits(Rows):
+class _ActiveLimits(ConfigurationRows):
     """Joints that limits hold.
 
     Attributes:

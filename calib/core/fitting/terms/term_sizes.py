@@ -77,7 +77,7 @@ _SMALL = 0.05  # of what is usual: a family so small is fitted only if the rows 
 _SHOWS = 1.0  # rise of the log likelihood by a family that they show
 _POSES = 500  # that tell the sizes
 _DRAWS = 24
-_HARDLY_FELT = 0.3  # length of a component of usual size, over the noise of the fit, that is nothing beside others
+_SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is nothing beside others
 _LITTLE = 0.01  # of the largest variance that readings feel of undecided terms, below which directions are left out
 _LIMITS = (0.025, 0.975)
 
@@ -183,7 +183,9 @@ class _TermModel:
         levers = levers if weighing is None else weighing.whiten(levers)
         read = self._informative_rows
         found = np.zeros(len(layout.groups), dtype=bool)  # stated noise knows nothing of what the robot does
-        return MixedRows.from_linear_problem(rows.at(read), self._family, found, layout.pose_of_row[read], levers[read])
+        return MixedRows.from_linear_problem(
+            rows.take_rows(read), self._family, found, layout.pose_of_row[read], levers[read]
+        )
 
     def _without_families(self, families: BoolArray) -> SolvedModel:
         """The model without some families, (n_families,), and with the likeliest sizes of the others."""
@@ -320,7 +322,7 @@ class _TermModel:
 
     def undecided(self, fitted_terms: tuple[TermSection, ...]) -> UndecidedTerms | None:
         """Return what the sizes leave uncertain of these terms and of the others; None if that is nothing."""
-        model = MixedModel.from_rows(self._rows, _HARDLY_FELT)
+        model = MixedModel.from_rows(self._rows, _SHORTEST)
         logs = self._chosen_model.logs.copy()
         logs[: len(self._families)][~self._is_fitted] = self._smallest_logs[: len(self._families)][~self._is_fitted]
         fitted = model.solve(logs)

@@ -27,8 +27,8 @@ def files_grid(fit: Fit) -> Grid | None:
     None if files of joint origins hold it all and are written.
     """
     files = files_of(fit)
-    told = fit.reduced is not None and (fit.reduced or lost_by(fit.robot, Holds.ORIGINS) or why_no_origins(fit))
-    if not told or Holds.EVERYTHING not in files:
+    differs = fit.reduced is not None and (fit.reduced or lost_by(fit.robot, Holds.ORIGINS) or why_no_origins(fit))
+    if not differs or Holds.EVERYTHING not in files:
         return None
     whole = files[Holds.EVERYTHING].accuracy
     scale, unit = error_scale(whole.dimension), ERROR_UNIT[whole.dimension]

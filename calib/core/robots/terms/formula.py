@@ -26,7 +26,7 @@ class Source(Enum):
     TORQUE = "the torque of gravity that a driven joint holds"
 
     @property
-    def by_joint(self) -> bool:
+    def has_joints(self) -> bool:
         """Whether there is one for each joint."""
         return self in (Source.COMMAND, Source.APPROACH, Source.TORQUE)
 
@@ -67,7 +67,7 @@ class Proportional:
 
 
 @dataclass(frozen=True)
-class Waves:
+class WaveFormula:
     """phi = sin(k base q), cos(k base q) for every order k, two columns each.
 
     Attributes:
@@ -87,4 +87,4 @@ class Waves:
         return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), 2 * phase.shape[1])
 
 
-Formula = Proportional | Waves
+Formula = Proportional | WaveFormula

@@ -56,7 +56,7 @@ class OneCoefficient(JointTerm):
 
     def formula(self, j: int) -> Proportional:
         """Return phi."""
-        return Proportional(self.source, j if self.source.by_joint else 0, self.factor)
+        return Proportional(self.source, j if self.source.has_joints else 0, self.factor)
 
     @classmethod
     def coefficients(cls, joint: Joint, sigma: float | None) -> tuple[Parameter, ...]:

@@ -25,7 +25,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.parameter import Parameter
 from calib.core.base.sections import Length
 from calib.core.base.units import Dimension
-from calib.core.robots.terms.formula import Formula, Waves
+from calib.core.robots.terms.formula import Formula, WaveFormula
 from calib.core.robots.terms.term import Joint, JointTerm, TermSection, coefficient
 
 TURN = 2.0 * np.pi
@@ -70,7 +70,7 @@ class _Periodic(JointTerm):
 
     def formula(self, j: int) -> Formula:
         """Return sines and cosines of every order."""
-        return Waves(j, TURN / self.period, self.orders)
+        return WaveFormula(j, TURN / self.period, self.orders)
 
     def curvature(self, values: FloatArray) -> float:
         """Return sum of |a_k| (2 pi k / period)^2 [1/rad or 1/m], from the coefficients (2 n_orders,)."""

@@ -29,7 +29,7 @@ from calib.core.results.loaded_result import LoadedResult as LoadedResult
 from calib.core.results.loaded_result import predict as predict
 from calib.core.results.result_reading import load as load
 from calib.core.results.result_reading import load_result as load_result
-from calib.core.robots.held import Holds as Holds
+from calib.core.robots.accuracy_of_files import Holds as Holds
 from calib.core.robots.loading import robot as robot
 from calib.core.robots.parameters import Origin as Origin
 from calib.core.robots.parameters import Parametrisation as Parametrisation

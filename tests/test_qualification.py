@@ -125,7 +125,7 @@ def test_a_claim_that_is_too_small_is_found(monkeypatch):
 
 def _claiming(found, part):
     told = replace(found.claim.at_measured_poses, rms=part * found.claim.at_measured_poses.rms)
-    return replace(found, claim=replace(found.claim, told=told))
+    return replace(found, claim=replace(found.claim, at_measured_poses=told))
 
 
 def test_numbers_that_differ_in_the_last_bit_are_found(monkeypatch):

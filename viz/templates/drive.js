@@ -76,8 +76,8 @@ class DrivenRobot {
   /** Where motors are when they are told these values: cubics through four numbers of each table. */
   actual(motors) {
     const actual = [...motors];
-    this.tables.forEach(({ joint, by, low, step, errors }) => {
-      const place = (motors[by] - low) / step;
+    this.tables.forEach(({ joint, axis, low, step, errors }) => {
+      const place = (motors[axis] - low) / step;
       const first = Math.min(Math.max(Math.floor(place) - 1, 0), errors.length - 4);
       const t = place - first;
       const weights = [-(t - 1) * (t - 2) * (t - 3) / 6, t * (t - 2) * (t - 3) / 2, -t * (t - 1) * (t - 3) / 2,

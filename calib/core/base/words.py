@@ -37,7 +37,7 @@ def count_noun(number: int, singular: str, plural: str | None = None) -> str:
         plural: For any other number; the singular with an s if not given.
 
     Examples:
-        >>> counted(1, "pose"), counted(3, "pose"), counted(2, "minimum", "minima")
+        >>> count_noun(1, "pose"), count_noun(3, "pose"), count_noun(2, "minimum", "minima")
         ('1 pose', '3 poses', '2 minima')
     """
     return f"{number} {singular if number == 1 else plural or singular + 's'}"

@@ -126,9 +126,7 @@ class CorrectionFrame(ReadOnlyArrays):
 def following_motion(
     motion: CommonMotion, robot: Robot, uncertainty: ParameterUncertainty
 ) -> Callable[[UncertaintyJacobian], FloatArray]:
-    """Return `common` of `ParameterUncertainty.predict`: the common motion that follows all that is uncertain of a
-    robot.
-    """
+    """Return the common motion of each target, (n, n_targets, 6, n_uncertain), that follows what is uncertain."""
     linear = uncertainty.linearise(robot, motion.joints, Context.neutral(*motion.joints.shape))
     following = motion.following(linear.jacobian) * uncertainty.lasting(robot)
     return partial(_common, motion, following)

@@ -134,7 +134,11 @@ def read_line(line: str, where: str, dialect: Dialect) -> GcodeLine | None:
 
 
 def require_words(line: GcodeLine, dialect: Dialect) -> None:
-    """Raise `DataError` for a letter twice, and for text that no command takes or that may hold another command."""
+    """Refuse a letter twice, and text that no command takes or that may hold another command.
+
+    Raises:
+        DataError: The line has one of them.
+    """
     letters = [letter for letter, _ in line.words if letter not in "GM"]
     if len(set(letters)) < len(letters):
         raise line.refusal("has a letter twice; write one command per line")
@@ -145,7 +149,11 @@ def require_words(line: GcodeLine, dialect: Dialect) -> None:
 
 
 def require_order(line: GcodeLine, owner: str, dialect: Dialect) -> None:
-    """Raise `DataError` for commands of a line that are in each other's way, or that the firmware does not run."""
+    """Refuse commands of a line that are in each other's way, or that the firmware does not run.
+
+    Raises:
+        DataError: The line has such commands.
+    """
     codes, takers, moving = line.codes, line.takers, line.moving
     if len(moving) > 1:
         raise line.refusal("has two motions; write one command per line")

@@ -81,7 +81,9 @@ def _raised(function: ast.FunctionDef) -> set[str]:
         if isinstance(node, ast.With) and any("_explain_errors(" in ast.unparse(item) for item in node.items):
             continue
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
-            raised |= {name for name in (ast.unparse(node.exc.func),) if name[0].isupper()}  # no function that makes one
+            raised |= {
+                name for name in (ast.unparse(node.exc.func),) if name[0].isupper()
+            }  # no function that makes one
         todo += ast.iter_child_nodes(node)
     return raised
 

@@ -132,10 +132,10 @@ def test_commands_for_a_pose_lead_back_to_it(cases, name, language):
 
 @pytest.mark.parametrize(("name", "language"), [("example arm", "numpy"), ("MedRUE with a rail's terms", "c")])
 def test_what_is_found_from_home_is_found_from_every_start_and_nothing_else_is_told(cases, name, language):
-    case, n = cases(name), 24
+    case = cases(name)
     lower, upper = case.robot.urdf.limits(case.robot.joint_names)
-    some = np.flatnonzero(distance(case) >= 0.1)[:n]
-    goals, context = case.truth[0][some].copy(), case.context.select(some)
+    some = np.flatnonzero(distance(case) >= 0.1)[:24]
+    goals, context, n = case.truth[0][some].copy(), case.context.select(some), len(some)
     goals[0, 2, 3] += 10.0  # m: out of reach
     inverse, home = case.of(language).inverse, np.tile(case.robot.home, (n, 1))
     known = np.isfinite(inverse(goals, home, context)[:, 0])

@@ -195,12 +195,12 @@ def test_fewer_poses_are_worth_it_if_an_earlier_program_has_compiled(monkeypatch
 def test_compiled_code_is_kept_until_the_file_changes(monkeypatch, tmp_path, written, kept):
     functions = import_module("calib.core.robots.kernels")
     monkeypatch.setattr(functions, "motion", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
-    assert not functions.kept()
+    assert not functions.is_compiled()
     index = tmp_path / "kernels.motion-324.py311.nbi"
     index.touch()
     changed = Path(functions.__file__).stat().st_mtime
     os.utime(index, (changed + written, changed + written))
-    assert functions.kept() is kept
+    assert functions.is_compiled() is kept
 
 
 def test_the_same_poses_are_sampled_by_compiled_code():

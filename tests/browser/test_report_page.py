@@ -157,7 +157,8 @@ def test_rows_after_calibration_are_bold_and_headers_stand_above_their_numbers(r
     tab = report(1200, 800)
     weights = "[...document.querySelectorAll('.numbers .after > *')].map((e) => getComputedStyle(e).fontWeight)"
     assert set(tab.page.evaluate(weights)) == {"600"}
-    aligned = "[...document.querySelectorAll('.numbers thead th:not(.left):not(:first-child)')].map((e) => getComputedStyle(e).textAlign)"
+    heads = "[...document.querySelectorAll('.numbers thead th:not(.left):not(:first-child)')]"
+    aligned = heads + ".map((e) => getComputedStyle(e).textAlign)"
     assert set(tab.page.evaluate(aligned)) == {"right"}
 
 

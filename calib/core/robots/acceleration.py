@@ -56,7 +56,7 @@ def pays(n_poses: int, many: int = _MANY_OPEN) -> bool:
         n_poses: How many.
         many: How many are worth loading code that is already compiled.
     """
-    return _AVAILABLE and n_poses >= many and (n_poses >= _TO_COMPILE * many or _functions().kept())
+    return _AVAILABLE and n_poses >= many and (n_poses >= _TO_COMPILE * many or _functions().is_compiled())
 
 
 def many(mechanism: Mechanism) -> int:

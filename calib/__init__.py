@@ -26,7 +26,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         if name.startswith("_"):
             raise AttributeError(name)
-        raise import_module("calib.core.base.other_words").no_name_in_package(name, __all__)
+        raise import_module("calib.core.base.other_words").unknown_name_error(name, __all__)
     value = globals()[name] = getattr(import_module(_HOMES[name]), name)
     return value
 

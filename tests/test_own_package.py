@@ -128,7 +128,10 @@ def _one_row(kind, self, view, unknowns, readings):
         ({"compare": _one_row}, r"compare gives residuals of shape \(3, 1\), not \(3, 2\)"),
         ({"compare": _off}, "residuals of its own predictions are not zero"),
         ({"predict": lambda kind, *seen: kind.predict(*seen) * np.nan}, "numbers that are not finite"),
-        ({"moved": lambda kind, self, values, change: values - change}, "moved does not move row direction.azimuth"),
+        (
+            {"with_errors": lambda kind, self, values, change: values - change},
+            "with_errors does not move row direction.azimuth",
+        ),
         ({"cells": lambda kind, self, values: {"t_azimuth": values[:, 0]}}, "cells gives columns"),
     ],
     ids=["derivative", "shape", "zero", "not a number", "noise", "cells"],
@@ -136,7 +139,7 @@ def _one_row(kind, self, view, unknowns, readings):
 def test_a_kind_that_does_not_keep_what_it_promises_is_told_where(changes, said):
     kind = KINDS["theodolite"]
     methods = {name: lambda self, *given, of=of: of(kind, self, *given) for name, of in changes.items()}
-    wrong = type("Wrong", (kind,), methods).of("t", kind.section.model_validate(_entry()))
+    wrong = type("Wrong", (kind,), methods).from_section("t", kind.section.model_validate(_entry()))
     with pytest.raises(calib.ComputationError, match=said):
         check_kind(wrong, SEEN)
 
@@ -404,10 +407,10 @@ def test_terms_keep_what_a_term_promises(quick):
     with pytest.raises(
         calib.ComputationError, match="Still: says that it depends on the speed, and columns are the same"
     ):
-        check_term(still.of(joint, None, None), q, 0, context)
+        check_term(still.from_section(joint, None, None), q, 0, context)
     wide = type("Wide", (TERMS["lag"],), {"columns": lambda self, q, j, context: np.ones((len(q), 2))})
     with pytest.raises(calib.ComputationError, match=r"Wide: columns gives \(5, 2\), not \(5, 1\)"):
-        check_term(wide.of(joint, None, None), q, 0, context)
+        check_term(wide.from_section(joint, None, None), q, 0, context)
 
 
 class Keyhole(KINDS["position"]):
@@ -470,14 +473,14 @@ def test_classes_are_registered_in_python_too():
     assert list(registry) == ["gain", "mine"]
     with pytest.raises(calib.DescriptionError, match="'gain': there is one already"):
         registry.register("gain", module.Hysteresis)
-    with pytest.raises(calib.DescriptionError, match="does not define of"):
+    with pytest.raises(calib.DescriptionError, match="does not define from_section"):
         registry.register("half", type("Half", (JointTerm,), {}))
 
 
 def test_a_term_that_says_nothing_of_its_columns_is_named():
     silent = type("Silent", (JointTerm,), {"from_section": classmethod(lambda cls, joint, section, sigma: cls())})
     with pytest.raises(NotImplementedError, match="Silent gives neither columns nor a formula"):
-        silent.of(None, None, None).columns(np.zeros((1, 1)), 0, None)
+        silent.from_section(None, None, None).columns(np.zeros((1, 1)), 0, None)
     with pytest.raises(calib.DescriptionError, match=r"joint term 'silent' .*: defines neither columns nor formula"):
         TERMS.register("silent", silent)
     assert "silent" not in TERMS

@@ -35,8 +35,8 @@ def check_kind(
 
     Raises:
         ComputationError: Shapes are wrong, a number is not finite, columns of a file do not lead back to the values, a
-            residual of its own prediction is not zero, noise moves it otherwise than `moved` says, or a derivative is
-            not that of the residuals.
+            residual of its own prediction is not zero, noise moves it otherwise than `with_errors` says, or a
+            derivative is not that of the residuals.
     """
     n = len(seen.translation) if isinstance(seen, View) else len(seen)
     own = np.array([p.nominal_si for p in instrument.unknowns]) if unknowns is None else unknowns
@@ -80,7 +80,8 @@ def check_kind(
     for row, change in enumerate(noise):
         off = compare(seen, own, instrument.with_errors(values, np.tile(change, (n, 1)))).residuals
         _require(
-            np.allclose(off, -change, atol=_NEAR * _STEP * 10), f"{subject}: moved does not move row {axes[row]} alone"
+            np.allclose(off, -change, atol=_NEAR * _STEP * 10),
+            f"{subject}: with_errors does not move row {axes[row]} alone",
         )
     for k, column in enumerate(columns):
         ends = [compare(_view_after_step(seen, k, sign * _STEP), own, values).residuals for sign in (1, -1)]

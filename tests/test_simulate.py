@@ -236,7 +236,7 @@ def test_every_kind_goes_through_a_file_and_the_truth_is_found_again(tmp_path, r
 def centres(robot, item):
     """Centres of what an instrument touches, (n, 3) [m]."""
     if not item.points_of_artefact:
-        return np.array([robot.mechanism.placement(name).translation for name in item.touched_names])
+        return np.array([robot.mechanism.placement(name).translation for name in item.named])
     place = robot.mechanism.placement("probe_artefact")
     return np.array([place.act(np.array(point)) for point in item.points_of_artefact])
 
@@ -245,7 +245,7 @@ def plan_of(robot, n):
     """Joint values, in which setup, and what is touched, in turn; starts near sockets and spheres, or anywhere."""
     q, touches = joints(n, 1), [instrument for instrument in robot.instruments if not instrument.columns()]
     if any(touch.surface != "plane" for touch in touches):
-        points = centres(robot, touches[0])[np.arange(2 * n) % len(touches[0].touched_names)]
+        points = centres(robot, touches[0])[np.arange(2 * n) % len(touches[0].named)]
         if touches[0].surface == "sphere":  # the ball outside, at random directions of the upper half
             away = np.random.default_rng(4).normal(size=points.shape)
             points = points + 0.04 * np.abs(away) / np.linalg.norm(away, axis=1, keepdims=True)
@@ -255,7 +255,7 @@ def plan_of(robot, n):
     header = [f"{name} [rad]" for name in robot.joint_names] + [touch.name for touch in touches]
     rows = [",".join(header + (["setup"] if setups else []))]
     for k, row in enumerate(q):
-        cells = [*map(repr, row.tolist()), *(touch.touched_names[k % len(touch.touched_names)] for touch in touches)]
+        cells = [*map(repr, row.tolist()), *(touch.named[k % len(touch.named)] for touch in touches)]
         rows.append(",".join(cells + ([setups[k * len(setups) // n]] if setups else [])))
     return "\n".join(rows) + "\n"
 

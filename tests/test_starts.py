@@ -54,7 +54,7 @@ class One:
     def deviations(self, values):
         return values / self.scale
 
-    def moved(self, robot, u):
+    def robot_at(self, robot, u):
         return Point(float(self.scale * u[0]))
 
 

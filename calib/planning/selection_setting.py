@@ -97,7 +97,7 @@ class SelectionSetting:
         return np.array(self.request.groups.counts or (self.request.count,))
 
     def largest(self, values: FloatArray | IntArray, counts: IntArray) -> list[IntArray]:
-        """Return a list with the `counts` (n_kinds,) candidates of each kind with the largest values (n_candidates,)."""
+        """Return by kind, in a list, the `counts` (n_kinds,) candidates with the largest values (n_candidates,)."""
         return largest(values, kinds_of(self.space.kind, len(self.problem)), counts)
 
     def candidates_by_kind(self, candidates: IntArray) -> list[tuple[IntArray, int]]:

@@ -144,7 +144,7 @@ class _System:
 
     Attributes:
         rows: [A M s], (n_rows, n_free + 10).
-        mean: Mean of the rows, which was taken off because X's translation absorbs it, (3, n_free + 10).
+        mean: Part of all rows that X's translation absorbs, (3, n_free + 10); it is taken off.
         free: Whether each coordinate of the points is unknown, (n_points, 3).
         sigma: Standard deviations of the unknown coordinates, (n_free,) [m].
         weight: Root of the number of readings.
@@ -188,7 +188,7 @@ def _system(points: Sequence[MovingPoint], weights: FloatArray, guess: pin.SE3, 
 
 
 def _plain_rows(points: Sequence[MovingPoint], free: BoolArray, part: slice) -> FloatArray:
-    """[A M s] for some readings of each point, (n_points, n, 3, n_free + 10), before the mean is taken off."""
+    """[A M s] for some readings of each point, (n_points, n, 3, n_free + 10), before `mean` is taken off."""
     n_free = int(free.sum())
     rows = np.zeros((len(points), part.stop - part.start, 3, n_free + 10))
     for j, point in enumerate(points):

@@ -77,9 +77,10 @@ def _are_alike(arms: tuple[float, ...]) -> bool:
 def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGeometry:
     """Return the geometry that is expected of a printer before its rows are used.
 
-    The firmware's numbers come from these rows, so they are not expected beforehand. Expected are angles as designed, a radius
-    rounded to the millimetre, and equal endstops. Where distances were measured, all arms have the mean length, rounded
-    to the millimetre. Without rows, and for arms that no distance has changed, the file's numbers are used.
+    The firmware's numbers come from these rows, so they are not what is expected before. Expected are angles as
+    designed, a radius rounded to the millimetre, and equal endstops. Where distances were measured, all arms have the
+    mean length, rounded to the millimetre. Without rows, and for arms that no distance has changed, the file's numbers
+    are used.
 
     Args:
         printer: The printer.

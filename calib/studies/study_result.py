@@ -1,4 +1,4 @@
-"""What many calibrations say about a fit's statistics: bias, scatter, coverage and chi-square."""
+"""Check of a fit's statistics by many calibrations: bias, scatter, coverage and chi-square."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ def rays(pixels: FloatArray, intrinsics: FloatArray) -> FloatArray:
 
 
 def _project_on_plane(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """m and its derivative by the points, (n, 2) and (n, 2, 3)."""
+    """The point m and its derivative by the points, (n, 2) and (n, 2, 3)."""
     length = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
     unit = points / length[:, None]
     low = unit[:, 2] < _GRAZING

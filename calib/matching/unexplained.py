@@ -2,8 +2,8 @@
 
 Each hypothesis moves joints, dq = phi(q) c, and so the whitened rows by G c:
 
-    gravity     the joint yields under masses at the origins of links: phi is the height that each origin gains per turn
-                of the joint, with z of the root link upwards. The masses need not be known
+    gravity     the joint yields under masses at the origins of links: phi is the rate at which each origin rises as
+                the joint turns, with z of the root link upwards. The masses need not be known
     coupling    phi is the value of another joint
     gear        gain, phi = q; waves, phi = sin k q, cos k q
 

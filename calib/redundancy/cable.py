@@ -29,7 +29,7 @@ class CableSection(InstrumentSection):
 
     Attributes:
         target: Target at the end of the cable; the instrument's own name if left out.
-        anchor: Point at which the cable leaves the base towards the target.
+        anchor: Point at which the cable leaves for the target.
         length: Length from the anchor to the target where the motor is at 0.
         spool: Radius of the spool where the motor is at 0.
         growth: Growth of the radius with every turn of the spool.

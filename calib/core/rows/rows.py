@@ -16,7 +16,7 @@ with kappa_c^2 the variance of that offset: n readings weigh like n / (1 + n kap
 
 Estimates are weighted by R only where it predicts poses left out in turn better than R = 1 does
 (`calib.core.fitting.solving`). The reason: readings that agree within a pose may be wrong in the same way at each, as
-with a lens or a board, and would then get all the weight. Any other error that readings of a pose share widens
+with a lens or a board, and would then get all the weight. An error of any shape that readings of a pose share widens
 intervals, and does not change weights (`calib.core.numerics.clusters`). To weight by a guess of its shape made
 predictions of real robots worse (UR10, full poses: 0.467 mm in place of 0.442 on rows not used; Motoman, tracker and
 cameras: 0.076 in place of 0.072). Visits that repeat one pose share one error, since the error of the model is the same

@@ -1,7 +1,7 @@
-"""What the capabilities bring to the core, under the groups of entry points under which other packages bring theirs.
+"""Entry points of the capabilities, in the groups that other packages use as well.
 
-The core asks `calib.core.base.registry` for what there is in a group, and knows no capability. Nothing here is loaded
-before it is used.
+The core asks `calib.core.base.registry` for the entries of a group, and imports no capability. An entry is loaded when
+it is first used.
 """
 
 from importlib.metadata import EntryPoint
@@ -38,4 +38,4 @@ BROUGHT = tuple(
         ("calib.contradicted", "fleet", "calib.fleets.contradicted_prior:without_contradicted_fleet"),
     )
 )
-"""In the order in which commands and messages list them."""
+"""Entries in the order in which commands and messages list them."""

@@ -1,19 +1,19 @@
-"""All that packages of others import to add to `calib`: what is here stays, other modules may change.
+"""The names that other packages import to extend `calib`. These names stay; other modules may change.
 
-What a package adds is named in its `pyproject.toml`, under these groups of entry points:
+A package names its additions in its `pyproject.toml`, under these groups of entry points:
 
     calib.kinds                 a kind of measurement: a class derived from `FrameInstrument`, its `Relation`,
                                 or `JointInstrument`
     calib.terms                 a term of a joint's error: a class derived from `JointTerm`
     calib.reasons               a reason of the verdict: a function of a `Fit` that yields `Reason`
-    calib.parametrisations      what takes nominal origins by name and returns a `Parametrisation`
+    calib.parametrisations      a function that takes nominal origins by name and returns a `Parametrisation`
     calib.formats               formats of `calib export`: a tuple of `Format`
     calib.models                models by name: a mapping to files that `calib fleet` wrote, with their URDF
     calib.readers               formats of measurement files: a tuple of `OtherFormat`
     calib.first_descriptions    an option of `calib init` for files of a robot's own: a `FirstFiles`
     calib.qualification         checks of `calib qualify`: a function without arguments that yields `Check`
 
-A notebook registers kinds and terms in `KINDS` and `TERMS`. `check_kind` and `check_term` are for their tests.
+A notebook registers kinds and terms in `KINDS` and `TERMS`. `check_kind` and `check_term` test them.
 """
 
 from calib.core.base.errors import ComputationError, DataError, DescriptionError, InputError

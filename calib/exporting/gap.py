@@ -1,18 +1,18 @@
-"""What a closure leaves open, and what a constraint in three dimensions would have to absorb.
+"""Gaps of loops in the directions that their closures leave free; a constraint in three dimensions has to absorb them.
 
-A loop of a planar mechanism is closed here in its plane only: perpendicular to it the bearings hold the links, and
-after calibration the two frames of a cut need not meet there any more. Other programs know points that coincide (three
-directions) or whole frames (six). Such a constraint sees the direction that is left free as well:
+This package closes a loop of a planar mechanism in its plane only. Perpendicular to the plane the bearings hold the
+links, and after calibration the two frames of a cut need not meet in that direction. Other programs constrain points
+(three directions) or whole frames (six). Such a constraint also acts in the directions that are free here:
 
 * A gap that is the same in every pose does no harm: the constraint is placed at the assembled home, with the gap built
   into its anchor.
 * A gap that changes from pose to pose has to be absorbed: the simulated links are strained, or sit where the real ones
-  do not. How much is the number `change`.
+  do not. `change` says by how much.
 
 The exact alternative is a joint that is free in just these directions, put between the first frame and the constraint:
-a slide for each free translation, a hinge for a free rotation. Both together then constrain what the closure
-constrains, no more and no less. This is so for translations of a point in any combination; for whole frames where the
-free motions are those of a joint: slides, one hinge, and a hinge with slides along it or across it.
+a slide for each free translation, a hinge for a free rotation. Joint and constraint together then constrain what the
+closure constrains, no more and no less. For points this holds for any combination of free translations. For whole
+frames it holds where the free motions are those of a joint: slides, one hinge, or a hinge with slides along or across.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ class Gap:
     """How far the two frames of a closure are apart in one direction that it leaves free.
 
     Attributes:
-        name: Of the closure.
+        name: Name of the closure.
         direction: Free direction, in the axes of the closure's first frame.
         at_home: Gap in the home configuration [m or rad].
-        change: Largest difference to that over the poses [m or rad].
+        change: Largest difference from `at_home` over the poses [m or rad].
         n_poses: How many assembled poses were looked at.
-        where: Where these lie, for messages; empty for given poses.
+        where: Region of these poses, for messages; empty for poses that the caller gave.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Gap:
 
     @property
     def dimension(self) -> Dimension:
-        """Of `at_home` and `change`."""
+        """Dimension of `at_home` and `change`."""
         return "angle" if self.direction in ANGLE_COMPONENTS else "length"
 
     def text(self) -> str:
@@ -95,7 +95,7 @@ def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
 def joint_ranges(robot: Robot) -> tuple[FloatArray, FloatArray]:
     """Return lower and upper limits of the actuated joints, (n_actuated,) each [m or rad].
 
-    Where a joint has none, they are half a turn or 1 m both ways.
+    Where a joint has no limits, they are half a turn or 1 m in both directions.
     """
     default = np.array([_UNLIMITED[robot.mechanism.dimensions[name]] for name in robot.joint_names])
     lower, upper = robot.urdf.limits(robot.joint_names)
@@ -153,7 +153,7 @@ def require_small(robot: Robot, gaps: tuple[Gap, ...]) -> None:
 
 
 def free_joints(robot: Robot, loop: int) -> tuple[tuple[Component, bool], ...]:
-    """Return the joints that the free directions of a closure stand for: (direction, whether it slides), slides first.
+    """Return a joint for each free direction of a closure: (direction, whether it is a slide), slides first.
 
     Raises:
         InputError: No chain of joints has exactly these motions.

@@ -1,8 +1,8 @@
-"""The joint zeros with which the nominal model comes nearest to a robot that no fit has made.
+"""The joint zeros with which the nominal model comes nearest to a robot that is not the result of a fit.
 
-The nominal model is fitted to positions that the robot predicts, as a fit of measurements finds the zeros for its files
-(`calib.core.calibrating.file_robots`): zeros alone, and base and targets where the description calls them unknown. What
-base or target can take over as well stays with them.
+The nominal model is fitted to positions that the robot predicts, by the method by which a fit of measurements finds the
+zeros for its files (`calib.core.calibrating.file_robots`). Free are the zeros, and base and targets where the
+description calls them unknown. Errors that base or target can explain as well as a zero are left to base or target.
 
 When it fails. Poses from which loops of the nominal model do not close are left out.
 """
@@ -26,19 +26,19 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import without_terms
 from calib.core.rows.registration import register
 
-_EXACT = 1e-9  # noise of predicted positions [m]: priors decide only what nothing else does
+_EXACT = 1e-9  # noise of predicted positions [m]: so small that priors decide only what positions leave open
 _NOTHING = 1e-12  # [m or rad]
 
 
 @dataclass(frozen=True, eq=False)
 class JointZeros:
-    """Joint zeros, and what they leave.
+    """Joint zeros, and the errors that remain with them.
 
     Attributes:
         signs: 1, or -1 where a joint counts the other way, (n_joints,).
-        offsets: Of sign * q + offset, (n_joints,) [m or rad].
-        left, before: Error of each target with them and without them, (n_poses, n_targets) [m]; poses in which one of
-            the two robots does not close are not among them.
+        offsets: Offsets in sign * q + offset, (n_joints,) [m or rad].
+        left, before: Error of each target with and without these zeros, (n_poses, n_targets) [m], without the poses
+            at which the loops of one of the two robots do not close.
     """
 
     signs: FloatArray
@@ -48,12 +48,12 @@ class JointZeros:
 
 
 def joint_zeros(robot: Robot, q: FloatArray, *, fitted: float = 1.0) -> JointZeros:
-    """Return the joint zeros that bring the nominal robot nearest.
+    """Return the joint zeros that bring the nominal robot nearest to this one.
 
     Args:
         robot: The robot, with its current values.
         q: Poses, (n, n_joints) [m or rad].
-        fitted: Part of the poses, from the first on, from which the offsets are found.
+        fitted: Part of the poses (0 to 1, counted from the first) from which the offsets are found.
     """
     positions = robot.positions(q)
     actual = actual_joints(robot, q, term_columns(robot, q))[:, : q.shape[1]]

@@ -50,9 +50,9 @@ class MjcfShapes:
         """Add a link's shapes to its body: visuals in group 2, collisions in group 3.
 
         Args:
-            body: Where to.
+            body: The body.
             link: The link.
-            ends: Where its joints are, (3,) [m] each, for a link whose visuals cannot be read.
+            ends: Positions of its joints, (3,) [m] each, to which rods are drawn if its visuals cannot be read.
         """
         visible = {"group": "2", "contype": "0", "conaffinity": "0"}
         drawn = [self._geom(body, shape, visible) for shape in link.visuals]
@@ -126,7 +126,7 @@ class MjcfShapes:
         return parts
 
     def _mesh(self, path: Path, scale: tuple[float, ...]) -> str:
-        """Name of a mesh file among the assets."""
+        """Name of the asset for a mesh file, which is added if it is new."""
         file = os.path.relpath(path, self.folder)
         key = (file, scale)
         if key not in self._meshes:
@@ -149,7 +149,7 @@ def _obj_by_colour(path: Path) -> Iterator[tuple[tuple[float, ...], bytes]]:
         if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
             corners = np.asarray(geometry.triangles, dtype=float) @ T_file_part[:3, :3].T + T_file_part[:3, 3]
             if np.linalg.det(T_file_part[:3, :3]) < 0:
-                corners = corners[:, ::-1]  # a mirrored part is seen from outside again
+                corners = corners[:, ::-1]  # so that a mirrored part shows its outside again
             points.setdefault(_colour(geometry.visual), []).append(corners)
     for colour, triangles in points.items():
         vertices, index = np.unique(np.concatenate(triangles).reshape(-1, 3), axis=0, return_inverse=True)

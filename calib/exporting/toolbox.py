@@ -1,8 +1,8 @@
-"""`robot.yaml`: what Pinocchio's toolbox-parallel-robots reads beside a URDF, and a description for `calib` as well.
+"""`robot.yaml`: a file for Pinocchio's toolbox-parallel-robots beside a URDF, and a description for `calib` as well.
 
-The toolbox looks for `closed_loop`, `type` and `name_mot` and passes over the rest. The rest is what makes the file a
-description of the calibrated robot: its assembled home, where the base and the targets were found to be, and the
-parametrisation, so that it loads in `calib` again.
+The toolbox reads `closed_loop`, `type` and `name_mot`, and ignores the rest. The rest makes the file a description of
+the calibrated robot, which `calib` can load: its assembled home, the fitted places of base and targets, and the
+parametrisation.
 
 The toolbox holds all three directions of a `3d` closure, also those that `closed_loop_axes` leaves free.
 """
@@ -24,11 +24,11 @@ from calib.exporting.gap import loop_gaps
 
 
 def calibrated_description(robot: Robot, urdf_name: str) -> Description:
-    """Return the description that fits the calibrated URDF: home assembled, base and targets where they were found.
+    """Return the description for the calibrated URDF, with assembled home and the fitted places of base and targets.
 
     Args:
         robot: The robot, with its current values.
-        urdf_name: How the description names the URDF.
+        urdf_name: Name of the URDF in the description.
     """
     description, mechanism = robot.description, robot.mechanism
     changes: dict[str, Any] = {"urdf": urdf_name}
@@ -38,7 +38,7 @@ def calibrated_description(robot: Robot, urdf_name: str) -> Description:
         changes["home"] = {name: moving[name] for name in listed}
     base = mechanism.targets[0].a
     if _has_moved(robot, base):
-        placement = mechanism.model.jointPlacements[base].inverse()  # the description has the link in the base
+        placement = mechanism.model.jointPlacements[base].inverse()  # the description has the link's pose in the base
         rpy = tuple(float(angle) for angle in pin.rpy.matrixToRpy(placement.rotation))
         changes["base"] = description.base.model_copy(
             update={"xyz": tuple(float(value) for value in placement.translation), "rpy": rpy}
@@ -60,7 +60,7 @@ def toolbox_yaml(robot: Robot, urdf_name: str, provenance: Sequence[str] = ()) -
     Args:
         robot: The robot, with its current values.
         urdf_name: Name of the URDF that goes beside it (the toolbox expects `robot.urdf`).
-        provenance: Further lines for the comment that says where the numbers come from.
+        provenance: Further lines for the comment on the origin of the numbers.
     """
     description = calibrated_description(robot, urdf_name)
     lines = ["calib: robot description, for Pinocchio's toolbox-parallel-robots as well", *provenance]
@@ -86,7 +86,7 @@ def _has_moved(robot: Robot, index: int) -> bool:
 
 
 class ExactDumper(yaml.SafeDumper):
-    """YAML with floats that read back exactly, also in programs that want a point before the exponent."""
+    """YAML with floats that read back exactly, also in programs that require a point before the exponent."""
 
 
 def _float(dumper: yaml.SafeDumper, value: float) -> yaml.ScalarNode:

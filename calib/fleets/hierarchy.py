@@ -1,42 +1,44 @@
-"""What several results of things of one model say of the model: mean, spread, and who is unlike the others.
+"""Mean and spread of a model's parameters from the results of several robots, and robots that are unlike the others.
 
-Result i tells of its own parameters u_i (scaled, n of them) by a likelihood with precision H_i and pull h_i,
+Result i has a likelihood of its own n scaled parameters u_i, with precision H_i and pull h_i,
 
     log p(data_i | u_i) = -u_i^T H_i u_i / 2 + h_i^T u_i + const,
 
-so that directions that its data did not show, where H_i is zero, say nothing. The things differ around a mean,
+so that directions that its data do not determine, where H_i is zero, have no effect. The robots differ around a mean,
 
     u_i = m + d_i,        d_i ~ N(0, diag(t^2)),        m ~ N(0, I),        t_k^2 ~ scaled inverse chi^2 (nu, r^2),
 
-with one typical size r for parameters of a kind (`kinds`), found from the data, so that few things are enough: r is
-the geometric mean of the t_k of the kind, and each t_k is drawn towards it with the weight of nu things. Given
-t, all else is normal:
+with one typical size r for parameters of a kind (`kinds`), found from the data, so that few robots are enough: r is
+the geometric mean of the t_k of the kind, and each t_k is drawn towards it with the weight of nu robots. Given t, all
+else is normal:
 
     A_i = (H_i + diag(1/t^2))^-1            covariance of d_i given m
     V = (I + sum H_i - H_i A_i H_i)^-1,     m = V sum (I - H_i A_i) h_i
     d_i = A_i (h_i - H_i m),                C_i = A_i + A_i H_i V H_i A_i
     t_k^2 = (nu r^2 + sum_i d_ik^2) / f_k,  f_k = nu + sum_i (1 - C_i,kk / t_k^2)
 
-The last line is repeated until it stands. It is restricted marginal likelihood, like that of variance components
-(`calib.core.numerics.variance_components`), and f_k counts how much was seen. What is expected of one more thing has
-Student tails; a normal with their variance stands for them, t_k^2 f_k / (f_k - 2), which holds 95 % as it should.
+The last line is iterated until it converges. It maximises the restricted marginal likelihood, as for variance
+components (`calib.core.numerics.variance_components`), and f_k are degrees of freedom. The prediction for one more
+robot has Student tails. A normal with the same variance, t_k^2 f_k / (f_k - 2), takes its place; its 95 % intervals
+hold.
 
-Who is unlike the others is asked of the others: learned without result i, they expect u_i ~ N(m, D + V), D the diagonal
-of these variances. In the K combinations in which that is wider than the noise of result i, scaled to variance 1, the
-mean square is tested. It is a mean of K squares, each Student's t with the typical f_k = f, scaled likewise: its mean
-is 1 and its variance 2 (f - 1) / (f - 4) / K. The scaled F of K and f' = 4 + (K + 2) (f - 4) / 3 degrees of freedom
-has the same two, and stands for it: many spreads, each roughly known, are together known well. That one parameter alone
-has another value is tested by Student's t, scaled too, as an added variable is: with B = (D + V)^-1 and
-S = (B + H_i)^-1, B S (h_i - H_i m) is its score and the diagonal of B - B S B its variance, so that a parameter of
-which only sums are known is tested by these. Both ways of being unlike have half of the chance. The least likely result
-is left out, and all is learned again, until no robot is unlike at a chance of one in a hundred for all tests together.
-So one wrong result changes nothing, and does not hide behind the spread that it makes.
+Each result is tested against the others. Learned without result i, they predict u_i ~ N(m, D + V), with D the diagonal
+of these variances. The first test is of all parameters together. It takes the K combinations in which the prediction is
+wider than the noise of result i, scales them to variance 1, and tests their mean square. This is a mean of K squares,
+each of Student's t with the typical f_k = f, scaled likewise: its mean is 1 and its variance 2 (f - 1) / (f - 4) / K.
+The scaled F of K and f' = 4 + (K + 2) (f - 4) / 3 degrees of freedom has the same mean and variance and takes its
+place: many spreads, each roughly known, are together known well. The second test is of each parameter alone, by
+Student's t, scaled too, as for an added variable: with B = (D + V)^-1 and S = (B + H_i)^-1, B S (h_i - H_i m) is the
+score, and the diagonal of B - B S B its variance. So a parameter that is determined only in sums is tested by these.
+Each of the two tests has half of the chance of a false alarm. The least likely result is left out, and all is learned
+again, until no robot is unlike at a chance of one in a hundred for all tests together. So one wrong result changes
+nothing, and does not hide behind the spread that it makes.
 
-When it fails. Half of the results wrong; two results alone, of which none can be told to be unlike; spreads that go
-together (all links of a robot longer): they are counted as independent, and combinations of them as narrower than they
-are; spreads of a kind that differ tenfold, from three results: in one fleet of ten an honest one is called unlike.
+When it fails. Half of the results are wrong. There are only two results, and neither can be called unlike. Spreads are
+correlated (all links of a robot are longer): they count as independent, so that combinations of them seem narrower than
+they are. Spreads of one kind differ tenfold, from three results: in one fleet of ten a good robot is called unlike.
 
-Reference: patterson1971; gelman2006 for the weight of spreads that few things tell.
+Reference: patterson1971; gelman2006 for the prior of spreads with few robots.
 """
 
 from __future__ import annotations
@@ -52,17 +54,17 @@ from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 
 _WEIGHT = 4.0  # nu of the module docstring
-_SMALLEST = 1e-3  # typical size r of spreads, over what is expected of single things
-_STANDS = 1e-4  # relative change of a variance
+_SMALLEST = 1e-3  # least typical size r of spreads, over the sigma of single robots
+_STANDS = 1e-4  # relative change of a variance at which the iteration ends
 _ROUNDS = 500
-_WIDER = 2.0  # variance of a combination, over that of noise, from which on it tells who is unlike
-_NOTHING = 1e-2  # information, over that of what is expected of single things, below which nothing was shown
-_SHOWN = 0.1  # part of what is expected of a parameter, given the others, that data must show for it to be tested
+_WIDER = 2.0  # variance of a combination, over that of noise, from which it is tested
+_NOTHING = 1e-2  # information, over that of the prior of single robots, below which a direction is undetermined
+_SHOWN = 0.1  # part of a parameter's prior, given the others, that data must determine for a test
 
 
 @dataclass(frozen=True, eq=False)
 class FleetEvidence(ReadOnlyArrays):
-    """Estimate of scaled parameters by the data of one result alone.
+    """Likelihood of scaled parameters by the data of one result alone.
 
     Attributes:
         precision: H, (n, n).
@@ -80,11 +82,11 @@ class Hierarchy(ReadOnlyArrays):
     Attributes:
         mean: m, (n,).
         covariance: V of the mean, (n, n).
-        variance: Of one more thing around the mean, (n,).
+        variance: Variance of one more robot around the mean, (n,).
         freedom: f, (n,).
         estimates: d_i + m of the results, (n_results, n).
-        deviations: Standard deviation of these, (n_results, n).
-        shown: How many of the results showed each parameter, in parts, (n,).
+        deviations: Standard deviations of the estimates, (n_results, n).
+        shown: Number of results that determine each parameter, counted in parts, (n,).
     """
 
     mean: FloatArray
@@ -98,14 +100,14 @@ class Hierarchy(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class Likeness(ReadOnlyArrays):
-    """How a result compares with what others lead to expect.
+    """Comparison of a result with the prediction of the others.
 
     Attributes:
-        distances: How far off the result is if each parameter alone is unlike, in standard deviations, (n,); NaN where
-            the result does not show it.
-        p_values: Chance of each, (n,); NaN likewise.
+        distances: Deviation of each parameter if it alone is unlike, in standard deviations, (n,); NaN where the
+            result does not determine it.
+        p_values: Chance of each distance, (n,); NaN where there is none.
         together: Root mean square over combinations, 1 on average; NaN where there are none.
-        p_together: Its chance.
+        p_together: Chance of `together`.
     """
 
     distances: FloatArray
@@ -114,7 +116,7 @@ class Likeness(ReadOnlyArrays):
     p_together: float
 
     def p_value(self) -> float:
-        """Return the chance of the less likely of the two, corrected for the number of tests; NaN without a test."""
+        """Return the chance of the less likely of the two tests, corrected for their number; NaN without a test."""
         single = self.p_values[np.isfinite(self.p_values)]
         chances = [len(single) * float(np.min(single))] if len(single) else []
         chances += [self.p_together] if np.isfinite(self.p_together) else []
@@ -124,14 +126,14 @@ class Likeness(ReadOnlyArrays):
 def evidence_of_data(
     covariance: FloatArray, u: FloatArray, prior: FloatArray, mean: FloatArray, freedom: float
 ) -> FleetEvidence:
-    """Return what the data alone say of parameters, from an estimate that had a prior: C^-1 less the prior.
+    """Return the evidence of the data alone, from an estimate with a prior: C^-1 less the prior.
 
     Args:
         covariance: C of the scaled estimate, (n, n).
         u: The estimate, (n,).
-        prior: Its precision, (n, n); 0 for what had none.
+        prior: Precision of the prior, (n, n); 0 for parameters without a prior.
         mean: Mean of the prior, (n,).
-        freedom: Degrees of freedom of the noise, which was found: Student's variance stands for it.
+        freedom: Degrees of freedom of the noise found, by which the covariance is widened as Student's t.
     """
     inverse = np.linalg.inv(covariance)
     sizes, axes = linalg.eigh((inverse - prior + (inverse - prior).T) / 2)
@@ -145,7 +147,7 @@ def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray |
     """Learn mean and spread; see the module docstring.
 
     Args:
-        results: What each result tells.
+        results: Evidence of each result.
         kinds: Kind of each parameter, from 0, (n,).
         start: Variances t^2 to start from, (n,).
     """
@@ -180,7 +182,7 @@ def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray |
 def _estimate_given_variance(
     results: Sequence[FleetEvidence], variance: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """m, V, and of each result d_i and the diagonal of C_i, given the variances t^2."""
+    """m, V, and for each result d_i and the diagonal of C_i, given the variances t^2."""
     n = len(variance)
     inner = [_inner(result, variance) for result in results]
     through = [a @ result.precision for a, result in zip(inner, results, strict=True)]
@@ -209,12 +211,12 @@ def _with_mean(result: FleetEvidence, variance: FloatArray, covariance: FloatArr
 
 
 def likeness(result: FleetEvidence, mean: FloatArray, expected: FloatArray, freedom: FloatArray) -> Likeness:
-    """Compare a result with what others, learned without it, lead to expect.
+    """Compare a result with the prediction of others, learned without it.
 
     Args:
-        result: What it tells.
-        mean: What is expected, (n,).
-        expected: Covariance of that, (n, n).
+        result: Evidence of the result.
+        mean: Prediction of the others, (n,).
+        expected: Covariance of the prediction, (n, n).
         freedom: f of the module docstring, (n,).
     """
     pull = result.pull - result.precision @ mean
@@ -249,11 +251,11 @@ def learn_without_odd(
     """Learn from all results that are not unlike the others.
 
     Args:
-        results: What each result tells.
+        results: Evidence of each result.
         kinds: Kind of each parameter, (n,).
 
     Returns:
-        What the others say; the results that are unlike them; how each compares with the others (of two: None).
+        Hierarchy of the results that are alike; indices of the others; comparison of each result (None for two).
     """
     odd: list[int] = []
     indices = range(len(results))

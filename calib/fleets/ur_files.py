@@ -1,9 +1,9 @@
-"""A robot's result from the maker's own calibration of it: what `calib fit` of its stock model would have found.
+"""A result folder from the maker's calibration of a robot, as if `calib fit` had fitted the stock model of its type.
 
-Universal Robots' controllers compute with a calibration (`calib.core.robots.urdf.ur_kinematics`). Poses of the robot
-that the file describes, rounded, are fitted by the stock model of its type with all joint origins free and base and
-tool known. Single numbers of the files cannot be compared (parallel axes leave some of them open); the fit's prior puts
-all robots of a type into one gauge, and its covariance says what stays open.
+Controllers of Universal Robots compute with a calibration (`calib.core.robots.urdf.ur_kinematics`). Rounded poses of
+the robot in this file are fitted by the stock model of its type, with all joint origins free, and base and tool known.
+Single numbers of two files cannot be compared, because parallel axes leave some of them undetermined. The prior of the
+fit puts all robots of a type into one gauge, and its covariance says which combinations stay undetermined.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.ur_kinematics import JOINTS, nearest_type, nominal_origins, read_origins, ur_urdf
 
 _POSES = 40
-_STEP = 5e-5, 2e-4  # to which poses are rounded: far below what robots differ by [m], [rad]
-_FAR = 0.03  # RMS distance from a type beyond which it is none [m]
+_STEP = 5e-5, 2e-4  # to which poses are rounded: far below the differences between robots [m], [rad]
+_FAR = 0.03  # RMS distance beyond which a robot is not of a type [m]
 
 
 def is_calibration(path: Path | str) -> bool:
-    """Whether this is a calibration of Universal Robots, and no result folder."""
+    """Whether this is a calibration file of Universal Robots, and not a result folder."""
     return Path(path).suffix.lower() in (".yaml", ".yml") and Path(path).is_file()
 
 
 def result_of_calibration(path: Path | str, folder: Path) -> str:
-    """Write the result that a calibration stands for.
+    """Write the result folder of a robot with a calibration of its maker.
 
     Args:
-        path: The calibration.
-        folder: Where to.
+        path: The file of the calibration.
+        folder: The result folder.
 
     Returns:
         The robot's type.
 
     Raises:
         DataError: The robot is of no known type.
-        UrdfError: The file is no calibration, or has lost a sign.
+        UrdfError: The file is not a calibration, or the sign of a number in it is lost.
     """
     origins = read_origins(path)
     model, away = nearest_type(origins)
@@ -69,7 +69,7 @@ def result_of_calibration(path: Path | str, folder: Path) -> str:
 
 
 def _stock(urdf: Path) -> Robot:
-    """The stock model of a type, the origins of its moving joints free, base and tool known."""
+    """The stock model of a type, with the origins of its moving joints free, and base and tool known."""
     sigma, angle = (f"{scale * step / np.sqrt(12):.4f} {unit}" for step, scale, unit in
                     zip(_STEP, (1e3, 1e3), ("mm", "mrad"), strict=True))  # fmt: skip
     stock = robot_of(

@@ -1,8 +1,8 @@
-"""Pairs of joint values and poses, as a controller prints them: which columns these are, and how far they are rounded.
+"""Pairs of joint values and poses that a controller prints: their columns, and the step to which they are rounded.
 
-Columns are found by the words that makers use; where a header says nothing, or there is none, the numbers of a line are
-joint values, x, y, z, and the rotation, in this order. What the numbers mean is another question
-(`calib.matching.readings`).
+Columns are found by the words that makers use. Where a header has none of these words, or there is no header, the
+numbers of a line are joint values, x, y, z, and the rotation, in this order. `calib.matching.readings` finds units and
+meaning of the numbers.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ _STEMS = ("j", "joint", "axis", "a", "rax", "ax", "theta", "q", "actualq", "join
 """Beginnings of the names of joint columns, in the order of trust: q1 to q4 may be a quaternion."""
 _WIDTHS = (3, 4, 9)
 _POSES = ("pose", "otee")
-"""What is in the names of columns of a pose that are numbered: UR's actual_TCP_pose_0, Franka's O_T_EE_0."""
+"""Parts of the names of numbered pose columns: UR's actual_TCP_pose_0, Franka's O_T_EE_0."""
 _NUMBERED = {6: tuple(range(6)), 7: tuple(range(7)), 16: (12, 13, 14, 0, 4, 8, 1, 5, 9, 2, 6, 10)}
-"""Where x, y, z and the rotation are in so many numbers; 16 are a matrix, column by column."""
+"""Indices of x, y, z and of the rotation, by the count of numbers; 16 are a matrix, column by column."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pairs(ReadOnlyArrays):
-    """Joint values and poses as a file has them.
+    """Joint values and poses of a file, in its units.
 
     Attributes:
         path: The file.
-        rows: How to call each row in a message, (n,).
+        rows: Name of each row in messages, (n,).
         joints: (n, n_joints), in units of the file.
         positions: In the units of the file, (n, 3).
         rotations: In the units of the file, (n, 3, 4 or 9).
         units: Of joint values, positions and rotations, where the file states them.
-        steps: Of the last digit of each joint, of positions, and of rotations, in units of the file, (n_joints + 2,).
-        words: Key of `HEADERS` of the rotation's columns; empty where they say nothing.
+        steps: Rounding steps of each joint, of positions and of rotations, in units of the file, (n_joints + 2,).
+        words: Key in `HEADERS` of the names of the rotation's columns; empty if the names do not tell.
     """
 
     path: str
@@ -61,7 +61,7 @@ class Pairs(ReadOnlyArrays):
         return len(self.joints)
 
     def evenly(self, most: int) -> Pairs:
-        """Return at most so many of them, evenly over the file: a log has thousands that say the same."""
+        """Return at most `most` pairs, evenly spread over the file: a log has thousands of nearly equal ones."""
         kept = np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
         arrays = {name: getattr(self, name)[kept] for name in ("joints", "positions", "rotations")}
         return replace(self, rows=tuple(self.rows[k] for k in kept), **arrays)
@@ -72,10 +72,10 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
 
     Args:
         path: A table with a header, or lines of numbers alone, such as `[j1, ..., j6], p[x, y, z, rx, ry, rz]`.
-        joint_names: Of the robot, in its order.
+        joint_names: Names of the robot's joints, in its order.
 
     Raises:
-        DataError: Columns are missing, or cannot be told apart.
+        DataError: Columns are missing or ambiguous.
     """
     table = _without_header(path) or read_table(path)
     names = [_plain(name) for name in table.names]
@@ -109,7 +109,7 @@ def _without_header(path: Path | str) -> Table | None:
         return None
     lines = list(enumerate(read_text(path, "a file of pairs", DataError).splitlines(), start=1))
     kept = [(number, line) for number, line in lines if line.strip() and not is_comment(line)]
-    if not kept or re.search(r"[A-DF-OQ-Za-df-oq-z]", kept[0][1]):  # e is of numbers, p of UR's poses
+    if not kept or re.search(r"[A-DF-OQ-Za-df-oq-z]", kept[0][1]):  # e is part of a number, p of a pose of UR
         return None
     rows = [(number, tuple(_NUMBER.findall(line))) for number, line in kept]
     width = len(rows[0][1])
@@ -126,7 +126,7 @@ def _plain(name: str) -> str:
 
 
 def _series(names: list[str]) -> dict[str, dict[int, int]]:
-    """Columns that are numbered, by what stands before the number: number to column."""
+    """Numbered columns, by the text before the number: number to column."""
     series: dict[str, dict[int, int]] = {}
     for k, name in enumerate(names):
         if match := re.fullmatch(r"(.*?)(\d+)(?:deg|rad|pos|position)?", name):
@@ -193,7 +193,7 @@ def _unit(table: Table, columns: Sequence[int]) -> str | None:
 
 
 def _step(table: Table, columns: Sequence[int], numbers: dict[int, FloatArray]) -> float:
-    """The last digit of columns: a step in which all numbers stand, else that of half of the cells."""
+    """Rounding step of columns: one that divides all numbers, else the last digit of half of the cells."""
     values = np.concatenate([numbers[k] for k in columns])
     decimals = [
         len(mantissa.partition(".")[2]) - int(exponent or 0)

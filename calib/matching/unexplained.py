@@ -1,18 +1,19 @@
-"""What a controller computes with beside joint origins, by what the residuals of a fit say.
+"""Errors of joints that a controller computes with beside joint origins, found from the residuals of a fit.
 
 Each hypothesis moves joints, dq = phi(q) c, and so the whitened rows by G c:
 
-    gravity     one joint gives way to the torque of masses at the origins of links: phi is how fast each of them rises
-                as the joint turns, up being z of the root link. No masses need be known
+    gravity     the joint yields under masses at the origins of links: phi is the rate at which each origin rises as
+                the joint turns, with z of the root link upwards. The masses need not be known
     coupling    phi is the value of another joint
     gear        gain, phi = q; waves, phi = sin k q, cos k q
 
-With J the rows of the fit and J d taken up by joint origins again, the hypothesis is added whose information criterion
-(n log sum of squares + c log n) is least, as long as it halves the sum, and until rounding explains what is left. With
-joints moved by what was found, the fit is made again: what origins took up moves them far.
+J are the rows of the fit; joint origins may change again, by J d, with each hypothesis. The hypothesis with the least
+information criterion (n log sum of squares + c log n) is added, as long as it halves the sum of squares, and until
+rounding explains the rest. Then the fit is repeated with joints moved by the errors found, because origins that had
+absorbed these errors are far off.
 
-When it fails. What moves no joint; hypotheses that look alike at these pairs: gravity at a joint with a level axis is a
-harmonic of that joint.
+When it fails. Errors that move no joint are not found. Some hypotheses look alike at these pairs: gravity at a joint
+with a level axis is a harmonic of that joint.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ from calib.core.rows.jacobian import linearise
 from calib.matching.agreement import Agreement, agreement
 
 _MOST = 4  # hypotheses that are added
-_HALVED = 0.5  # part of the mean square that an added one must take away
-_ROUNDS = 2  # of fits with what was found
+_HALVED = 0.5  # part of the sum of squares that may remain after one is added
+_ROUNDS = 2  # of fits with the errors found
 _WAVES = (1, 2, 3, 4, 5, 6)
-_SEEN = 1e-6  # part of a column beyond what joint origins take up, below which it is nothing
+_SEEN = 1e-6  # least part of a column that joint origins cannot absorb; less counts as nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +49,13 @@ class Hypothesis:
 def explanation(
     fit: Fit, again: Callable[[FloatArray], Fit], q: FloatArray, name: str, rounding: FloatArray, seed: int
 ) -> tuple[str, Agreement]:
-    """Return what explains residuals, in words (empty for nothing), and what it leaves.
+    """Return the joint errors that explain the residuals, in words (empty for none), and the agreement with them.
 
     Args:
-        fit: Of joint origins.
-        again: What fits to other joint values (n_pairs, n_joints).
-        q: Those of the pairs, (n_pairs, n_joints).
-        name, rounding, seed: As for `calib.matching.agreement.agreement`.
+        fit: Fit of joint origins.
+        again: Function that fits with other joint values (n_pairs, n_joints).
+        q: Joint values of the pairs, (n_pairs, n_joints).
+        name, rounding, seed: Arguments of `calib.matching.agreement.agreement`.
     """
     by_joint = linearise(fit.robot, fit.robot.assemble(q), turns=True, joints=True).joint_derivative
     assert by_joint is not None
@@ -89,7 +90,7 @@ def _rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
 
 
 def hypotheses(robot: Robot, q: FloatArray) -> Iterator[Hypothesis]:
-    """Yield what may move each joint of a robot at joint values q (n_pairs, n_joints)."""
+    """Yield the possible errors of each joint at joint values q (n_pairs, n_joints)."""
     names = robot.joint_names
     rises = np.stack([robot.jacobian(q, link)[:, 2] for link in _links(robot)], axis=2)  # of links' origins
     for j, joint in enumerate(names):
@@ -108,7 +109,7 @@ def _links(robot: Robot) -> list[str]:
 
 
 def _basis_complement(basis: FloatArray, G: FloatArray) -> FloatArray:
-    """Orthonormal columns of what G (n_rows, c) spans beyond a basis."""
+    """Orthonormal basis of the span of G (n_rows, c) outside of a given basis."""
     G = G / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
     left, values, _ = linalg.svd(G - basis @ (basis.T @ G), full_matrices=False)
     return np.asarray(left[:, values > _SEEN])

@@ -1,6 +1,6 @@
-"""OMPL's RRT-Connect between two commands, where whole moves are checked; an extra, loaded only where it is needed.
+"""OMPL's RRT-Connect between two commands, with checks of whole moves. An extra, loaded only if it is needed.
 
-OMPL draws its random numbers from one seed for each process, so a command gives the same ways each time.
+OMPL draws its random numbers from one seed for each process, so a command gives the same paths each time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ util.RNG.setSeed(_SEED)
 
 @atexit.register
 def _let_go() -> None:
-    """Leave nothing of OMPL behind at the end: its bindings would write a page about it to standard error."""
+    """Release all objects of OMPL at exit: otherwise its bindings write a page about them to standard error."""
     for name in [name for name in sys.modules if name == "ompl" or name.startswith("ompl.")]:
         vars(sys.modules.pop(name)).clear()
     for name in ("Proven", "base", "geometric", "util"):
@@ -34,7 +34,7 @@ def _let_go() -> None:
 
 
 class ProvenMotions(base.MotionValidator):  # type: ignore[misc]
-    """Asks whether a whole move is free."""
+    """Motion validator that checks whole moves."""
 
     def __init__(self, information: Any, is_free: Callable[[FloatArray, FloatArray], bool], n: int) -> None:
         super().__init__(information)
@@ -54,14 +54,14 @@ def search(
     is_free_move: Callable[[FloatArray, FloatArray], bool],
     most_checks: int,
 ) -> FloatArray | None:
-    """Return the corners of a free way, both ends included, (n, n_actuated); None: none was found.
+    """Return the corners of a free path, including both ends, (n, n_actuated); None if none was found.
 
     Args:
         start, end: Free commands, (n_actuated,) [m or rad].
-        limits: Of the joints, (n_actuated, 2).
+        limits: Limits of the joints, (n_actuated, 2).
         is_free: Whether a command is free.
-        is_free_move: Whether the straight move between two is.
-        most_checks: Moves that may be checked.
+        is_free_move: Whether the straight move between two commands is free.
+        most_checks: Largest number of moves to check.
     """
     n = len(start)
     space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)

@@ -1,14 +1,14 @@
-"""The scene: all shapes of a robot and its surroundings, which pairs of them may touch, and how far apart these are.
+"""The scene: all shapes of a robot and its surroundings, the pairs of them that may touch, and their distances.
 
-Distances are those of coal, by Pinocchio's `GeometryModel`, less the clearance that a pair keeps: below zero, it hits.
+Distances are computed by coal with Pinocchio's `GeometryModel`, less the clearance of a pair: below zero, it touches.
 
-How far can a pair come nearer while joints move? Joint j, between the links of shapes a and b, turns one of them
-about its axis. No point of that shape is farther from the axis than
+How much nearer can a pair come while joints move? Joint j, between the links of shapes a and b, turns one of them about
+its axis. No point of this shape is farther from the axis than
 
     R_j = sum of the lengths of the origins that follow (and of slides) + radius of the shape about its link
 
-so the distance changes by at most sum_j R_j |dq_j|, with R_j = 1 where j slides. That holds for any way between two
-configurations on which joint j moves by |dq_j| at most, whatever the others do. `calib.motion.moves` proves moves so.
+so the distance changes by at most sum_j R_j |dq_j|, with R_j = 1 where j slides. This bound holds for any path between
+two configurations on which each joint j moves by at most |dq_j|. `calib.motion.moves` proves by it that moves are free.
 
 Reference: schwarzer2005.
 """
@@ -30,18 +30,18 @@ from calib.motion.shapes import Body, bodies_of, is_inside
 
 Pairs = tuple[tuple[int, int], ...]
 _ROUGH = 0.005
-"""Where hulls are nearer than that, less the clearance, the triangles in them count [m]."""
+"""Distance of hulls, less the clearance, below which the distance of the triangles is computed [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class CollisionScene:
-    """Shapes and the pairs of them that are looked at.
+    """Shapes, and the pairs of shapes whose distances are computed.
 
     Attributes:
         robot: The robot.
         bodies: The shapes.
-        pairs: Places of two of them each.
-        remarks: What stands for links, and which pairs are left out.
+        pairs: Indices of the two shapes of each pair.
+        remarks: Notes on the shapes of links, and on pairs that are left out.
     """
 
     robot: Robot
@@ -50,17 +50,17 @@ class CollisionScene:
     remarks: tuple[str, ...] = ()
 
     def with_pairs(self, pairs: Pairs, *remarks: str) -> CollisionScene:
-        """Return the scene in which these pairs are looked at."""
+        """Return the scene with these pairs."""
         return replace(self, pairs=pairs, remarks=self.remarks + remarks)
 
     def name(self, pair: int) -> str:
-        """Return what a pair is called."""
+        """Return the name of a pair."""
         a, b = (self.bodies[k].name for k in self.pairs[pair])
         return f"{a} - {b}"
 
     @cached_property
     def workspace(self) -> tuple[Any, Any, Any]:
-        """Pinocchio's model of the shapes, and what it computes in."""
+        """Pinocchio's model of the shapes, its data, and the data of the robot's model."""
         geometry = pin.GeometryModel()
         for k, body in enumerate(self.bodies):
             geometry.addGeometryObject(pin.GeometryObject(f"{k}", body.joint, body.placement, body.hull))
@@ -68,7 +68,7 @@ class CollisionScene:
             geometry.addCollisionPair(pin.CollisionPair(a, b))
         data = pin.GeometryData(geometry)
         for request, rough in zip(data.distanceRequests, self._is_rough, strict=True):
-            request.enable_signed_distance = not rough  # how deep hulls are in each other does not matter
+            request.enable_signed_distance = not rough  # the depth of hulls in each other does not matter
         return geometry, data, self.robot.mechanism.model.createData()
 
     @cached_property
@@ -78,13 +78,13 @@ class CollisionScene:
 
     @cached_property
     def _is_rough(self) -> BoolArray:
-        """Pairs of which a hull is not the shape, (n_pairs,)."""
+        """Whether a shape of each pair is only approximated by its hull, (n_pairs,)."""
         return np.array([any(self.bodies[k].mesh is not None for k in pair) for pair in self.pairs], dtype=bool)
 
     def configurations(self, q: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return all joints (n, n_joints) [m or rad] at commands q (n, n_actuated), loops closed; and where they close.
+        """Return all joints (n, n_joints) [m or rad] at commands q (n, n_actuated), and whether their loops close.
 
-        Near a singularity of the loops, closed in nothing but name, they count as open.
+        Loops near a singularity count as open.
         """
         mechanism = self.robot.mechanism
         if not mechanism.loops and not self.robot.terms:
@@ -101,14 +101,14 @@ class CollisionScene:
     def distances(
         self, joints: FloatArray, counted_pairs: BoolArray | None = None, *, thorough: bool = True
     ) -> FloatArray:
-        """Return how far each pair is from touching, its clearance taken off, (n, n_pairs) [m].
+        """Return the distance of each pair, less its clearance, (n, n_pairs) [m].
 
-        Of meshes that are farther apart than a few millimetres it is that of their hulls, which is not more.
+        For meshes more than a few millimetres apart it is the distance of their hulls, which is never larger.
 
         Args:
             joints: Configurations, (n, n_joints) [m or rad].
-            counted_pairs: Which pairs count in each, (n, n_pairs); the others are infinitely far. None: all.
-            thorough: Whether one mesh inside another counts as touching; no way leads there from outside.
+            counted_pairs: Pairs that count in each configuration, (n, n_pairs); others are infinitely far. None: all.
+            thorough: Whether to find a mesh inside another one; no path from outside leads there without contact.
         """
         geometry, data, workspace = self.workspace
         result = np.full((len(joints), len(self.pairs)), np.inf)
@@ -127,12 +127,12 @@ class CollisionScene:
         return result if counted_pairs is None else np.where(counted_pairs, result, np.inf)
 
     def _exact(self, pair: int, of_hulls: float, placed: Any, thorough: bool) -> float:
-        """Distance of the triangles of a pair, its clearance taken off [m]."""
+        """Distance of the triangles of a pair, less its clearance [m]."""
         a, b = self.pairs[pair]
         one, other = self.bodies[a], self.bodies[b]
         shapes = [body.hull if body.mesh is None else body.mesh for body in (one, other)]
         if any(isinstance(body.hull, coal.Halfspace) for body in (one, other)):
-            return of_hulls  # a plane touches a hull where it touches what is in it
+            return of_hulls  # a plane touches a hull where it touches the shape in it
         T = [coal.Transform3s(placed[k].rotation, placed[k].translation) for k in (a, b)]
         margin = float(self.margins[pair])
         apart = coal.distance(shapes[0], T[0], shapes[1], T[1], coal.DistanceRequest(), coal.DistanceResult())
@@ -149,7 +149,7 @@ class CollisionScene:
         """Return R of the module docstring, (n_pairs, n_joints) [m, or 1].
 
         Args:
-            slides: How far out each joint slides at most, (n_joints,) [m]; of those that turn it does not count.
+            slides: Largest value of each prismatic joint, (n_joints,) [m]; entries of other joints are not used.
         """
         support, pairs = self.robot.mechanism.support, np.array(self.pairs, dtype=np.intp).reshape(-1, 2)
         lengths = self._lengths + np.where(self._slides, slides, 0.0)
@@ -163,7 +163,7 @@ class CollisionScene:
 
     @cached_property
     def _lengths(self) -> FloatArray:
-        """How long each origin is, (n_joints,) [m]."""
+        """Length of each joint origin, (n_joints,) [m]."""
         return np.linalg.norm(self.robot.mechanism.placements[:, 9:], axis=1)
 
     @cached_property
@@ -172,7 +172,7 @@ class CollisionScene:
         return np.linalg.norm(self.robot.mechanism.axes[:, :3], axis=1) > 0.5
 
     def hits(self, q: FloatArray) -> tuple[str, ...]:
-        """Return which pair touches most at commands q (n, n_actuated), "" where none does, (n,)."""
+        """Return the name of the pair that touches most at commands q (n, n_actuated), (n,); "" where none touches."""
         joints, ok = self.configurations(q)
         found = np.full(len(q), "", dtype=object)
         found[~ok] = "loops that do not close"
@@ -192,14 +192,14 @@ def _point_inside(body: Body) -> FloatArray:
 
 
 def moving_between(robot: Robot, a: IntArray, b: IntArray) -> IntArray:
-    """Return how many joints that move there are between the frames a and b (n,), (n,)."""
+    """Return the number of moving joints between the frames a and b (n,), (n,)."""
     mechanism = robot.mechanism
     moves = np.any(mechanism.select_moving != 0, axis=1)
     return np.sum((mechanism.support[a] != mechanism.support[b]) & moves, axis=1)
 
 
 def all_shapes(robot: Robot) -> CollisionScene:
-    """Return all shapes of a robot, with every pair that moves against each other.
+    """Return all shapes of a robot, with every pair whose shapes move relative to each other.
 
     Raises:
         DescriptionError: See `calib.motion.shapes.bodies_of`.

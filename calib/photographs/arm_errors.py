@@ -1,27 +1,27 @@
-"""How lengths and angles of an arm that are off move its tool, where only poses of the tool are known.
+"""Motion of a tool by errors of the arm's lengths and angles, where only poses of the tool are known.
 
-Problem. An arm whose lengths and angles are off errs alike at similar poses. Part of that moves all images as one, so
-it goes into camera and board and leaves no residual: the length of the last link is that of the camera on it. What it
-does to residuals at other poses says how large such errors are, and so how far camera and board may be off unseen. For
-that it must be known how an error moves the tool at each pose. Joint values say it, and poses of the tool do not.
+Problem. Errors of lengths and angles move an arm alike at similar poses. Part of this motion is the same in all images.
+Camera and board absorb it, and it leaves no residual: an error of the last link's length moves the camera on it. The
+other part shows in residuals. It says how large the errors are, and so how far camera and board may be off unseen. This
+needs the motion of the tool by each error at each pose, which joint values would give, and poses of the tool do not.
 
-Model. The poses are taken by an arm as most are: its first axis is upright through the origin of the base, shoulder
-and elbow turn about level axes at right angles to the plane of the arm, both links are 5/8 of the largest reach, the
-elbow is up, and the three axes of the wrist meet in the tool, the last one along its z. Each of six joints has two
-angles and two lengths that may be off (Denavit and Hartenberg): about and along its own axis, and about and along the
-normal that it shares with the next one. An angle d about a line through c with direction a, and a length d along it,
-move the tool at p by
+Model. The poses are assumed to be those of a typical arm. Its first axis is upright through the origin of the base.
+Shoulder and elbow turn about level axes at right angles to the plane of the arm. Both links are 5/8 of the largest
+reach, and the elbow is up. The three axes of the wrist meet in the tool, the last one along its z. Each of six joints
+has two angles and two lengths with errors (Denavit and Hartenberg): about and along its own axis, and about and along
+the common normal with the next axis. An error d of an angle about a line through c with direction a, or of a length
+along it, moves the tool at p by
 
     d (a x (p - c), a)    and    d (a, 0)
 
-(translation, rotation), here in the axes of the tool. Independent errors of one size t for all 24, in m and in rad,
-give the covariance t^2 sum of N N^T.
+(translation, rotation), here in the axes of the tool. If all 24 errors are independent with one size t, in m and rad,
+their covariance is t^2 sum of N N^T, with N the motion by one error.
 
-Why. A smooth random function of the pose has no such thing as lengths, and its range decides how much of it is unseen:
-from half to three times the true spread. With the arm above, intervals are nearly those with the true one.
+Why. The alternative is a smooth random function of the pose. Its correlation length would decide how much of it stays
+unseen: from half to three times the true spread. With the arm above, intervals are nearly those with the true arm.
 
-When it fails. Poses in a frame far from the robot's base have other levers. Where the wrist is straight or the tool
-above the base, the arm above turns joints by much that a real one may not.
+When it fails. Poses in a frame far from the robot's base have other levers. Where the wrist is straight or the tool is
+above the base, joints of this arm turn by much, and those of the real one may not.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _LINK = 5 / 8  # of the largest reach
 
 
 def arm_twists(tool: FloatArray) -> FloatArray:
-    """Return how the tool moves with each of 24 errors of the arm, in its own axes, (n, 6, 24).
+    """Return the motion of the tool by each of 24 errors of the arm, in the axes of the tool, (n, 6, 24).
 
     Args:
-        tool: Tool in the robot's base at each image, (n, 4, 4) [m].
+        tool: Pose of the tool in the robot's base at each image, (n, 4, 4) [m].
     """
     p, axes, o = tool[:, :3, 3], tool[:, :3, :3], np.zeros((len(tool), 3))
     upright = np.tile([0.0, 0.0, 1.0], (len(tool), 1))

@@ -1,19 +1,19 @@
-"""Which points of a board are where in an image, by OpenCV; and in words, why none are.
+"""Detection of a board's points in an image, by OpenCV; and in words, why none are found.
 
-    chessboard    `findChessboardCornersSB`, which is accurate below a pixel by itself. Which end is the first is told
-                  by the colours of the squares: white or black is looked up between the corners that were found.
+    chessboard    `findChessboardCornersSB`, which is accurate below a pixel. The colours of the squares tell which end
+                  is the first: white or black is looked up between the corners found.
     charuco       markers, then corners between them, refined by `CharucoDetector`
     circles       `findCirclesGrid`, asymmetric
-    dots          the same, symmetric; the largest dot of the four corners is the first
+    dots          `findCirclesGrid`, symmetric; the largest dot of the four corners is the first
     aruco         corners of markers, refined to the edges (`CORNER_REFINE_SUBPIX`)
-    apriltag      the same
+    apriltag      as aruco
 
 Where nothing is found in an image, the likely mistakes are tried, and named if one of them explains it: the image is
 mirrored, columns and rows are exchanged or miscounted, the markers are of another dictionary, the image is blurred or
 has no contrast. Images of another size than most are left out: they are of another camera.
 
-Sharpness is told by the width of edges: contrast over the steepest slopes, within what the board covers. A corner is
-found well up to some 5 px; beyond that it wanders.
+The measure of sharpness is the width of edges: contrast over the steepest slopes, within the area of the board. Corners
+are found well up to a width of some 5 px; beyond it their positions become unreliable.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from calib.core.instruments.board import Board
 from calib.photographs.opencv import GreyImage, dictionary, dictionary_families, opencv
 
 FEWEST = 4
-"""Points below which an image says too little of where the board is."""
+"""Least number of points with which an image determines the place of the board."""
 _BLURRED = 6.0  # px, width of edges
-_OFF = 0.05  # of what the board covers: how far a lens may bend it
+_OFF = 0.05  # largest bend by a lens, over the extent of the board
 _LEAST_OFF = 5.0  # px
 _TRIES = 3  # images of a set in which other dictionaries and other boards are looked for
-_MOST_COLUMNS = 30  # of markers, that a miscounted board is looked for with
-_FITTING = 0.9  # part of the corners of markers that lie as on the board that they belong to
+_MOST_COLUMNS = 30  # of markers, up to which a miscounted board is looked for
+_FITTING = 0.9  # least part of the corners of markers that fit a board, so that it is the right one
 _LARGER = 1.15  # size of the dot that marks a corner, over that of the others
 _FLAT = 30  # grey values between dark and bright
 
@@ -49,11 +49,11 @@ class DetectedImage:
     """Points of a board detected in one image.
 
     Attributes:
-        name: Of the image.
+        name: Name of the image.
         size: Width and height [px].
         points: Names of the points.
-        pixels: Where they are, (n, 2).
-        remark: What is wrong, in words; empty if nothing is.
+        pixels: Pixels of the points, (n, 2).
+        remark: Problem in words; empty if there is none.
         edge: Width of edges [px]; NaN where nothing was found.
         mirrored: Whether the board is found in the mirror image alone.
     """
@@ -68,7 +68,7 @@ class DetectedImage:
 
     @property
     def usable(self) -> bool:
-        """Whether enough was found."""
+        """Whether enough points were found."""
         return len(self.points) >= FEWEST
 
 
@@ -78,7 +78,7 @@ class Detection:
 
     Attributes:
         board: The board, with the layout that most corners have shown.
-        images: What was found in each image, in the order given.
+        images: Points found in each image, in the order given.
     """
 
     board: Board
@@ -86,27 +86,27 @@ class Detection:
 
     @property
     def usable(self) -> tuple[DetectedImage, ...]:
-        """Images in which enough was found."""
+        """Images in which enough points were found."""
         return tuple(image for image in self.images if image.usable)
 
     @property
     def n_points(self) -> int:
-        """Number of points in these."""
+        """Number of points in the usable images."""
         return sum(len(image.points) for image in self.usable)
 
 
 def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Iterator[DetectedImage | Detection]:
     """Find a board in images; yield what was found in each, then all together.
 
-    Of a ChArUco board with an even number of rows whose layout is not known, both are tried, and the one that shows
-    more corners in all images holds; what is yielded before is of the first.
+    If the layout of a ChArUco board with an even number of rows is not known, both layouts are tried, and the one with
+    more corners in all images is used at the end. Each image alone is yielded with the layout that shows more in it.
 
     Args:
         board: The board.
-        images: Name of each, and the image, or in words why it could not be read.
+        images: Name and image of each, or instead of the image the reason why it could not be read.
 
     Raises:
-        DescriptionError: No such dictionary, or it has too few markers.
+        DescriptionError: The dictionary does not exist, or has too few markers.
     """
     layouts = _layouts(board)
     detectors = [
@@ -133,7 +133,7 @@ def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Itera
 
 
 def _images_of_one_size(images: Sequence[DetectedImage]) -> Iterator[DetectedImage]:
-    """The images; those that have another size than most with a board have no points."""
+    """The images; an image of another size than most images with a board loses its points."""
     sizes = Counter(image.size for image in images if image.usable)
     for image in images:
         if image.usable and image.size != (most := sizes.most_common(1)[0][0]):
@@ -156,7 +156,7 @@ class _Detector:
         self._board = opencv_board(board, bool(board.legacy)) if board.dictionary else None
 
     def find(self, name: str, image: GreyImage) -> DetectedImage:
-        """Return what is in an image."""
+        """Return the detection in one image."""
         points = self.points(image)
         if 0 < len(points) < self._n_points / 2 and self.n_mirrored_points(image) > 2 * len(points):
             points = {}  # chance finds in a mirrored image
@@ -190,11 +190,11 @@ class _Detector:
         return _markers(self.board, image, self.board.dictionary or "")
 
     def n_mirrored_points(self, image: GreyImage) -> int:
-        """Return how many points are in the mirror image; none of a board without markers, which looks alike there."""
+        """Return the number of points in the mirror image; 0 for a board without markers, which looks alike there."""
         return len(self.points(np.ascontiguousarray(image[:, ::-1]))) if self.board.dictionary else 0
 
     def with_remark(self, detected: DetectedImage, image: GreyImage) -> DetectedImage:
-        """Return what was found with a remark that says why it is too little."""
+        """Return the detection, with a remark on why there are too few points."""
         n = len(detected.points)
         mirrored = self.n_mirrored_points(image) >= max(FEWEST, 2 * n)
         return replace(detected, remark=self._why_missing(image, n, mirrored), edge=float("nan"), mirrored=mirrored)
@@ -227,7 +227,7 @@ class _Detector:
         return f"{few} ({count_noun(len(set(markers)), 'marker')}): the board is partly outside, covered or too small"
 
     def _board_of_other_count(self, image: GreyImage) -> str:
-        """Which board without markers is there instead; empty if none is known."""
+        """Name of a board without markers that is in the image instead; empty if none is recognised."""
         others = [self._suspect] if self._suspect else _other_counts(self.board) if self._tries > 0 else ()
         self._tries -= 1
         for other, noun in others:
@@ -239,7 +239,7 @@ class _Detector:
         return ""
 
     def _other_columns(self, image: GreyImage) -> str:
-        """On a board of how many columns the markers in an image lie, if not on one as described; else empty."""
+        """Remark with the number of columns that the markers fit, if it is another one than described; else empty."""
         board = self.board
         if board.dictionary is None:
             return ""
@@ -263,7 +263,7 @@ class _Detector:
         return f"a board of {best} columns"
 
     def _other_numbering(self, points: dict[str, FloatArray]) -> str:
-        """The right board text if markers are numbered from the other side; else empty."""
+        """The correct text of the board if markers are numbered from the other side; else empty."""
         other = "bottom" if self.board.first_row == "top" else "top"
         if self.board.kind not in ("aruco", "apriltag"):
             return ""
@@ -293,14 +293,14 @@ def _layouts(board: Board) -> tuple[bool, ...]:
 
 
 def opencv_board(board: Board, legacy: bool) -> object:
-    """Return the board as OpenCV has it, of a kind with markers.
+    """Return OpenCV's board for a kind with markers.
 
     Args:
         board: The board.
         legacy: Whether a ChArUco board has the older layout.
 
     Raises:
-        DescriptionError: No such dictionary, or it has too few markers.
+        DescriptionError: The dictionary does not exist, or has too few markers.
     """
     cv2 = opencv()
     markers = dictionary(board.dictionary or "")
@@ -469,7 +469,7 @@ def _dots(board: Board, image: GreyImage) -> dict[str, FloatArray]:
 
 
 def _other_counts(board: Board) -> Iterator[tuple[Board, str]]:
-    """Boards that a miscount or an exchange makes of one without markers, likely ones first."""
+    """Boards without markers with miscounted or exchanged rows and columns, likely ones first."""
     c, r = board.columns, board.rows
     pairs = [(r, c), (c - 1, r), (c + 1, r), (c, r - 2), (c, r + 2)]  # of dots, rows stay odd
     if board.kind == "chessboard":  # inner corners were counted, or corners and squares mixed
@@ -492,7 +492,7 @@ def _light_remark(image: GreyImage) -> str:
 
 
 def points_on_one_plane(board: Board, points: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return the points (2,) [px] by name that are where most others put the board, as one homography has it."""
+    """Return the points (2,) [px], by name, that agree with one homography of most of them."""
     if len(points) <= FEWEST:
         return points
     places = board.points()
@@ -501,9 +501,9 @@ def points_on_one_plane(board: Board, points: dict[str, FloatArray]) -> dict[str
 
 
 def _are_on_plane(on_board: FloatArray, pixels: FloatArray, *, robust: bool = True) -> BoolArray:
-    """Which points (n, 2) [m] lie at their pixels (n, 2), as one homography has them; none without one.
+    """Which points (n, 2) [m] agree with their pixels (n, 2) by one homography; none if there is no homography.
 
-    It is that of most of them; if not robust, which is faster, of all.
+    The homography fits most points; if not `robust`, which is faster, it is fitted to all.
     """
     cv2 = opencv()
     allowed = max(_LEAST_OFF, _OFF * float(np.max(np.ptp(pixels, axis=0))))
@@ -517,7 +517,7 @@ def _are_on_plane(on_board: FloatArray, pixels: FloatArray, *, robust: bool = Tr
 
 
 def edge_width(image: GreyImage, pixels: FloatArray) -> float:
-    """Return how wide edges are within the rectangle around points (n, 2): contrast over the steepest slopes [px]."""
+    """Return the width of edges in the rectangle around points (n, 2): contrast over the steepest slopes [px]."""
     low = np.maximum(np.floor(pixels.min(axis=0)).astype(int), 0)
     high = np.ceil(pixels.max(axis=0)).astype(int) + 1
     part = image[low[1] : high[1], low[0] : high[0]].astype(float)

@@ -1,4 +1,4 @@
-"""What a hand-eye calibration has found, and what it promises for new images."""
+"""Result of a hand-eye calibration, and the errors that it predicts for new images."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class HandEye(ReadOnlyArrays):
 
     Attributes:
         scene: The images that were used.
-        fitted: What they say.
-        left: The images left out in turn.
-        alone: What the camera alone leaves, (m, 2) [px]; NaN where too few points were seen.
-        off: Images that were set aside.
-        points_off: Points of other images that were left out, furthest first.
-        mistakes: What would explain what is left, largest first.
-        intrinsics_given: As given, (9,); None where none were.
-        rms_given: At images left out with intrinsics as given [px]; NaN where none were or not tried.
-        weighed: Whether images were weighed.
+        fitted: Estimate from these images.
+        left: Errors of images that were left out in turn.
+        alone: Residuals of a fit without the robot, (m, 2) [px]; NaN in images with too few points.
+        off: Outlying images, which were not used.
+        points_off: Outlying points of other images, which were not used, furthest first.
+        mistakes: Mistakes that would explain the residuals, largest first.
+        intrinsics_given: Intrinsics that the user gave, (9,); None if none were given.
+        rms_given: RMS error of images left out in turn with given intrinsics [px]; NaN if not given or not tried.
+        weighed: Whether images had different weights.
     """
 
     scene: BoardScene
@@ -50,12 +50,12 @@ class HandEye(ReadOnlyArrays):
 
     @property
     def board(self) -> FloatArray:
-        """How far pixels lie from their points on the board, (m, 2) [m]."""
+        """Residuals on the board: the pixels' rays in its plane minus its points, (m, 2) [m]."""
         return plane_errors_on_board(self.scene, self.fitted.placed)
 
     @property
     def lens_found(self) -> bool:
-        """Whether intrinsics were found."""
+        """Whether intrinsics were fitted."""
         return bool(self.fitted.free)
 
     def rms_by_image(self, errors: FloatArray) -> FloatArray:
@@ -69,30 +69,30 @@ class HandEye(ReadOnlyArrays):
 
     @property
     def limit(self) -> float:
-        """RMS error on the board that as many new images like these stay below with a chance of 95 % [m].
+        """RMS error on the board below which as many new images like these stay in 95 of 100 cases [m].
 
-        The mean of the mean squares of images left out has as many degrees of freedom as their spread says
-        (Satterthwaite), but no more than there are errors: the points of an image share the robot's, which counts as
-        one; the rest, which the camera alone leaves, is each point's own. On the board the robot's error is a shift of
-        two numbers, but images left out also share the errors of a fit that is almost the same: in simulated set-ups
-        two numbers an image would be exceeded by 7 in 100. The mean of as many new images has as many degrees of
-        freedom, and their ratio follows F.
+        Images are left out in turn. The degrees of freedom of the mean of their mean squares follow from the spread
+        (Satterthwaite), but are no more than the number of independent errors. The points of an image share the error
+        of the robot, which counts as one; each point has its own error, as large as in a fit without the robot. On the
+        board the robot's error is a shift of two numbers. But the fits without one image are almost the same and share
+        their errors: with two numbers an image, 7 in 100 simulated calibrations would exceed the limit. The mean of
+        as many new images has as many degrees of freedom, and the ratio of both means follows F.
 
         Reference: satterthwaite1946.
         """
         squares = self.rms_by_image(self.left.board) ** 2
         n, mean = len(squares), float(np.mean(squares))
-        if not np.isfinite(mean):  # a ray that does not meet the plane of the board
+        if not np.isfinite(mean):  # a ray does not meet the plane of the board
             return float("nan")
         ratio = rms(self.alone) / rms(self.left.pixels)
-        point_share = min(ratio**2, 1.0) if np.isfinite(ratio) else 0.0  # part of the squares
+        point_share = min(ratio**2, 1.0) if np.isfinite(ratio) else 0.0  # part of the squares that is each point's own
         most = 1.0 / ((1.0 - point_share) ** 2 / n + point_share**2 / (2 * len(self.scene.pixels)))
         spread = float(np.var(squares, ddof=1)) / n
         freedom = min(most, 2 * mean**2 / spread) if spread > 0 else most
         return float(np.sqrt(mean * scipy.special.fdtri(freedom, freedom, 0.95)))
 
     def uncertainty(self) -> dict[str, tuple[float, float]]:
-        """Return half widths of 95 % intervals of camera and board: along the worst axis, and about it [m], [rad]."""
+        """Return half widths of 95 % intervals of camera and board, the largest of three axes each: [m] and [rad]."""
         factor = scipy.special.stdtrit(self.fitted.freedom[:12], 0.975)
         half = factor * np.sqrt(np.diag(self.fitted.covariance)[:12])
         return {

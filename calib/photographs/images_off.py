@@ -1,7 +1,8 @@
-"""Points and images that do not fit the others, by name.
+"""Outlying points and outlying images, by name.
 
-A point is left out where the others of its image put it elsewhere. An image is set aside where the other images, itself
-aside, put it so far off as no robot errs; at most a third of them, as more are no outliers.
+A point is left out if the other points of its image predict it elsewhere. An image is left out if its distance from the
+prediction of the other images is larger than any error of a robot. At most a third of the images are left out, because
+more cannot be outliers.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior
 from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, residuals
 from calib.photographs.starts import Start, image_rms, point_errors
 
-_OFF = 5.0  # medians of images left out from which one is set aside
+_OFF = 5.0  # multiple of the median error from which an image is left out
 _LEAST_OFF = 1.0  # px
-_MOST_OFF = 1 / 3  # of the images: more are no outliers
-_FEWEST = 5  # images that must stay to call another one off
+_MOST_OFF = 1 / 3  # of the images: more cannot be outliers
+_FEWEST = 5  # images that must stay so that another one can be left out
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,8 @@ class OffPoint:
 
     Attributes:
         image: Name of the image.
-        pixel: Where it was found [px].
-        distance: How far from where the others put it [px].
+        pixel: Pixel at which it was found [px].
+        distance: Distance from the prediction of the other points [px].
     """
 
     image: str
@@ -45,9 +46,9 @@ class OffImage:
     """An image that does not fit the others.
 
     Attributes:
-        name: Of the image.
-        rms: How far its points are off [px].
-        shift, turn: By how much the robot's tool would have to be elsewhere [m], [rad].
+        name: Name of the image.
+        rms: RMS error of its points [px].
+        shift, turn: Motion of the robot's tool that would make it fit [m], [rad].
     """
 
     name: str
@@ -57,7 +58,7 @@ class OffImage:
 
 
 def fitting_points(begin: Start, intrinsics: FloatArray) -> tuple[Start, tuple[OffPoint, ...]]:
-    """Return where to begin without points that do not fit their image, and these, furthest first; intrinsics (9,)."""
+    """Return first values without outlying points, and these points, furthest first; `intrinsics` are (9,)."""
     scene = begin.scene
     far = point_errors(scene, intrinsics, LENS_NUMBERS)
     off = [
@@ -100,7 +101,7 @@ def _without_the_furthest(
     intrinsics: FloatArray | None,
     fewest: int,
 ) -> BoolArray:
-    """Images that fit, (n,): one that is kept moves where the others are put, and so hides how far off it is."""
+    """Images that fit, (n,); an outlying image that is kept changes the fit, which hides how far off it is."""
     errors = _prediction_errors(scene, kept, begin, free, intrinsics)
     while errors is not None and np.sum(kept) > fewest:
         furthest = int(np.argmax(np.where(kept, errors, -np.inf)))
@@ -115,7 +116,7 @@ def _without_the_furthest(
 def _prediction_errors(
     scene: BoardScene, kept: BoolArray, begin: HandEyePlacement, free: tuple[int, ...], intrinsics: FloatArray | None
 ) -> FloatArray | None:
-    """How far off each image is from where the kept ones put it, itself aside, (n,) [px]; None if that is not known."""
+    """RMS error of each image against the fit of the other kept ones, (n,) [px]; None without such a fit."""
     kept_scene = scene.select_images(kept)
     prior = lens_prior(begin.intrinsics, kept_scene, intrinsics is not None) if free else None
     try:
@@ -132,7 +133,7 @@ def _prediction_errors(
 
 
 def images_far_off(scene: BoardScene, kept: BoolArray, begin: Start) -> tuple[OffImage, ...]:
-    """Return images that are not kept, (n,), and by how much the robot would have to be elsewhere."""
+    """Return the images that are not `kept` (n,), each with the motion of the robot that would make it fit."""
     if np.all(kept):
         return ()
     placed, _ = plain(scene.select_images(kept), begin.placed, ())

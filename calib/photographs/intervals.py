@@ -1,24 +1,23 @@
-"""How far camera, board and lens may be off: with errors of single images, and with those that follow the robot's
-pose.
+"""Intervals of camera, board and lens, with errors of single images and errors that follow the robot's pose.
 
 Estimates are least squares with weights W, x = A^-1 J^T W r with A = J^T W J + P. Residuals have the covariance
 V = s^2 I + G S^2 G^T + s_a^2 H H^T (`calib.photographs.shared_errors`), H = G N the columns of the arm's errors. So
 
     cov x = A^-1 (s^2 J^T W W J + J^T W G S^2 G^T W J + s_a^2 J^T W H H^T W J + P) A^-1
 
-The estimate is that of W; only the intervals know of the arm. J^T W H is what its errors do to camera and board,
-whether or not residuals show them. The size s_a is found from what they show: the part of the residuals that follows
-the pose. The rest is s_t and s_r, found anew beside it.
+The estimate depends on W alone; only the intervals contain the errors of the arm. J^T W H is the effect of these errors
+on camera and board, whether residuals show them or not. Their size s_a is found from the part of the residuals that
+follows the pose. The sizes s_t and s_r of the other errors of the robot are found together with it.
 
 That the four sizes are found from the data widens intervals by Student's t with Satterthwaite's degrees of freedom: 2
 v^2 / (g^T C g) for a variance v with gradient g by the logarithms of the sizes, and C the inverse of half the
 curvature of the criterion.
 
-What it is of. C and M are places in the real flange and the real base of the robot; residuals alone would tell only
-which C and M go best with its nominal poses.
+Meaning. The intervals are of C and M in the real flange and the real base of the robot. Residuals alone would only give
+the C and M that fit best to its nominal poses.
 
-When it fails. An arm of another kind, poses not in its base, errors that grow with the load or in one joint's gear
-alone.
+When it fails. The intervals are wrong for an arm of another kind, for poses that are not in its base, and for errors
+that grow with the load or come from the gear of one joint.
 
 Reference: satterthwaite1946.
 """
@@ -54,15 +53,15 @@ def intervals(
     prior: IntrinsicsPrior | None,
     now: FloatArray,
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Return the size of the arm's errors, the covariance of what is sought (k, k), and degrees of freedom (k,).
+    """Return the size of the arm's errors, the covariance of the unknowns (k, k), and degrees of freedom (k,).
 
     Args:
         linear: Sums over images at the solution.
-        twists: How each error of the arm moves the tool, (n, 6, 24).
-        weights: What images are weighed by.
-        near: Sizes of the errors without those of the arm.
-        prior: Of the intrinsics that are sought.
-        now: These, as they are, (f,).
+        twists: Motion of the tool by each error of the arm, (n, 6, 24).
+        weights: Weights of the images.
+        near: Sizes of the errors, found without errors of the arm.
+        prior: Prior of the fitted intrinsics.
+        now: Present values of these intrinsics, (f,).
     """
     wide = linear.with_arm(twists)
     noise = find_noise(wide, prior, now, near)
@@ -88,6 +87,6 @@ def intervals(
     slopes = [(np.diag(covariance_of(logs + step)) - np.diag(covariance_of(logs - step))) / 2e-3 for step in unit]
     slope = np.array(slopes).reshape(len(sizes), -1)
     variance = np.einsum("ik,ij,jk->k", slope, linalg.pinv(curvature / 2, hermitian=True), slope)
-    with np.errstate(over="ignore"):  # sizes that are known exactly
+    with np.errstate(over="ignore"):  # where sizes are known exactly
         freedom = np.where(variance > 0, 2 * np.diag(covariance) ** 2 / np.maximum(variance, 1e-300), _MANY)
     return noise.arm, covariance, np.clip(freedom, 1.0, _MANY)

@@ -1,17 +1,18 @@
-"""Photographs of a board with the pose of the robot's tool at each: what is known, what is sought, what is predicted.
+"""Photographs of a board, with the pose of the robot's tool at each: data, unknowns and predicted pixels.
 
-The camera is fixed to one end of the robot by C, the board to the other by M, and the robot says how the two ends lie:
+The camera is fixed to one end of the robot by C, and the board to the other end by M. A point of the board is seen at
 
     p = C^-1 A_i M X        A_i = L_i for a camera that stands beside the robot (board on the tool)
                             A_i = L_i^-1 for a camera on the tool (board beside the robot)
 
-with L_i the tool in the robot's base at image i, X a point of the board and p the same in the camera. Pixels follow by
-`calib.core.instruments.camera`. Sought are C, M and intrinsics. Steps turn and move places in their own axes, C
-exp(xi), and so does an error of the robot at an image, L_i exp(e_i): [d; w], the tool moved by d and turned by w.
+with L_i the tool in the robot's base at image i, X a point in the frame of the board, and p the point in the frame of
+the camera. Pixels follow by `calib.core.instruments.camera`. Unknown are C, M and the intrinsics. Steps move a place in
+its own axes, C exp(xi). So does an error e_i of the robot at an image, L_i exp(e_i): e_i = [d; w] moves the tool by d
+and turns it by w.
 
-All that solving asks of the points of an image are sums over them: with residuals r, their derivative J by what is
-sought and G by e_i, J^T J, J^T G, G^T G, J^T r, G^T r and r^T r. Whatever weighs images by errors that their points
-share is algebra with 6 x 6 matrices (`calib.photographs.shared_errors`).
+The solver needs only sums over the points of each image: J^T J, J^T G, G^T G, J^T r, G^T r and r^T r. Here r are the
+residuals, J is their derivative by the unknowns, and G their derivative by e_i. Weights for errors that the points of
+an image share are then algebra with 6 x 6 matrices (`calib.photographs.shared_errors`).
 """
 
 from __future__ import annotations
@@ -38,12 +39,12 @@ class BoardScene(ReadOnlyArrays):
     """Images of a board.
 
     Attributes:
-        names: Of the images.
+        names: Names of the images.
         tool: L_i, tool in base at each image, (n, 4, 4) [m].
         image: Image of each point, ascending, (m,).
         body: Points in the board's frame, (m, 3) [m].
-        pixels: Where they were found, (m, 2).
-        mount: Where the camera is.
+        pixels: Pixels at which the points were found, (m, 2).
+        mount: Place of the camera: on the tool or beside the robot.
         size: Width and height of the images [px].
     """
 
@@ -64,7 +65,7 @@ class BoardScene(ReadOnlyArrays):
         return self.tool if self.mount == "base" else np.linalg.inv(self.tool)
 
     def select_images(self, chosen: BoolArray) -> BoardScene:
-        """Return the scene with some of the images, (n,)."""
+        """Return the scene with the chosen images, (n,), and their points."""
         number = np.cumsum(chosen) - 1
         kept = chosen[self.image]
         names = tuple(name for name, keep in zip(self.names, chosen, strict=True) if keep)
@@ -78,11 +79,11 @@ class BoardScene(ReadOnlyArrays):
         )
 
     def with_points(self, chosen: BoolArray) -> BoardScene:
-        """Return the scene with some of the points, (m,), and all images."""
+        """Return the scene with the chosen points, (m,), and all images."""
         return replace(self, image=self.image[chosen], body=self.body[chosen], pixels=self.pixels[chosen])
 
     def sums(self, values: FloatArray) -> FloatArray:
-        """Return sums over the points of each image of values (m, ...), (n, ...)."""
+        """Return the sums, (n, ...), of values (m, ...) over the points of each image."""
         result = np.zeros((len(self), *values.shape[1:]))
         np.add.at(result, self.image, values)
         return result
@@ -94,7 +95,7 @@ class BoardScene(ReadOnlyArrays):
 
 
 def scene_of(detected_images: Sequence[DetectedImage], board: Board, tool: FloatArray) -> BoardScene:
-    """Return images of a board and the tool at each, (n, 4, 4) [m], as what is calibrated from."""
+    """Return the scene of images of a board, with the pose of the tool at each image, (n, 4, 4) [m]."""
     points = board.points()
     counts = [len(image.points) for image in detected_images]
     return BoardScene(
@@ -110,13 +111,13 @@ def scene_of(detected_images: Sequence[DetectedImage], board: Board, tool: Float
 
 @dataclass(frozen=True, eq=False)
 class HandEyePlacement(ReadOnlyArrays):
-    """Where camera and board are.
+    """Poses of camera and board, and the intrinsics.
 
     Attributes:
         camera: C, camera in the frame that it is fixed to, (4, 4) [m].
         board: M, board in the frame that it is fixed to, (4, 4) [m].
         intrinsics: fx fy cx cy k1 k2 p1 p2 k3, (9,).
-        scale: By how much the board is larger than described.
+        scale: Size of the board over its described size.
     """
 
     camera: FloatArray
@@ -125,7 +126,7 @@ class HandEyePlacement(ReadOnlyArrays):
     scale: float = 1.0
 
     def step(self, step: FloatArray, free: Sequence[int]) -> HandEyePlacement:
-        """Return this after a step [camera 6, board 6, intrinsics, scale], (k,) with the columns of `ImageSums`."""
+        """Return the placement after a step [camera 6, board 6, intrinsics, scale], (k,), as columns of `ImageSums`."""
         intrinsics = self.intrinsics.copy()
         intrinsics[list(free)] += step[12 : 12 + len(free)]
         scale = self.scale + (float(step[12 + len(free)]) if len(step) > 12 + len(free) else 0.0)
@@ -147,7 +148,7 @@ class ImageSums(ReadOnlyArrays):
         jj, jg, gg: J^T J, J^T G, G^T G, (n, k, k), (n, k, 6), (n, 6, 6).
         jr, gr, rr: J^T r, G^T r, r^T r, (n, k), (n, 6), (n,).
         n_rows: Rows of each image, (n,).
-        n_arm: How many of the columns, at the end, are errors of the arm (`calib.photographs.arm_errors`).
+        n_arm: Number of last columns for errors of the arm (`calib.photographs.arm_errors`).
     """
 
     residuals: FloatArray
@@ -161,7 +162,7 @@ class ImageSums(ReadOnlyArrays):
     n_arm: int = 0
 
     def with_arm(self, twists: FloatArray) -> ImageSums:
-        """Return the sums with errors of the arm as further columns, which move the tool by twists, (n, 6, k)."""
+        """Return the sums with further columns for errors of the arm, which move the tool by `twists`, (n, 6, k)."""
         turned = twists.transpose(0, 2, 1)
         by_arm = self.jg @ twists
         jj = np.block([[self.jj, by_arm], [by_arm.transpose(0, 2, 1), turned @ self.gg @ twists]])
@@ -170,7 +171,7 @@ class ImageSums(ReadOnlyArrays):
         return replace(self, jj=jj, jg=jg, jr=jr, n_arm=twists.shape[2])
 
     def times(self, weight: FloatArray) -> ImageSums:
-        """Return the sums with weights of images, (n,)."""
+        """Return the sums times weights of the images, (n,)."""
         parts = (self.jj, self.jg, self.gg, self.jr, self.gr, self.rr)
         jj, jg, gg, jr, gr, rr = (part * weight.reshape(-1, *[1] * (part.ndim - 1)) for part in parts)
         return ImageSums(self.residuals, jj, jg, gg, jr, gr, rr, self.n_rows, self.n_arm)
@@ -195,9 +196,9 @@ def rows(
 
     Args:
         scene: The images.
-        placed: Where camera and board are.
-        free: Which intrinsics are sought, by their numbers.
-        scaled: Whether the size of the board is sought too.
+        placed: Poses of camera and board, and the intrinsics.
+        free: Indices of the intrinsics that are fitted.
+        scaled: Whether the size of the board is fitted, too.
     """
     points, poses = points_in_camera(scene, placed)
     pixels, by_point, by_number = project(points, placed.intrinsics)
@@ -216,7 +217,7 @@ def rows(
 
 
 def _robot_error_derivative(scene: BoardScene, placed: HandEyePlacement, body: FloatArray) -> FloatArray:
-    """How an error of the robot's tool moves points in the camera, (m, 3, 6)."""
+    """Derivative of points in the camera by an error of the robot's tool, (m, 3, 6)."""
     if scene.mount == "base":
         carried = body @ placed.board[:3, :3].T + placed.board[:3, 3]  # in the tool
         turned = (placed.camera[:3, :3].T @ scene.tool[:, :3, :3])[scene.image]
@@ -240,7 +241,7 @@ def linearise(scene: BoardScene, placed: HandEyePlacement, free: Sequence[int], 
 
 
 def plane_errors_on_board(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
-    """Return how far pixels lie from their points on the board, in its plane as the model places it, (m, 2) [m].
+    """Return where the pixels' rays meet the plane of the board, minus the points of the board, (m, 2) [m].
 
     A ray that does not meet the plane in front of the camera gives infinity.
     """

@@ -1,13 +1,13 @@
-"""Where to begin, without any guess: closed forms on the poses, and which images do not fit the others.
+"""First values of focal length, camera and board in closed form; images and points that do not fit the others.
 
-1. The focal length, if not stated: of a homography H = K [r1 r2 t] from board to pixels, counted from the
-   middle of the image, r1 . r2 = 0 and |r1| = |r2| are linear in 1 / f^2 (zhang2000).
-2. The board in the camera at each image (`calib.core.instruments.camera.view_poses`), and the hand-eye problem in
-   closed form (`calib.core.instruments.hand_eye`): from all images; where that leaves much, from four at a time chosen
-   at random, since some may be wrong. The solution with the smallest median error of images is kept.
-3. Least squares in which images that lie further off than most count less, again and again.
+1. The focal length, if it is not stated. A homography from board to pixels, counted from the middle of the image, is
+   H = K [r1 r2 t]. Its conditions r1 . r2 = 0 and |r1| = |r2| are linear in 1 / f^2 (zhang2000).
+2. The pose of the board in the camera at each image (`calib.core.instruments.camera.view_poses`), then the hand-eye
+   problem in closed form (`calib.core.instruments.hand_eye`) from all images. If large errors remain, some images may
+   be wrong: then sets of four images are drawn at random, and the solution with the smallest median error is kept.
+3. Reweighted least squares: images that are further off than most get less weight.
 
-Both ways to mount the camera are tried where it is not said; the wrong one fits no robot.
+Where it is not said whether the camera is on the tool or at the base, both are tried; the wrong one does not fit.
 
 References: zhang2000, daniilidis1999.
 """
@@ -30,28 +30,28 @@ from calib.photographs.scene import BoardScene, HandEyePlacement, Mount, lineari
 from calib.photographs.shared_errors import ErrorSizes, normal_equations
 
 _TRIALS = 25
-_GOOD = 5.0  # px, of most images: then there is no need to ask subsets
+_GOOD = 5.0  # px, median error of the images below which no subsets are tried
 _AT_ONCE = 4
-_MOST_POINTS = 12  # of an image, for its pose: more tell little more
+_MOST_POINTS = 12  # of an image, from which its pose is computed; more points add little
 _ROUNDS = 25
 _SEED = 0
-_LOST = 1e14  # condition of the pose of a board
+_LOST = 1e14  # condition number from which the pose of a board is undetermined
 _FAR = 2.5  # medians from which an image counts less
 _NO_NOISE = 1e-9  # px: rounding of pixels that were computed
-_SMALLEST = 1e-6  # part of the noise of a point that its image leaves, below which none is left
+_SMALLEST = 1e-6  # least part of a point's noise that remains once its image is placed; less counts as none
 LEAST_ALONE = 6
-"""Points of an image that its own pose cannot explain."""
+"""Least number of points of an image that its own pose cannot explain exactly."""
 LEAST_IMAGES = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Start(ReadOnlyArrays):
-    """Where to begin.
+    """First values for a fit of photographs.
 
     Attributes:
         scene: The images, with the mount that fits.
-        placed: Where camera and board are, about.
-        rms: Of each image, (n,) [px].
+        placed: Approximate placement of camera and board.
+        rms: Root mean square residual of each image, (n,) [px].
     """
 
     scene: BoardScene
@@ -60,15 +60,15 @@ class Start(ReadOnlyArrays):
 
     @property
     def typical(self) -> float:
-        """Median of the images [px]."""
+        """Median over the images of their root mean square residual [px]."""
         return float(np.median(self.rms))
 
 
 def first_focal(scene: BoardScene) -> float:
-    """Return the focal length that the homographies of single images tell [px].
+    """Return the focal length that follows from the homographies of the images [px].
 
     Raises:
-        NotIdentifiableError: The board was seen from the front in all of them, or they tell none.
+        NotIdentifiableError: The images do not determine it, such as when all see the board from the front.
     """
     middle = np.array(scene.size) / 2
     left, right = [], []
@@ -112,9 +112,10 @@ def intrinsics_at_first(scene: BoardScene) -> FloatArray:
 
 
 def views(scene: BoardScene) -> FloatArray:
-    """Return the board in the camera at each image that shows where it is, (k, 4, 4) [m], about; `tool` does not count.
+    """Return approximate poses of the board in the camera, for the images that determine one, (k, 4, 4) [m].
 
-    The focal length is that of the homographies, or as wide as the image where they tell none.
+    Poses of the robot are not used. The focal length follows from the homographies; where these do not determine it,
+    it is the width of the image.
     """
     try:
         intrinsics = intrinsics_at_first(scene)
@@ -139,7 +140,7 @@ def _points_by_image(scene: BoardScene) -> list[IntArray]:
 
 
 def start(scene: BoardScene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...] = ("tool", "base")) -> Start:
-    """Return where to begin.
+    """Return first values for a fit of photographs.
 
     Args:
         scene: The images.
@@ -193,7 +194,7 @@ def image_rms(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
 
 
 def _robust(scene: BoardScene, placed: HandEyePlacement) -> Start:
-    """Damped steps in which images that lie further off than most count less."""
+    """Damped least-squares steps; images that are further off than most get less weight."""
     rms, damping = image_rms(scene, placed), 1e-3
     for _ in range(_ROUNDS):
         scale = _FAR * max(float(np.median(rms)), 1e-3)
@@ -221,14 +222,14 @@ def _robust(scene: BoardScene, placed: HandEyePlacement) -> Start:
 def camera_alone(
     scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...] = ()
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what is left with the board placed freely in each image, no robot: residuals (m, 2) [px], intrinsics (9,).
+    """Return residuals (m, 2) [px] and intrinsics (9,) of a fit without robot, with a pose of the board for each image.
 
-    Images with fewer than six points, which their own pose could explain, are left out of the lens, and NaN.
+    An image with fewer than six points is not used, because its own pose could explain them; its residuals are NaN.
 
     Args:
         scene: The images.
-        intrinsics: To begin with.
-        free: Which of them are sought.
+        intrinsics: First values of the intrinsics, (9,).
+        free: Indices of the intrinsics that are fitted.
     """
     alone = _board_free(scene, intrinsics, free)
     result = np.full_like(scene.pixels, np.nan)
@@ -240,7 +241,7 @@ def camera_alone(
 
 @dataclass(frozen=True, eq=False)
 class _FreeBoards(ReadOnlyArrays):
-    """The board placed freely in each image: `tool` of the scene is the board in the camera."""
+    """The board with a free pose in each image; `tool` of the scene is the pose of the board in the camera."""
 
     scene: BoardScene
     placed: HandEyePlacement
@@ -248,7 +249,7 @@ class _FreeBoards(ReadOnlyArrays):
 
 
 def _board_free(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...] = ()) -> _FreeBoards | None:
-    """Place the board in each image with enough points; None where no pose explains one. See `camera_alone`."""
+    """Place the board in each image with enough points; None if a pose is not determined. See `camera_alone`."""
     use = scene.counts >= LEAST_ALONE
     if free and np.sum(use) < LEAST_IMAGES:
         free = ()
@@ -256,7 +257,7 @@ def _board_free(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...]
     if len(used) == 0:
         return None
     views, _ = single_views(used, intrinsics)
-    # each image a robot pose of its own: the camera in the base, the board on the tool at the origin
+    # each image counts as one pose of the robot: the camera is in the base, the board on the tool at the origin
     placed = HandEyePlacement(np.eye(4), np.eye(4), intrinsics)
     alone = replace(used, tool=views, mount="base")
     for _ in range(_ROUNDS):
@@ -286,24 +287,24 @@ def _board_free(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...]
 
 
 def point_errors(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...]) -> FloatArray:
-    """Return how far points lie from where the others of their image put them, (m,) [px]; 0 of those that agree.
+    """Return the distances of outlying points from where the other points of their image put them, (m,) [px]; else 0.
 
-    The board is placed freely in each image, so that neither the robot nor another image counts. The point that is
-    furthest off, over what its image lets it be, is left out, and its image placed again, until none of all points is
-    further off than one in a hundred sets of good points has (`calib.core.numerics.losses`). An image of which more
-    than half would go, or too few points would stay, keeps all: something is wrong with the image, or with its board.
+    Each image has its own pose of the board, so that neither the robot nor another image matters. The point of an image
+    with the largest studentised residual is left out, and the board is placed again, until no residual is larger than
+    chance explains: in one of a hundred sets of good points (`calib.core.numerics.losses`). Where more than half of the
+    points would be left out, or too few would stay, the image keeps all: then the image or its board is wrong.
 
     Args:
         scene: The images.
-        intrinsics: To begin with.
-        free: Which of them are sought.
+        intrinsics: First values of the intrinsics, (9,).
+        free: Indices of the intrinsics that are fitted.
     """
     far: FloatArray = np.zeros(len(scene.pixels))
     alone = _board_free(scene, intrinsics, free)
     if alone is None or 2 * len(alone.scene.pixels) <= 6 * len(alone.scene) + len(free):
         return far
     lens, images = alone.placed.intrinsics, alone.images
-    number = np.flatnonzero(np.isin(scene.image, images))  # in the scene, of each point that is judged
+    number = np.flatnonzero(np.isin(scene.image, images))  # index in the scene of each point that is tested
     sizes, lengths = _studentised_residuals(alone)
     freedom = 2 * len(number) - 6 * len(images) - len(free)
     scale = max(float(np.median(sizes)) / float(median_length(np.array([2]))[0]), _NO_NOISE)
@@ -335,7 +336,7 @@ def point_errors(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...
 
 
 def _studentised_residuals(alone: _FreeBoards) -> tuple[FloatArray, FloatArray]:
-    """Residuals over what the pose of their image leaves of noise, and their lengths, (m,) [px]."""
+    """Studentised residuals (over the noise that remains once the image is placed), and plain lengths, (m,) [px]."""
     r, _, g = rows(alone.scene, alone.placed, ())
     inverse = np.linalg.inv(linearise(alone.scene, alone.placed, ()).gg)[alone.scene.image]
     left = np.eye(2) - g @ inverse @ g.transpose(0, 2, 1)

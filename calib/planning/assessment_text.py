@@ -1,4 +1,4 @@
-"""What `calib check` prints, and the same as data."""
+"""The text that `calib check` prints, and the same content as data."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from calib.planning.assessment import CORRELATION_LIMIT, HARDLY, Assessment
 _SHOWN = 12  # names in a list
 _FEW = 4  # the same in the short answer
 _LINES = 3  # lines of groups in the short answer
-_MANY_POSITIONS = 6  # of fewer, errors of a robot move most as one body, whatever they are
-_MOSTLY_COMMON = 0.5  # part of the position error below which what is beside a common motion is told too
+_MANY_POSITIONS = 6  # with fewer positions, almost any errors of a robot look like a motion of one body
+_MOSTLY_COMMON = 0.5  # the error beside a common motion is printed if it is below this part of the whole
 
 
 def text_report(assessment: Assessment, source: str, width: int = 120, *, verbose: bool = False) -> str:
-    """Return what poses determine as text.
+    """Return as text what the poses determine.
 
     Args:
         assessment: What was found.
@@ -104,7 +104,7 @@ def _verdict(a: Assessment, most: int | None, width: int) -> list[str]:
 def _groups_in_words(
     groups: Sequence[UnseenGroup], parameters: Sequence[Parameter], most: int | None, width: int
 ) -> list[str]:
-    """Groups in words: as many as fit into so many lines, all if that is None; and how many others there are."""
+    """Groups in words: as many as fit into `most` lines (all if None), and the number of the others."""
     single = [parameters[group.members[0]].name for group in groups if len(group.members) == 1]
     alone = [f"  {', '.join(single)} {'has' if len(single) == 1 else 'have'} no effect"] if single else []
     texts = [describe_group(group, parameters) for group in groups if len(group.members) > 1]
@@ -119,7 +119,7 @@ def _groups_in_words(
 
 
 def _groups(a: Assessment, most: int | None, width: int) -> list[str]:
-    """Groups of parameters that these poses cannot tell apart: all, or so many lines at most."""
+    """Groups of parameters that these poses cannot tell apart: all, or at most `most` lines."""
     if not a.groups:
         return ["Every combination of the parameters shows in the readings."]
     lines = ["These poses cannot tell apart:"]

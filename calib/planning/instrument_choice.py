@@ -1,8 +1,8 @@
 """Choosing instruments too: a candidate is a pose together with a group of instruments that read there.
 
-Every group can be chosen at every pose where all of its instruments have something to read, each such pair once. So a
-choice may read one pose with two groups; what it then knows is the sum of what both know, as of any two candidates.
-Candidates are ordered group by group, poses as they stand in each: candidate k is pose k modulo the number of poses.
+Every group can be chosen at every pose where all of its instruments have something to read. Each such pair can be
+chosen once. So a choice may read one pose with two groups; the information of both adds up, as for any two candidates.
+Candidates are ordered by group, and within a group by pose: candidate k is pose k modulo the number of poses.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from calib.core.rows.candidates import PoseRows, near_measured
 from calib.core.rows.observed import touches_without_target
 
 ALL, EACH = "all", "each"
-"""All instruments read at every chosen pose, which is the choice of poses alone; or each is chosen by itself."""
+"""`ALL`: all instruments read at every chosen pose. `EACH`: each instrument is a group of its own."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Groups:
 
     Attributes:
         members: Instruments that read together, by name, for each group.
-        chosen: Whether the choice is among groups; False: of poses alone, which all instruments read.
-        counts: How many poses to choose for each group; None: as is best.
+        chosen: Whether to choose among groups; False: only poses are chosen, and all instruments read there.
+        counts: Number of poses to choose for each group; None: the best numbers.
     """
 
     members: tuple[tuple[str, ...], ...]
@@ -46,12 +46,12 @@ class Groups:
 
 
 def groups_of(robot: Robot, instruments: str | Sequence[str], count: int | Mapping[str, int]) -> Groups:
-    """Return what is chosen among.
+    """Return the groups of instruments to choose among.
 
     Args:
         robot: The robot.
         instruments: `ALL`, `EACH`, or the groups: names of instruments, joined by `+` where they read together.
-        count: A number for each group says the groups as well.
+        count: Number of poses, or a number for each group, which names the groups as well.
 
     Raises:
         InputError: An unknown instrument, a group given twice, or groups given in two ways.
@@ -89,9 +89,9 @@ class PoseGroupPairs:
     Attributes:
         pose: Pose of each, (n_candidates,).
         group: Group of each, (n_candidates,).
-        rows: Whitened rows, (n_candidates, n_rows, n_parameters); 0 where one reads less than another.
-        n_read: How many rows each has, (n_candidates,).
-        possible: Where all instruments of the group have something to read, (n_candidates,).
+        rows: Whitened rows, (n_candidates, n_rows, n_parameters); filled up with 0.
+        n_read: Number of rows of each, (n_candidates,).
+        possible: Whether all instruments of the group have something to read, (n_candidates,).
     """
 
     pose: IntArray
@@ -102,7 +102,7 @@ class PoseGroupPairs:
 
 
 def pairs_of(groups: Groups, poses: PoseRows) -> PoseGroupPairs:
-    """Return the candidates that poses (n of them) make."""
+    """Return the candidates that n poses make with the groups."""
     n, n_groups = len(poses.rows), len(groups.members)
     columns_of_groups = [np.concatenate([_range(poses.blocks[name]) for name in members]) for members in groups.members]
     width = max(len(columns) for columns in columns_of_groups)
@@ -123,9 +123,9 @@ def pairs_of(groups: Groups, poses: PoseRows) -> PoseGroupPairs:
 
 
 def already_read(groups: Groups, candidates: Poses, measured: Poses) -> BoolArray:
-    """Return which candidates are measured already: poses, by all instruments of their group, (n_candidates,).
+    """Return which candidates are measured already, by all instruments of their group, (n_candidates,).
 
-    Of measured poses without readings all instruments are taken to have read.
+    For measured poses without readings, all instruments count as having read.
     """
     result = []
     for members in groups.members:
@@ -140,7 +140,7 @@ def already_read(groups: Groups, candidates: Poses, measured: Poses) -> BoolArra
 
 
 def require_planned_touches(robot: Robot, groups: Groups, poses: Poses) -> None:
-    """Raise `InputError` where an instrument touches, and the poses do not say what: a pose alone does not show it."""
+    """Raise `InputError` if an instrument touches, and the poses do not say what it touches."""
     for instrument in touches_without_target(robot, poses):
         if any(instrument.name in members for members in groups.members):
             raise InputError(

@@ -1,12 +1,12 @@
-"""In which order to visit poses so that the robot travels little.
+"""The order of poses in which the robot travels little.
 
-The time between two poses is about that of the joint with the longest way to go, so the distance between them is
+The time between two poses is about that of the joint with the longest travel, so the distance between them is
 
     max over joints of |difference| / (range of that joint over all poses)
 
 The shortest open path from home through all poses is a travelling-salesman problem. A path that always goes to the
 nearest pose next is shortened by 2-opt (reverse a piece) and or-opt (move a piece of up to three poses elsewhere),
-until neither helps. That is usually within a few percent of the shortest, which is enough here: the path does not
+until neither helps. The result is usually within a few percent of the shortest, which is enough here: the path does not
 change what is measured.
 
 Reference: Croes 1958; Or 1976.
@@ -20,7 +20,7 @@ from calib.core.base.arrays import FloatArray, IntArray
 
 _SHORTER = 1e-12
 _LONGEST_PIECE = 3
-_IMPROVED = 1000  # poses up to which a path is improved; beyond, the nearest next pose has to do
+_IMPROVED = 1000  # poses up to which a path is improved; a longer path goes to the nearest next pose
 
 
 def travel(joints: FloatArray, home: FloatArray, order: IntArray) -> float:
@@ -37,7 +37,7 @@ def travel(joints: FloatArray, home: FloatArray, order: IntArray) -> float:
 
 
 def distances_from(joints: FloatArray, start: FloatArray) -> FloatArray:
-    """Return how far each pose is from where the robot stands, (n,) [joint ranges].
+    """Return the distance of each pose from the present pose of the robot, (n,) [joint ranges].
 
     Args:
         joints: Poses, (n, n_actuated) [m or rad].
@@ -51,7 +51,7 @@ def distances_from(joints: FloatArray, start: FloatArray) -> FloatArray:
 def order_in_blocks(joints: FloatArray, home: FloatArray, block: IntArray) -> IntArray:
     """Return an order of visiting that is short and goes block by block, (n,).
 
-    A block is what is measured before something is changed by hand: an instrument, the place of one.
+    A block is measured without a change by hand, such as of an instrument or its place.
 
     Args:
         joints: Poses, (n, n_actuated) [m or rad].

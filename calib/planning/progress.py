@@ -1,20 +1,20 @@
-"""What is known after the poses measured so far: as an object, as text and as data for programs.
+"""Accuracy after the poses measured so far: as an object, as text and as data for programs.
 
-Errors at poses that were judged before they were fitted, and how sure their root mean square is.
+It has errors at poses that were predicted before they were fitted, and an interval of their root mean square.
 
-The predicted error counts noise alone. What the model leaves out shows only where the robot is measured and the fit has
-not been: every new pose is predicted by the fit of the poses before it, then fitted (Dawid's prequential principle).
-The last poses are the ones that tell about the present fit: the last `MOST` since the predicted error met the goal; or,
-while these are fewer than `LEAST`, the last `LAST` of all. With s_k the mean square error at pose k and m their mean
-over n poses, m is nearly g chi^2_h of the same mean and variance,
+The predicted error contains noise alone. Errors of the model show only at measured poses that the fit has not used. So
+every new pose is first predicted by the fit of the poses before it, and then fitted (Dawid's prequential principle).
+Only the last poses say something about the present fit: the last `MOST` since the predicted error met the goal, or the
+last `LAST` of all while these are fewer than `LEAST`. Let s_k be the mean square error at pose k, and m the mean over n
+poses. m is nearly distributed as g chi^2_h with the same mean and variance,
 
     h = 2 n m^2 / (var(s) (1 + 8 / n))        at most 3 n, which normal errors alike in all directions have
     95 % interval of sqrt(E s)  sqrt(m h / chi^2_h(0.975)) to sqrt(m h / chi^2_h(0.025))
 
-The variance of few skewed numbers comes out too small more often than not; with the factor behind it, the upper end
-lies above the truth in 95 of 100 cases also where errors lie along one line or have heavy tails.
+The sample variance of few skewed numbers is too small more often than not. With the factor (1 + 8 / n), the upper end
+is above the truth in 95 of 100 cases, also where errors lie along one line or have heavy tails.
 
-When it fails. Poses that are alike tell about each other's neighbourhood only; the interval takes them as independent.
+When it fails. Similar poses test the fit in one neighbourhood only; the interval takes them as independent.
 
 Reference: dawid1984.
 """
@@ -45,13 +45,13 @@ from calib.core.rows.prediction import RootMeanSquare
 from calib.planning.next_pose import NextPose
 
 UNKNOWN = RootMeanSquare(math.inf, 0.0, math.inf)
-"""Of a distance that nothing has told yet."""
+"""An unknown distance."""
 LAST = 20
-"""Poses that tell about the present fit while no predicted error meets the goal."""
+"""Number of poses that count while no predicted error meets the goal."""
 MOST = 40
-"""Poses that tell about it at most once predicted errors meet the goal."""
+"""Largest number of poses that count once predicted errors meet the goal."""
 LEAST = 10
-"""Fewer tell nothing."""
+"""Least number of poses for an error."""
 _TOO_SMALL = 8.0
 
 
@@ -63,15 +63,15 @@ class Progress(ReadOnlyArrays):
         robot: The nominal robot.
         goal: Root mean square position error to reach [m].
         n_poses: Poses measured.
-        n_candidates: Poses that the goal is about and of which the next one is chosen, without those out of reach.
+        n_candidates: Number of reachable poses for which the goal is meant, and from which the next one is chosen.
         fit: The calibration from all measured poses; None while they do not suffice.
-        obstacle: Why there is no fit yet.
-        predicted: Error over the candidates that noise leaves, by the covariance of the fit.
-        unseen: Error at the last poses, each predicted by a fit of the poses before it; noise of the readings included.
+        obstacle: Reason why there is no fit yet.
+        predicted: Error over the candidates by noise, from the covariance of the fit.
+        unseen: Error at the last poses, each predicted by a fit of the poses before it, including noise of readings.
             If no positions are measured, it is estimated from the errors of the readings.
         n_unseen: Number of these poses.
-        n_settled: How many of them were predicted by fits whose predicted error met the goal.
-        next_pose: Where to measure next; None where all candidates are measured.
+        n_settled: Number of these that were predicted by fits whose predicted error met the goal.
+        next_pose: Pose to measure next; None if all candidates are measured.
         seconds: Duration of this update.
     """
 
@@ -99,7 +99,7 @@ class Progress(ReadOnlyArrays):
 
     @property
     def stop(self) -> bool:
-        """Whether the goal holds with 95 %: by the predicted error, and at poses that no fit had seen."""
+        """Whether the goal is met with 95 %, by the predicted error and by the errors at unseen poses."""
         converged = self.fit is not None and self.fit.converged
         return converged and self.predicted.high95 <= self.goal and self.unseen.high95 <= self.goal
 
@@ -110,7 +110,7 @@ class Progress(ReadOnlyArrays):
 
     @property
     def poses_left(self) -> int | None:
-        """About how many more poses the goal takes; None where that cannot be told.
+        """Estimated number of further poses for the goal; None if it is not known.
 
         The predicted error falls like the inverse root of the number of poses, or faster if the next is chosen well;
         then at least `LEAST` poses must be predicted by fits whose predicted error meets the goal.
@@ -125,7 +125,7 @@ class Progress(ReadOnlyArrays):
         return more + LEAST - (0 if more else self.n_settled)
 
     def report(self) -> str:
-        """Return it as text."""
+        """Return the progress as text."""
         head = f"{count_noun(self.n_poses, 'pose')} ({self.seconds:.2f} s)"
         return "\n  ".join([head, *self.error_lines(), *self._next()])
 
@@ -141,7 +141,7 @@ class Progress(ReadOnlyArrays):
         return [*lines, f"goal {millimetres(self.goal):.4g} mm: {self._verdict()}"]
 
     def to_dict(self) -> dict[str, object]:
-        """Return it as data for JSON, in mm and degrees; None where not known."""
+        """Return the progress as data for JSON, in mm and degrees; unknown numbers are None."""
         following = self.next_pose
         return as_data(
             {
@@ -236,11 +236,11 @@ def reads_positions(robot: Robot) -> bool:
 def squares_of(fit: Fit, data: Measurements) -> list[float]:
     """Return the mean square position error of each pose that a fit has not seen, in order of appearance [m^2].
 
-    Where no instrument reads positions: of those that the errors of its readings show.
+    If no instrument reads positions, position errors are estimated from the errors of the readings.
 
     Args:
         fit: The fit.
-        data: Measurements that it has not seen; those that repeat poses that it has are left out.
+        data: Measurements that the fit has not used; visits that repeat poses of the fit are left out.
     """
     new = data[~near_measured(data.joints, fit.identification.data.joints)]
     if not len(new):
@@ -266,7 +266,7 @@ def _shown_squares(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArra
     """Square of the position error that each reading shows, (n,) [m^2], by instrument; NaN where it shows none.
 
     The smallest motion [dp; L dw] of the target that explains the reading's error, with the robot's characteristic
-    length L, along the directions that the reading sees; those that it does not see count as they do.
+    length L, along the directions that the reading determines; the other directions count with the same size.
     """
     robot = fit.robot
     configurations = robot.assemble(new.joints, labels=new.labels, context=new.conditions)
@@ -285,7 +285,7 @@ def _shown_squares(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArra
 
 
 def unseen_rms(squares: Sequence[float]) -> RootMeanSquare:
-    """Return the root mean square of these mean square errors [m^2], with its interval; unknown of too few."""
+    """Return the root mean square of these mean square errors [m^2], with its interval; unknown if too few."""
     n = len(squares)
     if n < LEAST:
         return UNKNOWN

@@ -1,8 +1,8 @@
-"""How good a choice of poses can be at most: a proven bound from the concave relaxation, and weights that attain it.
+"""A proven bound on the index of any choice of poses, from the concave relaxation, and weights that attain it.
 
-Problem. Choose m of n candidates, each at most once: K(w) = K_0 + sum w_k B_k^T B_k with w_k in {0, 1}, sum w = m. Let
-the weights be anything in [0, 1] with the same sum: that set contains every choice, so no choice is better than its
-best.
+Problem. Choose m of n candidates, each at most once: K(w) = K_0 + sum w_k B_k^T B_k with w_k in {0, 1}, sum w = m. The
+relaxation allows any weights in [0, 1] with the same sum. It contains every choice, so no choice is better than its
+optimum.
 
 Bound. With r rows of K, two functions are concave in K:
 
@@ -14,15 +14,15 @@ A concave function lies below its tangents. At any weights w, with g_k = d(log p
 
     phi(w') / phi(w)  <=  1 + sum_k g_k (w'_k - w_k)  <=  1 + (sum of the m largest g_k) - sum_k g_k w_k  =  1 + gap(w)
 
-So each w proves a bound, at the choice itself too; the least one found counts. Nothing has to converge for it to hold.
-(The squares of O3, the smallest eigenvalue, and of O5 are concave too; no bound is computed for them.)
+So each w proves a bound, and a choice itself does. The least bound found is used. It holds without convergence. (The
+squares of O3, the smallest eigenvalue, and of O5 are concave, too; no bound is computed for them.)
 
-Kinds. Where m_g of each kind g of candidates are to be chosen, each kind has its own sum, and its own largest m_g.
+Kinds. Where m_g candidates of each kind g are to be chosen, each kind has its own sum, and its own m_g largest slopes.
 
-Weights. A primal-dual interior-point method on the weights that are not clear yet: fractional ones and those whose g
-is nearest to the m-th largest, while the others stay at 0 or 1; then g of all candidates decides again which are not
-clear. With the matrices G_kl = B_k K^-1 B_l^T the curvature of log det is -|G_kl|^2, so a step costs one product and
-one solve of the number of unclear candidates, however many candidates there are.
+Weights. A primal-dual interior-point method changes only the unclear weights: the fractional ones, and those whose g is
+nearest to the m-th largest. The others stay at 0 or 1. Then g of all candidates decides again which weights are
+unclear. With the matrices G_kl = B_k K^-1 B_l^T, the curvature of log det is -|G_kl|^2. So a step costs one product and
+one solve with the size of the unclear candidates, however many candidates there are.
 
 Reference: Kiefer and Wolfowitz 1960; Boyd and Vandenberghe 2004, sections 3.1.5, 7.5 and 11.7; Pukelsheim 1993.
 """
@@ -53,28 +53,28 @@ class Relaxation(ReadOnlyArrays):
 
     Attributes:
         log_bound: No choice has log phi above this.
-        weights: The weights that were found, (n_candidates,); the largest of them make a good choice.
+        weights: Weights of the relaxation, (n_candidates,); the candidates with the largest ones are a good choice.
     """
 
     log_bound: float
     weights: FloatArray
 
     def efficiency(self, log_phi: float) -> float:
-        """Return the index of a choice over the bound on the index (of the task index: bound over index), at most 1."""
+        """Return the index of a choice over its bound (for the task index: bound over index), at most 1."""
         return float(min(1.0, np.exp(0.5 * (log_phi - self.log_bound))))
 
 
 def relax(
     problem: SelectionProblem, index: str, chosen: BoolArray, usable: BoolArray, kind: IntArray | None = None
 ) -> Relaxation:
-    """Bound what any choice of as many poses, and as many of each kind, can reach.
+    """Bound the index of any choice with as many poses, and as many of each kind, as a given choice.
 
     Args:
         problem: The candidates.
         index: `O1` or `task`.
         chosen: A choice to start from, (n_candidates,).
         usable: Candidates that may be chosen, (n_candidates,); all others keep weight 0.
-        kind: Kind of each candidate, (n_candidates,), of which each has its number; None: all are alike.
+        kind: Kind of each candidate as a number, (n_candidates,); None: all are of one kind.
     """
     weights = chosen.astype(float)
     kinds = kinds_of(kind, len(problem))
@@ -98,11 +98,11 @@ def relax(
 
 
 def largest(slope: FloatArray | IntArray, kinds: IntArray, counts: IntArray) -> list[IntArray]:
-    """Return the `counts` candidates of each kind whose slope (n_candidates,) is largest, a list by kind."""
+    """Return for each kind its `counts` candidates with the largest slopes (n_candidates,), as a list."""
     result = []
     for number, count in enumerate(counts):
         members = np.flatnonzero(kinds == number)
-        if 0 < count < len(members):  # in order of slope: only those that can be among them
+        if 0 < count < len(members):  # sort only those that can be among the largest
             slopes = slope[members]
             members = members[slopes >= np.partition(slopes, len(members) - count)[len(members) - count]]
         result.append(members[np.argsort(-slope[members], kind="stable")[:count]])
@@ -110,7 +110,7 @@ def largest(slope: FloatArray | IntArray, kinds: IntArray, counts: IntArray) -> 
 
 
 def kinds_of(kind: IntArray | None, n: int) -> IntArray:
-    """Return the kind of each of n candidates, (n,); None: all are alike."""
+    """Return the kind of each of n candidates, (n,); for None all are of one kind."""
     return np.broadcast_to(np.intp(0), n) if kind is None else kind
 
 
@@ -151,9 +151,9 @@ def slopes(problem: SelectionProblem, index: str, gathered: FloatArray) -> Float
 
 
 def _unclear(slope: FloatArray, weights: FloatArray, kinds: IntArray, counts: IntArray) -> IntArray:
-    """Candidates whose weight the interior-point method shall find, ascending."""
+    """Candidates whose weights the interior-point method shall change, ascending."""
     level = np.array([np.min(slope[best], initial=np.inf) for best in largest(slope, kinds, counts)])
-    # how much a candidate's slope speaks for its weight; fractional ones are always in
+    # evidence of the slope for the present weight of a candidate; fractional ones always count as unclear
     speaks = level[kinds]
     speaks -= slope
     used = np.flatnonzero(weights)
@@ -165,9 +165,9 @@ def _unclear(slope: FloatArray, weights: FloatArray, kinds: IntArray, counts: In
 def _interior_point(
     problem: SelectionProblem, index: str, unclear: IntArray, fixed: FloatArray, kinds: IntArray, totals: FloatArray
 ) -> FloatArray:
-    """Maximise log phi over weights of the unclear candidates, as `_inner_weights`.
+    """Maximise log phi over the weights of the unclear candidates by `_inner_weights`.
 
-    Kinds that are to have all or none of their candidates have no choice, and are settled before.
+    Kinds of which all or no candidates are to be chosen leave no choice; their weights are set first.
     """
     size = np.bincount(kinds, minlength=len(totals))
     has_choice = (totals > 0.5) & (totals < size - 0.5)
@@ -184,7 +184,7 @@ def _interior_point(
 def _inner_weights(
     problem: SelectionProblem, index: str, rows: FloatArray, fixed: FloatArray, kind: IntArray, totals: FloatArray
 ) -> FloatArray:
-    """Maximise log phi over weights in [0, 1] of candidates with these rows (n, k, r), with a given sum of each kind.
+    """Maximise log phi over weights in [0, 1] of candidates with rows (n, k, r), with a given sum for each kind.
 
     Primal-dual: slope - level of the kind + lower - upper = 0, w lower = (1 - w) upper = mu -> 0, sums w = totals.
     """
@@ -254,7 +254,7 @@ def _reach(values: FloatArray, step: FloatArray) -> float:
 
 
 def _round_weights(w: FloatArray, total: float) -> FloatArray:
-    """Put weights that are nearly 0 or 1 there, and spread the difference so that the sum stays."""
+    """Round weights that are nearly 0 or 1, and change the others so that the sum stays."""
     result = np.where(w < 1e-4, 0.0, np.where(w > 1 - 1e-4, 1.0, w))
     between = (result > 0) & (result < 1)
     rest = total - float(np.sum(result))

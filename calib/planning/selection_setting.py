@@ -1,6 +1,6 @@
-"""The setting of a selection: everything assembled, linearised and checked before the first pose is chosen.
+"""The setting of a selection: candidates, assembled, linearised and checked before the first pose is chosen.
 
-Priors and poses already measured are information that is there before: their rows stack with those of the poses.
+Priors and poses that are measured already give information before the choice: their rows stack with those of the poses.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Request:
         index: One of `CHOICES`.
         count: Number of poses, with each group of instruments counted by itself.
         minimum_distance: Least distance between the targets of two poses [m].
-        groups: Which instruments are chosen among.
+        groups: Groups of instruments to choose among.
     """
 
     index: str
@@ -59,13 +59,13 @@ class SelectionSetting:
         robot: The robot.
         request: What to choose.
         poses: The poses to choose from.
-        candidates: The same, assembled.
+        candidates: The assembled poses.
         pairs: The candidates: these poses with groups of instruments.
         problem: The candidates in whitened coordinates.
-        space: Which candidates may be chosen.
+        space: Rules on which candidates may be chosen.
         sigma: Noise of one measured position per axis, which is the unit of indices [m].
         sigma_assumed: Whether some noise is only assumed.
-        already_measured: How many candidates are measured already.
+        already_measured: Number of candidates that are measured already.
     """
 
     robot: Robot
@@ -80,12 +80,12 @@ class SelectionSetting:
     already_measured: int
 
     def uniform(self) -> IntArray:
-        """Return candidates evenly spread over their order, as many of each kind as are wanted, (count,)."""
+        """Return candidates evenly spread over their order, the requested number of each kind, (count,)."""
         usable = np.flatnonzero(self.space.usable)
         return np.concatenate([uniform_start(members, count) for members, count in self.candidates_by_kind(usable)])
 
     def random(self, rng: np.random.Generator) -> IntArray:
-        """Return candidates at random, as many of each kind as are wanted, ascending, (count,)."""
+        """Return candidates at random, the requested number of each kind, ascending, (count,)."""
         usable = np.flatnonzero(self.space.usable)
         return np.sort(
             np.concatenate([rng.choice(members, n, replace=False) for members, n in self.candidates_by_kind(usable)])
@@ -93,15 +93,15 @@ class SelectionSetting:
 
     @property
     def counts(self) -> IntArray:
-        """How many candidates of each kind are wanted, (n_kinds,)."""
+        """Requested number of candidates of each kind, (n_kinds,)."""
         return np.array(self.request.groups.counts or (self.request.count,))
 
     def largest(self, values: FloatArray | IntArray, counts: IntArray) -> list[IntArray]:
-        """Return so many of each kind (n_kinds,), those whose values (n_candidates,) are largest, a list by kind."""
+        """Return by kind, in a list, the `counts` (n_kinds,) candidates with the largest values (n_candidates,)."""
         return largest(values, kinds_of(self.space.kind, len(self.problem)), counts)
 
     def candidates_by_kind(self, candidates: IntArray) -> list[tuple[IntArray, int]]:
-        """Return those of the candidates (n,) that are of each kind, and how many are wanted of it."""
+        """Return for each kind its members among the candidates (n,), and the requested number."""
         counts = self.request.groups.counts
         if counts is None:
             return [(candidates, self.request.count)]
@@ -121,20 +121,20 @@ def prepare(
     """Assemble and linearise everything, and check that the question has an answer.
 
     Args:
-        robot: The robot; its present values are where it is linearised.
+        robot: The robot, which is linearised at its present values.
         candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
         request: What to choose.
-        measured: Poses that are measured already, as `candidates`.
-        task: Poses whose accuracy counts, as `candidates`; the candidates themselves if None.
-        exclude: Candidates not to choose, by their number.
-        skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
+        measured: Poses that are measured already, in the form of `candidates`.
+        task: Poses whose accuracy counts, in the form of `candidates`; the candidates themselves if None.
+        exclude: Indices of candidates that must not be chosen.
+        skip_unreachable: Whether to leave out candidates that cannot be assembled, instead of an error.
         sigma: Noise of one reading per axis [m]; the description's if None.
 
     Raises:
         InputError: An argument is wrong.
         DataError: A candidate is given twice.
         UnreachablePoseError: Candidates cannot be assembled.
-        NotIdentifiableError: No choice determines what the index is about.
+        NotIdentifiableError: No choice determines the quantity of the index.
     """
     if request.index not in CHOICES:
         raise InputError(f"unknown index '{request.index}'{nearest(request.index, CHOICES)}")
@@ -185,7 +185,7 @@ def prepare(
 
 
 def points_of(positions: FloatArray) -> FloatArray:
-    """Points whose distance is the root mean square over targets, (n, 3 n_targets) [m]."""
+    """Points, one for each pose, whose distance is the RMS distance of the targets, (n, 3 n_targets) [m]."""
     result: FloatArray = positions.reshape(len(positions), 3 * positions.shape[1]) / np.sqrt(positions.shape[1])
     return result
 
@@ -199,7 +199,7 @@ def _is_excluded(exclude: Sequence[int], n: int) -> BoolArray:
 
 
 def require_count(setting: SelectionSetting) -> None:
-    """Raise `InputError` where more is wanted than there are candidates, of each kind, or too little to answer."""
+    """Raise `InputError` if more candidates of a kind are requested than there are, or too few for the index."""
     request, pairs, usable = setting.request, setting.pairs, setting.space.usable
     _require_candidates(request, usable, pairs)
     problem = setting.problem

@@ -1,7 +1,7 @@
-"""What owners measured on a delta printer, whether it can be true, and which geometry is expected before it is used.
+"""Measured rows of a delta printer, checks of them, and the geometry that is expected before they are used.
 
-A probe has one offset, so one height that differs is mistyped. Positions that fit no rod or radius are steps of other
-motors. Any other row is judged by all the others (`left_out_errors`).
+A probe has one offset, so a single height with another offset is mistyped. If positions fit no rod or radius, the steps
+of the motors are other ones than stated. Any other row is checked against all other rows (`left_out_errors`).
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from calib.printers.linear_delta import (
 )
 
 _MM = 1 / PER_SI["length"]["mm"]
-_FITS = 2e-3  # what rows and saved settings are apart at most, where they belong together [m]
+_FITS = 2e-3  # largest distance between rows and saved settings that belong together [m]
 _FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0)
-_FAR, _TIMES = 0.5e-3, 6.0  # a row is far off beyond this [m], and beyond so many times the median
-_ALIKE = 0.02  # how much longer the longest arm may be
+_FAR, _TIMES = 0.5e-3, 6.0  # a row is far off beyond this error [m], and beyond this multiple of the median
+_ALIKE = 0.02  # largest relative difference of arms that are alike
 _STEP = 1e-6  # of central differences [m or rad]
 
 
@@ -43,10 +43,10 @@ class Row:
     """A measured number: the height of a place, or the distance of two.
 
     Attributes:
-        name: As the file calls it.
-        line: Where it stands.
-        value: What was measured [m].
-        places: How far the carriages had come down there, (3,) [m] each: one place, or two.
+        name: Name in the file.
+        line: Line in the file.
+        value: Measured value [m].
+        places: Travel of the three carriages down to the place, (3,) [m]: one place, or two for a distance.
     """
 
     name: str
@@ -57,12 +57,12 @@ class Row:
 
 @dataclass(frozen=True)
 class PrinterFile:
-    """A printer as its firmware has it.
+    """A printer with the settings of its firmware.
 
     Attributes:
         path: The file.
-        geometry: Its numbers.
-        rows: What was measured, heights first.
+        geometry: Geometry in the file.
+        rows: Measured rows, heights first.
     """
 
     path: str
@@ -75,11 +75,12 @@ def _are_alike(arms: tuple[float, ...]) -> bool:
 
 
 def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGeometry:
-    """Return what is expected of a printer before its rows are looked at.
+    """Return the geometry that is expected of a printer before its rows are used.
 
-    A firmware's numbers come from these rows. Expected are angles as designed, a radius to the millimetre, endstops
-    that are alike; and where distances were measured, arms of the mean of the three to the millimetre. Without rows,
-    and of arms that no distance has changed, the file's numbers count.
+    The firmware's numbers come from these rows, so they are not what is expected before. Expected are angles as
+    designed, a radius rounded to the millimetre, and equal endstops. Where distances were measured, all arms have the
+    mean length, rounded to the millimetre. Without rows, and for arms that no distance has changed, the file's numbers
+    are used.
 
     Args:
         printer: The printer.
@@ -109,14 +110,14 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
 
 
 def misses(geometry: DeltaGeometry, rows: tuple[Row, ...]) -> np.ndarray:
-    """Return what a geometry says less what was measured, (n_rows,) [m]; NaN where arms do not meet."""
+    """Return predicted minus measured values, (n_rows,) [m]; NaN where the arms do not meet."""
     first, last = (geometry.nozzle(np.array([row.places[k] for row in rows])) for k in (0, -1))
     lengths = np.where([len(row.places) == 1 for row in rows], first[:, 2], np.linalg.norm(last - first, axis=1))
     return np.asarray(lengths - [row.value for row in rows])
 
 
 def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> None:
-    """Raise `DataError` where other microsteps than those of the file make its positions fit."""
+    """Raise `DataError` if the positions of the file fit with other microsteps than the stated ones."""
 
     def median_error(factors: tuple[float, ...]) -> float:
         a, b, c = factors
@@ -150,7 +151,7 @@ def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> No
 
 
 def require_plausible(printer: PrinterFile) -> None:
-    """Raise `DataError` for a row that is far off from what all others say."""
+    """Raise `DataError` for a row that is far off from the prediction of all others."""
     probed = [row for row in printer.rows if row.name.startswith("height")]
     values = [row.value for row in probed]
     for row in probed:
@@ -180,15 +181,15 @@ def require_plausible(printer: PrinterFile) -> None:
 
 
 def left_out_errors(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return how far each row is off what the others say, and the chance of that; None where that cannot be said.
+    """Return the error of each row against the prediction of the others, and its chance; None if not determined.
 
-    Saved settings cannot judge: a firmware made them from all rows, a mistyped one among them. So each row is left out,
-    and nine numbers are found from the others and the priors of `calib.printers.linear_delta`, by one step from the
-    saved settings (rows are almost linear within a millimetre). The error over its standard deviation is Student's t,
-    with the degrees of freedom that the other rows have left.
+    Saved settings cannot serve as prediction: a firmware made them from all rows, including a mistyped one. So each row
+    is left out in turn. Nine numbers are found from the others and the priors of `calib.printers.linear_delta`, by one
+    step from the saved settings (rows are almost linear within a millimetre). The error over its standard deviation is
+    Student's t, with the degrees of freedom of the other rows.
 
     Args:
-        printer: All of its rows are reachable.
+        printer: The printer; all of its rows must be reachable.
 
     Returns:
         (n_rows,) [m], and (n_rows,) chances. None if rows are too few, or arms are not alike.

@@ -93,13 +93,13 @@ def command(
         certificate = one_blas_thread(Certificate.from_result)(loaded, stated, where)
         content = certificate.to_dict()
         write = _WRITERS[ending]
-        file = write(content)  # what is missing for the file is said before the draws
+        file = write(content)  # before the draws, so that missing entries are reported at once
         if draws:
             drawn = monte_carlo(certificate.linear, certificate.stated, certificate.budget, draws, seed, progress)
             content["monte_carlo"] = drawn.to_dict()
             file = write(content)
     output.write(out, file, _COMMENTS.get(ending, ""))
-    if sign is not None:  # what stands in the file, with the line that says who wrote it
+    if sign is not None:  # the content of the file, with the line that names the program
         output.write(out + ENDING, sign(read_bytes(out, "a certificate", InputError)))
     found = certificate.budget
     output.say(
@@ -122,7 +122,7 @@ def _password() -> str:
 
 
 def _traceability(result: LoadedResult, path: str | None) -> TraceabilitySection:
-    """Return what a file states, or the description of a result."""
+    """Return the traceability of a file, or of the description of a result."""
     description = result.nominal.description
     if path is not None:
         content = read_yaml(path, "a YAML file with the key 'traceability'")

@@ -32,14 +32,14 @@ _UNIT_OF = {unit: _UNITS[dimension] for dimension, units in PER_SI.items() if di
 _UNSTATED, _NOWHERE = "not stated", "ZZ"
 
 Node: TypeAlias = tuple[str, "str | Sequence[Node]"]
-"""Name of an element, and its text or what is in it; names of D-SI begin with `si:`."""
+"""Name of an XML element, and its text or its children; names of D-SI begin with `si:`."""
 
 
 def xml(content: Mapping[str, Any]) -> bytes:
     """Return a certificate, from its data, as XML.
 
     Raises:
-        InputError: lxml is not installed, or the description does not say when was measured.
+        InputError: lxml is not installed, or the description does not give the day of the measurements.
     """
     try:
         etree = import_module("lxml.etree")
@@ -78,7 +78,7 @@ def _word(text: str | None) -> str:
 
 
 def _identifications(values: Mapping[str, str | None], issuers: Sequence[str] = ("manufacturer", "other")) -> Node:
-    """Numbers of a thing, by what they are, and who issued each."""
+    """Identification numbers of a thing, by name, each with its issuer."""
     return "identifications", [
         ("identification", [("issuer", issuer), ("value", _word(value)), _text("name", name)])
         for (name, value), issuer in zip(values.items(), issuers, strict=False)
@@ -177,9 +177,9 @@ def _quantity(name: str, value: float, unit: str, uncertainty: tuple[float, floa
 
     Args:
         name: Its name.
-        value: In SI.
-        unit: In D-SI; empty where that has none.
-        uncertainty: Expanded, with coverage factor and probability.
+        value: Value in SI.
+        unit: Unit in D-SI; empty where D-SI has none.
+        uncertainty: Expanded uncertainty, coverage factor and probability.
     """
     if not unit:
         return "quantity", [_text("name", name), _text("noQuantity", f"{value!r} (its unit is none of D-SI)")]

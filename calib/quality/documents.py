@@ -25,10 +25,10 @@ th{background:#eef1f5}thead th{white-space:nowrap}
 .FAIL{color:#ff8a80}.PASS{color:#7fd99a}.NOTED{color:#e2c16b}.line{border-color:#e4e7eb}}
 @media print{body{margin:0;max-width:none;font-size:11px}}
 """
-_WIDE = 34  # letters of a cell from which it takes several lines
-_EDGE = 4  # letters that the edges of a cell take, and bold ones more than plain ones
-_WHOLE = 30  # rows of a table up to which it is not parted by a page's end
-_ROOM = 130  # letters of a line of a page
+_WIDE = 34  # letters in a cell beyond which it is broken into lines
+_EDGE = 4  # width of a cell's edges and of bold type, in letters
+_WHOLE = 30  # rows of a table up to which it is kept on one page
+_ROOM = 130  # letters in a line of a page
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class DocumentRows:
     cells: tuple[tuple[str, ...], ...]
 
     def draw(self, pdf: Any) -> None:
-        """Draw it below what a PDF has: columns as wide as their words need, and long ones twice as wide as short."""
+        """Draw the table at the end of a PDF: columns as wide as their words need, long ones twice as wide as short."""
         widths = [
             max(_EDGE + max(len(word) for word in name.split()), *(min(len(cell), _WIDE) for cell in cells))
             for name, *cells in zip(self.columns, *self.cells, strict=True)
@@ -59,10 +59,10 @@ class Document:
 
     Attributes:
         title: Its title.
-        answer: What it says, in one line.
-        tables: What it says it by.
-        signatures: Who signs, one line each.
-        mark: What each page says that it belongs to.
+        answer: The result in one line.
+        tables: Tables that support it.
+        signatures: Signers, one line each.
+        mark: Text on each page that identifies the document.
     """
 
     title: str
@@ -72,7 +72,7 @@ class Document:
     mark: str = ""
 
     def html(self) -> str:
-        """Return it as one page that loads nothing."""
+        """Return the document as one HTML page that loads no other files."""
         parts = [f"<h1>{escape(self.title)}</h1><p><strong>{escape(self.answer)}</strong></p>"]
         for table in self.tables:
             head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.columns)
@@ -93,7 +93,7 @@ class Document:
         )
 
     def pdf(self) -> bytes:
-        """Return it as PDF, A4.
+        """Return the document as PDF, A4.
 
         Raises:
             InputError: fpdf2 is not installed.
@@ -150,7 +150,7 @@ def _cell(text: str) -> str:
 
 
 def _breakable(text: str, longest: int) -> str:
-    """Part words that are too long for a cell, such as digests."""
+    """Break words that are too long for a cell, such as digests."""
     return " ".join(
         " ".join(word[k : k + longest] for k in range(0, len(word), longest)) or word for word in text.split(" ")
     )

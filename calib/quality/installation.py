@@ -1,8 +1,8 @@
-"""Installation qualification: what is installed, compared with what its publishers sealed.
+"""Installation qualification: installed files, compared with the checksums that their publishers listed.
 
 Every wheel lists the SHA-256 of each of its files (RECORD, PEP 376 and 427). A file that differs from its entry was
-changed after it was installed. An editable installation of this program has no such list: this is noted, and operation
-qualification is what remains to find a changed number.
+changed after it was installed. An editable installation of this program has no such list. This is noted; then only
+operation qualification can find a changed number.
 """
 
 from __future__ import annotations

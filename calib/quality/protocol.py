@@ -1,7 +1,7 @@
-"""A qualification protocol: checks in three phases, each with what was expected and what was found.
+"""A qualification protocol: checks in three phases, each with its requirement and its result.
 
-The phases are those of laboratory and medical quality systems: installation (IQ: what is installed is what was
-released), operation (OQ: it computes what references say), performance (PQ: it calibrates a robot as it promises).
+The phases are those of laboratory and medical quality systems. Installation (IQ): the installed files are the released
+ones. Operation (OQ): the program computes what references say. Performance (PQ): it calibrates a robot as it promises.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Phase(Enum):
 
 
 class Outcome(Enum):
-    """How a check ended."""
+    """Result of a check."""
 
     PASS = "PASS"
     FAIL = "FAIL"
@@ -34,11 +34,11 @@ class Check:
     """One line of the protocol.
 
     Attributes:
-        phase: Where it belongs.
-        subject: What is checked.
-        expected: What the requirement is, and its source.
-        found: What came out.
-        outcome: PASS or FAIL; NOTED where there is nothing that it could be compared with.
+        phase: Phase of the check.
+        subject: Thing that is checked.
+        expected: Requirement, and its source.
+        found: Result in words.
+        outcome: PASS or FAIL; NOTED where there is nothing to compare with.
     """
 
     phase: Phase
@@ -53,7 +53,7 @@ class Check:
         return cls(phase, subject, expected, found, Outcome.PASS if passed else Outcome.FAIL)
 
     def to_dict(self) -> dict[str, str]:
-        """Return it as JSON has it."""
+        """Return the content for JSON."""
         return {
             "phase": self.phase.value,
             "subject": self.subject,
@@ -68,10 +68,10 @@ class Protocol:
     """All checks of a qualification.
 
     Attributes:
-        checks: In the order in which they ran.
+        checks: Checks in the order in which they ran.
         machine: Facts of the machine and of the program, by name.
         started: Date and time, ISO 8601.
-        seconds: How long it took.
+        seconds: Duration of all checks [s].
     """
 
     checks: tuple[Check, ...]
@@ -89,7 +89,7 @@ class Protocol:
         return tuple(check for check in self.checks if check.phase is phase)
 
     def to_dict(self) -> dict[str, object]:
-        """Return it as JSON has it."""
+        """Return the content for JSON."""
         return {
             "outcome": "PASS" if self.passed else "FAIL",
             "started": self.started,
@@ -104,7 +104,7 @@ Work = tuple[Phase, str, Callable[[], Iterable[Check]]]
 
 
 def done(work: Iterable[Work]) -> Iterator[Check]:
-    """Yield the checks of all pieces of work; one that ends in an error is a failed check."""
+    """Yield the checks of all pieces of work; a piece that ends in an error gives a failed check."""
     for phase, subject, checks in work:
         try:
             yield from checks()

@@ -1,13 +1,13 @@
-"""Cables on spools: how far a motor has turned tells how far a moving target is from where its cable is anchored.
+"""Cables on spools: the angle of a motor measures the distance of a moving target from the anchor of its cable.
 
     |p_ab| - L - (R + g phi / (4 pi)) phi / n = 0,        phi = gear * motor
 
-with the length L at angle 0, the radius R of the spool there, its growth g with every turn, and n lines from spool to
-target (2 for a pulley on it). The robot is the target itself: joints x, y, z are where it is, by a camera or a probe.
-What comes out is what its controller needs to go anywhere: anchors, lengths, spools.
+with the length L of the cable at angle 0, the radius R of the spool at angle 0, the growth g of the radius with every
+turn, and n lines from spool to target (2 if the target has a pulley). The robot is the target itself: its joints x, y,
+z are its position, measured by a camera or a probe. A fit finds what its controller needs: anchors, lengths, spools.
 
-When it fails. Anchors in one plane with all targets; a length that is not known with an anchor that is not known, of a
-target that hardly moves.
+When it fails. Anchors in one plane with all positions of the target are not determined, and neither is an unknown
+length together with an unknown anchor if the target hardly moves.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from calib.core.instruments.relation import RelatedSection, Relation
 
 
 class CableSection(InstrumentSection):
-    """A cable, of lengths that are known, expected as `{value, sigma}`, or `unknown` [m].
+    """A cable. Its lengths [m] are known, expected as `{value, sigma}`, or `unknown`.
 
     Attributes:
-        target: Where it ends; the instrument's own name if left out.
-        anchor: Where it leaves for the target.
-        length: From there to the target where the motor is at 0.
-        spool: Its radius there.
-        growth: How much the radius grows with every turn of the spool.
+        target: Target at the end of the cable; the instrument's own name if left out.
+        anchor: Point at which the cable leaves for the target.
+        length: Length from the anchor to the target where the motor is at 0.
+        spool: Radius of the spool where the motor is at 0.
+        growth: Growth of the radius with every turn of the spool.
         gear: Turns of the spool per turn of the motor.
-        lines: How many lines run from the spool to the target and back.
-        sigma: Noise, in the distance [m].
+        lines: Number of lines between anchor and target.
+        sigma: Noise of the distance [m].
     """
 
     target: str | None = None
@@ -50,7 +50,7 @@ class CableSection(InstrumentSection):
 
 @dataclass(frozen=True)
 class Cable(Relation):
-    """Angles of the motor of one cable: one row, in the distance. Lengths are L, R and g."""
+    """Motor angles of one cable, with one row for the distance. `lengths` are L, R and g."""
 
     section = CableSection
     parts = (Part("cable", ("cable",), "length"),)
@@ -60,9 +60,9 @@ class Cable(Relation):
 
     @classmethod
     def from_section(cls, name: str, section: CableSection) -> Cable:
-        """Return the instrument that an entry of a robot description means."""
+        """Return the instrument of an entry of a robot description."""
         lengths = (section.length, section.spool, section.growth)
-        away = float(np.linalg.norm(section.anchor.xyz))  # where an unknown length starts
+        away = float(np.linalg.norm(section.anchor.xyz))  # first value of an unknown length
         unknowns = section.length.parameters(f"{name}.length", away)
         unknowns += section.spool.parameters(f"{name}.spool") + section.growth.parameters(f"{name}.growth")
         own, noise = (section.anchor.place(f"{name}_anchor"),), Noise((PartNoise.from_sigma(section.sigma, 1),))
@@ -77,7 +77,7 @@ class Cable(Relation):
         """Return the angle of the motor, (n, 1) [rad]."""
         length, radius, growth = self._numbers(unknowns)
         out = self.lines * (np.linalg.norm(view.translation, axis=1) - length)
-        per_turn = growth / (2 * np.pi)  # out = R phi + per_turn phi^2 / 2, the root next to 0 without growth
+        per_turn = growth / (2 * np.pi)  # the root of out = R phi + per_turn phi^2 / 2 that exists without growth, too
         phi = 2 * out / (radius + np.sqrt(radius**2 + 2 * per_turn * out))
         return phi[:, None] / self.gear
 
@@ -89,11 +89,11 @@ class Cable(Relation):
         return np.linalg.norm(view.translation, axis=1)[:, None] - length - out
 
     def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return angles that let out so much more, (n, 1) [rad]."""
+        """Return the angles at which the cable is longer by `change`, (n, 1) [rad]."""
         _, radius, growth = (own.value for own in self.lengths)
         return values + change * self.lines / (self.gear * (radius + growth * self.gear * values / (2 * np.pi)))
 
     def _numbers(self, unknowns: FloatArray) -> list[float]:
-        """L, R and g."""
+        """L, R and g of the module docstring."""
         found = iter(unknowns)
         return [float(next(found)) if own.unknown else own.value for own in self.lengths]

@@ -1,14 +1,14 @@
-"""Pointing: directions in which a target's x axis really looked, as stars or a plate solver tell.
+"""Pointing: directions in which a target's x axis looked, measured by stars or a plate solver.
 
-With d the unit vector of the azimuth and altitude that were read, turned by R_ab of the measurement frame seen from the
-target into its axes (x forward, y to the left, z up),
+Let d be the unit vector of the azimuth and altitude that were read, turned from the measurement frame into the axes of
+the target (x forward, y to the left, z up). Both residuals are 0 without errors:
 
-    left = atan2(d_y, d_x)      up = atan2(d_z, hypot(d_x, d_y))        both 0
+    left = atan2(d_y, d_x)      up = atan2(d_z, hypot(d_x, d_y))
 
-Azimuth counts from x of the measurement frame, as compasses do from north (clockwise seen from above), or against the
-clock. Errors are angles on the sky, so that nothing happens at the zenith.
+Azimuth counts from x of the measurement frame, clockwise seen from above as on a compass, or counterclockwise.
+Errors are angles on the sky, so that the zenith is not singular.
 
-When it fails. Directions show no length.
+When it fails. Directions do not determine lengths.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class PointingSection(InstrumentSection):
     """A mount that points.
 
     Attributes:
-        target: What points, along its x axis; the instrument's own name if left out.
-        azimuth: How these count: `compass`, from x by way of -y; or `counterclockwise`, from x by way of y.
-        sigma: Noise of each of both angles [rad].
+        target: Target that points along its x axis; the instrument's own name if left out.
+        azimuth: Sense of azimuths: `compass`, from x by way of -y; or `counterclockwise`, from x by way of y.
+        sigma: Noise of each of the two angles [rad].
     """
 
     target: str | None = None
@@ -50,7 +50,7 @@ class Pointing(Relation):
 
     @classmethod
     def from_section(cls, name: str, section: PointingSection) -> Pointing:
-        """Return the instrument that an entry of a robot description means."""
+        """Return the instrument of an entry of a robot description."""
         sense = -1.0 if section.azimuth == "compass" else 1.0
         return cls(name, section.target or name, noise=Noise((PartNoise.from_sigma(section.sigma, 2),)), sense=sense)
 
@@ -64,7 +64,7 @@ class Pointing(Relation):
         return np.column_stack([np.mod(self.sense * np.arctan2(y, x), 2 * np.pi), np.arctan2(z, np.hypot(x, y))])
 
     def misses(self, view: View, unknowns: FloatArray, readings: Readings) -> FloatArray:
-        """Return how far left and up of the x axis the direction is that was read, (n, 2) [rad]."""
+        """Return the angles to the left and up from the x axis to the direction that was read, (n, 2) [rad]."""
         azimuth, altitude = self.sense * readings.values[:, 0], readings.values[:, 1]
         level = np.cos(altitude)
         there = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(altitude)])
@@ -72,6 +72,6 @@ class Pointing(Relation):
         return np.column_stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))])
 
     def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return directions that lie so much less to the left and up, (n, 2) [rad]."""
+        """Return directions that are less to the left and up by `change`, (n, 2) [rad]."""
         off = -change / np.column_stack([self.sense * np.cos(values[:, 1]), np.ones(len(values))])
         return values + off

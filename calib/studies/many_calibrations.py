@@ -1,13 +1,14 @@
 """Many calibrations of one robot: fits that start from where the first one ended.
 
-Draws differ in what the instruments read. One draw is calibrated in full, from the nominal robot. With J, T and the
-priors' rows of its minimum (`calib.core.numerics.statistics`), every other draw begins where one linear step from there
-leads with its own residuals, and goes on as every fit does: the same solver, noise, offsets and robust losses, and the
-same rules of when it has converged. What bends beyond the linear model widens intervals as in the first fit.
+Draws differ in their readings. One draw is calibrated in full, from the nominal robot. Every other draw starts one
+linear step away from the minimum of the first. The step follows from the linear model of that minimum (J, T and the
+priors' rows, `calib.core.numerics.statistics`) and the draw's own residuals. Then the fit goes on as every fit does,
+with the same solver, noise, offsets, robust losses and rules of convergence. Curvature beyond the linear model widens
+the intervals as in the first fit.
 
-When it fails. Where noise is not stated and priors hold something, both find the noise to one percent, along different
-ways. Where visits differ (touches move the robot until it touches; poses are drawn again), or a loop opens at that
-start, a draw begins where the first one ended.
+When it fails. Where noise is not stated and parameters have priors, a full fit and a fit from the linear step agree on
+the noise to one percent only. Where visits differ (a touch moves the robot until it touches; poses are drawn again), or
+a loop opens after the step, a draw starts at the minimum of the first one.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ class DrawEstimate:
     """Estimate of one draw.
 
     Attributes:
-        values: Of the free parameters, (n_free,) [m or rad].
-        covariance: Theirs, (n_free, n_free).
+        values: Values of the free parameters, (n_free,) [m or rad].
+        covariance: Their covariance, (n_free, n_free).
         std: Their standard deviations, (n_free,).
         half_width: Half their 95 % intervals, (n_free,).
         coverage_factor: How many standard deviations make half a 95 % interval.
@@ -45,7 +46,7 @@ class DrawEstimate:
         chi_square: Sum of squares of the residuals in units of the stated noise, where all of it is stated.
         freedom: Degrees of freedom.
         names_outliers: Whether some reading lies further off than noise explains.
-        open: Why it is no minimum; empty where it is one.
+        open: Why the fit did not converge; empty where it did.
     """
 
     values: FloatArray
@@ -62,7 +63,7 @@ class DrawEstimate:
 
 @dataclass(frozen=True, eq=False)
 class RepeatedCalibration(ReadOnlyArrays):
-    """Calibrates again and again.
+    """Calibration of one robot from one draw of data after another.
 
     Attributes:
         first: A finished fit of one draw.
@@ -110,7 +111,7 @@ class RepeatedCalibration(ReadOnlyArrays):
         return self._estimate_from(problem, first.robot)
 
     def _one_step(self, data: Measurements, whitening: Whitening) -> Robot:
-        """The robot that the linear model of the first minimum makes of other readings."""
+        """The robot one step from the first minimum, by its linear model and other readings."""
         first, robot, rows = self.first, self.first.robot, self.first.rows
         residuals = {
             name: robot.instrument(name)
@@ -146,7 +147,7 @@ class RepeatedCalibration(ReadOnlyArrays):
 
 
 def _same_looks(data: Measurements, other: Measurements) -> bool:
-    """Whether the same was looked at."""
+    """Whether the instruments looked at the same things at the same visits."""
     return all(
         np.array_equal(getattr(data.readings[name], key), getattr(readings, key))
         for name, readings in other.readings.items()

@@ -1,19 +1,19 @@
-"""What is measured in each draw of a study: simulated measurements, or the poses of real ones drawn again.
+"""Data of each draw of a study: simulated measurements, or real measurements whose poses are drawn again.
 
 Simulated. A true robot is measured at the same poses, with new noise in each draw.
 
-Resampled (the bootstrap of poses). As many poses as there are, drawn from them with replacement, with all visits that
-repeat them and all that was read there; a pose that is drawn twice counts as two. Nothing is assumed of the noise, nor
-that it is the same everywhere: the scatter over the draws estimates how far the parameters would be off if other poses
-of the same kind had been measured, with errors as these have, and also with what the model leaves out as far as that
-differs from pose to pose. For many poses it is the sandwich H^-1 (sum over poses of g g^T) H^-1, with g the gradient of
-a pose's part of the cost.
+Resampled (the bootstrap of poses). Each draw takes as many poses as were measured, at random with replacement. A pose
+brings all its visits and their readings; a pose that is drawn twice counts as two. Nothing is assumed of the noise, not
+even that it is the same everywhere. The scatter over the draws estimates how far the parameters would scatter if other
+poses of the same kind had been measured. It contains the noise, and errors beside the model as far as they differ from
+pose to pose. For many poses, the covariance over the draws is the sandwich H^-1 (sum over poses of g g^T) H^-1, with g
+the gradient of a pose's part of the cost.
 
 When that is wrong. An error that all poses share (an instrument's scale, a joint term left out that acts everywhere the
 same way) is in every draw, and shows in none. A draw holds about 63 % of the poses, so that with few poses for the
-parameters the scatter is too large, and some draws determine nothing. Poses that were chosen, for an index say, are no
-random sample: the scatter is that of choosing worse ones, too. What a prior holds scatters less than its standard
-deviation says, because the prior is the same in each draw.
+parameters the scatter is too large, and some draws determine nothing. Poses that were chosen by an observability index
+are no random sample: the draws are worse sets of poses, and scatter more. A parameter that a prior holds scatters less
+than its standard deviation says, because the prior is the same in each draw.
 
 Reference: efron1979, white1980.
 """
@@ -37,7 +37,7 @@ from calib.core.rows.simulate import noisy_readings, simulate, unstated_noise
 from calib.core.rows.unknowns import Unknowns
 
 Noise = Callable[[Measurements, np.random.Generator], Measurements]
-"""Makes what is read of what would be read without noise."""
+"""Takes exact measurements, and returns them with noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +46,8 @@ class DrawnData:
 
     Attributes:
         truth: The robot that was measured.
-        data: What was read.
-        passive: Passive joints of a robot nearby at the visits, (n, n_passive) [m or rad]; None where not known.
+        data: The measurements.
+        passive: Passive joints of a similar robot at the visits, (n, n_passive) [m or rad]; None where not known.
     """
 
     truth: Robot
@@ -61,9 +61,9 @@ class SimulatedDraws:
 
     Attributes:
         truth: The robot that is measured.
-        data: What would be read of it without noise.
-        drawn: D; in each draw, D z with z normal is added to the values of the truth, (n_parameters, n) [m or rad].
-        noise: What makes measurements of `data`, if that is not what the description states.
+        data: Measurements of this robot without noise.
+        drawn: Matrix D, (n_parameters, n) [m or rad]: a draw adds D z to the true values, with z standard normal.
+        noise: Function that adds noise to `data`; None: the noise that the description states.
         sigma: Noise of positions in place of what is stated [m], or None.
         passive: Passive joints of the truth where it is measured, (n, n_passive) [m or rad].
     """
@@ -77,11 +77,11 @@ class SimulatedDraws:
 
     @property
     def changes_visits(self) -> bool:
-        """Whether draws are of different visits: where something is touched, the noise is in the joints."""
+        """Whether visits differ between draws, as they do where something is touched: the noise is in the joints."""
         return any(instrument.touches for instrument in self.truth.instruments)
 
     def draw(self, seed: np.random.SeedSequence) -> DrawnData:
-        """Return what a draw calibrates from."""
+        """Return the data of one draw."""
         rng, truth, exact = np.random.default_rng(seed), self.truth, self.data
         if np.any(self.drawn):
             truth = truth.with_parameters(truth.values + self.drawn @ rng.standard_normal(self.drawn.shape[1]))
@@ -100,9 +100,9 @@ class ResampledDraws:
     """Poses of measurements drawn with replacement.
 
     Attributes:
-        truth: The robot as all poses calibrate it.
+        truth: The robot, calibrated from all poses.
         data: All measurements.
-        passive: Its passive joints at the visits, (n, n_passive) [m or rad].
+        passive: Passive joints of this robot at the visits, (n, n_passive) [m or rad].
     """
 
     truth: Robot
@@ -110,12 +110,12 @@ class ResampledDraws:
     passive: FloatArray
 
     def draw(self, seed: np.random.SeedSequence) -> DrawnData:
-        """Return what a draw calibrates from."""
+        """Return the data of one draw."""
         groups = repeated_poses(self.data.joints, self.data.pose_numbers)
         chosen = np.random.default_rng(seed).integers(len(groups), size=len(groups))
         visits = [(turn, k) for turn, group in enumerate(chosen) for k in groups[group]]
         index = np.array([k for _, k in visits], dtype=np.intp)
-        names = tuple(f"{turn}: {self.data.names[k]}" for turn, k in visits)  # drawn twice, it is two poses
+        names = tuple(f"{turn}: {self.data.names[k]}" for turn, k in visits)  # a pose that is drawn twice is two poses
         return DrawnData(self.truth, replace(self.data.subset(index), names=names), self.passive[index])
 
 
@@ -126,17 +126,17 @@ def simulated_draws(
     sigma: float | None,
     noise: Noise | None,
 ) -> SimulatedDraws:
-    """Return where simulated draws come from.
+    """Return the source of simulated draws.
 
     Args:
         robot: The nominal robot.
         poses: Where to measure, as `Poses` or (n, n_actuated) [m or rad].
         truth: The robot that is measured; `priors`: drawn anew from the priors of `robot` each time; None: `robot`.
         sigma: Noise of positions in place of what is stated [m].
-        noise: What makes measurements of exact ones, if that is not what the description states.
+        noise: Function that adds noise to exact measurements; None: the noise that the description states.
 
     Raises:
-        InputError: The truth is none of this robot, there are no priors to draw it from, or the noise is not stated.
+        InputError: The truth has other joints, there are no priors to draw it from, or the noise is not stated.
     """
     unstated = [] if noise is not None else unstated_noise(robot, sigma)
     if unstated:
@@ -164,7 +164,7 @@ def simulated_draws(
 
 
 def _prior_deviations(robot: Robot) -> FloatArray:
-    """D of `SimulatedDraws`, by what is expected of the free parameters, (n_parameters, n_parameters) [m or rad]."""
+    """D of `SimulatedDraws`, from the priors of the free parameters, (n_parameters, n_parameters) [m or rad]."""
     unknowns, drawn = Unknowns.from_robot(robot), np.zeros((len(robot.parameters), len(robot.parameters)))
     drawn[np.ix_(unknowns.index, unknowns.index)] = unknowns.scales[:, None] * unknowns.prior.root
     return drawn

@@ -1,4 +1,4 @@
-"""What many calibrations say about a fit's statistics: bias, scatter, coverage and chi-square."""
+"""Check of a fit's statistics by many calibrations: bias, scatter, coverage and chi-square."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from calib.core.base.words import as_data, count_noun, data_frame, listing, plai
 
 _TAIL = 0.05  # of chi-square, on both sides together
 _SURE = 4.0  # standard deviations beyond which a difference is no chance
-_SCREEN = 25  # parameters whose table leaves a screen of 40 lines
+_SCREEN = 25  # most parameters whose table fits on a screen of 40 lines
 _SHOWN = 10  # parameters in the table where there are more
 _WIDTH = 110  # characters
 
@@ -102,7 +102,7 @@ class Study(ReadOnlyArrays):
         free: The free parameters.
         groups: Names of the groups of rows, in the order of `draws.sigma`.
         draws: What each draw gave.
-        failures: Why draws gave no answer, as many as gave none.
+        failures: Reasons why draws gave no answer, one for each such draw.
         n_poses: How many poses were measured.
         seed: Seed of everything random.
         seconds: Duration of the whole computation.
@@ -151,12 +151,12 @@ class Study(ReadOnlyArrays):
 
     @property
     def position_coverage(self) -> FloatArray:
-        """Part of the draws whose 95 % interval holds each true coordinate elsewhere, (n_poses, n_targets, 3)."""
+        """Part of the draws whose 95 % interval holds the truth at unmeasured poses, (n_poses, n_targets, 3)."""
         return np.mean(np.abs(self.answered.errors) <= self.answered.error_half_width, axis=0)
 
     @property
     def position_error(self) -> float:
-        """Root mean square distance of predicted from true positions elsewhere [m]; NaN where none are."""
+        """Root mean square distance of predicted from true positions at unmeasured poses [m]; NaN without any."""
         errors = self.answered.errors
         return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1)))) if errors.size else float("nan")
 
@@ -181,7 +181,7 @@ class Study(ReadOnlyArrays):
         """Return the study as text.
 
         Args:
-            verbose: All parameters; otherwise, of more than fit on a screen, those with the lowest coverage.
+            verbose: Whether to list all parameters; otherwise those with the lowest coverage, if all exceed a screen.
         """
         headers = ("parameter", "unit", "bias", "+-", "spread", "claimed", "spread / claimed", "coverage [%]")
         table = text_table(headers, headers[:2], plain=True)

@@ -1,7 +1,7 @@
-"""What a number that says how sure something is contains: a name for each mechanism, and which numbers it is part of.
+"""Contributions to measures of uncertainty: each mechanism by name, and the numbers that contain it.
 
-Each number carries the set that it contains. Of a given fit that may be fewer than the table has: there is nothing to
-widen by regions that agree (`calib.core.fitting.fitted.Fit.contains`).
+Each number carries the set of its contributions. For a given fit the set may be smaller than in the table: regions that
+agree, for example, widen nothing (`calib.core.fitting.fitted.Fit.contains`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Self
 
 
 class Sureness(Enum):
-    """Numbers that say how sure something is, in words."""
+    """Measures of uncertainty, in words."""
 
     COVARIANCE = "covariance of parameters"
     INTERVAL = "intervals of parameters"
@@ -22,7 +22,7 @@ class Sureness(Enum):
 
 
 class Contribution(Enum):
-    """A mechanism: its name, what it counts, the module that has it, and the numbers that it is part of."""
+    """A mechanism: its name, its effect, the module that computes it, and the numbers that contain it."""
 
     NOISE = (
         "noise and priors",
@@ -103,22 +103,22 @@ class Contribution(Enum):
 
 
 Contributions = frozenset[Contribution]
-"""What a number contains."""
+"""Set of the contributions to a number."""
 
 
 def contributions_to(number: Sureness) -> Contributions:
-    """Return all that may be part of a number."""
+    """Return all contributions that a number may contain."""
     return frozenset(own for own in Contribution if number in own.numbers)
 
 
 def names_of(contributions: Iterable[Contribution]) -> list[str]:
-    """Return their names, in the order of the table."""
+    """Return the names of contributions, in the order of the table."""
     chosen = set(contributions)
     return [own.value for own in Contribution if own in chosen]
 
 
 def markdown_table() -> str:
-    """Return the table of docs/uncertainty.md: mechanisms, and the numbers that they are part of."""
+    """Return the table of docs/uncertainty.md: mechanisms, and the numbers that contain them."""
     numbers = list(Sureness)
     lines = [
         f"| mechanism | what it counts | {' | '.join(number.value for number in numbers)} |",

@@ -54,12 +54,12 @@ def per_si(unit: str | None, dimension: Dimension, where: str, error: type[Excep
 
     Args:
         unit: Unit name; None or "" means SI.
-        dimension: What is expected.
-        where: What the unit belongs to, for the error message.
-        error: What to raise.
+        dimension: Dimension that the unit must have.
+        where: Thing that the unit belongs to, for the error message.
+        error: Class of the error to raise.
 
     Raises:
-        InputError: Or the given `error`: the unit is not known, or belongs to the other dimension.
+        InputError: Or the given `error`: the unit is not known, or has another dimension.
     """
     units = PER_SI[dimension]
     if not unit:
@@ -86,8 +86,8 @@ def quantity(value: object, dimension: Dimension, where: str, error: type[Except
     0.178
 
     Raises:
-        InputError: Or the given `error`: it is not a finite number with an optional unit of this dimension, or one
-            whose square no computation would survive.
+        InputError: Or the given `error`: the value is not a finite number with an optional unit of this dimension, or
+            it is so large or small that its square would overflow or vanish.
     """
     number, unit = math.nan, None
     if isinstance(value, int) and not isinstance(value, bool):
@@ -114,8 +114,8 @@ def in_si(value: Number | str, dimension: Dimension, where: str) -> Number | flo
 def split_column(header: str) -> tuple[str, str | None]:
     """Split the column header `name [unit]` into name and unit (None where there is none).
 
-    The unit is the last pair of brackets: a joint named `joint[1]` needs its unit written, `joint[1] [rad]`. Round ones
-    count where there is a unit in them, as other programs write it.
+    The unit is in the last pair of brackets: a joint named `joint[1]` needs its unit written, `joint[1] [rad]`. Round
+    brackets, which other programs write, count only where a known unit is in them.
 
     >>> split_column("tool_x [mm]"), split_column("tool_x (mm)"), split_column("joint (left)")
     (('tool_x', 'mm'), ('tool_x', 'mm'), ('joint (left)', None))
@@ -130,12 +130,12 @@ def split_column(header: str) -> tuple[str, str | None]:
 
 
 def error_scale(dimension: Dimension) -> float:
-    """Return by what an SI error is multiplied for tables: 1000 for lengths and angles, in mm and mrad."""
+    """Return the factor from SI to the unit of errors in tables: 1000 for lengths and angles, in mm and mrad."""
     return PER_SI[dimension][ERROR_UNIT[dimension]]
 
 
 def display_scale(dimension: Dimension) -> float:
-    """Return by what an SI value is multiplied for files and tables: mm and degrees."""
+    """Return the factor from SI to the unit of files and tables, such as mm and degrees."""
     return PER_SI[dimension][DISPLAY_UNIT[dimension]]
 
 
@@ -149,8 +149,8 @@ def quantity_text(
 
     Args:
         value: The value [SI].
-        dimension: What it measures.
-        form: How the number is written.
+        dimension: Dimension of the value.
+        form: Format of the number.
         units: The unit of each dimension: `ERROR_UNIT` or `DISPLAY_UNIT`.
     """
     unit = units[dimension]

@@ -1,4 +1,4 @@
-"""What one instrument reads in the rows of a table: numbers, words, standard deviations, correlations."""
+"""Readings of one instrument in the rows of a table: numbers, words, standard deviations, correlations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from calib.core.robots.robot import Robot
 
 
 def named_columns(instrument: Instrument) -> list[str]:
-    """Return the columns that only this instrument has: its numbers, or its words where it has no numbers."""
+    """Return the columns that belong to this instrument alone: its numbers, or its words if it has no numbers."""
     return [column.name for column in instrument.columns()] or list(instrument.text_columns())
 
 
@@ -38,7 +38,7 @@ def nearest_free_column(name: str, robot: Robot, table: Table) -> str:
 def readings_in(
     robot: Robot, instrument: Instrument, table: Table, rows: IntArray, *, own_lines: bool = False
 ) -> Readings:
-    """Return what an instrument read in the rows of a table.
+    """Return the readings of an instrument in the rows of a table.
 
     Args:
         robot: The robot.
@@ -81,7 +81,7 @@ def readings_in(
             f" all cells of '{instrument.name}' empty"
         )
     values = instrument.values({name: column[kept] for name, column in columns.items()})
-    if not columns:  # it reads no numbers: one row stands for all
+    if not columns:  # it reads no numbers: one row of values serves all
         values = np.repeat(values, len(kept), axis=0)
     numbers_of_pairs = pairs[mine] + setup_pairs(robot, instrument, setups_of(robot, table))[kept]
     every_label = labels_of_rows(table) if own_lines else []
@@ -90,13 +90,13 @@ def readings_in(
 
 
 def labels_of_rows(table: Table) -> list[str]:
-    """Return what to call each row in messages: file, line, and pose if it has a name."""
+    """Return the name of each row in messages: file, line, and pose if it has a name."""
     names = [f" (pose {name})" for name in table.text("pose")] if "pose" in table.names else [""] * len(table.rows)
     return [f"{table.path}, line {line}{name}" for line, name in zip(table.lines, names, strict=True)]
 
 
 def _is_labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArray:
-    """Which rows the label column, if there is one, leaves to an instrument, (n_table_rows,)."""
+    """Which rows belong to an instrument by its label column; all rows without one, (n_table_rows,)."""
     column = instrument.label_column
     if column is None:
         return np.ones(len(table.rows), dtype=bool)
@@ -134,7 +134,7 @@ def setups_of(robot: Robot, table: Table) -> IntArray:
 
 
 def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatArray | None:
-    """The covariance that columns of standard deviations and correlations state; None without them."""
+    """The covariance stated in columns of standard deviations and correlations; None without them."""
     names = std_columns(instrument)
     correlated = [name for name in correlation_columns(instrument) if name in table.names]
     present = [name for name, _ in names if name in table.names] + correlated

@@ -1,7 +1,7 @@
-"""Plans as CSV files: where to measure, with what, in which setup, and what to touch there.
+"""Plans as CSV files: poses to measure, with instruments, setup and touched things.
 
-A plan is a file of joint values. `calib select` writes one, `calib simulate` reads one, and with the columns of what
-was read beside, it is a file of measurements.
+A plan is a file of joint values. `calib select` writes one, and `calib simulate` reads one. With further columns for
+readings it is a file of measurements.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from calib.core.instruments.kind import Instrument, Readings
 from calib.core.robots.robot import Robot
 
 INSTRUMENT = "instrument"
-"""Column that says which instruments are to read."""
+"""Column with the instruments that are to read."""
 TOGETHER = "+"
-"""What joins the names of instruments that read together."""
+"""Separator between names of instruments that read together."""
 
 
 def read_plan(path: Path | str, robot: Robot) -> Poses:
-    """Read joint values and what is to be read there: by which instruments, in which setup, and what is touched.
+    """Read joint values and the planned readings there: instruments, setup, and touched things.
 
-    The column `instrument` names one, or several joined by `+`; an empty cell, or no such column, is all of them. What
-    is touched stands in the columns of the instruments that touch; without such a column the file does not say.
+    The column `instrument` names one, or several joined by `+`; an empty cell, or no such column, means all of them.
+    Touched things are in the columns of the instruments that touch; without such a column they are not known.
 
     Raises:
         DataError: The message names file, line and column.
@@ -41,7 +41,7 @@ def read_plan(path: Path | str, robot: Robot) -> Poses:
 
 
 def plan_of_table(table: Table, robot: Robot) -> Poses:
-    """Return what `read_plan` does of a table that was read.
+    """Return the plan in a table; see `read_plan`.
 
     Raises:
         DataError: The message names file, line and column.
@@ -60,12 +60,12 @@ def plan_of_table(table: Table, robot: Robot) -> Poses:
 
 
 def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None = None) -> Poses:
-    """Read poses; as `Measurements` where some instrument read in every row, or where rows repeat a pose.
+    """Read poses; the result is `Measurements` if every row has a reading, or if rows repeat a pose.
 
     Args:
         paths: The file; several are measurements that belong together.
         robot: The robot.
-        table: What is in the one file, if it has been read.
+        table: Content of a single file, if it was read before.
 
     Raises:
         DataError: The file is not valid, or poses that are not measured have the same name.
@@ -77,7 +77,7 @@ def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None =
     if np.all(measured) or (np.any(measured) and INSTRUMENT not in table.names and _repeats(table)):
         return read_measurements(paths, robot)
     poses = plan_of_table(table, robot)
-    if robot.description.instruments and INSTRUMENT in table.names:  # a row for each instrument, if need be
+    if robot.description.instruments and INSTRUMENT in table.names:  # there may be a row for each instrument
         check_repeats(poses, robot)
         return poses
     again = np.flatnonzero(np.diff(np.maximum.accumulate(poses.pose_numbers), prepend=-1) == 0)
@@ -123,7 +123,7 @@ def _reading(robot: Robot, table: Table) -> dict[str, BoolArray]:
 
 
 def _instrument_cells(robot: Robot, table: Table) -> tuple[str, ...]:
-    """Cells of the column `instrument`; none without it, or where the description names no instruments."""
+    """Cells of the column `instrument`; empty without it, or if the description names no instruments."""
     return tuple(table.text(INSTRUMENT)) if robot.description.instruments and INSTRUMENT in table.names else ()
 
 
@@ -132,7 +132,7 @@ def _looks(
 ) -> Readings | None:
     """Planned readings of an instrument by the rows of a plan; None where the plan has none, or no touched thing."""
     if instrument.columns() and np.all(reading):
-        return None  # all that it can, as if nothing were said
+        return None  # the instrument reads all that it can, as without a plan
     rows = np.flatnonzero(reading)
     if instrument.columns():
         pairs, details = instrument.looks()
@@ -151,7 +151,7 @@ def _looks(
 
 
 def _require_planned_readings(robot: Robot, instrument: Instrument, table: Table, without_target: IntArray) -> None:
-    """Raise `DataError` where a row names an instrument that touches, and not what."""
+    """Raise `DataError` if a row names an instrument that touches, but not the touched thing."""
     cells = _instrument_cells(robot, table)
     bad = next((int(k) for k in without_target if cells and cells[k]), None)
     if bad is not None:

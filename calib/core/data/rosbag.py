@@ -1,17 +1,17 @@
-"""ROS 2 bags as tables: joint states, and what was measured while the robot stood still.
+"""ROS 2 bags as tables: joint states, and measurements made while the robot stood still.
 
 Joints come from `sensor_msgs/JointState` messages of any topic, by their names. Measurements come from
 `geometry_msgs/PointStamped`, `PoseStamped` and `TransformStamped`: the topic `/reflector` gives the columns
 `reflector_x`, `_y`, `_z` [m], and poses also `_qx`, `_qy`, `_qz`, `_qw`. A topic `/tracker/ball` is `tracker/ball`;
-`columns` of a robot description says what foreign names stand for.
+`columns` of a robot description translates names of others.
 
-Joined by time. A measurement counts if the robot stood still: from 0.25 s before it to 0.25 s after it there are two
-joint states or more, on either side of it, and no joint moves by more than 0.5 mrad (0.5 mm). It is a row of its own.
-Rows of one stop have the same `pose`, which they repeat, and the same joint values, the mean of the joint states around
-them: what encoders flicker is no motion. Time is that of the headers;
-if any message has none, it is that of the recording. Column `time` counts from the first message.
+Measurements and joint states are joined by time. A measurement counts if the robot stood still: from 0.25 s before to
+0.25 s after it there are at least two joint states, on both sides of it, and no joint moves by more than 0.5 mrad
+(0.5 mm). Each measurement is a row. Rows of one stop have the same `pose`, and the same joint values: the mean of the
+joint states around them, since the flicker of encoders is no motion. Times are those of the headers; if any message has
+none, all times are those of the recording. Column `time` counts from the first message.
 
-The package rosbags reads them, without ROS. It is not needed for anything else.
+The package rosbags reads bags without ROS. It is not needed for anything else.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from calib.core.base.words import count_noun
 
 _SUFFIXES = (".mcap", ".db3")
 _WINDOW = 0.25  # before and after a measurement [s]
-_STILL = 5e-4  # how far a joint may move meanwhile [rad or m]
+_STILL = 5e-4  # largest motion of a joint in this window [rad or m]
 _JOINTS = "sensor_msgs/msg/JointState"
 _PLACES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
     "geometry_msgs/msg/PointStamped": lambda message: (message.point, None),
@@ -44,8 +44,8 @@ class _Series:
     """Numbers over time.
 
     Attributes:
-        stamps: Of the headers [s]; 0 where there is none.
-        recorded: When they were recorded [s].
+        stamps: Times in the headers [s]; 0 where there is none.
+        recorded: Times of recording [s].
         values: Numbers of each message [m, rad, 1].
     """
 
@@ -54,7 +54,7 @@ class _Series:
     values: list[tuple[float, ...]] = field(default_factory=list)
 
     def add(self, message: Any, recorded: float, values: Iterable[float]) -> None:
-        """Take in one message."""
+        """Add one message."""
         self.stamps.append(message.header.stamp.sec + message.header.stamp.nanosec / 1e9)
         self.recorded.append(recorded)
         self.values.append(tuple(map(float, values)))
@@ -67,19 +67,19 @@ class _Series:
 
 
 def is_bag(path: Path | str) -> bool:
-    """Whether a path is that of a bag: a folder with `metadata.yaml`, or a file `.mcap` or `.db3`."""
+    """Whether a path is a bag: a folder with `metadata.yaml`, or a file `.mcap` or `.db3`."""
     try:
         return Path(path).suffix in _SUFFIXES or (Path(path) / "metadata.yaml").is_file()
-    except OSError:  # reading the file will say why
+    except OSError:  # reading the file will raise the error
         return False
 
 
 def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[str, ...]]:
-    """Return header and cells of each column of the table that a bag stands for, and remarks.
+    """Return header and cells of each column of a bag's table, and remarks.
 
     Raises:
         DataError: The package rosbags is missing, the bag cannot be read, has no joint states or no measurements, or
-            the robot stood still at none of them.
+            the robot stood still at no measurement.
     """
     joints, places = _series(path)
     if not joints:
@@ -141,7 +141,7 @@ def _series(path: Path | str) -> tuple[dict[str, _Series], dict[str, _Series]]:
 def messages_of_bag(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str, float, Any]]:
     """Yield topic, type, time [s] and message of all messages of some types that have a header.
 
-    Time is that of the header; that of the recording where it has none.
+    The time is the one of the header, or of the recording where the header has none.
 
     Raises:
         DataError: The package rosbags is missing, or the bag cannot be read.
@@ -188,7 +188,7 @@ def _messages(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str
 
 @contextmanager
 def _open_bag(path: Path | str) -> Iterator[Any]:
-    """The reader of a bag; what goes wrong with it is a `DataError`."""
+    """The reader of a bag; its errors become a `DataError`."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -203,12 +203,12 @@ def _open_bag(path: Path | str) -> Iterator[Any]:
             yield reader
     except DataError:
         raise
-    except Exception as error:  # of rosbags, of SQLite, of what a broken file makes of them
+    except Exception as error:  # rosbags and SQLite raise many kinds for a broken file
         raise DataError(f"{path}: is not a bag that can be read ({type(error).__name__}: {error})") from None
 
 
 def _joints_at(times: FloatArray, joints: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-    """Joint values at times (n,), (n, n_joints), and how far the joint that moved most did, (n,); inf if not seen."""
+    """Joint values at times (n,), (n, n_joints), and the largest motion of any joint, (n,); inf if not recorded."""
     q, spread = np.full((len(times), len(joints)), np.nan), np.zeros(len(times))
     for j, (at, values) in enumerate(joints):
         first = np.searchsorted(at, times - _WINDOW, side="left")
@@ -225,7 +225,7 @@ def _joints_at(times: FloatArray, joints: list[tuple[FloatArray, FloatArray]]) -
 
 
 def stops(q: FloatArray) -> IntArray:
-    """Return the number of the stop of each row (n, n_joints), (n,): a new one where a joint has left the last."""
+    """Return the number of the stop of each row (n, n_joints), (n,); a new stop begins where a joint has moved."""
     numbers, begin = np.zeros(len(q), dtype=np.intp), q[0]
     for k, row in enumerate(q):
         left = bool(np.any(np.abs(row - begin) > 2 * _STILL))
@@ -235,7 +235,7 @@ def stops(q: FloatArray) -> IntArray:
 
 
 def _place_columns(topic: str, times: FloatArray, at: FloatArray, values: FloatArray) -> list[tuple[str, list[object]]]:
-    """Columns of one topic; cells are empty where it said nothing at that time."""
+    """Columns of one topic; cells are empty at times without a message of the topic."""
     name, row = topic.removeprefix("/"), dict(zip(at, values, strict=True))
     axes = ("x [m]", "y [m]", "z [m]", "qx", "qy", "qz", "qw")[: values.shape[1]]
     return [(f"{name}_{axis}", [row[t][k] if t in row else "" for t in times]) for k, axis in enumerate(axes)]

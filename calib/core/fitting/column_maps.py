@@ -1,15 +1,15 @@
-"""What the columns of joint values may mean: which column is which joint, and its sign, zero and scale.
+"""Mistakes in the columns of joint values: wrong order of the columns, wrong sign, zero or scale of a joint.
 
-Every joint value is an affine map of one column of the file, q = a x + b. Wrong may be which column (any order of the
-columns), the sign, the zero (quarter turns) and the scale (any factor from 0.4 to 2.5, and units). Several may be wrong
-at once, and one put right among three wrong ones need not help: all orders, all patterns of signs, and any two other
-changes are tried; from the best few the joints are changed one by one, as long as that halves the miss. Maps are
-compared by a lower bound of the miss that needs no iteration: where the base is unknown, its rotation may be any
-matrix, so that base and target follow from one linear system.
+Every joint value is an affine map of one column of the file, q = a x + b. Mistakes may be in the order of the columns
+(any order), the sign, the zero (quarter turns) and the scale (any factor from 0.4 to 2.5, and units). There may be
+several mistakes, and to correct one of three need not reduce the error. So all orders, all patterns of signs, and any
+two other changes are tried. From the best few, the joints are changed one by one, as long as this halves the error.
+Maps are compared by a lower bound of the error that needs no iteration: where the base is unknown, its rotation may be
+any matrix, so that base and target follow from one linear system.
 
-When it fails. Robots with loops, whose poses are expensive to close: there one order, one or two signs, one zero or one
-scale are tried; what takes joints out of their limits is left out. Scales are found to some percent:
-`calib.core.fitting.scaled_joints` has them from a fit.
+When it fails. The poses of robots with loops are expensive to close. For these robots, only single mistakes are tried
+(an order, a zero or a scale), and one or two signs. A map that takes joints beyond their limits is left out. Scales are
+found to some percent; `calib.core.fitting.scaled_joints` finds them by a fit.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ USUAL_FACTORS: dict[str, dict[float, str]] = {
     },
     "length": {1e-3: "mm read as m", 1e3: "m read as mm", 25.4: "inches read as mm", 0.0254: "inches read as m"},
 }
-"""What makes a column wrong that is right once it is multiplied by this, by what the joint measures."""
+"""Usual causes of a wrong scale, by the dimension of the joint and the factor that corrects the column."""
 _STEP = 0.06  # from one scale to the next that is tried
-_USUAL = 2e-3  # part by which a factor may be beside a usual one
+_USUAL = 2e-3  # relative difference of a factor from a usual one
 _FACTORS = tuple((1.0 + _STEP) ** k for k in range(-16, 17) if k)
 _ALL_SIGNS = 8  # motors up to which every pattern of signs and every two changes are tried
-_ALL_ORDERS = 5040  # orders of columns up to which all are tried, and not those of three columns alone
+_ALL_ORDERS = 5040  # number of orders up to which all are tried; of more, those of two or three columns
 _BEAM = 6  # best maps that are changed further
 _ROUNDS = 4
 _HALVED = 0.5
@@ -57,12 +57,12 @@ _MARGIN = 0.1  # beyond a joint's limit, of a robot with loops [m or rad]
 
 @dataclass(frozen=True, order=True)
 class ColumnMap:
-    """Motor values by the columns x of a file: factor x[column] + quarters of a turn.
+    """Values of the actuated joints from the columns x of a file: factor * x[column] + quarter turns.
 
     Attributes:
-        columns: Of which column, for every motor.
-        factors: Times which factor.
-        quarters: Plus how many quarter turns.
+        columns: Index of the column of each actuated joint.
+        factors: Factor of each actuated joint.
+        quarters: Number of quarter turns that are added to each actuated joint.
     """
 
     columns: tuple[int, ...]
@@ -80,7 +80,7 @@ class ColumnMap:
 
     @property
     def changes(self) -> int:
-        """Number of joints' signs, zeros and scales that are wrong, and of columns in the wrong place less one."""
+        """Number of wrong signs, zeros and scales, plus the number of columns in the wrong place less one."""
         moved = sum(k != column for k, column in enumerate(self.columns))
         of_joints = sum((f < 0) + (abs(f) != 1) + (z != 0) for f, z in zip(self.factors, self.quarters, strict=True))
         return of_joints + max(moved - 1, 0)
@@ -124,11 +124,11 @@ class ColumnMap:
     def description_line(self, robot: Robot, units: Mapping[str, str | None]) -> str:
         """Return the line of the robot's description that corrects what is wrong: `columns: {elbow: "-elbow [deg]"}`.
 
-        What the description says of a column already is in it.
+        The line includes what the description already says of a column.
 
         Args:
             robot: The robot.
-            units: Of the file's columns, by name.
+            units: Units of the file's columns, by name.
         """
         known = {
             mapped_column(text).name: (key, mapped_column(text)) for key, text in robot.description.columns.items()
@@ -149,7 +149,7 @@ class ColumnMap:
 
 
 def _usual(factor: float, size: float, dimension: str) -> str:
-    """The usual cause of a factor of a column, give or take three times `size`; empty if there is none."""
+    """The usual cause of a column's factor, if there is one within three times `size`; else empty."""
     near = (
         text for usual, text in USUAL_FACTORS[dimension].items() if abs(factor / usual - 1) < _USUAL + 3 * size / usual
     )
@@ -241,7 +241,7 @@ def _maps_with_loops(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
 
 
 def _search_maps(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
-    """The best maps that the search meets, those with fewer changes first among equals."""
+    """The best maps of the search; of equally good maps, those with fewer changes come first."""
     n = len(robot.joint_names)
     plain = ColumnMap.plain(n)
     turning = _turning(robot) & _zero_matters(robot, data, plain)
@@ -270,14 +270,14 @@ def _search_maps(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
 
 
 def _zero_matters(robot: Robot, data: Measurements, plain: ColumnMap) -> BoolArray:
-    """Of which motors a quarter turn of the zero changes the bound; an unknown base or target takes up the others."""
+    """Whether a quarter turn of each joint's zero changes the bound, or an unknown base or target absorbs it."""
     quarters = [ColumnMap(plain.columns, plain.factors, _replace_entry(plain.quarters, j, 1)) for j in plain.columns]
     miss, *others = _bounds(robot, data, [plain, *quarters]).values()
     return np.array([abs(other - miss) > _SAME * miss for other in others])
 
 
 def _bounds(robot: Robot, data: Measurements, maps: Sequence[ColumnMap]) -> dict[ColumnMap, float]:
-    """A lower bound of each map's miss of the first target, over the spread of its positions."""
+    """A lower bound of each map's error at the first target, over the spread of its positions."""
     factor = np.asarray(np.linalg.qr(_systems(robot, data, maps), mode="r"))
     points = data.points(robot)[:, 0]
     spread = float(np.linalg.norm(points - points.mean(axis=0))) or 1.0
@@ -294,10 +294,10 @@ def _is_mirrored(robot: Robot, data: Measurements, at: ColumnMap) -> bool:
 
 
 def _systems(robot: Robot, data: Measurements, maps: Sequence[ColumnMap]) -> FloatArray:
-    """The linear system of each map, (n_maps, 3 n_poses, n_unknowns + 1), what they explain in the last column.
+    """The linear system of each map, (n_maps, 3 n_poses, n_unknowns + 1), with the right side as last column.
 
-    Unknowns are the nine entries of any matrix for the rotation to the base link and a translation, where the base is
-    unknown, and the point in its link, where that is.
+    If the base is unknown, its unknowns are the nine entries of a matrix in place of its rotation, and a translation.
+    If the target is unknown, its unknowns are its position in its link.
     """
     section = robot.description.targets[robot.target_names[0]]
     T = robot.forward(np.concatenate([at.joints(data.joints) for at in maps]), section.frame)

@@ -1,9 +1,9 @@
 """Outliers of a fit by name: which reading of which instrument at which visit, and how far off.
 
 An outlier stands alone where the other readings of its visit agree with the fit: a corner that was found on a
-reflection, one target of several. Where more than half of the readings of a visit are further off than one reading is
-in a hundred, they are off together: a wrong image, a wrong pose of the robot, a board that was moved. A reading that is
-the only one of its visit is the visit.
+reflection, one target of several. Where more than half of the readings of a visit are further off than one good
+reading in a hundred, they are off together: a wrong image, a wrong pose of the robot, a board that was moved. Where a
+visit has only one reading, the two cases are the same.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ class Outlier:
     Attributes:
         pose: Index of the visit in its set.
         reading: Index of the reading among all of its set.
-        target: Name of the instrument, which for positions is that of the point.
-        looked_at: What it looked at there, in words, such as the corner of a board; empty where it looks at one thing.
-        together: Readings of this visit, where they are off together; 0 where this one is off by itself.
+        target: Name of the instrument; for positions, this is the name of the target.
+        looked_at: Thing that the instrument looked at, such as a corner of a board; empty where it has only one.
+        together: Number of readings of this visit, if they are off together; 0 if this one is off alone.
         label: File, line and pose name.
-        distance: Length of the error of its first part, predicted to read [SI].
-        size: The errors of its parts in words.
-        studentised: T over its scale.
+        distance: Distance between prediction and reading in the first part [SI].
+        size: Errors of all parts in words.
+        studentised: Studentised error T over its scale, see `calib.core.numerics.losses`.
         leverage: See `calib.core.numerics.losses`.
-        p_value: Chance of such a reading among good measurements of this number.
+        p_value: Chance that as many good readings contain one that is so far off.
     """
 
     pose: int
@@ -97,7 +97,7 @@ def outliers_of(studentised: StudentisedErrors, error_set: ErrorSet, layout: Lay
 
 
 def _n_far_off(studentised: StudentisedErrors, layout: Layout) -> IntArray:
-    """Readings of each visit, where more than half of several are far off, else 0, (n_visits,)."""
+    """Number of readings of a visit, if it has several and more than half are far off; else 0, (n_visits,)."""
     n_visits = int(layout.visit.max(initial=-1)) + 1
     readings = np.bincount(layout.visit, minlength=n_visits)
     suspects = np.bincount(layout.visit, studentised.chance < FALSE_ALARM, minlength=n_visits)
@@ -105,7 +105,7 @@ def _n_far_off(studentised: StudentisedErrors, layout: Layout) -> IntArray:
 
 
 def outliers_in_words(outliers: Sequence[Outlier]) -> list[str]:
-    """Return each outlier in words; those of a visit that is off as a whole as one."""
+    """Return each outlier in words; a visit that is off as a whole is one text."""
     words: dict[object, str] = {}
     for number, outlier in enumerate(outliers):
         if outlier.together:
@@ -117,11 +117,11 @@ def outliers_in_words(outliers: Sequence[Outlier]) -> list[str]:
 
 
 def readings_of_outliers(outliers: Sequence[Outlier], layout: Layout) -> dict[str, IntArray]:
-    """Return the numbers of the readings that go with outliers, by instrument (n,): each alone, or all of its visit.
+    """Return indices of the outliers' readings by instrument, (n,): the reading alone, or all readings of its visit.
 
     Args:
         outliers: The outliers.
-        layout: Of the rows that they are of.
+        layout: Layout of the rows of the fit.
     """
     visits = [outlier.pose for outlier in outliers if outlier.together]
     gone = np.isin(np.arange(layout.n_readings), [outlier.reading for outlier in outliers])
@@ -130,7 +130,7 @@ def readings_of_outliers(outliers: Sequence[Outlier], layout: Layout) -> dict[st
 
 
 def numbers_by_instrument(readings: Sequence[int] | IntArray, layout: Layout) -> dict[str, IntArray]:
-    """Return numbers of readings (n,), counted through all, as numbers among those of each instrument, (n_own,)."""
+    """Return indices among all readings (n,) as indices among the readings of each instrument, (n_own,)."""
     chosen = np.isin(np.arange(layout.n_readings), readings)
     return {name: np.flatnonzero(chosen[layout.readings_of(name)]) for name in layout.instruments}
 

@@ -1,13 +1,14 @@
 """The least-squares problem of a fit: whitened rows as functions of the scaled parameters.
 
-Unknowns u = (p - p_expected) / s with scales s, the parameters' sigma, around where priors expect them (nominal, unless
-a fleet of robots says otherwise). The rows are those of `calib.core.rows.rows`,
-times the root of the weight that a robust loss gives their reading (`calib.core.fitting.robust`), and
+The unknowns are u = (p - p_expected) / s. The scale s of a parameter is its sigma; p_expected is the value that its
+prior expects, which is nominal unless a fleet of robots says otherwise. The rows are those of `calib.core.rows.rows`,
+times the root of the weight that a robust loss gives their reading (`calib.core.fitting.robust`), and the priors' rows:
 
-    u       for every parameter that has a prior of its own, P u (`calib.core.numerics.prior`) for those known together
+    u       for a parameter with a prior of its own
+    P u     for parameters with correlated priors (`calib.core.numerics.prior`)
 
-Signed components, never distances: a distance loses its sign, and has no derivative at zero. A trial step that opens a
-loop is answered with NaN, on which the solver (`calib.core.numerics.least_squares`) shortens its step.
+Residuals are signed components, never distances: a distance loses its sign, and has no derivative at zero. Where a
+trial step opens a loop, its residuals are NaN, and the solver (`calib.core.numerics.least_squares`) shortens the step.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from calib.core.rows.rows import Rows
 from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
-_LEAST_FREEDOM = 0.1  # degrees of freedom of each row, where priors hold more parameters than there are rows
+_LEAST_FREEDOM = 0.1  # least degrees of freedom per row, where priors hold more parameters than there are rows
 _TRIALS = 2  # points that the solver compares before it goes on
 
 
@@ -47,11 +48,11 @@ class Evaluation:
     """Readings compared with a robot at one set of parameter values.
 
     Attributes:
-        robot: With these values.
-        configurations: Its assembled visits.
-        readings: What was read, of each instrument, by name.
-        products: What `Problem.products` remembers: scales of the unknowns, and products for these.
-        factors: What `Problem.compressed` remembers: some unknowns, and factors of the rows of each group by these.
+        robot: The robot with these values.
+        configurations: Configurations of this robot at the visits.
+        readings: Readings of each instrument, by name.
+        products: Cache of `Problem.products`: scales of the unknowns, and the products for these scales.
+        factors: Cache of `Problem.compressed`: unknowns, and the triangular factor of each group's rows for them.
     """
 
     robot: Robot
@@ -80,14 +81,14 @@ class Problem(ReadOnlyArrays):
         robot: Nominal robot.
         data: Measurements.
         sigma: Noise of positions per axis, if it replaces what the description states [m].
-        columns: Phi of the joint terms at nominal.
-        passive: Passive joints of the visits under similar parameters, to close loops from, (n, n_passive) [m or rad].
-        whitening: By the noise that is stated.
-        unknowns: The free parameters; sizes of families are those found so far.
-        noise_found: Groups whose noise is found from the residuals, (n_groups,): at first those where it is not stated.
-        ratios: Offsets that rows are weighed for, over the scales of their groups, (n_offsets,); all 0 for none.
-        weighing: The same, ready to whiten by; None without any.
-        limits: Whether a pose beyond the limits of a passive joint counts as open, on the way to the minimum as well.
+        columns: Columns Phi of the joint terms, at the nominal parameters.
+        passive: Passive joints at similar parameters, from which loops are closed, (n, n_passive) [m or rad].
+        whitening: Whitening by the stated noise.
+        unknowns: The free parameters, with the sizes of families found so far.
+        noise_found: Groups whose noise is found from the residuals, (n_groups,): at first those without stated noise.
+        ratios: Standard deviations of offsets over the scales of their groups, (n_offsets,); all 0 without offsets.
+        weighing: Whitening for offsets with these ratios; None without offsets.
+        limits: Whether a pose beyond the limits of a passive joint counts as open, also at trial steps.
     """
 
     robot: Robot
@@ -115,9 +116,9 @@ class Problem(ReadOnlyArrays):
         Args:
             robot: Nominal robot.
             data: Measurements.
-            sigma: As in the attributes.
+            sigma: Noise of positions per axis, if it replaces what the description states [m].
             near: Passive joints of the visits under similar parameters, if they are known, (n, n_passive) [m or rad].
-            whitening: Of the same readings by the same instruments and sigma, if it is known.
+            whitening: Whitening of the same readings with the same instruments and sigma, if it exists already.
 
         Raises:
             UnreachablePoseError: A pose cannot be closed.
@@ -133,7 +134,7 @@ class Problem(ReadOnlyArrays):
 
         Args:
             data: The readings; joint values and conditions as before.
-            passive: Passive joints near its solution, (n, n_passive) [m or rad].
+            passive: Passive joints near the solution of that problem, (n, n_passive) [m or rad].
         """
         if self.whitening.applies_to(data):
             return replace(self, data=data, passive=passive)
@@ -147,7 +148,7 @@ class Problem(ReadOnlyArrays):
         )
 
     def with_offset_ratios(self, ratios: FloatArray) -> Problem:
-        """Return it with rows weighed by these ratios of offsets to the scales of their groups, (n_offsets,)."""
+        """Return the problem for offsets with these ratios to the scales of their groups, (n_offsets,)."""
         return replace(self, ratios=ratios, weighing=self.whitening.weighing(ratios))
 
     @property
@@ -156,11 +157,11 @@ class Problem(ReadOnlyArrays):
         return _has_unstated_noise(self.whitening)
 
     def contradicted_groups(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
-        """Return of which groups noise is stated that scales as found contradict, (n_groups,).
+        """Return which groups have a stated noise that the scales found contradict, (n_groups,).
 
         Args:
-            scales: As found, where what is stated is 1, (n_groups,).
-            efficiency: Of how they were found, over that of least squares.
+            scales: Scales found; 1 is the stated noise, (n_groups,).
+            efficiency: Efficiency of the estimate of the scales, relative to least squares.
         """
         counts = self.whitening.layout.counts
         left = max(1.0 - len(self.unknowns) / max(int(np.sum(counts)), 1), _LEAST_FREEDOM)
@@ -170,7 +171,7 @@ class Problem(ReadOnlyArrays):
 
     @property
     def confirmed_freedom(self) -> FloatArray:
-        """Degrees of freedom with which a fleet confirmed the stated noise of groups, (n_groups,); 0 if found."""
+        """Degrees of freedom of a fleet's check of the stated noise, (n_groups,); 0 where noise is found."""
         fleet = self.robot.description.fleet
         return np.where(self.noise_found | self.has_unstated_noise, 0.0, 0.0 if fleet is None else fleet.noise_freedom)
 
@@ -184,7 +185,7 @@ class Problem(ReadOnlyArrays):
 
         Args:
             robot: With any parameter values.
-            near: Of similar ones, from which its loops are closed quickly.
+            near: Evaluation at similar values, from which the loops close quickly.
 
         Raises:
             ComputationError: A loop opens.
@@ -208,7 +209,7 @@ class Problem(ReadOnlyArrays):
         return Evaluation(robot, configurations, self.data.readings)
 
     def _columns_of(self, robot: Robot) -> tuple[FloatArray, ...]:
-        """Phi of the joint terms, which changes with the parameters only where gravity's direction is found."""
+        """Phi of the joint terms, which changes with the parameters only where gravity's direction is fitted."""
         return term_columns(robot, self.data.joints, self.data.conditions) if robot.turns_gravity else self.columns
 
     def rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
@@ -251,7 +252,7 @@ class Problem(ReadOnlyArrays):
 
         Args:
             evaluation, groups, unknowns: Arguments of `rows`.
-            weights: Of each reading, (n_readings,).
+            weights: Weight of each reading, (n_readings,).
 
         Returns:
             (n_rows, n_unknowns).
@@ -264,14 +265,14 @@ class Problem(ReadOnlyArrays):
     def compressed(
         self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, rows: FloatArray | None = None
     ) -> LinearModel:
-        """Return a model of a few rows, (n_few, n_unknowns), that have the products of all.
+        """Return a linear model of few rows, (n_few, n_unknowns), with the same J^T J and J^T r as all rows.
 
-        They are made of the triangular factors of the rows of each group, which are made once for an evaluation.
+        The few rows are the triangular factors of the rows of each group, computed once for an evaluation.
 
         Args:
             evaluation, groups: Arguments of `rows`.
             unknowns: Some parameters.
-            rows: The derivative of the rows by these, (n_rows, n_unknowns), if it is there.
+            rows: The derivative of the rows by these, (n_rows, n_unknowns), if it was computed before.
         """
         if not any(known.has(unknowns) for known, _ in evaluation.factors):
             evaluation.factors[:] = [(unknowns, self._factors(evaluation, groups, unknowns, rows))]
@@ -284,14 +285,14 @@ class Problem(ReadOnlyArrays):
         )
         deviations = unknowns.deviations(evaluation.robot.values)
         model = LinearModel(rows[:, -1], rows[:, :-1], unknowns.prior, deviations, few)
-        if len(groups) == 1 and len(unknowns) == len(known):  # they are that factor already
+        if len(groups) == 1 and len(unknowns) == len(known):  # the rows are that factor already
             model.remember(rows)
         return model
 
     def _factors(
         self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, rows: FloatArray | None
     ) -> list[FloatArray]:
-        """Triangular factors of [J r] of the rows of each group, as stated, (at most n + 1, n + 1)."""
+        """Triangular factor of [J r] of each group, whitened by the stated noise, (at most n + 1, n + 1)."""
         rows = self.derivative(evaluation, groups, unknowns) if rows is None else rows
         residuals, group = self.residuals(evaluation, groups), self.whitening.layout.group
         members = [group == g for g in range(len(groups))]
@@ -299,14 +300,14 @@ class Problem(ReadOnlyArrays):
         return [scale * reduce_rows(rows[part], residuals[part]) for part, scale in zip(parts, groups, strict=True)]
 
     def products(self, evaluation: Evaluation, groups: FloatArray, rows: FloatArray | None = None) -> Products:
-        """Return the products of the rows by the free parameters, whitened by what is stated.
+        """Return J^T J and J^T r of the rows for the free parameters, whitened by the stated noise.
 
-        They are made once for an evaluation, whatever scales of noise and sizes of families are tried there.
+        They are computed once for an evaluation, and serve all scales of noise and sizes of families tried there.
 
         Args:
-            evaluation: Where.
+            evaluation: An evaluation.
             groups: Scale of the noise of each group, (n_groups,).
-            rows: The derivative of the rows, (n_rows, n_free), if it is there.
+            rows: The derivative of the rows, (n_rows, n_free), if it was computed before.
         """
         scales = self.unknowns.scales
         if not evaluation.products:
@@ -333,10 +334,10 @@ class Problem(ReadOnlyArrays):
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: The parameters that may move; the free ones if not given.
             tolerance: See `calib.core.numerics.least_squares`.
-            weights: Of each reading, (n_readings,).
+            weights: Weight of each reading, (n_readings,).
 
         Returns:
-            The end, and what the solver says of it without the Jacobian, which `rows` gives of the end.
+            The evaluation at the end, and the solver's result. Its Jacobian is left empty; `rows` gives it.
         """
         way = _SolverRows(self, start, groups, self.unknowns if unknowns is None else unknowns, weights)
         solution = minimise(way.residuals, way.jacobian, way.begin, tolerance=tolerance)
@@ -344,18 +345,18 @@ class Problem(ReadOnlyArrays):
 
 
 class _SolverRows:
-    """The way of one solve: rows where the solver looks, each evaluated once.
+    """Residuals and Jacobian at the points that the solver tries; each point is evaluated once.
 
     Args:
-        problem: What is solved.
-        start: Where it begins.
+        problem: The problem.
+        start: Evaluation at which the solver begins.
         groups: Scale of the noise of each group, (n_groups,).
         unknowns: The parameters that move.
-        weights: Of each reading, (n_readings,); None for all alike.
+        weights: Weight of each reading, (n_readings,); None if all are 1.
 
     Attributes:
         begin: u at the start, (n_unknowns,).
-        current: Where the solver is: its last derivative.
+        current: Evaluation at the point of the last Jacobian.
     """
 
     def __init__(
@@ -375,7 +376,7 @@ class _SolverRows:
         return evaluation
 
     def residuals(self, u: FloatArray) -> FloatArray:
-        """Return all residuals at u (n_unknowns,), the priors' last, (n_rows,); NaN where a loop opens."""
+        """Return all residuals at u (n_unknowns,), ending with the priors' rows, (n_rows,); NaN where a loop opens."""
         evaluation = self._evaluation(u)
         if evaluation is None:
             return np.full(self._n_rows, np.nan)
@@ -387,7 +388,7 @@ class _SolverRows:
         return np.concatenate([residuals, self._unknowns.prior.times(u)])
 
     def jacobian(self, u: FloatArray) -> RowStack:
-        """Return their derivative by u, (n_rows, n_unknowns), and go there."""
+        """Return the derivative of the residuals by u, (n_rows, n_unknowns), and make u the current point."""
         evaluation = self._evaluation(u)
         if evaluation is None:  # derivatives are asked for only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
@@ -404,12 +405,12 @@ class _SolverRows:
         return RowStack(rows, prior, lambda: problem.compressed(evaluation, groups, unknowns, rows).factor)
 
     def _products(self, evaluation: Evaluation, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """J^T J (n, n) and J^T r (n,) of rows (n_rows, n) there."""
+        """J^T J (n, n) and J^T r (n,) of the rows (n_rows, n) at an evaluation."""
         return self._problem.products(evaluation, self._groups, rows).weigh(self._groups)
 
 
 def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:
-    """Whitening, unknowns, groups to find and ratios, before any noise is found."""
+    """Whitening, unknowns, groups whose noise is to be found, and ratios of offsets, before the first fit."""
     return whitening, Unknowns.from_robot(robot), _has_unstated_noise(whitening), np.zeros(whitening.n_offsets)
 
 

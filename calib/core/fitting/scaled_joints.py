@@ -1,12 +1,11 @@
 """Joints whose values are on another scale than stated: their factors, by a fit in which each joint has a gain.
 
-A controller that counts in gon, a range that was mapped, a gear ratio that is wrong: the joint is where q = g x + b,
-and the file has x. The nominal robot is fitted with a gain of each joint that moved, beside its own parameters, which
-take up b. A factor is reported where it is off by more than a part in a hundred and by more than its uncertainty
-allows.
+A controller may count in gon, a range may be mapped, or a gear ratio may be wrong. Then the file has x, and the joint
+is at q = g x + b. The nominal robot is fitted with a gain of each joint that moved, beside its own parameters, which
+absorb b. A factor is reported if it differs from one by more than one percent and by more than its uncertainty allows.
 
-When it fails. The fit begins where the file stands, or where a search has brought it: of a joint that is scaled by two
-it may not find the way.
+When it fails. The fit starts from the values of the file, or from those of a search. If a joint is scaled by two, the
+fit may not converge.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.one_coefficient import Gain
 
 SCALED = 0.01
-"""Part by which no gear, belt or screw is off."""
+"""Relative error of a scale that no gear, belt or screw has."""
 SURE = 6.0
 """Standard deviations of a gain from which it is not chance."""
-_EXPECTED = 0.3  # size of a gain that is looked for
+_EXPECTED = 0.3  # sigma of the gains
 
 
 @dataclass(frozen=True)
@@ -36,9 +35,9 @@ class JointScales:
     """Scales of joints, from a fit with gains.
 
     Attributes:
-        map: What makes joint values right; factors of joints whose scale is right are one.
+        map: The map that corrects joint values; factors of joints whose scale is right are one.
         std: Standard deviations of the factors, (n_actuated,).
-        noise: What the fit leaves, per axis [m].
+        noise: Noise found by the fit, per axis [m].
     """
 
     map: ColumnMap
@@ -47,12 +46,12 @@ class JointScales:
 
 
 def joint_scales(robot: Robot, data: Measurements, at: ColumnMap | None = None) -> JointScales | None:
-    """Return the scales of joints; None where no fit tells.
+    """Return the scales of joints; None if the fit fails.
 
     Args:
         robot: The nominal robot.
         data: Its measurements.
-        at: Which columns, signs, zeros and scales the file seems to have; nothing is wrong if not given.
+        at: Likely map of the columns, from which the fit starts; the plain one if not given.
     """
     names = robot.joint_names
     at = at or ColumnMap.plain(len(names))

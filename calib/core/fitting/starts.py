@@ -1,10 +1,10 @@
 """Other minima: the same fit again from perturbed starting points.
 
-Least squares finds the minimum in whose valley it starts. Each further start moves every free parameter by a normal
-random step of its sigma from where the first one started (base and targets placed, the rest nominal); where the loops
-cannot close there, the step is halved, up to five times. Ends whose predicted positions differ by less than a tenth of
-their residuals from a minimum already known are the same minimum; the first end that came there stays, because a later
-one may have the same robot with an angle turned round once more.
+Least squares finds the minimum in whose valley it starts. The first start has base and targets placed, and all else
+nominal. Each further start moves every free parameter from there by a normal random step of one sigma. Where the loops
+cannot close, the step is halved, up to five times. Two fits have found the same minimum if their predictions differ by
+less than a tenth of their residuals. The first fit that found a minimum is kept, because a later one may describe the
+same robot with an angle that is a turn larger.
 
 When it fails. Not finding another minimum is no proof that there is none.
 """
@@ -32,14 +32,14 @@ _ROUNDING = 1e-7  # residuals below this are rounding [m]
 
 @dataclass(frozen=True, eq=False)
 class StartMinimum:
-    """One end that starts came to.
+    """One minimum that starts led to.
 
     Attributes:
-        robot: The parameters there.
+        robot: The robot at the minimum.
         solution: Report of the solver.
-        cost: Sum of squared residuals and priors, in units of the noise that weighed them.
+        cost: Sum of squares of the whitened residuals and of the priors' rows.
         rms: Root mean square length of the readings' residuals [SI].
-        count: How many starts came there.
+        count: Number of starts that led there.
     """
 
     robot: Robot
@@ -54,10 +54,10 @@ class Starts:
     """Minima found from several starts.
 
     Attributes:
-        minima: Lowest cost first.
+        minima: The minima, lowest cost first.
         failed: Starts that did not converge or could not be assembled.
         seed: Seed of the random steps.
-        groups: Scale of the noise of each group that all of them assumed, (n_groups,).
+        groups: Scale of the noise of each group, the same for all starts, (n_groups,).
     """
 
     minima: tuple[StartMinimum, ...]
@@ -85,13 +85,13 @@ def explore(
 
     Args:
         problem: The problem.
-        placed: Where the first start began.
-        first: Where it ended.
+        placed: Robot at the first start.
+        first: End of the first start.
         groups: Scale of the noise of each group, (n_groups,).
         n: Number of starts, the first included.
         seed: Seed of the random steps.
-        executor: Who fits; this process if not given.
-        progress: Told after each start.
+        executor: Runs the fits; this process if not given.
+        progress: Called after each start.
     """
     rng = np.random.default_rng(seed)
     distinct: list[tuple[StartMinimum, FloatArray]] = []
@@ -102,7 +102,7 @@ def explore(
     for end in results_in_order(begin, steps, executor, progress):
         if end is None:
             failed += 1
-        else:  # what is sent between processes is the robot alone
+        else:  # only the robot is sent between processes
             _add(distinct, problem, groups, (problem.evaluate(end[0]), end[1]))
     minima = tuple(minimum for minimum, _ in sorted(distinct, key=lambda entry: entry[0].cost))
     return Starts(minima, failed, seed, groups)
@@ -112,7 +112,7 @@ def explore(
 def _solve_from(
     problem: Problem, placed: Robot, groups: FloatArray, step: FloatArray
 ) -> tuple[Robot, LeastSquaresSolution] | None:
-    """Where one start ends; None where it ends nowhere."""
+    """The end of one start; None if it does not converge."""
     base = problem.unknowns.deviations(placed.values)
     for halving in range(_HALVINGS + 1):
         start = problem.unknowns.robot_at(placed, base + step / 2**halving)
@@ -130,7 +130,7 @@ def _add(
     groups: FloatArray,
     end: tuple[Evaluation, LeastSquaresSolution],
 ) -> None:
-    """Count an end towards the minimum that it belongs to, or as a new one."""
+    """Count an end for the minimum that it belongs to, or add a new minimum."""
     reached, solution = end
     residuals = reached.residuals
     whitened = problem.whitening.flatten(residuals) / problem.whitening.row_scale(groups)

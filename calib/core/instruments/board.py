@@ -1,4 +1,4 @@
-"""A printed board: where its points are. One description serves detection, printing, rendering and the robot.
+"""A printed board and its points. One description serves detection, printing, rendering and the robot.
 
 The board lies in the plane z = 0 of its frame: origin in the corner where its first row and column begin, x along the
 rows, y down the columns as one reads the print, z into the paper. That is OpenCV's frame. Points have names:
@@ -11,8 +11,8 @@ rows, y down the columns as one reads the print, z into the paper. That is OpenC
     aruco         m<number>.<corner>: corners 0 to 3 of markers in rows and columns, clockwise from the top left one
     apriltag      the same, with tags of the family 36h11 unless another dictionary is named
 
-A board that looks the same when it is turned by half a turn would exchange its points without a trace, so chessboards
-need an odd and an even number of squares, and circles an odd number of rows.
+If a board looked the same after half a turn, its points could be exchanged without notice. So chessboards need an odd
+and an even number of squares, and circles an odd number of rows.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ class Board(Section):
 
     Attributes:
         kind: See the module docstring.
-        columns, rows: Of squares (charuco, chessboard), dots (circles, dots) or markers (aruco, apriltag).
+        columns, rows: Number of squares (charuco, chessboard), dots (circles, dots) or markers (aruco, apriltag).
         square: Side of a square [m].
         marker: Side of a marker, black border included [m].
-        gap: Between neighbouring markers [m].
-        spacing: Between neighbouring rows of dots; of circles, half of that between dots of one row [m].
-        dictionary: Of the markers, as OpenCV calls it, such as DICT_6X6_250.
+        gap: Distance between neighbouring markers [m].
+        spacing: Distance between rows of dots [m]; for circles also half of the distance between dots in a row.
+        dictionary: OpenCV's name of the dictionary of markers, such as DICT_6X6_250.
         first_marker: Number of the first marker.
-        first_row: In which row markers begin to be counted: `bottom` on boards of Kalibr.
+        first_row: Row from which markers are counted: `bottom` on boards of Kalibr.
         legacy: Whether a ChArUco board has the layout of OpenCV before 4.6, which has a marker in its first square
             where the number of rows is even; None: not known, both are tried.
     """
@@ -82,7 +82,7 @@ class Board(Section):
         if isinstance(value, dict) and value.get("kind") == "apriltag":
             value = {"dictionary": APRILTAG, **value}
         if isinstance(value, dict) and value.get("columns") == value.get("rows") == 1 and "marker" in value:
-            return {"gap": value["marker"], **value}  # of one marker alone, which has no neighbour
+            return {"gap": value["marker"], **value}  # one marker alone has no neighbour
         return value
 
     @model_validator(mode="after")
@@ -119,7 +119,7 @@ class Board(Section):
 
     @property
     def size(self) -> tuple[float, float]:
-        """Width and height of what is printed [m]."""
+        """Width and height of the printed pattern [m]."""
         if self.kind in ("charuco", "chessboard"):
             side = self.square or 0.0
             return self.columns * side, self.rows * side
@@ -134,7 +134,7 @@ class Board(Section):
 
     @property
     def smallest(self) -> float:
-        """Side of what a camera must tell apart: a marker, a square, or the way between dots [m]."""
+        """Size of the smallest thing that a camera must resolve: a marker, a square, or the distance of dots [m]."""
         return self.marker or self.square or self.spacing or 0.0
 
     def marker_at(self, column: int, row: int) -> int:
@@ -143,7 +143,7 @@ class Board(Section):
         return self.first_marker + counted * self.columns + column
 
     def points(self) -> dict[str, tuple[float, float, float]]:
-        """Return where each point is in the board's frame, by name [m]."""
+        """Return the position of each point in the board's frame, by name [m]."""
         if self.kind in ("charuco", "chessboard"):
             side = self.square or 0.0
             places = [((i + 1) * side, (j + 1) * side) for j in range(self.rows - 1) for i in range(self.columns - 1)]
@@ -178,7 +178,7 @@ class Board(Section):
 
 
 def validate_board(content: object, where: str) -> Board:
-    """Return the board that the content of a file or of an option means.
+    """Return the board from the content of a file or of an option.
 
     Args:
         content: Keys and values.
@@ -209,10 +209,10 @@ def read_board(text: str, where: str, folder: Path | None = None) -> Board:
     Args:
         text: Name of the file, or the short form.
         where: For messages on the short form.
-        folder: That of the file, if it is not the current one.
+        folder: Folder of the file, if it is not the current one.
 
     Raises:
-        DescriptionError: It is neither; no such file; a key is missing or wrong.
+        DescriptionError: The text is neither, the file does not exist, or a key is missing or wrong.
     """
     kind, colon, rest = text.partition(":")
     path = (folder or Path()) / text
@@ -237,7 +237,7 @@ def read_board(text: str, where: str, folder: Path | None = None) -> Board:
 
 
 def _board_of_kalibr(content: dict[str, Any], where: str) -> dict[str, Any]:
-    """A target file of Kalibr in the words of boards; its tags are counted from the bottom left.
+    """Content of a board from a target file of Kalibr; its tags are counted from the bottom left.
 
     Raises:
         DescriptionError: It is of another type, or a key is missing.

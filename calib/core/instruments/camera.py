@@ -1,4 +1,4 @@
-"""A camera: from points in its frame to pixels and back, with derivatives.
+"""A camera: from points in its frame to pixels and back, with derivatives; and poses of bodies from their pixels.
 
 The camera's frame has its origin in the centre of projection, z along the optical axis, x to the right and y down in
 the image, as OpenCV has it. With m = (x / z, y / z) and r^2 = |m|^2,
@@ -9,24 +9,21 @@ the image, as OpenCV has it. With m = (x / z, y / z) and r^2 = |m|^2,
 The order of intrinsics is fx fy cx cy k1 k2 p1 p2 k3. Pixels are counted as OpenCV does: the centre of the first one is
 at (0, 0).
 
-A solver may try a camera that has a point beside or behind it, where there is no image. So that it finds its way back,
-the cosine z / |p| is then replaced by one that stays positive and goes on falling, and distortion stops growing at
-r^2 = 4 (63 degrees from the axis), where no such polynomial holds any more.
+A solver may try a camera with a point beside or behind it, where there is no image. So that the solver can return, the
+cosine z / |p| is then replaced by a function that stays positive and keeps falling, and distortion stops growing at
+r^2 = 4 (63 degrees from the axis), since no such polynomial is valid beyond.
 
-Reference: zhang2000; OpenCV's documentation of calib3d.
-
-How a camera stands to a body whose points it sees: poses from a few points each, many views at once.
-
-Each view is a least-squares problem in six unknowns: points of the body X_j, seen along rays m_j. It is solved from 24
-orientations of the body (those of a cube), with the depth that the spread of the rays suggests, by damped Gauss-Newton
-steps that all problems take together. Three points leave up to four answers and four in a plane sometimes two; views
-with fewer than four points are not solved, and users of a pose must expect that some are the wrong answer
+Poses of a body in the camera follow from a few points in each view, for many views at once (`view_poses`). Each view is
+a least-squares problem in six unknowns: points X_j of the body, seen along rays m_j. Damped Gauss-Newton steps, taken
+for all problems together, start from 24 orientations of the body (those of a cube), at the depth that follows from the
+spread of the rays. Three points allow up to four solutions, and four points in a plane sometimes two. Views with fewer
+than four points are not solved, and users of the poses must expect that some are wrong
 (`calib.core.instruments.camera_places`).
 
-From many points in one frame (`resection`), the pose is found linearly instead: with rows [m]x (P X) = 0 for a matrix P
-of 3 x 4 numbers, or of 3 x 3 where the points lie in a plane.
+From many points in one frame, the pose is found linearly (`resection`): with rows [m]x (P X) = 0 for a matrix P of
+3 x 4 numbers, or of 3 x 3 numbers where the points lie in a plane.
 
-References: hartley2004, chapter 7.
+References: zhang2000; OpenCV's documentation of calib3d; hartley2004, chapter 7.
 """
 
 from __future__ import annotations
@@ -41,20 +38,20 @@ from calib.core.numerics.rigid import cross_matrices, nearest_rotation
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 """Intrinsics in OpenCV's order."""
 _GRAZING = 0.05  # cosine to the optical axis below which there is no image: 87 degrees
-_WIDEST = 4.0  # r^2 beyond which distortion does not grow
+_WIDEST = 4.0  # r^2 beyond which distortion no longer grows
 _SETTLED = 1e-13
 LEAST_POINTS = 4
-"""Points of a view from which its pose follows."""
+"""Least number of points of a view for its pose."""
 _PLAIN = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # a camera whose pixels are m itself
 _FLAT = 1e-3  # thickness over width of points that lie in a plane
 _ROUNDS = 30
-_CELLS = 8  # of an image, across and down, in each of which the board should be seen
+_CELLS = 8  # fields of an image, across and down; the board should be seen in each
 LITTLE_COVERAGE = 0.4
-"""Part of the image below which the lens is guessed where nothing was seen."""
+"""Part of the image that points must cover; with less, the lens is extrapolated."""
 
 
 def project(points: FloatArray, intrinsics: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return pixels, and how points and intrinsics move them.
+    """Return pixels, and their derivatives by points and intrinsics.
 
     Args:
         points: In the camera's frame, (n, 3) [m].
@@ -74,12 +71,12 @@ def project(points: FloatArray, intrinsics: FloatArray) -> tuple[FloatArray, Flo
 
 
 def is_in_front(points: FloatArray) -> BoolArray:
-    """Return which points (n, 3) a camera at the origin may see."""
+    """Return which points (n, 3) [m] are in front of a camera at the origin, (n,)."""
     return points[:, 2] > _GRAZING * np.linalg.norm(points, axis=1)
 
 
 def is_in_lens(points: FloatArray, intrinsics: FloatArray) -> BoolArray:
-    """Return which points (n, 3) [m] lie where the distortion grows outwards: further out, it folds the image back."""
+    """Return which points (n, 3) [m] are where distorted radii grow outwards; further out, the image folds back."""
     k1, k2, k3 = intrinsics[[4, 5, 8]]
     turns = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # r^2 where d(r + k1 r^3 + k2 r^5 + k3 r^7) / dr = 0
     real = turns.real[(np.abs(turns.imag) < 1e-12) & (turns.real > 0)]
@@ -87,7 +84,7 @@ def is_in_lens(points: FloatArray, intrinsics: FloatArray) -> BoolArray:
 
 
 def rays(pixels: FloatArray, intrinsics: FloatArray) -> FloatArray:
-    """Return m of the module docstring, without distortion, for pixels (n, 2): (n, 2)."""
+    """Return m of the module docstring for pixels (n, 2), with distortion removed, (n, 2)."""
     distorted = (pixels - intrinsics[2:4]) / intrinsics[:2]
     plane = distorted.copy()
     for _ in range(_ROUNDS):
@@ -100,7 +97,7 @@ def rays(pixels: FloatArray, intrinsics: FloatArray) -> FloatArray:
 
 
 def _project_on_plane(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """M and its derivative by the points, (n, 2) and (n, 2, 3)."""
+    """The point m and its derivative by the points, (n, 2) and (n, 2, 3)."""
     length = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
     unit = points / length[:, None]
     low = unit[:, 2] < _GRAZING
@@ -121,7 +118,7 @@ def _distort(plane: FloatArray, numbers: FloatArray) -> tuple[FloatArray, FloatA
     size = np.sum(plane**2, axis=1)
     shrink = np.sqrt(np.minimum(1.0, _WIDEST / np.maximum(size, 1e-300)))
     inside = (shrink == 1.0)[:, None, None]
-    m = plane * shrink[:, None]  # where distortion is taken: m itself, or on the edge of where it holds
+    m = plane * shrink[:, None]  # argument of the distortion: m, or on the edge of where the polynomial is valid
     x, y = m.T
     r2 = x**2 + y**2
     radial = k1 * r2 + k2 * r2**2 + k3 * r2**3
@@ -142,7 +139,7 @@ def _distort(plane: FloatArray, numbers: FloatArray) -> tuple[FloatArray, FloatA
     turned[:, 1, 1] = 6 * p1 * y + 2 * p2 * x
     bend = radial[:, None, None] * np.eye(2) + 2 * slope[:, None, None] * m[:, :, None] * m[:, None, :] + turned
     onto = np.eye(2) - plane[:, :, None] * plane[:, None, :] / np.maximum(size, 1e-300)[:, None, None]
-    moves = np.where(inside, np.eye(2), shrink[:, None, None] * onto)  # dm by the plane
+    moves = np.where(inside, np.eye(2), shrink[:, None, None] * onto)  # derivative of m by `plane`
     return plane + by_number @ numbers, np.eye(2) + bend @ moves, by_number
 
 
@@ -152,7 +149,7 @@ def cube_rotations() -> FloatArray:
 
 
 def plane_errors(points: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return m - m_seen of points (n, 3) [m] in the camera's frame, (n, 2), and its derivative by these, (n, 2, 3)."""
+    """Return m - m_seen of points (n, 3) [m] in the camera's frame, (n, 2), and its derivative by them, (n, 2, 3)."""
     plane, by_point, _ = project(points, _PLAIN)
     return plane - seen, by_point
 
@@ -193,7 +190,7 @@ def view_poses(points: FloatArray, seen: FloatArray, view: IntArray, n_views: in
 
 
 def _first_poses(body: FloatArray, seen: FloatArray, present: BoolArray, turned: FloatArray) -> FloatArray:
-    """Poses at the depth that the spread of the rays suggests."""
+    """Poses at the depth that follows from the spread of the rays."""
     n = np.maximum(np.sum(present, axis=1), 1)[:, None]
     middle = np.sum(body * present[:, :, None], axis=1) / n
     ray = np.sum(seen * present[:, :, None], axis=1) / n
@@ -245,9 +242,10 @@ def _refine_poses(
 
 
 def resection(points: FloatArray, seen: FloatArray) -> list[FloatArray]:
-    """Return poses of a frame in the camera's, (4, 4) [m] each, in which points (n, 3) lie along rays (n, 2).
+    """Return poses of a frame in the camera, (4, 4) [m] each, at which its points (n, 3) lie on rays (n, 2).
 
-    Fewer than six points, or four in a plane, give none.
+    The list is empty for fewer than `LEAST_POINTS` points, or points on a line. There are two poses for six points or
+    more that are not in a plane, else one.
     """
     middle = points.mean(axis=0)
     _, size, axes = linalg.svd(points - middle, full_matrices=False)
@@ -269,7 +267,7 @@ def resection(points: FloatArray, seen: FloatArray) -> list[FloatArray]:
 
 
 def _smallest(seen: FloatArray, numbers: FloatArray) -> FloatArray:
-    """The matrix P (3, k) of which |[m]x (P X)|^2 is smallest, with P X in front of the camera; X (n, k)."""
+    """The matrix P (3, k) for which |[m]x (P X)|^2 is smallest, with P X in front of the camera, for X (n, k)."""
     n, k = numbers.shape
     rows = np.zeros((n, 2, 3, k))
     rows[:, 0, 0], rows[:, 0, 2] = numbers, -seen[:, :1] * numbers
@@ -281,7 +279,7 @@ def _smallest(seen: FloatArray, numbers: FloatArray) -> FloatArray:
 def _from_space(local: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray]:
     matrix = _smallest(seen, np.hstack([local, np.ones((len(local), 1))]))
     size = np.cbrt(np.linalg.det(matrix[:, :3]))
-    if size <= 0:  # a mirror image: rounding or noise decides; the nearest rotation is as good as any
+    if size <= 0:  # a mirror image, by rounding or noise: the nearest rotation is as good as any
         size = float(np.mean(linalg.svd(matrix[:, :3])[1]))
     return nearest_rotation(matrix[:, :3]), matrix[:, 3] / max(float(size), 1e-12)
 
@@ -294,7 +292,7 @@ def _from_plane(local: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def image_coverage(pixels: FloatArray, size: tuple[int, int]) -> float:
-    """Return in which part of the image points (n, 2) [px] were seen: of 8 x 8 fields, or those within their hull."""
+    """Return the covered part of the image: fields of 8 x 8 with points (n, 2) [px], or between such fields."""
     if len(pixels) < 3:
         return 0.0
     x, y = (np.clip((pixels[:, k] / size[k] * _CELLS).astype(int), 0, _CELLS - 1) for k in (0, 1))
@@ -304,7 +302,7 @@ def image_coverage(pixels: FloatArray, size: tuple[int, int]) -> float:
 
 
 def _fill_gaps(seen: BoolArray) -> BoolArray:
-    """Fields between two that were seen, along a row and along a column."""
+    """Fields that were seen, or lie between two seen ones along a row or a column."""
 
     def between_true(rows: BoolArray) -> BoolArray:
         before = np.maximum.accumulate(rows, axis=1)

@@ -1,15 +1,16 @@
-"""Where both ends of what is looked along are fixed: closed forms for first guesses.
+"""The hand-eye problem: first values, in closed form, of two unknown frames on two links.
 
-Frame a is fixed to one link by C, frame b to another one by M, and the robot says how the links lie, L_i. Seen is
+Frame a is fixed to one link by C, and frame b to another link by M. The robot gives the pose L_i of the second link
+seen from the first one. An instrument sees frame b from frame a as
 
     A_i = C^-1 L_i M          or          C A_i = L_i M
 
-known as the hand-eye problem. The rotations that make sum |C A_i - L_i M|^2 smallest maximise a form that is bilinear
-in C and M; its largest singular vectors, made rotations, are the start of an alternation in which each of the two
-follows from the other in closed form (Wahba's problem). The translations then are a linear problem. Where one of the
-two is known, the other follows in one step.
+The rotations that make sum |C A_i - L_i M|^2 smallest maximise a form that is bilinear in C and M. The first pair of
+its singular vectors, made rotations, starts an alternation: each rotation follows from the other in closed form
+(Wahba's problem). Then the translations are a linear problem. Where one of C and M is known, the other follows in one
+step.
 
-When it fails. Poses that all turn about parallel axes leave a part open; what comes out is then one of many answers.
+When it fails. If the poses turn about parallel axes only, the solution is not unique; the result is one of many.
 
 References: wahba1965, daniilidis1999.
 """
@@ -42,7 +43,7 @@ def solve_rotations(
         return first, _best_rotation(np.swapaxes(form, -1, -2), first) if second is None else second
     if second is not None:
         return _best_rotation(form, second), second
-    form = form[..., None, :, :]  # of either sign
+    form = form[..., None, :, :]  # both signs of the singular vectors are tried
     lines = linalg.svd(form)[2][..., 0, :].reshape(*form.shape[:-2], 3, 3)
     second = nearest_rotation(lines * np.array([1.0, -1.0])[:, None, None])
     first, moving = second, np.ones(second.shape[:-2], dtype=bool)
@@ -68,7 +69,7 @@ def _times(form: FloatArray, rotation: FloatArray) -> FloatArray:
 
 
 def _best_rotation(form: FloatArray, rotation: FloatArray) -> FloatArray:
-    """The other rotation for which the form is largest, (..., 3, 3)."""
+    """The rotation that makes the form largest while the other one is given, (..., 3, 3)."""
     return nearest_rotation(_times(form, rotation))
 
 
@@ -80,8 +81,8 @@ def solve_poses(
     Args:
         links: L_i, (..., n, 4, 4) [m].
         seen: A_i, (..., n, 4, 4) [m].
-        now: C and M as they are, (4, 4) each; what the data leave open stays near.
-        known: Which of them are known.
+        now: Present C and M, (4, 4) each [m]; components that the data do not determine stay near them.
+        known: Whether C is known, and whether M is.
     """
     first, second = (np.tile(pose, (*links.shape[:-3], 1, 1)) for pose in now)
     first[..., :3, :3], second[..., :3, :3] = solve_rotations(

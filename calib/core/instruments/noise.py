@@ -1,12 +1,12 @@
-"""What is stated of an instrument's noise, as covariances of its readings.
+"""Covariances of an instrument's readings, from its stated noise.
 
-Either one standard deviation for each row; or, for positions by a tracker that stands at the origin of the measurement
-frame, one along its beam and one for both angles across it:
+The noise is stated as one standard deviation for each row. For positions by a tracker at the origin of the measurement
+frame it may be stated as one standard deviation along the beam, and one for both angles across it:
 
     covariance = range^2 u u^T + (angle |p|)^2 (I - u u^T),        u = p / |p|
 
-Where a file states the covariance of a reading, that one counts. Where nothing is stated, every row of a part has the
-same unknown standard deviation; the covariance is then that of 1 SI unit, and the scale is found from the residuals
+Where a file states the covariance of a reading, that one is used. Where nothing is stated, every row of a part has the
+same unknown standard deviation: the covariance is that of 1 SI unit, and its scale is found from the residuals
 (`calib.core.numerics.variance_components`).
 """
 
@@ -42,7 +42,7 @@ PositionSigma = Annotated[
     | Annotated[Beam, Tag("beam")],
     Discriminator(_form),
 ]
-"""Noise of a position: one number, one for each axis, or a tracker's."""
+"""Noise of a position: one number, one for each axis, or the `Beam` of a tracker."""
 AngleSigma = Annotated[
     Annotated[PositiveAngle, Tag("number")]
     | Annotated[tuple[PositiveAngle, PositiveAngle, PositiveAngle], Tag("axes")],
@@ -56,8 +56,8 @@ class PartNoise:
     """Noise of the rows of one part.
 
     Attributes:
-        std: Of each row [SI]; None: not stated.
-        beam: Of a tracker, in place of `std`.
+        std: Standard deviation of each row [SI]; None if it is not stated.
+        beam: Noise of a tracker, in place of `std`.
     """
 
     std: tuple[float, ...] | None = None
@@ -81,7 +81,7 @@ class PartNoise:
         """Return the covariance of n readings, (n, n_rows, n_rows) [SI^2].
 
         Args:
-            points: Where the target was seen from the tracker, (n, 3) [m]; only a tracker's noise needs it.
+            points: Positions of the target in the tracker's frame, (n, 3) [m]; only a `Beam` needs them.
             n: Number of readings.
             n_rows: Rows of the part.
         """

@@ -1,9 +1,9 @@
-"""First values of what is touched, from the readings of one instrument and where a robot's links are in every pose.
+"""First values of the places of touched things, from the readings of one instrument and the poses of the robot's links.
 
-Sockets s_j and the ball t on its link are linear in R_k t + t_k = s_j. How far t leaves where it is believed to be
-counts a little, so that a link that hardly turns does not send it away. Rotations that carry points onto points are
-those of least squares; where one component of the rotation vector must stay zero, e_k . w = 0, w lies in the plane
-across e_k, and the one such turn that carries u to v is about e_k x (u - v).
+Sockets s_j and the ball t on its link are linear in R_k t + t_k = s_j. The distance of t from its believed place has a
+small weight, so that t does not move far where its link hardly turns. Rotations that carry points onto points are found
+by least squares. Where one component of the rotation vector w must stay zero, e_k . w = 0, w is perpendicular to e_k;
+the rotation of this kind that carries u to v has the axis e_k x (u - v).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.rigid import best_transform, centre, centre_of_sphere
 
 _TURNS = {"rx", "ry"}
-_STAY = 0.03  # weight of leaving the believed place by 1 m, against 1 m of a touch
+_STAY = 0.03  # weight of a distance from the believed place, over that of an equal error of a touch
 _FLAT = 1e-3  # width over length below which points lie on one line
 
 
@@ -39,7 +39,7 @@ class Touching(Protocol):
 
     @property
     def points_of_artefact(self) -> tuple[tuple[float, float, float], ...]:
-        """Points of one piece [m]; empty for places of their own."""
+        """Points of the artefact [m]; empty where each touched thing has a place of its own."""
 
     @property
     def ball(self) -> float:
@@ -50,7 +50,7 @@ class Touching(Protocol):
         """Radii of the spheres."""
 
     def radius_unknown(self, which: IntArray) -> IntArray:
-        """Return which unknown number is the radius of each sphere (n,), -1 for a known one, (n,)."""
+        """Return the index of the unknown that is the radius of each sphere (n,), (n,); -1 for a known radius."""
 
 
 def first_touches(touch: Touching, scene: Scene) -> Guess:
@@ -58,7 +58,7 @@ def first_touches(touch: Touching, scene: Scene) -> Guess:
 
     Args:
         touch: The instrument.
-        scene: What it touched, when.
+        scene: Readings, places, and poses of the links.
     """
     if touch.surface == "socket":
         return _sockets(touch, scene)
@@ -66,7 +66,7 @@ def first_touches(touch: Touching, scene: Scene) -> Guess:
 
 
 def _touched_things(scene: Scene) -> tuple[list[tuple[str, int]], IntArray]:
-    """Touched things, each once, as place and detail; and the index of the thing of each reading, (n,)."""
+    """Touched things, each once, as (place, detail), and the index of the thing that each reading touched, (n,)."""
     which = scene.readings.details[:, 0].astype(np.intp)
     keys: dict[tuple[str, int], int] = {}
     pairs = zip(scene.readings.pairs.tolist(), which.tolist(), strict=True)
@@ -145,19 +145,19 @@ def _artefacts(
 
 
 def _homogeneous_places(touch: Touching) -> FloatArray:
-    """Each thing that is touched in its place, as homogeneous coordinates, (m, 4) [m]."""
+    """Position of each touched thing in its place, in homogeneous coordinates, (m, 4) [m]."""
     points = np.array(touch.points_of_artefact or [(0.0, 0.0, 0.0)] * len(touch.named))
     return np.column_stack([points, np.ones(len(points))])
 
 
 def _balls(scene: Scene) -> FloatArray:
-    """Where the ball's centre is believed to be at each reading, in the link of what it touches, (n, 3) [m]."""
+    """Believed centre of the ball at each reading, in the link of the touched thing, (n, 3) [m]."""
     centres = np.array([scene.places[b][:, 3] for _, b in scene.pairs])[scene.readings.pairs]
     return np.einsum("nij,nj->ni", scene.links, centres)[:, :3]
 
 
 def _moved_places(scene: Scene, names: list[str], positions: FloatArray) -> dict[str, FloatArray]:
-    """Poses of places with these positions, (m, 3) [m]."""
+    """Poses of places, moved to these positions, (m, 3) [m]."""
     places = {}
     for name, position in zip(names, positions, strict=True):
         places[name] = scene.places[name].copy()
@@ -190,8 +190,8 @@ def sockets_and_targets(
 
     Args:
         links: Link of the target seen from the link of the socket at each touch, (n, 4, 4) [m].
-        socket, target: Which of them touched, (n,).
-        sockets, targets: What is believed of them.
+        socket, target: Index of the socket and of the target at each touch, (n,).
+        sockets, targets: Their believed positions.
     """
     n_targets, n_sockets = int(targets.unknown.sum()), int(sockets.unknown.sum())
     target_column = np.cumsum(targets.unknown.ravel()).reshape(-1, 3) - 1
@@ -214,12 +214,12 @@ def sockets_and_targets(
 
 
 def posed_artefact(points: FloatArray, seen: FloatArray, now: FloatArray, held: int | None) -> FloatArray:
-    """Return the pose of an artefact, (4, 4) [m], from where its points are.
+    """Return the pose of an artefact, (4, 4) [m], from the positions of its points.
 
     Args:
-        points: In the artefact, (m, 3) [m].
-        seen: In the link that carries it, (m, 3) [m].
-        now: Pose that it is believed to have, which stands for what the points do not tell, (4, 4) [m].
+        points: Points in the frame of the artefact, (m, 3) [m].
+        seen: The same points in the link that carries it, (m, 3) [m].
+        now: Believed pose, kept where the points do not determine it, (4, 4) [m].
         held: Component of the rotation vector from `now` that stays zero where the points lie on a line.
     """
     result = now.copy()
@@ -253,8 +253,8 @@ def plane_through(points: FloatArray, now: FloatArray, radius: float, along: int
 
     Args:
         points: Their centres in the link of the plane, (n, 3) [m].
-        now: Pose that it is believed to have; its z axis points to the side of the balls, (4, 4) [m].
-        radius: Of the balls [m].
+        now: Believed pose; its z axis points to the side of the balls, (4, 4) [m].
+        radius: Radius of the balls [m].
         along: Axis of the link along which the plane may move; None: it stays.
         turns: Whether its normal is to be found.
     """

@@ -1,4 +1,4 @@
-"""What a fit shows beside its numbers: readings far off, patterns that noise does not make, what made the error.
+"""Findings about a fit: outliers, systematic patterns in the residuals, and an error budget.
 
 Each finding is a function of a fit, made at first use.
 """
@@ -24,14 +24,14 @@ from calib.core.judging.linear_fit import LinearFit
 from calib.core.numerics import linalg
 from calib.core.numerics.losses import StudentisedErrors
 
-_LEAST_FACTOR = 1e-3  # found over assumed noise of a group, over that of all, below which a group has none
+_LEAST_FACTOR = 1e-3  # ratio of found to stated noise of a group, relative to all, below which it has no noise
 
 
 @memoize
 def studentise_errors(fit: Fit) -> StudentisedErrors:
-    """Return how far off every reading is that was used; see `calib.core.numerics.losses`."""
+    """Return the studentised error of every reading that was used; see `calib.core.numerics.losses`."""
     factors, number = fit.statistics.factors.values, fit.rows.layout.group
-    # groups whose stated noise is off by different factors are judged by what each of them really has
+    # stated noise of groups may be wrong by different factors: each group is judged by its real noise
     relative = np.maximum(factors / _factor(fit), _LEAST_FACTOR)
     divisor = np.where(number >= 0, relative[number], 1.0)
     rows = replace(fit.rows, residuals=fit.rows.residuals / divisor)
@@ -40,7 +40,7 @@ def studentise_errors(fit: Fit) -> StudentisedErrors:
 
 @memoize
 def validation_studentised(fit: Fit) -> StudentisedErrors | None:
-    """Return how far off every reading is that was not used; None without them."""
+    """Return the studentised error of every reading that was not used; None if all were used."""
     rows = fit.validation_rows
     if rows is None:
         return None
@@ -52,7 +52,7 @@ def validation_studentised(fit: Fit) -> StudentisedErrors | None:
 
 
 def _factor(fit: Fit) -> float:
-    """Found over assumed noise, of all groups together."""
+    """Ratio of found to stated noise over all groups."""
     return max(float(np.sqrt(np.mean(fit.statistics.factors.values**2))), 1e-30)
 
 
@@ -75,7 +75,7 @@ def validation_outliers(fit: Fit) -> tuple[Outlier, ...]:
 def excluded_errors(fit: Fit) -> ErrorSet | None:
     """Return the errors of the readings that were left out as outliers, by the fit without them.
 
-    None where none were, or where the robot cannot be assembled at their visits.
+    None if none were left out, or if the robot cannot be assembled at their visits.
     """
     if fit.with_all is None:
         return None
@@ -88,7 +88,7 @@ def excluded_errors(fit: Fit) -> ErrorSet | None:
 
 @memoize
 def setting(fit: Fit) -> EffectSetting:
-    """Return what effects that the model may leave out are made of."""
+    """Return the data from which effects beside the model are computed."""
     return EffectSetting(fit)
 
 
@@ -113,7 +113,7 @@ def patterns(fit: Fit) -> tuple[Pattern, ...]:
 @memoize
 @one_blas_thread
 def changes(fit: Fit) -> tuple[Pattern, ...]:
-    """Return what surely changes in the course of the measurement, beside all that follows the values of joints.
+    """Return significant changes in the course of the measurement, beside effects that follow the values of joints.
 
     Where poses were measured in the order of their joint values, an error that follows a joint looks like a change. So
     errors that follow joints are parameters here.
@@ -134,9 +134,9 @@ def changes(fit: Fit) -> tuple[Pattern, ...]:
 @memoize
 @one_blas_thread
 def budget(fit: Fit) -> ErrorBudget | None:
-    """Return what made the error before, and what is left: of the readings that were not used, or of all there are.
+    """Return the error budget before and after the fit, of the readings that were not used, or else of all.
 
-    None where the robot cannot be assembled on the way from before to after.
+    None if the robot cannot be assembled at a step between before and after.
     """
     try:
         return error_budget(fit)

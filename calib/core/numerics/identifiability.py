@@ -1,22 +1,22 @@
-"""What the measurements can tell: the rank of the identification Jacobian, with the gap that shows it.
+"""The rank of the identification Jacobian, with the gap of singular values that shows it.
 
-Columns are scaled before anything is judged, so that metres and radians can be compared: by the parameters' sigma where
-it matters how far the target moves for an error of the expected size; to unit length where it only matters whether the
-target moves (`unit_columns`), because expected errors that are a million times apart would hide what is small. The
-Jacobian is exact to about 1e-12 of its largest entry, so singular values below 1e-9 of the largest are zero; the gap
-around that threshold is reported.
+Columns are scaled first, so that metres and radians can be compared. They are scaled by the parameters' sigma where it
+matters how far the target moves by an error of the expected size. They are scaled to unit length where it only matters
+whether the target moves (`unit_columns`), because sigmas that differ by a factor of a million would hide small columns.
+The Jacobian is exact to about 1e-12 of its largest entry, so singular values below 1e-9 of the largest count as zero.
+The gap around this threshold is reported.
 
-Which parameters to hold so that the rest is determined: the paper's elimination, made repeatable.
+The parameters to hold, so that the rest is determined, are found by the paper's elimination, made repeatable.
 
-While the Jacobian has more columns than rank, drop one: of all columns whose removal keeps the rank, the one that
-leaves the smallest condition number. The condition number of a matrix that is short of rank is rounding noise, so here
-it is taken over the non-zero singular values, largest over smallest.
+While the Jacobian has more columns than rank, one column is dropped: of all columns whose removal keeps the rank, the
+one that leaves the smallest condition number. The condition number of a matrix without full rank is rounding noise, so
+here it is the ratio of the largest to the smallest non-zero singular value.
 
-Which columns of a dependent group go is free: any valid choice spans the same space, so it predicts the same
-positions. The condition number only says which choice is stated with the least rounding, and it depends on how columns
-are scaled. A difference of less than a factor `TIE` therefore counts as a tie, and the robot description's
-`elimination_order` breaks it: the first name in it that ties goes. Where it names none of them, the smallest condition
-number decides, and among equal ones (to six digits, so that every machine agrees) the later parameter.
+Any column of a dependent group may be dropped: every valid choice spans the same space, so it predicts the same
+positions. The condition number only tells which choice has the least rounding, and it depends on the scales of columns.
+Therefore condition numbers within a factor `TIE` count as a tie. The robot description's `elimination_order` breaks it:
+the first tied name in it is dropped. Where it names none of them, the smallest condition number decides, and among
+equal ones (to six digits, so that every machine agrees) the later parameter is dropped.
 
 Reference: Joubair, Zhao, Bigras and Bonev 2015, section Identification.
 """
@@ -38,7 +38,7 @@ _INVERTED = 96  # columns of a triangle that LAPACK inverts as fast
 RANK_TOLERANCE = 1e-9
 """Singular values of the scaled Jacobian below this part of the largest count as zero."""
 CLEAR_GAP = 30.0
-"""Factor between the singular values around the threshold below which the rank is a matter of where that lies."""
+"""Factor between the singular values around the threshold, below which the rank depends on the threshold."""
 NO_EFFECT = 1e-7
 """Length of a column over that of the longest, in metres and radians, below which it is rounding."""
 TIE = 2.0
@@ -53,10 +53,10 @@ class Rank(ReadOnlyArrays):
     Attributes:
         rank: Number of singular values above the threshold.
         n_columns: Number of columns.
-        singular_values: Of the scaled Jacobian, largest first, (n_columns,); zeros where there are fewer rows.
+        singular_values: Those of the scaled Jacobian, largest first, (n_columns,); zeros where there are fewer rows.
         threshold: Largest singular value that counts as zero.
         smallest_kept: Smallest singular value above the threshold; NaN when the rank is 0.
-        largest_dropped: Largest one below it; 0 at full rank.
+        largest_dropped: Largest singular value below the threshold; 0 at full rank.
     """
 
     rank: int
@@ -100,9 +100,9 @@ class Rank(ReadOnlyArrays):
 def reduce_rows(rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
     """Return at most n_columns rows with the same singular values and null space: the R of a QR factorisation.
 
-    Of very many rows, R of some and the next ones takes the place of both, so that no copy of all is made. LAPACK's
-    `geqrt` works on blocks of columns throughout: on tall matrices it takes half to three quarters of the time of
-    `geqrf`, which NumPy calls.
+    Very many rows are reduced part by part: R takes the place of the rows so far, so that no copy of all is made.
+    LAPACK's `geqrt` works on blocks of columns throughout: on tall matrices it takes half to three quarters of the time
+    of `geqrf`, which NumPy calls.
 
     Args:
         rows: (n_rows, n_columns).
@@ -112,17 +112,17 @@ def reduce_rows(rows: FloatArray, right: FloatArray | None = None) -> FloatArray
 
 
 def extend_reduced(factor: FloatArray, rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
-    """Return what `reduce_rows` gives of rows below others.
+    """Return the result of `reduce_rows` after adding further rows.
 
     Args:
-        factor: What it gave of the others, (n, n_columns), with `right` (n, n_columns + 1).
+        factor: Result for the rows so far, (n, n_columns), or with `right` (n, n_columns + 1).
         rows: Further rows, (n_rows, n_columns).
-        right: One more column of these, (n_rows,).
+        right: One more column of the further rows, (n_rows,).
     """
     for start in range(0, len(rows), _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
         above = len(factor)
-        more = np.empty((above + len(rows[part]), factor.shape[1]), order="F")  # as LAPACK has it: not copied again
+        more = np.empty((above + len(rows[part]), factor.shape[1]), order="F")  # LAPACK's order: not copied again
         more[:above], more[above:, : rows.shape[1]] = factor, rows[part]
         if right is not None:
             more[above:, -1] = right[part]
@@ -147,14 +147,14 @@ def inverse_of_triangle(upper: FloatArray) -> FloatArray:
 
 
 def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Divide columns by their length; those that are rounding beside the longest become zero.
+    """Divide columns by their length; columns that are rounding errors of the longest one become zero.
 
     Args:
         columns: Derivatives by metres and radians, not scaled, (n_rows, n_columns).
 
     Returns:
-        The columns, each of length 1 or 0, and what each was divided by (as the longest, where it became zero, so that
-        rounding stays rounding), (n_columns,).
+        The columns, each of length 1 or 0, and the divisor of each, (n_columns,). Columns that became zero have the
+        divisor of the longest one, so that rounding stays rounding.
     """
     lengths = np.sqrt(np.einsum("ij,ij->j", columns, columns))  # numpy's norm would copy them twice
     longest = float(np.max(lengths, initial=0.0))
@@ -169,7 +169,7 @@ def numerical_rank(scaled_jacobian: FloatArray) -> Rank:
 
 
 def rank_of(singular_values: FloatArray, n_columns: int) -> Rank:
-    """Return the rank of a matrix with these singular values, (n,), largest first, and so many columns."""
+    """Return the rank of a matrix with these singular values, (n,), largest first, and `n_columns` columns."""
     values = np.zeros(n_columns)
     values[: len(singular_values)] = singular_values
     threshold = RANK_TOLERANCE * float(values[0]) if n_columns else 0.0
@@ -189,8 +189,8 @@ class Elimination:
     """A set of parameters to hold.
 
     Attributes:
-        dropped: Columns in the order in which they went.
-        conditions: Condition number that each left behind.
+        dropped: Columns in the order in which they were dropped.
+        conditions: Condition number after each was dropped.
     """
 
     dropped: tuple[int, ...]
@@ -219,7 +219,7 @@ def eliminate(scaled_jacobian: FloatArray, order: Sequence[int] = ()) -> Elimina
 
 
 def _conditions(factor: FloatArray, columns: list[int], rank: int, threshold: float) -> dict[int, float]:
-    """Condition number over the non-zero singular values after dropping each column that the rank can do without."""
+    """Condition number after dropping each column that the rank does not need, over non-zero singular values."""
     condition_of = {}
     for column in columns:
         rest = [other for other in columns if other != column]

@@ -1,16 +1,16 @@
-"""Singular values and eigenvalues of every finite matrix: numpy's functions, and where these fail, slower ones.
+"""Singular values and eigenvalues of every finite matrix: by numpy, or where it fails, by slower functions.
 
 numpy uses LAPACK's divide and conquer (`syevd`, `gesdd`, `gelsd`), the fastest method. It cuts a matrix of more than 25
 rows into halves and joins their eigenvalues by roots of a secular equation
 
-    1 + rho sum_i z_i^2 / (d_i - x) = 0        d: eigenvalues of both halves; z: what couples them
+    1 + rho sum_i z_i^2 / (d_i - x) = 0        d: eigenvalues of both halves; z: their coupling
 
-Where many eigenvalues are the same but for rounding (readings of x, y and z with a noise each leave three values, some
-60 times each), poles d_i of both halves nearly meet, couplings z_i are as small as rounding, and the search for a root
-between two poles may stop without it: `Eigenvalues did not converge`, of a finite symmetric matrix. Whether it does
-depends on the last digits, and so on the processor: OpenBLAS adds in another order on each family. QR iterations
-(`syev`, `gesvd`) have no such equation; they take some times longer. So each function here asks numpy first, and
-its answer stays as it is to the last bit; QR iterations answer for those matrices of a stack that failed.
+Many eigenvalues may be equal up to rounding: readings of x, y and z with a noise each leave three values, some 60 times
+each. Then poles d_i of both halves nearly meet, couplings z_i are as small as rounding, and the search for a root
+between two poles may fail: `Eigenvalues did not converge`, for a finite symmetric matrix. Whether it fails depends on
+the last digits, and so on the processor: OpenBLAS adds in another order on each family. QR iterations (`syev`, `gesvd`)
+have no such equation, but take some times longer. So each function here calls numpy first, and returns its result
+unchanged. QR iterations are used for those matrices of a stack for which numpy fails.
 
 Matrices up to 25 x 25 have QR iterations in numpy, too, so nothing is lost for stacks of small ones. LAPACK's QR and
 Cholesky factors, solutions and inverses take a fixed number of steps and cannot fail in this way: they are called as
@@ -57,8 +57,8 @@ def svd(matrix: FloatArray, full_matrices: bool = True) -> tuple[FloatArray, Flo
 
     Args:
         matrix: (..., m, n).
-        full_matrices: Whether vectors without a singular value are among them, (..., m, m) and (..., n, n); else there
-            are min(m, n).
+        full_matrices: Whether to return all vectors, (..., m, m) and (..., n, n), also those without a singular value;
+            else there are min(m, n).
     """
     return _first_or_second(
         lambda part: np.linalg.svd(part, full_matrices),
@@ -83,7 +83,7 @@ def lstsq(matrix: FloatArray, right: FloatArray, rcond: float | None = None) -> 
     Args:
         matrix: A, (m, n).
         right: b, (m,) or (m, k).
-        rcond: Part of the largest singular value below which one counts as 0; if not given, what rounding leaves.
+        rcond: Part of the largest singular value below which one counts as 0; if not given, that of rounding errors.
     """
     return solution_and_rank(matrix, right, rcond)[0]
 
@@ -119,7 +119,7 @@ def pinv(matrix: FloatArray, rcond: float = 1e-15, *, hermitian: bool = False) -
 
 
 def matrix_rank(matrix: FloatArray, *, hermitian: bool = False) -> IntArray:
-    """Return how many singular values of matrices are more than rounding leaves, (...).
+    """Return the number of singular values of matrices that are larger than rounding errors, (...).
 
     Args:
         matrix: (..., m, n).
@@ -150,7 +150,7 @@ def orth(matrix: FloatArray, rcond: float | None = None) -> FloatArray:
 
 
 def _first_or_second(first: Callable[..., Any], second: Callable[..., Any], matrix: FloatArray) -> Any:
-    """Return what the first method gives; where it fails, what it gives of each matrix, or the second method does."""
+    """Return the result of the first method; if it fails, treat each matrix alone, by the second method if need be."""
     try:
         return first(matrix)
     except np.linalg.LinAlgError:

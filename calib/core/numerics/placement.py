@@ -1,24 +1,24 @@
-"""Where the measurement frame and the measured points are, if they were not measured.
+"""Placement: poses of the measurement frame and positions of targets, if these are unknown.
 
 Problem. A link has the poses (R_i, t_i) in the robot's base link, and one of its points p was seen at m_i from a frame
-X = (R, t). With other points of the same or other links, and w_i readings each,
+X = (R, t). There may be several points, on the same or other links, and w_i readings of each. Minimise
 
-    sum w_i |R m_i + t - R_i p - t_i|^2   +   sum noise^2 |p - guess|^2 / sigma^2      shall be smallest.
+    sum w_i |R m_i + t - R_i p - t_i|^2   +   sum noise^2 |p - guess|^2 / sigma^2
 
-Method. For a given R this is linear in t and all p. Solved for them, what is left is linear in the nine entries of R,
-so that all poses shrink into ten rows: a quadratic function on the rotations, whatever the mechanism is. It may have
-several minima; damped Newton steps descend from each of the 60 rotations of the icosahedron, no rotation being more
-than 45 degrees away from one of them, and the lowest end is taken. Where sigma is given, the noise is found from the
-residuals. The more noise, the larger is the sum everywhere: where it is smallest now, it was no larger without noise.
-So only ends are descended from again that were lower then than the lowest one is now.
+Method. For a given R this is linear in t and all p. Once these are eliminated, the residuals are linear in the nine
+entries of R, so that all poses shrink into ten rows: a quadratic function of the rotation, whatever the mechanism is.
+It may have several minima. Damped Newton steps descend from each of the 60 rotations of the icosahedron (every rotation
+is within 45 degrees of one of them), and the lowest end is taken. Where sigma is given, the noise is found from the
+residuals. The sum grows with the noise at every rotation. So for a larger noise, the descent is repeated only from
+those ends that were lower without noise than the lowest end is now.
 
-What the poses cannot tell stays as near as it can to the guess: first the points (a link that never turns shows nothing
-of its point, one that turns about one axis does not tell the point's direction from that of X), then the rotation of X
-(points on one line, or all in one place). For that the distances to both count, too little to move what is known, and
-the last steps leave them out.
+What the poses do not determine stays near the guess. This concerns first the points: a link that never turns does not
+determine its point, and a link that turns about one axis only does not separate the point's direction from that of X.
+Then it concerns the rotation of X: points on one line, or all in one place. For this the distances to both guesses have
+weights too small to move what is determined, and the last steps leave them out.
 
-When it fails. It does not: what is undetermined is the guess, and callers that need to know count ranks
-(`calib.core.numerics.identifiability`). Noise alone can seem to tell a direction that the poses hardly show.
+When it fails. It always gives a result: what is undetermined is the guess. Callers that need to know this count ranks
+(`calib.core.numerics.identifiability`). Noise alone can make a direction look determined that the poses hardly show.
 """
 
 from __future__ import annotations
@@ -39,26 +39,26 @@ from calib.core.numerics.rigid import cross_matrices, rotations_by
 from calib.core.numerics.tall import slices
 
 _TURNS = cross_matrices(np.eye(3))  # [e_k]x
-_RANK = 1e-9  # turning of a link below which it tells nothing of its point [rad]
+_RANK = 1e-9  # turn of a link below which it does not determine its point [rad]
 _OPEN = 1e-6  # singular values below this part of the largest leave a rotation open
-_POINT_WEIGHT, _TURN_WEIGHT = 1e-5, 1e-7  # of the distances to the guesses, against the measurements
-_STILL = 1e-11  # step below which a descent has ended [rad]
+_POINT_WEIGHT, _TURN_WEIGHT = 1e-5, 1e-7  # weights of the distances to the guesses, relative to the measurements
+_STILL = 1e-11  # step below which a descent ends [rad]
 _SAME = 1e-6  # difference of rotations below which they are one minimum
 _ITERATIONS, _LAST_STEPS, _NOISE_ROUNDS = 80, 8, 20
-_RELATIVE, _ABSOLUTE = 1e-2, 1e-12  # change of the noise below which it is found: as a part of it, and in m
+_RELATIVE, _ABSOLUTE = 1e-2, 1e-12  # change of the noise at which its iteration ends: relative, and in m
 _SMALLEST = 1e-3  # extent of points below which the turn about them counts as open [m], times `_OPEN`
 
 
 @dataclass(frozen=True, eq=False)
 class MovingPoint:
-    """A point of a link that was seen in several poses of that link.
+    """A point of a link, measured at several poses of this link.
 
     Attributes:
         T_base_link: Poses of the link in the base link, (n, 4, 4) [m].
         measured: The point in the measurement frame, (n, 3) [m].
-        guess: Where it may be in its link, (3,) [m].
-        sigma: How far it may be from the guess along each axis: 0 where the guess is right, infinite where it says
-            nothing, (3,) [m].
+        guess: Expected position in its link, (3,) [m].
+        sigma: Standard deviation of the guess along each axis: 0 where it is exact, infinite where nothing is known,
+            (3,) [m].
     """
 
     T_base_link: FloatArray
@@ -69,12 +69,12 @@ class MovingPoint:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where the measurement frame and the points are.
+    """Pose of the measurement frame, and positions of the points.
 
     Attributes:
-        T_base_measurement: The measurement frame in the base link.
-        points: Each point in its link, (n_points, 3) [m].
-        rms: Root mean square distance between where the points were seen and where they are [m].
+        T_base_measurement: Pose of the measurement frame in the base link.
+        points: Position of each point in its link, (n_points, 3) [m].
+        rms: Root mean square distance between measured and computed points [m].
     """
 
     T_base_measurement: pin.SE3
@@ -94,11 +94,11 @@ def place(
 
     Args:
         points: The points, all seen in the same n poses.
-        counts: How many readings each pose is the mean of, (n,).
-        guess: Where the measurement frame may be in the base link.
-        frame_known: It is right; find the points alone.
-        rough_beyond: Root mean square error [m] from which the answer without distances to the guessed points will do.
-            No other has a smaller error.
+        counts: Number of readings whose mean is taken at each pose, (n,).
+        guess: Expected pose of the measurement frame in the base link.
+        frame_known: Whether the guess is exact, so that only the points are found.
+        rough_beyond: Root mean square error [m] beyond which the result without distances to the guessed points is
+            returned. No other result has a smaller error.
 
     Raises:
         DataError: No pose, values that are not finite, or shapes that differ.
@@ -140,13 +140,13 @@ def _check(point: MovingPoint, weights: FloatArray) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Rows A dp - M vec(R) + s, of as many rows as there are columns, with the same sum of squares as all of them.
+    """Rows A dp - M vec(R) + s: as many as columns, with the same sum of squares as the rows of all poses.
 
     Attributes:
         rows: [A M s], (n_rows, n_free + 10).
-        mean: What was taken off all rows because X's translation answers for it, (3, n_free + 10).
-        free: Which coordinates of the points are unknown, (n_points, 3).
-        sigma: Of those, (n_free,) [m].
+        mean: Part of all rows that X's translation absorbs, (3, n_free + 10); it is taken off.
+        free: Whether each coordinate of the points is unknown, (n_points, 3).
+        sigma: Standard deviations of the unknown coordinates, (n_free,) [m].
         weight: Root of the number of readings.
         extent: Root mean square distance of the measured points from their centre [m].
     """
@@ -188,7 +188,7 @@ def _system(points: Sequence[MovingPoint], weights: FloatArray, guess: pin.SE3, 
 
 
 def _plain_rows(points: Sequence[MovingPoint], free: BoolArray, part: slice) -> FloatArray:
-    """[A M s] of some readings of each point, (n_points, n, 3, n_free + 10), before anything is taken off."""
+    """[A M s] for some readings of each point, (n_points, n, 3, n_free + 10), before `mean` is taken off."""
     n_free = int(free.sum())
     rows = np.zeros((len(points), part.stop - part.start, 3, n_free + 10))
     for j, point in enumerate(points):
@@ -203,7 +203,7 @@ def _plain_rows(points: Sequence[MovingPoint], free: BoolArray, part: slice) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Reduced:
-    """The system solved for dp: dp = D vec(R) - d, and the rows that are left, F vec(R) - f."""
+    """The system solved for dp: dp = D vec(R) - d, and the remaining rows, F vec(R) - f."""
 
     D: FloatArray
     d: FloatArray
@@ -216,7 +216,7 @@ class _Reduced:
 
 
 def _eliminate_translation(system: _System, noise: float, weak: float = 0.0) -> _Reduced:
-    """Solve for dp, of equally good ones the smallest; `weak` is how much every |dp| counts at least."""
+    """Solve for dp, the smallest of equally good ones; `weak` is the least weight of every |dp|."""
     n_free = len(system.sigma)
     distances = np.zeros((n_free, n_free + 10))
     distances[:, :n_free] = np.diag(np.maximum(noise / system.sigma, weak))
@@ -239,7 +239,7 @@ class _Search:
 
     def __init__(self, system: _System, guess: FloatArray) -> None:
         self._system, self._guess = system, guess
-        self._ends: FloatArray | None = None  # of the first search, without noise, the lowest first
+        self._ends: FloatArray | None = None  # ends of the first search, without noise, the lowest first
         self._squares: FloatArray = np.zeros(0)
 
     def best_rotation(self, noise: float) -> FloatArray:
@@ -260,7 +260,7 @@ class _Search:
         return _finish_descent(self._system, noise, ends[np.argmin(squares)])
 
     def _rows(self, noise: float) -> FloatArray:
-        """Rows to minimise, in the form of `_descend`; distances to all guesses count a little."""
+        """Rows to minimise, in the form of `_descend`; distances to all guesses have small weights."""
         system = self._system
         searched = _eliminate_translation(system, noise, _POINT_WEIGHT * system.weight)
         turn = _TURN_WEIGHT * system.weight * max(system.extent, _SMALLEST)
@@ -269,7 +269,7 @@ class _Search:
 
 
 def _finish_descent(system: _System, noise: float, rotation: FloatArray) -> FloatArray:
-    """Return the rotation (3, 3) that a descent ended near, without the distances that count a little."""
+    """Return the rotation (3, 3) at the end of a descent, refined without the small weights of guesses."""
     exact = _eliminate_translation(system, noise)
     least = _OPEN * system.weight * _SMALLEST
     for _ in range(_LAST_STEPS):
@@ -281,7 +281,7 @@ def _finish_descent(system: _System, noise: float, rotation: FloatArray) -> Floa
 
 
 def _descend(rows: FloatArray, starts: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Minimise |rows [vec(R); -1]|^2 over rotations from all starts (n, 3, 3) at once; return ends, and it there (n,).
+    """Minimise |rows [vec(R); -1]|^2 over rotations from all starts (n, 3, 3) at once; return ends and minima (n,).
 
     With R exp(w), errors e and slope J, half of the sum has the gradient J^T e and the second derivative
 

@@ -1,13 +1,13 @@
-"""The prior of scaled parameters: each on its own, and some of them together.
+"""The prior of scaled parameters: independent for most of them, correlated for some.
 
-With u = (p - p_expected) / s, what is known before measuring is
+With u = (p - p_expected) / s, the prior is
 
     u_k ~ N(0, 1)            for every parameter that has a prior of its own
-    u_J ~ N(0, R)            for parameters J that are known together, with correlations R
+    u_J ~ N(0, R)            for parameters J whose priors are correlated, with correlations R
 
-which is P u ~ N(0, I): a unit row for each of the former, and L^-1 with R = L L^T for the latter. So priors stack with
-whitened readings (`calib.core.numerics.observability`). Where nothing is known together, as in nearly every fit,
-products with P are a choice of rows, and cost nothing.
+This is P u ~ N(0, I). P has a unit row for each independent prior, and rows L^-1 with R = L L^T for the parameters J.
+So priors stack with whitened readings (`calib.core.numerics.observability`). Without correlations, as in nearly every
+fit, a product with P is a choice of rows, and costs nothing.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Prior(ReadOnlyArrays):
     """Prior of scaled parameters.
 
     Attributes:
-        has: Which of them have a prior, those that are known together included, (n,).
-        together: Those that are known together, in rising order, (n_together,).
+        has: Whether each parameter has a prior, of its own or correlated, (n,).
+        together: Indices of parameters with correlated priors, ascending, (n_together,).
         correlations: R of the module docstring, (n_together, n_together).
     """
 
@@ -48,18 +48,18 @@ class Prior(ReadOnlyArrays):
 
     @property
     def root(self) -> FloatArray:
-        """A matrix whose product with normal numbers is such a u, (n, n); rows of parameters without a prior are 0."""
+        """Matrix whose product with standard normal z is a draw of u, (n, n); rows without a prior are 0."""
         root = np.diag(1.0 * self.has)
         root[np.ix_(self.together, self.together)] = np.linalg.cholesky(self.correlations)
         return root
 
     @cached_property
     def _precision(self) -> FloatArray:
-        """R^-1."""
+        """R^-1 of the module docstring."""
         return np.asarray(self._whitening.T @ self._whitening)
 
     def times(self, matrix: FloatArray) -> FloatArray:
-        """Return P matrix, (n_priors, ...), of a matrix or vector (n, ...)."""
+        """Return P times a matrix or vector (n, ...), (n_priors, ...)."""
         if not len(self.together):
             return matrix[self.has]
         return np.concatenate([matrix[self._own_prior_parameters], self._whitening @ matrix[self.together]])
@@ -77,7 +77,7 @@ class Prior(ReadOnlyArrays):
         return pull
 
     def add_to(self, matrix: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
-        """Return matrix + P^T P, (n, n), of u over their sizes (n,) if given; the matrix itself is used up."""
+        """Return matrix + P^T P, (n, n), for u over `sizes` (n,) if given; it overwrites the matrix."""
         over = np.ones(len(self.has)) if sizes is None else 1.0 / sizes
         matrix[self._own_prior_parameters, self._own_prior_parameters] += over[self._own_prior_parameters] ** 2
         if len(self.together):
@@ -86,17 +86,17 @@ class Prior(ReadOnlyArrays):
         return matrix
 
     def select(self, chosen: BoolArray | IntArray) -> Prior:
-        """Return that of some parameters, whatever the others are; a mask (n,), or places (k,)."""
+        """Return the marginal prior of the chosen parameters, by a mask (n,) or indices (k,)."""
         places = np.arange(len(self.has))[chosen]
         kept = np.flatnonzero(np.isin(places, self.together))
         number = np.searchsorted(self.together, places[kept])
         return Prior(self.has[places], kept, self.correlations[np.ix_(number, number)])
 
     def share(self, rows: FloatArray, squares: FloatArray) -> float:
-        """Return |P A|^2 of a matrix A, from its rows `together` (n_together, k) and the squares of all rows (n,)."""
+        """Return |P A|^2 for a matrix A, from its rows `together` (n_together, k) and the squares of all rows (n,)."""
         share = float(np.sum(squares[self._own_prior_parameters]))
         return share + float(np.sum((self._whitening @ rows) ** 2)) if len(self.together) else share
 
     def cost(self, u: FloatArray) -> float:
-        """Return |P u|^2, of u (n,)."""
+        """Return |P u|^2 for u (n,)."""
         return float(np.sum(self.times(u) ** 2))

@@ -1,25 +1,25 @@
-"""How large the noise is: scales of groups of rows, and an error shared by the rows of a pose, from the residuals.
+"""Size of the noise from the residuals: scales of groups of rows, and errors shared by the rows of a pose.
 
-Model. Rows y (whitened by what is stated) of a linear problem with priors, and
+Model. The rows y of a linear problem with priors are whitened by the stated noise. They have the
 
     covariance      V = S (I + sum of tau_j^2 h_j h_j^T) S        S = diag(s_g), h_j in units of the scaled rows
 
 with one h_j for each component of the offsets that instruments have at a pose (`calib.core.rows.rows`). s_g is 1
 for groups whose noise is stated; the other s_g and the tau_j are found by restricted maximum likelihood: with
-A = J^T V^-1 J + P and Q = V^-1 - V^-1 J A^-1 J^T V^-1, its stationary point has for every component V_i of V
+A = J^T V^-1 J + P and Q = V^-1 - V^-1 J A^-1 J^T V^-1, every component V_i of V has at the stationary point
 
     y^T Q V_i Q y = trace(Q V_i)
 
-so that each component is multiplied by the left side over the right one, again and again (Förstner's iteration). With
-one group this is sigma^2 = |r|^2 / (rows - effective parameters). Components stay positive; one that is not there
+Each component is repeatedly multiplied by the ratio of the left side to the right side (Förstner's iteration). With one
+group this is sigma^2 = |r|^2 / (rows - effective parameters). Components stay positive; a component that does not exist
 shrinks towards zero.
 
-Shared errors have to earn their place: they are taken only where they raise twice the restricted log-likelihood by more
-than chance does to one data set in a thousand (a chi-square of as many degrees of freedom as there are h_j). With the
-columns tau_j h_j as C, and its singular value decomposition C = U S V^T pose by pose, a function f of the covariance
-I + C C^T is I + U (f(1 + S^2) - 1) U^T.
+Shared errors must be significant: they are used only if they raise twice the restricted log-likelihood by more than
+chance does in one data set of a thousand (a chi-square with as many degrees of freedom as there are h_j). Let C have
+the columns tau_j h_j, with the singular value decomposition C = U S V^T pose by pose. Then a function f of the
+covariance I + C C^T is I + U (f(1 + S^2) - 1) U^T.
 
-When it fails. A group with fewer rows than parameters that it alone determines says nothing about its noise.
+When it fails. The noise of a group is undetermined if it has fewer rows than parameters that it alone determines.
 
 Reference: foerstner1979; patterson1971.
 """
@@ -40,8 +40,8 @@ from calib.core.numerics.linear_model import LinearModel
 
 _ROUNDS = 60
 _SETTLED = 1e-4
-_GONE = 0.03  # size of a shared error beside the scales below which one that falls is none
-_STANDS = 0.01  # relative change of a shared error at which it is found
+_GONE = 0.03  # size of a shared error, relative to the scales, below which a shrinking one is dropped
+_STANDS = 0.01  # relative change of a shared error at which its iteration ends
 
 
 def require_freedom(freedom: float, n_rows: int) -> None:
@@ -58,7 +58,7 @@ class SharedError:
 
     Args:
         columns: C, (n_rows, n_joints).
-        block: Of each row, (n_rows,).
+        block: Block of each row, (n_rows,).
     """
 
     def __init__(self, columns: FloatArray, block: IntArray) -> None:
@@ -130,8 +130,8 @@ class Components:
 
     Attributes:
         scales: s_g, (n_groups,).
-        shared: tau_j, (n_joints,); 0 for none.
-        log_likelihood: Restricted, up to a constant.
+        shared: tau_j, (n_joints,); 0 without a shared error.
+        log_likelihood: Restricted log-likelihood, up to a constant.
     """
 
     scales: FloatArray
@@ -145,9 +145,9 @@ def find_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Com
     Only the triangular factor of each group's rows is needed, so that a round costs next to nothing.
 
     Args:
-        model: The rows, whitened by what is stated.
+        model: The rows, whitened by the stated noise.
         start: Scales to start from, (n_groups,).
-        sought: Which are to be found, (n_groups,).
+        sought: Whether each scale is to be found, (n_groups,).
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
@@ -190,15 +190,15 @@ def find_components(
     block: IntArray,
     known: FloatArray | None = None,
 ) -> Components:
-    """Find the scales and, where they earn their place, errors shared by the rows of each block.
+    """Find the scales and, if they are significant, errors shared by the rows of each block.
 
     Args:
-        model: The rows, whitened by what is stated.
+        model: The rows, whitened by the stated noise.
         start: Scales to start from, (n_groups,).
-        sought: Which are to be found, (n_groups,).
-        columns: H0: derivative of the rows by the errors, whitened by what is stated, (n_rows, n_columns).
-        block: Of each row, (n_rows,).
-        known: About the sizes of errors that have earned their place already, 0 for the others, (n_columns,).
+        sought: Whether each scale is to be found, (n_groups,).
+        columns: Derivative H0 of the rows by the errors, whitened by the stated noise, (n_rows, n_columns).
+        block: Block of each row, (n_rows,).
+        known: Approximate sizes of errors that are known to be significant, 0 for the others, (n_columns,).
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
@@ -220,12 +220,12 @@ def find_components(
     guess = 0.5 * level / np.maximum(sizes, 1e-300) / np.sqrt(np.sum(new))
     tried = _with_shared(model, without.scales, sought, np.where(new, guess, without.shared), columns, block)
     earned = 2.0 * (tried.log_likelihood - without.log_likelihood) > needed
-    exact = np.any(tried.scales[sought] < EXACT)  # the same reading several times shares all it has
+    exact = np.any(tried.scales[sought] < EXACT)  # copies of one reading share all of their error
     return tried if earned and not exact else without
 
 
 def _rise(model: LinearModel, components: Components, columns: FloatArray, new: BoolArray, block: IntArray) -> float:
-    """About how much new errors can raise twice the log-likelihood: the sum of squares of their positive scores.
+    """Estimated rise of twice the log-likelihood by new errors: the sum of squares of their positive scores.
 
     The score of tau_j^2 at zero is half of (h_j^T Q y)^2 - trace(Q h_j h_j^T); correlations of scores are not negative.
     """
@@ -284,7 +284,7 @@ class _Root:
 
 
 def _solve_by_cholesky(model: LinearModel, rows: FloatArray) -> tuple[_Root, FloatArray]:
-    """Root of the covariance of rows [J y] and priors, by Cholesky's factors, which suffice here, and the step."""
+    """Root of the covariance from rows [J y] and priors, and the step; Cholesky's factors are accurate enough."""
     matrix = model.prior.add_to(rows[:, :-1].T @ rows[:, :-1])
     lower = np.linalg.cholesky(matrix)
     root = scipy.linalg.solve_triangular(lower, np.eye(len(matrix)), lower=True).T

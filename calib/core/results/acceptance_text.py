@@ -1,4 +1,4 @@
-"""What `calib verify` prints, and the same as data."""
+"""The text that `calib verify` prints, and the same content as data."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from calib.core.judging.repeatability import CONDITIONS, IsoFigure, conditions
 from calib.core.numerics.chances import FALSE_ALARM
 
 _SHOWN, _WIDTH = 5, 120  # changes; characters of a line
-_LARGEST = 1.0  # detectable size from which no linear model can look for a change [m or rad]
+_LARGEST = 1.0  # detectable size beyond which a change is too large for the linear model [m or rad]
 _SENTENCES = {
     "agrees": "AGREES: the robot is as accurate as its calibration claims",
     "drifted": "DRIFTED: one change of the robot explains the readings",
@@ -32,8 +32,8 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
 
     Args:
         acceptance: The judgement.
-        figures: Of ISO 9283.
-        missing: What they lack.
+        figures: Figures of ISO 9283.
+        missing: Reasons for missing figures.
     """
     data = acceptance.errors.data
     parts: list[str | Table] = [_SENTENCES[acceptance.verdict], *_errors(acceptance), *_drift(acceptance)]
@@ -61,7 +61,7 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
 
 
 def plan_report(changes: Sequence[Change], data: str, n: int) -> str:
-    """Return the smallest changes that n poses of a file will show as text."""
+    """Return as text the smallest changes that n poses of a file will show."""
     title = f"Smallest changes that {count_noun(n, 'pose')} of {data} show with a chance of {100 * POWER:.0f} %"
     return plain_text([title, _changes(changes, with_values=False)], _WIDTH, wrap=True).rstrip()
 

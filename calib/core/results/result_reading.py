@@ -36,11 +36,11 @@ def load(path: Path | str) -> Robot:
 
 
 def load_result(folder: Path | str, robot: Robot | None = None, *, failed_too: bool = False) -> LoadedResult:
-    """Load what `calib fit --out`, or `save`, wrote.
+    """Load a result folder of `calib fit --out`, or of `save`.
 
     Args:
         folder: The folder.
-        robot: The nominal robot to take the values of the result; that of the folder if not given.
+        robot: The nominal robot that gets the values of the result; the one in the folder if not given.
         failed_too: Whether to load a result that failed and was not forced, to look at it.
 
     Raises:
@@ -77,7 +77,7 @@ def load_result(folder: Path | str, robot: Robot | None = None, *, failed_too: b
 
 
 def read_content(folder: Path | str) -> dict[str, Any]:
-    """Return what `result.json` of a folder says, as the fit wrote it.
+    """Return the content of `result.json` in a folder, as the fit wrote it.
 
     Raises:
         DataError: The folder holds no result, or a damaged one.
@@ -88,7 +88,7 @@ def read_content(folder: Path | str) -> dict[str, Any]:
 
 
 def forced_lines(folder: Path | str) -> list[str]:
-    """Return what an exported file must say about the result that it comes from: nothing, unless that failed."""
+    """Return the lines that an exported file must have about its result: none, unless the result failed."""
     verdict = read_content(folder)["verdict"]
     if verdict["grade"] != "FAIL":
         return []

@@ -1,8 +1,8 @@
 """Instruments and places of a robot description: what is measured, from which frames, in which setups.
 
-Without `instruments`, the position of every target is measured: that is the position kind, written short. A place
-(measurement frame, target, or one of an instrument) that was moved or remounted between two setups is, from then on,
-a place of its own; where an instrument looks in setup s is its pair of frames with each replaced by the one of s.
+Without `instruments`, the position of every target is measured: this is short for the kind `position`. A place
+(measurement frame, target, or a place of an instrument) that was moved between two setups is a new place from then on.
+In setup s, an instrument looks from and at the same two frames, each replaced by its latest new place.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from calib.core.instruments.position import Position
 from calib.core.robots.description import Description
 
 MEASUREMENT_FRAME = "measurement frame"
-"""Name of the place that `base` describes, among places."""
+"""Name of the place that `base` describes."""
 _TARGETS_GROUP = "targets"
 
 
@@ -30,7 +30,7 @@ def instruments_of(description: Description, where: str) -> tuple[Instrument, ..
         where: Its file, for messages.
 
     Raises:
-        DescriptionError: An instrument looks at a target that does not exist, or a column belongs to two of them.
+        DescriptionError: An instrument looks at a target that does not exist, or two instruments have the same column.
     """
     if not description.instruments:
         noise = Noise((PartNoise.from_sigma(description.sigma, 3),))
@@ -66,7 +66,7 @@ def _check_columns(description: Description, instruments: tuple[Instrument, ...]
 
 
 def places_of(description: Description, instruments: tuple[Instrument, ...], where: str) -> tuple[Place, ...]:
-    """Return the measurement frame, the targets, the places of instruments, and their later selves in other setups.
+    """Return the measurement frame, the targets, the places of instruments, and the new places of later setups.
 
     Raises:
         DescriptionError: Two places have one name, or a setup names one that does not exist.
@@ -115,7 +115,7 @@ def _later(place: str, setup: str) -> str:
 
 
 def _place_in_setup(description: Description, place: str, setup: str) -> str:
-    """The place as it is in a setup: its latest self."""
+    """Name that a place has in a setup: the one of its latest move."""
     current = place
     for name, moved in description.setups.items():
         if place in [_key(key) for key in moved]:

@@ -1,4 +1,4 @@
-"""From commanded to actual joints: the terms of a robot's joint errors, and the one door through which they enter."""
+"""From commanded to actual joints: the joint terms of a robot, and the only place where they are added."""
 
 from __future__ import annotations
 
@@ -21,17 +21,16 @@ from calib.core.robots.terms.terms import TERMS
 from calib.core.robots.urdf.text import UrdfJoint, UrdfText
 
 _COMMAND_ROUNDS = 50
-_COMMANDED = 1e-10  # by which a joint may still be off its command [m or rad]
-_STANDS = 1e-14  # a command that changes by less stands [m or rad]
+_COMMANDED = 1e-10  # largest distance of a joint from its goal at the end [m or rad]
+_STANDS = 1e-14  # the iteration ends once all joints are nearer to their goals [m or rad]
 
 
 def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, where: str) -> tuple[JointTerm, ...]:
     """Build the joint terms of a description.
 
     Raises:
-        DescriptionError: An unknown joint, a sigma of another dimension, an entry that does not fit its joint, a
-            payload at a frame that there is not, or that no joint moves, or gravity in a frame or setup that there is
-            not.
+        DescriptionError: A joint is unknown, a sigma has another dimension, an entry does not fit its joint, the frame
+            of the payload does not exist or does not move, or a frame or setup of gravity does not exist.
     """
     check_gravity(description, mechanism, where)
     if description.payload is not None and description.payload not in mechanism.frames:
@@ -73,20 +72,20 @@ def _term(section: TermSection, name: str, joint: UrdfJoint, mechanism: Mechanis
 
 
 def driven_by(term: JointTerm, mechanism: Mechanism) -> list[int]:
-    """Return of which of the driven joints the errors depend on a term."""
+    """Return the indices of the driven joints whose errors depend on a term."""
     return [mechanism.driven.index(name) for name in term.driven_joint_names(mechanism.dimensions)]
 
 
 def columns_of_terms(
     terms: tuple[JointTerm, ...], mechanism: Mechanism, q: FloatArray, context: Context
 ) -> tuple[FloatArray, ...]:
-    """Return phi of each term for each joint that it moves, (n, n_moved, n_coefficients) each; 0 if it does not add.
+    """Return phi of each term for each joint that it moves, (n, n_moved, n_coefficients) each; 0 for other terms.
 
     Args:
         terms: The terms.
         mechanism: The robot.
         q: Commands, (n, n_actuated) [m or rad].
-        context: Their conditions.
+        context: Conditions of the commands.
     """
     columns = []
     for term in terms:
@@ -171,14 +170,14 @@ def actual_joints(robot: RobotData, q: FloatArray, columns: tuple[FloatArray, ..
 def commands_for(robot: RobotData, actual: FloatArray, context: Context | None = None) -> FloatArray:
     """Return the commands at which the actuated joints are at `actual`, (n, n_actuated) [m or rad].
 
-    q = actual - dq(q) is repeated until it stands; joint errors change so little with q that each round gains
-    digits. Where they change much, as where backlash changes its side, a round that gains nothing is taken back,
-    and the next one goes half as far. NaN where that comes to no end: a joint that falls from one side of its play
-    to the other is nowhere between.
+    q = actual - dq(q) is iterated until it converges. Joint errors change so little with q that each round gains
+    digits. Where they change much, as where backlash changes its side, a round that gains nothing is taken back, and
+    the next step is half as long. The result is NaN where this does not converge: a joint that falls from one side of
+    its play to the other cannot be between them.
 
     Args:
-        actual: What they shall be; where all driven joints are given, (n, n_driven), the others do not count.
-        context: Under which conditions.
+        actual: Values to reach; where all driven joints are given, (n, n_driven), only the actuated ones count.
+        context: Conditions of the commands.
     """
     n_actuated = len(robot.joint_names)
     goal = q = np.array(actual[:, :n_actuated])

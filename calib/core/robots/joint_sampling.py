@@ -1,8 +1,8 @@
-"""Joint values at random in a box of joint limits, of those that a robot can take.
+"""Random joint values within joint limits that the robot can reach.
 
-A closed-loop robot can take only part of its joint limits, sometimes a small one. The box of the limits is therefore
-drawn in towards home, by a third each time, until enough of the values in it are taken. Where targets must stay in a
-range, nothing is drawn in, since home may lie outside; values are tried until enough are taken.
+A closed-loop robot can reach only a part of the box of its joint limits, sometimes a small one. Therefore the box is
+shrunk towards home, by a third each time, until enough of the values in it are usable. Where targets must stay in a
+range, the box is not shrunk, since home may be outside of the range; values are tried until enough are usable.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.urdf.text import UrdfText
 
 Ranges = Mapping[str, tuple[float, float]]
-"""From and to, by the names of joints and of coordinates of targets such as `tool_x` [SI]."""
+"""Lower and upper limit, by name of a joint or of a coordinate of a target such as `tool_x` [SI]."""
 TRIES = 4
-"""Values tried for each one wanted, in each box."""
+"""Number of values tried in each box, for each requested value."""
 _DRAWN_IN = 2.0 / 3.0
-_SMALLEST_BOX = 0.01  # of the joint limits
-_ROUNDS = 50  # of tries where targets must stay in a range
+_SMALLEST_BOX = 0.01  # size of the smallest box, over the joint limits
+_ROUNDS = 50  # rounds of trials where targets must stay in a range
 _AT_ONCE = 2**15  # values tried at once
 _LONGEST = 1e3  # stroke of a sliding joint [m]
 _MOST_TURNS = 10
 
 
 def validate_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
-    """Return the ranges; an unknown name, or one that is no range, is an `InputError`."""
+    """Return the ranges; raise `InputError` for an unknown name or a range that is not valid."""
     for name, span in within.items():
         if name not in known:
             raise InputError(f"within: no joint or coordinate '{name}'{nearest(name, known)}")
@@ -47,21 +47,21 @@ def joint_box(
 ) -> tuple[FloatArray, FloatArray]:
     """Return joint limits; a turning joint without them, or with very wide ones, gets half a turn to each side of home.
 
-    Joints that have a range get that, as far as it is inside their limits.
+    Joints with a range get this range, as far as it is inside their limits.
 
     Args:
         mechanism: The robot.
-        urdf: Its limits.
-        home: Actuated joints, (n_actuated,) [m or rad].
-        ranges: Checked.
-        path: What to call the robot.
+        urdf: The URDF with its limits.
+        home: Home of the actuated joints, (n_actuated,) [m or rad].
+        ranges: Ranges that are valid.
+        path: Name of the robot in messages.
 
     Returns:
         Lower and upper, (n_actuated,) each [m or rad].
 
     Raises:
-        InputError: A range outside the limits of its joint.
-        DataError: A sliding joint has no limits, or some joint none that it can move between.
+        InputError: A range is outside the limits of its joint.
+        DataError: A prismatic joint has no limits, or the limits of a joint leave no room to move.
     """
     joints = {joint.name: joint for joint in urdf.joints}
     still = [name for name in mechanism.actuated if name not in ranges and not joints[name].moves]
@@ -102,15 +102,15 @@ def draw_spread(
     *,
     draw_in: bool,
 ) -> FloatArray:
-    """Return up to `count` values at random in a box, fewer where too few are taken; see the module docstring.
+    """Return up to `count` random values in a box, fewer if too few are usable; see the module docstring.
 
     Args:
-        count: How many.
-        rng: Random numbers.
+        count: Number of values.
+        rng: Generator of random numbers.
         box: Lower and upper, (n_actuated,) each [m or rad].
-        home: What the box is drawn in to, (n_actuated,) [m or rad].
-        usable: Says which of joint values (n, n_actuated) are taken, as indices.
-        draw_in: Whether the box is drawn in.
+        home: Centre towards which the box is shrunk, (n_actuated,) [m or rad].
+        usable: Function that returns the indices of usable joint values among (n, n_actuated).
+        draw_in: Whether the box is shrunk.
 
     Returns:
         (n, n_actuated) [m or rad].

@@ -1,13 +1,13 @@
-"""How well positions are known in the frame in which they are reported.
+"""Uncertainty of positions, in the frame in which they are reported.
 
-Where some instrument looks from a known place, that is the measurement frame. Where none does, the base and all that
-measures stand anywhere, and readings may hardly tell where: distances from unknown points leave the base to its priors,
-millimetres of them, and nothing that the robot does is a millimetre off. Then positions are reported in the robot's own
-base frame, laid where positions agree best over the poses measured.
+If an instrument stands at a known place, this is the measurement frame. Otherwise the places of base and instruments
+are unknown, and the readings may hardly determine them. Distances from unknown points, for example, leave the place of
+the base to its priors, with an uncertainty of millimetres, although no motion of the robot is uncertain by as much.
+Then positions are reported in the robot's own base frame, placed where positions agree best over the measured poses.
 
-With J the derivative of positions by the free parameters and C their covariance, d the error of the parameters and z(d)
-the motion of all positions as one body that follows it best over those poses (`calib.core.rows.common_motion`), the
-covariance reported is that of J d - A z(d). Where the measured point is on its link counts in either frame.
+Let J be the derivative of positions by the free parameters, d the error of the parameters, and C its covariance. Let
+A z(d) be the motion of all positions as one body that fits J d best over these poses (`calib.core.rows.common_motion`).
+The reported covariance is the covariance of J d - A z(d). The place of the target on its link counts in either frame.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from calib.core.rows.known_robot import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UncertaintyJacobian
 
 OWN_FRAME = "in the robot's own base frame, because no instrument stands at a known place"
-"""Which frame it is where that is not the measurement frame."""
+"""Name of the frame of the report if it is not the measurement frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReportedUncertainty(ReadOnlyArrays):
-    """A calibrated robot, and how well its positions are known.
+    """A calibrated robot, and the uncertainty of its positions.
 
     Attributes:
         robot: The robot.
-        uncertainty: How well its parameters are known.
-        motion: Common motion that does not count; None in the measurement frame.
+        uncertainty: Uncertainty of its parameters.
+        motion: Common motion of all positions, which is taken off; None in the measurement frame.
     """
 
     robot: Robot
@@ -47,12 +47,12 @@ class ReportedUncertainty(ReadOnlyArrays):
     @staticmethod
     @one_blas_thread
     def from_robot(robot: Robot, uncertainty: ParameterUncertainty, joints: FloatArray) -> ReportedUncertainty:
-        """Return how well the positions of a calibrated robot are known.
+        """Return the uncertainty of a calibrated robot's positions, as reported.
 
         Args:
             robot: The robot.
-            uncertainty: How well its parameters are known.
-            joints: Of the visits that it was calibrated from, (n, n_actuated) [m or rad].
+            uncertainty: Uncertainty of its parameters.
+            joints: Commands of the visits that it was calibrated from, (n, n_actuated) [m or rad].
         """
         loose = replace(UnknownPlaces.from_robot(robot), points=(), frames=())
         if not loose.base:
@@ -63,7 +63,7 @@ class ReportedUncertainty(ReadOnlyArrays):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Say in which frame it is reported, where that is not the measurement frame."""
+        """A sentence on the frame of the report, if it is not the measurement frame."""
         return () if self.motion is None else (f"the uncertainty of predicted positions is given {OWN_FRAME}",)
 
     def predict(
@@ -73,9 +73,9 @@ class ReportedUncertainty(ReadOnlyArrays):
 
         Args:
             q: Commands, (n_poses, n_actuated) [m or rad].
-            context: Under which conditions they are given; joint terms may depend on it.
+            context: Conditions of the commands; joint terms may depend on them.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
-            turns: Whether the covariance of the orientations is wanted.
+            turns: Whether to compute the covariance of the orientations as well.
 
         Raises:
             UnreachablePoseError: A loop stays open.
@@ -87,6 +87,6 @@ class ReportedUncertainty(ReadOnlyArrays):
 
     @cached_property
     def _common(self) -> Callable[[UncertaintyJacobian], FloatArray]:
-        """The common motion that follows what is uncertain."""
+        """Function that gives the common motion by errors of the parameters."""
         assert self.motion is not None
         return following_motion(self.motion, self.robot, self.uncertainty)

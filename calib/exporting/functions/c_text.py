@@ -32,8 +32,8 @@ def c_text(facts: RobotFacts, lines: Sequence[str]) -> str:
     """Return the file.
 
     Args:
-        facts: Of the robot.
-        lines: What it says of where the numbers come from.
+        facts: Facts of the robot.
+        lines: Comments on the origin of the numbers.
     """
     parts = [_comment(facts, lines), _sizes(facts), template("c_types"), _tables(facts)]
     parts += [template(name) for name in ("c_code", "c_loops", "c_joints", "c_doors")]
@@ -42,7 +42,7 @@ def c_text(facts: RobotFacts, lines: Sequence[str]) -> str:
 
 
 def c_name(name: str) -> str:
-    """Return what the names in C begin with, made from a robot's name."""
+    """Return the prefix of names in C, made from a robot's name."""
     plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
     return plain if plain and not plain[0].isdigit() else f"robot_{plain}".rstrip("_")
 
@@ -111,7 +111,7 @@ def _tables(facts: RobotFacts) -> str:
 
 
 def _errors(facts: RobotFacts) -> list[str]:
-    """Tables of the joint errors; what is empty has one entry that nothing looks at."""
+    """Tables of the joint errors; an empty table has one entry that is not used."""
     text = []
     for k, wave in enumerate(facts.waves):
         text += [_array(f"double @_sine_{k}[]", wave.sine), _array(f"double @_cosine_{k}[]", wave.cosine)]
@@ -130,7 +130,7 @@ def _errors(facts: RobotFacts) -> list[str]:
 
 
 def _tree(name: str, tree: FunctionTree) -> str:
-    """Tables of a tree, and the tree."""
+    """The tables that a tree points to, then the tree."""
     joints = [
         f"{{{joint.before}, {int(joint.slides)}, {joint.coordinate}, {_number(joint.factor)}, {_number(joint.offset)},"
         f" {_list(_columns(joint.placement))}}}"

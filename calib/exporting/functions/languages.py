@@ -1,4 +1,4 @@
-"""Writing a robot as a function: one file that computes tool poses from commands, and needs nothing else."""
+"""A robot as a function: one file that computes tool poses from commands, without this package."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from calib.core.robots.robot import Robot
 LANGUAGES = ("numpy", "c", "jax", "torch", "casadi")
 """C, and libraries of Python."""
 COMMENTS = {"c": "//"}
-"""How comments of a language begin, where that is not as in Python."""
+"""Beginning of a comment in languages other than Python."""
 
 
 def function_file(robot: Robot, language: str, lines: Sequence[str]) -> bytes:
@@ -19,13 +19,13 @@ def function_file(robot: Robot, language: str, lines: Sequence[str]) -> bytes:
     Args:
         robot: The robot, with its current values.
         language: One of `LANGUAGES`.
-        lines: What the file says of where the numbers come from.
+        lines: Comments on the origin of the numbers.
 
     Raises:
-        InputError: `why_none` says why there is none, or nothing moves the robot's target.
+        InputError: `why_none` gives a reason, or nothing moves the robot's target.
         ComputationError: No configuration is known at which the loops close.
     """
-    # here, so that commands that only know the names of formats do not load these writers
+    # imported here, so that commands that only need the names of formats do not load these writers
     from calib.exporting.functions.c_text import c_text
     from calib.exporting.functions.facts import facts_of
     from calib.exporting.functions.python_text import python_text
@@ -38,7 +38,7 @@ def function_file(robot: Robot, language: str, lines: Sequence[str]) -> bytes:
 
 
 def why_none(robot: Robot) -> str:
-    """Return why no function can be written of a robot, in words; empty: one can."""
+    """Return in words why a robot cannot be written as a function; empty if it can."""
     whole = next((loop for loop in robot.mechanism.loops if loop.full_pose), None)
     if whole is not None:
         return f"loop {whole.name} is of type 6d, which functions cannot close; describe it with closures of type 3d"

@@ -1,4 +1,4 @@
-"""`calib board`: a board to print; and how boards are given to commands."""
+"""`calib board`: a board to print; and the options by which other commands get a board."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _HELP = (
     " aruco:4x3:40mm:10mm:DICT_4X4_50, apriltag:4x3:40mm:10mm (markers, side, gap)."
 )
 board_option = click.option("--board", required=True, metavar="FILE|TEXT", help=_HELP)
-"""The option that says which board it is."""
+"""Option for a board that a command needs."""
 board_if_any = click.option("--board", metavar="FILE|TEXT", help=_HELP)
-"""The same where a command may do without."""
+"""Option for a board that a command can do without."""
 
 
 def read_board_option(text: str) -> Board:

@@ -76,7 +76,7 @@ def command(
 def detect_board(
     board: Board, photographs: Sequence[Shot], output: Output, *, pictures: bool
 ) -> tuple[Detection, list[bytes]]:
-    """Find a board in images, telling of each that has none; return small copies too, if they are wanted.
+    """Find a board in images, and report each image without one; return small copies as well, if requested.
 
     Raises:
         InputError: There are no images.
@@ -111,7 +111,7 @@ def nothing_found(detection: Detection) -> DataError:
 
 
 def pixel_table(detection: Detection, photographs: Sequence[Shot], columns: str) -> str:
-    """Return what was found as a table: one row for each point."""
+    """Return the detected points as a table, with one row for each point."""
     by_name = {shot.name: shot for shot in photographs}
     usable = detection.usable
     names, joints = joint_columns([by_name[image.name] for image in usable])
@@ -133,7 +133,7 @@ def _number(point: str) -> list[int]:
 
 
 def summary(detection: Detection) -> list[str]:
-    """Return in words what was found, and what is too little."""
+    """Return a summary of the detection in words, with what is insufficient."""
     usable, whole = detection.usable, len(detection.board.points())
     lines = [
         f"{count_noun(detection.n_points, 'point')} in {len(usable)} of {count_noun(len(detection.images), 'image')}"
@@ -169,7 +169,7 @@ def summary(detection: Detection) -> list[str]:
 
 
 def camera_rotation_spread(detection: Detection) -> FloatArray:
-    """Return how far the camera turned against the board, largest first, (3,) [rad]; NaN of fewer than three images."""
+    """Return the spread of camera rotations relative to the board, largest first, (3,) [rad]; NaN for < 3 images."""
     if len(detection.usable) < LEAST_IMAGES:
         return np.full(3, np.nan)
     nothing = np.tile(np.eye(4), (len(detection.usable), 1, 1))
@@ -177,12 +177,12 @@ def camera_rotation_spread(detection: Detection) -> FloatArray:
 
 
 def coverage(usable: Sequence[DetectedImage]) -> float:
-    """Return in which part of the image the board was seen."""
+    """Return the part of the image in which the board was seen."""
     return image_coverage(np.concatenate([image.pixels for image in usable]), usable[0].size) if usable else 0.0
 
 
 def content(detection: Detection) -> dict[str, object]:
-    """Return what was found as data."""
+    """Return the detection as data for JSON."""
     return {
         "board": detection.board.model_dump(exclude_none=True),
         "n_points": detection.n_points,

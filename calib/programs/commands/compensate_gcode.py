@@ -28,11 +28,11 @@ def compensate_gcode(
     harmless: Collection[str],
     tolerance_mm: float | None,
 ) -> None:
-    """Write a G-code program with which the calibrated robot goes where it says.
+    """Write a G-code program with which the calibrated robot goes where the given program says.
 
     Raises:
-        InputError: An option that cannot be.
-        DataError: Several targets, or a program that is not one of straight moves; with its line.
+        InputError: An option has a value that cannot be.
+        DataError: The robot has several targets, or the program has other moves than straight ones (names the line).
     """
     origin = np.array(_point(zero, "--zero") or (0.0, 0.0, 0.0))
     begin = _point(start, "--start")
@@ -71,7 +71,7 @@ def compensate_gcode(
 
 
 def _point(text: str | None, option: str) -> tuple[float, ...] | None:
-    """Read X,Y,Z in mm [m]."""
+    """Read X,Y,Z in mm, and return them in m."""
     if text is None:
         return None
     parts = text.split(",")

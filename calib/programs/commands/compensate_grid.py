@@ -14,12 +14,12 @@ from calib.programs.reaching.goals import Goals
 
 
 def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
-    """Write the table of corrections, and say how wrong interpolation in it is.
+    """Write the table of corrections, and report the error of interpolation in it.
 
     Args:
-        job: What to write.
-        program: Whose positions the table is for.
-        grid: --grid.
+        job: Robot, files and output of the command.
+        program: Program whose positions the table must cover.
+        grid: Value of --grid.
 
     Raises:
         InputError: A program of joints, or numbers of nodes that make no grid.

@@ -1,11 +1,11 @@
-"""What holds where a program moves: tools, frames and modes on all ways on which it can come there.
+"""Settings of a program (tools, frames, modes) at each of its moves, over all paths that lead to the move.
 
-A reader writes down each routine as steps: settings, moves, calls, branches and loops. A state says of each setting
-what it is; where two ways meet with different values, it is not known. States go along the ways until none changes:
-each step is taken again only when something there was found to be unknown, so the time is linear in the steps.
+A reader records each routine as steps: settings, moves, calls, branches and loops. A state holds the value of each
+setting. Where two paths meet with different values, the setting is unknown. States are propagated along the paths until
+none changes. A step is repeated only if one of its settings has become unknown, so the time is linear in the steps.
 
-A routine that runs at any time (a thread, an interrupt, an error handler) leaves what it sets
-unknown everywhere.
+A routine may run at any time (a thread, an interrupt, an error handler). The settings that it changes are unknown
+everywhere.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Unknown:
     """A setting that is not known.
 
     Attributes:
-        why: Why not.
-        whole: Whether this is a whole sentence, and not about the setting.
+        why: Reason.
+        whole: Whether the reason is a whole sentence; else the setting is its subject.
     """
 
     why: str
@@ -36,7 +36,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step of a routine: `change`, `move`, `label`, `jump`, `note_jump` (a jump or not) or `call`."""
+    """A step of a routine: `change`, `move`, `label`, `jump`, `note_jump` (a jump that may be left out) or `call`."""
 
     kind: str
     place: str = ""
@@ -49,7 +49,7 @@ class _Step:
 
 @dataclass
 class _Routine:
-    """Steps of a routine, and what is known of them."""
+    """Steps of a routine, and the states at them."""
 
     at_any_time: bool
     steps: list[_Step] = field(default_factory=list)
@@ -60,24 +60,24 @@ class _Routine:
 
     @property
     def final_state(self) -> State | None:
-        """State behind the last step; None as long as no return of the routine is known."""
+        """State after the last step; None as long as no return of the routine is known."""
         return self.states.get(len(self.steps))
 
     def state_at(self, at: int, state: State) -> State:
-        """Return what holds at a step when the program comes there with a state, on one way or on several."""
+        """Return the state at a step that a path reaches with `state`; where paths may meet, both are joined."""
         many = at in (0, len(self.steps)) or self.steps[at].kind in ("label", "call")
         return _join_states(self.states[at], state) if many and at in self.states else state
 
 
 @dataclass
 class Block:
-    """Branches or a loop that are open.
+    """Branches or a loop that are not closed yet.
 
     Attributes:
-        kind: The word that opened it.
-        line: Where.
+        kind: Word that opened it.
+        line: Line of this word.
         loop: Whether it is a loop.
-        end: Label behind it.
+        end: Label after it.
         again: Label of the next branch or round.
     """
 
@@ -92,23 +92,23 @@ class Flow:
     """A program as routines of steps.
 
     Args:
-        start: What holds at first, by setting.
+        start: First value of each setting.
     """
 
     def __init__(self, start: State) -> None:
         self.start = dict(start)
         self.routines: dict[str, _Routine] = {}
-        self._open: list[tuple[str, list[Block]]] = [("", [])]  # outside of all routines
+        self._open: list[tuple[str, list[Block]]] = [("", [])]  # outside of all routines at first
         self.routines[""] = _Routine(at_any_time=False)
         self._count = 0
 
-    # what a reader writes down
+    # steps that a reader records
 
     def begin(self, name: str, where: str = "", *, at_any_time: bool = False) -> None:
-        """Begin a routine, within the one that is open or not.
+        """Begin a routine, which may be inside of an open one.
 
         Raises:
-            DataError: There is one of this name.
+            DataError: There is a routine with this name.
         """
         if name in self.routines:
             raise DataError(f"{where}: '{name}' is declared twice; name each routine otherwise")
@@ -123,12 +123,12 @@ class Flow:
 
     @property
     def routine(self) -> str:
-        """Name of the routine that is open; empty outside of all."""
+        """Name of the open routine; empty outside of all routines."""
         return self._open[-1][0]
 
     @property
     def blocks(self) -> list[Block]:
-        """Branches and loops that are open, the innermost last."""
+        """Open branches and loops, the innermost last."""
         return self._open[-1][1]
 
     def _add(self, step: _Step) -> None:
@@ -141,15 +141,15 @@ class Flow:
         routine.steps.append(step)
 
     def change(self, keys: Iterable[str], change: Change) -> None:
-        """Note a step that changes these settings, or `EVERYTHING`."""
+        """Record a step that changes these settings, or `EVERYTHING`."""
         self._add(_Step("change", change=change, keys=frozenset(keys)))
 
     def note_setting(self, key: str, value: Hashable) -> None:
-        """Note that a setting becomes a value."""
+        """Record that a setting gets a value."""
         self.change([key], lambda state: {**state, key: value})
 
     def lose(self, why: str, keys: Iterable[str] = ()) -> None:
-        """Note that these settings, or all, are not known from here on."""
+        """Record that these settings, or all, are unknown from here on."""
         some = frozenset(keys)
 
         def change(state: State) -> State:
@@ -158,11 +158,11 @@ class Flow:
         self._add(_Step("change", change=change, keys=some or frozenset([EVERYTHING]), why=why))
 
     def move(self, at: int, move: Callable[[State | None], None]) -> None:
-        """Note a move at a place of the text; it is called in the end with the state there, None where none comes."""
+        """Record a move at a place of the text; `move` is called in the end with the state there, None if unreached."""
         self._add(_Step("move", move=move, at=at))
 
     def call(self, name: str, *, maybe: bool = False) -> None:
-        """Note a call of a routine, which may be left out."""
+        """Record a call of a routine; with `maybe` it may be left out."""
         over = self._new() if maybe else ""
         if maybe:
             self.note_jump(over)
@@ -171,15 +171,15 @@ class Flow:
             self.label(over)
 
     def label(self, name: str) -> None:
-        """Note a place that can be jumped to."""
+        """Record a label that can be jumped to."""
         self._add(_Step("label", name))
 
     def jump(self, name: str) -> None:
-        """Note a jump; `return` leaves the routine."""
+        """Record a jump; `return` leaves the routine."""
         self._add(_Step("jump", name))
 
     def note_jump(self, name: str) -> None:
-        """Note a jump that is taken or not."""
+        """Record a jump that may be left out."""
         self._add(_Step("maybe", name))
 
     def _new(self) -> str:
@@ -203,7 +203,7 @@ class Flow:
         self.label(self.blocks[-1].again)
 
     def pass_over(self) -> None:
-        """Note that the branch that begins here, or the rest of the loop, is taken or not."""
+        """Record that the branch that begins here, or the rest of the loop, may be left out."""
         block = self.blocks[-1]
         self.note_jump(block.end if block.loop else block.again)
 
@@ -217,15 +217,15 @@ class Flow:
         self.label(block.end)
 
     def leave_loop(self, *, again: bool = False) -> None:
-        """Note a jump out of the innermost loop, or to its next round."""
+        """Record a jump out of the innermost loop, or to its next round."""
         block = next((block for block in reversed(self.blocks) if block.loop), None)
         if block is not None:
             self.jump(block.again if again else block.end)
 
-    # what holds where
+    # states at the steps
 
     def follow(self) -> None:
-        """Follow all ways, and call every move with what holds there, in the order of the text."""
+        """Propagate states along all paths, then call every move with its state, in the order of the text."""
         for routine in self.routines.values():
             routine.calls &= set(self.routines)
         self._spread_keys()
@@ -250,7 +250,7 @@ class Flow:
                 self._arrive(name, 0, self._start)
         self._run()
         for name, routine in self.routines.items():
-            if 0 not in routine.states:  # called by none but one another
+            if 0 not in routine.states:  # routines that only call each other
                 self._arrive(name, 0, self._start)
                 self._run()
         moves = [
@@ -263,7 +263,7 @@ class Flow:
             move(state)
 
     def _spread_keys(self) -> None:
-        """Add to the settings of each routine those of what it calls."""
+        """Add to the settings of each routine the settings of the routines that it calls."""
         callers: dict[str, list[str]] = {name: [] for name in self.routines}
         for name, routine in self.routines.items():
             for callee in routine.calls:
@@ -277,7 +277,7 @@ class Flow:
                         work.append(caller)
 
     def _arrive(self, name: str, at: int, state: State) -> None:
-        """Come to a place with a state."""
+        """Merge a state into the state at a step; queue the step if this changes it."""
         routine = self.routines[name]
         together = routine.state_at(at, {**state, **self._loose})
         if together != routine.states.get(at):
@@ -290,7 +290,7 @@ class Flow:
             self._take_step(self._names[number], at)
 
     def _take_step(self, name: str, at: int) -> None:
-        """Go on from a step to those that can follow it, or behind all calls of a routine that ends here."""
+        """Propagate the state of a step to all next steps; at the end of a routine, go on after all of its calls."""
         routine = self.routines[name]
         if at == len(routine.steps):
             for caller in self._callers[name]:
@@ -310,7 +310,7 @@ class Flow:
             self._arrive(name, at + 1, after)
 
     def _state_after_call(self, name: str, at: int, callee: str, state: State) -> State | None:
-        """State behind a call; None as long as no return of the routine is known."""
+        """State after a call; None as long as no return of the routine is known."""
         routine = self.routines[callee]
         self._callers[callee].add((self._numbers[name], at))
         self._arrive(callee, 0, state)

@@ -1,7 +1,7 @@
 """Words of controllers and of G-code that change no target, tool, frame or mode of motion: see `harmless.txt`.
 
-They are those of the manufacturers' manuals that take the values of their arguments and set none of them. A name that
-is not there, and that the program does not declare, may change anything.
+Listed are words of the manufacturers' manuals that read their arguments and set none of them. A name that is neither
+listed nor declared in the program may change anything.
 """
 
 from __future__ import annotations
@@ -19,6 +19,6 @@ RAPID, RAPID_SETS, KRL, BAS_HARMLESS, BAS_FORMS, FANUC, FANUC_OPTIONS = (
     frozenset(word.upper() for word in LISTS[name])
     for name in ("RAPID", "RAPID SETS", "KRL", "BAS", "BAS FORMS", "FANUC", "FANUC OPTIONS")
 )
-"""In capitals, since case does not count. `RAPID_SETS` set some of their arguments, and nothing else; `FANUC_OPTIONS`
-stand behind the places of a motion and leave them where they are.
+"""The words are in capitals, since case does not count. Words of `RAPID_SETS` set some of their arguments, and nothing
+else. Words of `FANUC_OPTIONS` follow the targets of a motion and leave them unchanged.
 """

@@ -1,8 +1,8 @@
-"""Tools and bases of KRL: which are selected where.
+"""Tools and bases that are selected at each place of a KRL program.
 
-They are those of the inline forms (`FDAT_ACT` and a `BAS` behind it, or the spline's `STOOL2`, `SBASE`), of
-`BAS(#TOOL, ...)` and `BAS(#BASE, ...)`, or set in `$TOOL` and `$BASE`. `TOOL_DATA` and `BASE_DATA` stand in the
-controller's `$config.dat`, or in a table of frames.
+A program selects them by inline forms (`FDAT_ACT` and a `BAS` after it, or `STOOL2` and `SBASE` of a spline), by
+`BAS(#TOOL, ...)` and `BAS(#BASE, ...)`, or by an assignment to `$TOOL` and `$BASE`. `TOOL_DATA` and `BASE_DATA` are in
+the controller's `$config.dat`, or in a table of frames.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class KrlFrames(Reader):
 
     Args:
         sources: The `.src` file, and data lists.
-        frames: `TOOL_DATA[1]`, `BASE_DATA[2]`, ... that these do not set.
+        frames: Frames such as `TOOL_DATA[1]` and `BASE_DATA[2]` that the sources do not set.
         harmless: Routines of other files that set no data, tool or base, in capitals.
     """
 
@@ -51,11 +51,11 @@ class KrlFrames(Reader):
         super().__init__(codes, start, frames, KRL | set(harmless))
 
     def line_end(self, at: int) -> int:
-        """Return where the line of a word ends."""
+        """Return the index of the end of a word's line."""
         return self.code.line_end(at)
 
     def word(self, first: int, *words: str) -> int:
-        """Return the place of the next of these words in the line, or where the line ends."""
+        """Return the index of the next of these words in the line, or of the end of the line."""
         while self.code.tokens[first].kind != "end" and self.code.tokens[first].text not in words:
             first = self.code.partner[first] + 1
         return first
@@ -63,13 +63,13 @@ class KrlFrames(Reader):
     # numbers in braces
 
     def components(self, data: Data) -> dict[str, Span] | None:
-        """Return the places of the numbers in braces; None where these are not plain numbers."""
+        """Return the spans of the numbers in braces, by component; None if one is not a plain number."""
         code = self.codes[data.file]
         inside = code.bracket_content(*data.span, "{")
         if inside is None or data.span == NO_VALUE:
             return None
         left, right = inside
-        if right > left + 1 and code.is_mark(left + 1, ":"):  # the type may stand first
+        if right > left + 1 and code.is_mark(left + 1, ":"):  # the type may come first
             left += 2
         components = dict[str, Span]()
         for start, end in code.split(left, right):
@@ -86,10 +86,10 @@ class KrlFrames(Reader):
         return cells_at(self.sources[data.file], data.file, [components[name] for name in names], units)
 
     def pose_cells(self, data: Data) -> tuple[Number, ...] | None:
-        """Return the numbers of a pose; None where it is not six plain ones."""
+        """Return the numbers of a pose; None if it is not six plain numbers."""
         return self.cells(data, _POSE) if set(_POSE) <= set(self.components(data) or {}) else None
 
-    # what a tool or base is set to
+    # values of tools and bases
 
     def _frame_of(self, data: Data) -> Frame | None:
         cells = self.pose_cells(data)
@@ -104,7 +104,7 @@ class KrlFrames(Reader):
         return self.frame_named(self.code.text(*span), state)
 
     def frame_named(self, name: str, state: State) -> Frame | Unknown:
-        """Return the frame of a name."""
+        """Return the frame with this name."""
         shown, base = name if "[" in name else name.lower(), name.partition("[")[0]
         value, data = state.get(name), self.declared.get(name)
         if name in _NULL:
@@ -140,20 +140,20 @@ class KrlFrames(Reader):
     # statements that select
 
     def change(self, name: str, why: str = "is set while the program runs") -> None:
-        """Take in that data, or a frame, become other ones."""
+        """Process a change of data, or of a frame."""
         self.uses.note_change(name, why)
         self._select(name, None, why)
 
     def _select(self, name: str, value: Callable[[State], Hashable] | None, why: str = "") -> None:
-        """Note that a frame, or another name that something is set to, becomes a value."""
+        """Note that a frame, or another selecting name, gets a value; without `value`, it becomes unknown."""
         if name.partition("[")[0] in self._selecting:
             self.flow.change([name], lambda state: {**state, name: value(state) if value else Unknown(why)})
 
     def select_assigned(self, at: int, stop: int, equals: int) -> None:
-        """Take in what an assignment means for tool and base."""
+        """Process an assignment that may select tool or base."""
         code, word, line = self.code, self.code.tokens[at].text, self.code.line(at)
         number = code.number(at + 2, equals - 1) if code.is_mark(at + 1, "[") and equals > at + 3 else None
-        whole = code.partner[at + 1] + 1 if number else at + 1  # behind the element of an array
+        whole = code.partner[at + 1] + 1 if number else at + 1  # after the element of an array
         in_part = f"is set in part (line {line})"
         if word in ("$IPO_MODE", "FDAT_ACT"):
             text = code.text(equals + 1, stop)
@@ -169,7 +169,7 @@ class KrlFrames(Reader):
             self._select("DATA", None, f"is not known after {word} is set (line {line})")
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
-        """Take in a call of BAS, which selects tool and base."""
+        """Process a call of BAS, which selects tool and base; return whether the call is known."""
         name, code = self.code.tokens[at].text, self.code
         if name != "BAS":
             return name in self.harmless
@@ -187,10 +187,10 @@ class KrlFrames(Reader):
     def _complete_form(self, name: str, state: State) -> dict[str, Hashable]:
         return dict(zip(SELECTED, self._form(name, state), strict=True))
 
-    # what holds for one motion or spline
+    # selections for one motion or spline
 
     def spline(self, at: int, _: int) -> int:
-        """Begin a spline, with what holds for it alone behind WITH."""
+        """Begin a spline, with its own selections after WITH."""
         stop = self.line_end(at)
         self.save("of the program")
         self.read_with_clause(self.word(at, "WITH"), stop)
@@ -202,11 +202,11 @@ class KrlFrames(Reader):
         return self.line_end(at)
 
     def save(self, key: str) -> None:
-        """Take in that tool and base will be those from here again."""
+        """Save the selected tool and base under a key."""
         self.flow.change([key], lambda state: {**state, key: tuple(state[name] for name in SELECTED)})
 
     def restore(self, key: str) -> None:
-        """Take in that tool and base are those from before."""
+        """Restore the tool and base that were saved under a key."""
 
         def restored(state: State) -> State:
             saved = state.get(key)
@@ -216,7 +216,7 @@ class KrlFrames(Reader):
         self.flow.change(SELECTED, restored)
 
     def read_with_clause(self, first: int, stop: int) -> None:
-        """Take in what a motion or a spline sets for itself, behind WITH."""
+        """Process the selections of one motion or spline, after WITH."""
         code = self.code
         for left, right in code.split(first + 1, stop):
             name, line = code.tokens[left].text, code.line(left)

@@ -1,14 +1,14 @@
 """Targets of RAPID, the language of ABB.
 
-Read are the `robtarget` and `jointtarget` of `MoveL`, `MoveJ`, `MoveC`, `MoveAbsJ` and of instructions that move and do
-something beside (`MoveLDO`, `TriggL`, `ArcL`, `SpotL` ...), declared as constants, persistents or variables, one by
-one or in arrays, or written out. Tools (`tooldata`) and work objects (`wobjdata`) are those of the instruction,
-declared in the program, or in another module, or in a table of frames. Axis configurations count while `ConfL` and
-`ConfJ` are on.
+The reader finds each `robtarget` and `jointtarget` of `MoveL`, `MoveJ`, `MoveC`, `MoveAbsJ`, and of instructions that
+do something else while they move (`MoveLDO`, `TriggL`, `ArcL`, `SpotL` ...). They are declared as constants,
+persistents or variables, one by one or in arrays, or are written out. The instruction names its tool (`tooldata`) and
+work object (`wobjdata`), which are declared in the program, in another module, or in a table of frames. Axis
+configurations count while `ConfL` and `ConfJ` are on.
 
-Statements end with a semicolon; `IF c x := 1;` is one in one. Data that the program sets anywhere are no constants.
-Arguments are set by routines that get them as `INOUT`, `PERS`, `VAR` or `REF`, and by all that are declared nowhere
-here; those may also set all data that are not `LOCAL`.
+Statements end with a semicolon; `IF c x := 1;` is a statement within a statement. Data that the program sets anywhere
+are no constants. A routine may set the arguments that it gets as `INOUT`, `PERS`, `VAR` or `REF`. A routine that is not
+declared here may set any of its arguments, and all data that are not `LOCAL`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _MODES: dict[str, tuple[str, Unknown | None]] = {
     "EOFFSSET": ("EOFFS", _DISPLACED),
     "EOFFSOFF": ("EOFFS", None),
 }
-_NONE = 8e9  # external axes that are not there say 9E9
+_NONE = 8e9  # external axes that do not exist have 9E9
 _QUARTER = np.pi / 2
 
 
@@ -91,12 +91,12 @@ class RapidReader(RapidData):
     }
 
     def read(self, at: int = 0) -> None:
-        """Read all statements behind what a controller writes first: %%% ... %%%."""
+        """Read all statements after the header of a controller: %%% ... %%%."""
         marks = [at for at in range(len(self.code.tokens)) if self.code.is_mark(at, "%")][:6]
         super().read(marks[-1] + 1 if self.code.is_mark(0, "%") else at)
 
     def skip(self, at: int, behind: int) -> int:
-        """Go on behind a word or a statement; it may end branches that are one statement long."""
+        """Go on after a word or a statement, which may end branches of one statement."""
         if self.code.tokens[at].text == ";":
             self._close_compact()
         return behind
@@ -106,22 +106,22 @@ class RapidReader(RapidData):
             self.flow.close()
 
     def close(self, at: int, behind: int) -> int:
-        """End branches or a loop, and the branches of one statement that these were."""
+        """End branches or a loop, which may in turn end branches of one statement."""
         super().close(at, behind)
         self._close_compact()
         return behind
 
     def module(self, at: int, _: int) -> int:
-        """Go on behind the name of the module and its attributes."""
+        """Go on after the name of the module and its attributes."""
         return self.code.partner[at + 2] + 1 if self.code.is_mark(at + 2, "(") else at + 2
 
     def record(self, at: int, _: int) -> int:
-        """Go on behind the declaration of a type."""
+        """Go on after the declaration of a type."""
         end = len(self.code.tokens) - 1
         return next((k for k in range(at, end) if self.code.tokens[k].text == "ENDRECORD"), end) + 1
 
     def pass_statement(self, at: int, _: int) -> int:
-        """Go on behind the statement."""
+        """Go on after the statement."""
         return self.end(at)
 
     def begin_trap(self, at: int, _: int) -> int:
@@ -138,7 +138,7 @@ class RapidReader(RapidData):
         return self.code.partner[at + 1] + 1 if self.code.is_mark(at + 1, "(") else at + 1
 
     def declaration(self, at: int, _: int) -> int:
-        """Take in data that are declared."""
+        """Process a declaration of data."""
         code, stop = self.code, self.end(at + 1)
         kind, name = code.tokens[at + 1].text, at + 2
         local = (at > 0 and code.tokens[at - 1].text == "LOCAL") or bool(self.flow.routine)
@@ -155,7 +155,7 @@ class RapidReader(RapidData):
         return stop
 
     def if_(self, at: int, _: int) -> int:
-        """Begin branches; the condition ends where a word follows that can follow no value."""
+        """Begin branches; the condition ends before a word that cannot follow a value."""
         code, stop, value = self.code, at + 1, False
         while code.tokens[stop].kind != "end" and not code.is_mark(stop, ":="):
             token = code.tokens[stop]
@@ -176,14 +176,14 @@ class RapidReader(RapidData):
         return stop
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
-        """Take in a call of a routine of the language; some set their arguments."""
+        """Process a call of a routine of the language, which may set its arguments."""
         name = self.code.tokens[at].text
         if name in RAPID_SETS:
             self.note_arguments(span, f"is set by '{self.code.excerpt(at, at + 1)}'")
         return name in RAPID_SETS or name in self.harmless
 
     def statement(self, at: int, stop: int) -> None:
-        """Take in an assignment or an instruction."""
+        """Process an assignment or an instruction."""
         code, word = self.code, self.code.tokens[at].text
         equals = code.find_mark(at, stop, ":=")
         if code.tokens[at].kind != "name":
@@ -207,7 +207,7 @@ class RapidReader(RapidData):
             self.call(at, (at + 1, stop))
 
     def _move(self, word: str, at: int, stop: int) -> None:
-        """Take in an instruction that moves: arguments between commas, and options behind backslashes."""
+        """Process an instruction that moves: arguments between commas, and options after backslashes."""
         code, spans, options = self.code, list[Span](), dict[str, Span]()
         for first, last in code.split(at + 1, stop):
             end = code.find_mark(first, last, "\\")
@@ -227,7 +227,7 @@ class RapidReader(RapidData):
         self.flow.move(code.tokens[at].start, lambda state: self._targets(word, spans, options, state))
 
     def _call_named(self, at: int) -> None:
-        """Take in a call of a routine whose name is a text."""
+        """Process a call of a routine whose name is given as text."""
         name = self.code.tokens[at].text.strip('"').upper()
         if name in self.routines:
             self.flow.call(name)
@@ -249,7 +249,7 @@ class RapidReader(RapidData):
             )
 
     def _data(self, word: str, span: Span) -> Data:
-        """The numbers of a target that an argument is or names."""
+        """The data of a target that an argument writes out or names."""
         name = self.code.text(*span)
         if word.startswith("SEARCH"):
             raise LeftOutError("is where a search ends, not where the robot stops")
@@ -288,7 +288,7 @@ class RapidReader(RapidData):
         return self.target(data, cells, "quaternion", frame, tool, configuration)
 
     def _configuration(self, span: Span) -> Configuration:
-        """cf1, cf4, cf6: quarter turns of axes 1, 4 and 6; cfx: its bit 4 the side of axis 1, bit 2 that of the arm."""
+        """cf1, cf4, cf6 are quarter turns of axes 1, 4 and 6; bit 4 of cfx is the side of axis 1, bit 2 of the arm."""
         quarters = [round(value) for value in self.values(span, 4, "a configuration")]
         ranges = {joint: (q * _QUARTER, (q + 1) * _QUARTER) for joint, q in zip((0, 3, 5), quarters[:3], strict=True)}
         behind, elbow = bool(quarters[3] & 4), bool(quarters[3] & 2)

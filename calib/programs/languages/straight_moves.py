@@ -1,24 +1,24 @@
 """Straight moves for a controller that knows the nominal robot, cut so that the real one goes straight.
 
-A controller gets positions, makes of every point on the straight line between two of them joints by its nominal
-inverse kinematics, and thinks that the tool is there. With T the position that joints bring the tool to, the real tool
-is then at
+A controller gets positions. For every point on the straight line between two of them, it computes joint values by its
+nominal inverse kinematics, and assumes that the tool is there. With T the position of the tool at given joint values,
+the real tool is then at
 
     g(p) = T_calibrated( T_nominal^-1 (p) )
 
-So it gets p' with g(p') = p, which is exact at these points. Between them the controller goes straight in p', and
-the tool along g of that line, which bends by half the curvature of g^-1 times the square of the length. How far it is
-off is measured and not estimated: in the middle of every piece, and at three or more other points, one in every 2 mm, g
-is evaluated and compared with where the tool is meant to be at that moment. The points are not evenly spaced, so that
-no error that repeats along the way (a screw, a belt) hides between them. A move that is off by more than the tolerance
-is cut into more pieces, and all of them are measured again.
+So it is given p' with g(p') = p, which is exact at these points. Between them the controller moves straight in p', and
+the tool moves along the image of this line by g, which deviates by half the curvature of g^-1 times the square of the
+length. The deviation is computed, not estimated: in the middle of every piece, and at three or more other points, one
+in every 2 mm, g is compared with the programmed position. The points are not evenly spaced, so that no error that
+repeats along the path (a screw, a belt) hides between them. A move that deviates by more than the tolerance is cut into
+more pieces, and all of them are computed again.
 
-In which frame. That of the program (`calib.core.rows.frames`), with the tool where the description has it: that is
-the controller's. Where a calibration found its reflector and its tracker moves no point. Both sides are compared where
-the reflector is, on the real and on the nominal robot's link. Backlash counts as the mean
-of both directions, since a path may turn anywhere. Where nothing is to be corrected, all moves stay as they are.
+Frame. Points are in the frame of the program (`calib.core.rows.frames`), with the tool of the description, which is the
+controller's. The places of reflector and tracker that a calibration found move no point. Real and nominal robot are
+compared at the reflector on their links. Backlash counts as the mean of both directions, since a path may turn
+anywhere. Where nothing is to be corrected, all moves stay as they are.
 
-When it fails. Near a singular pose g bends so much that no pieces are short enough: an error that names the move.
+When it fails. Near a singular pose g bends so much that no pieces are short enough: an error names the move.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _MEASURED_EVERY = 2e-3  # along a piece [m]
 _AT_LEAST = 3  # points of a piece beside its middle
 _GOLDEN = 0.6180339887498949  # its multiples fall into all parts of an interval alike
 _SHORTEST = 5e-5  # a piece [m]
-_RESERVE = 1.1  # more pieces than a parabola asks for
+_RESERVE = 1.1  # times the number of pieces that a parabola would need
 _CHUNK = 4096  # points at once
 
 
@@ -56,10 +56,9 @@ class StraightMoves(ReadOnlyArrays):
     """Straight moves of a program.
 
     Attributes:
-        starts: Where moves begin, seen from the description's measurement frame, (n, 3) [m]; NaN where that is not
-            known.
-        ends: Where they end, (n, 3) [m].
-        labels: What to call each in messages.
+        starts: Start of each move in the description's measurement frame, (n, 3) [m]; NaN where it is not known.
+        ends: End of each move, (n, 3) [m].
+        labels: Name of each move in messages.
     """
 
     starts: FloatArray

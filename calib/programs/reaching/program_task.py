@@ -1,6 +1,7 @@
-"""The task that a program sets the calibrated robot: where its target is to be, and the nominal robot's joints there.
+"""The task of a program for the calibrated robot: goals of its target, and joint values of the nominal robot there.
 
-Whose frames, how much is kept and on which branch: see `calib.programs.reaching.compensation`, which answers.
+`calib.programs.reaching.compensation` solves the task, and says which frames, which part of a pose and which branch
+count.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
 from calib.programs.reaching.search import TOLERANCE
 
 KEEP = ("pose", "axis", "position")
-"""What of the program is kept: the full pose, position and z axis of the target, or its position."""
+"""Part of the program's poses that is kept: the full pose, position and z axis of the target, or its position."""
 _FURTHER = 0.5  # step between rows that may be a change of branch [rad, or characteristic lengths]
 _ROUNDS = 200
 _SINGULAR = 1e-6  # of the largest singular value
@@ -34,11 +35,11 @@ class ProgramTask:
     """Goals of a program for the calibrated robot.
 
     Attributes:
-        goals: Where its target is to be, and under which conditions.
-        joints: Joints with which the nominal robot is there, (n, n_actuated) [m or rad].
-        reasons: Why there are none; empty where there are.
-        keep: Of `KEEP`.
-        nearly_reached: What to be near, where less than the pose is kept.
+        goals: Goals of its target, and their conditions.
+        joints: Joint values with which the nominal robot reaches the goals, (n, n_actuated) [m or rad].
+        reasons: Reason for each goal that the nominal robot does not reach; empty for the others.
+        keep: One of `KEEP`.
+        nearly_reached: Full poses to stay near, if less than the pose is kept; else None.
     """
 
     goals: Goals
@@ -49,12 +50,12 @@ class ProgramTask:
 
 
 def task_of_joints(meant: Robot, program: Poses, keep: str | None) -> ProgramTask:
-    """Return the task that joints of the nominal robot set.
+    """Return the task of a program that gives joint values of the nominal robot.
 
     Args:
         meant: The nominal robot, in the frame in which the program is meant.
-        program: The joints.
-        keep: What of them is kept; if None, the pose where the joints can reach any.
+        program: The joint values.
+        keep: One of `KEEP`; None: the pose if the joints can move the target in all directions, else the position.
 
     Raises:
         InputError: Motors move no target.
@@ -80,7 +81,7 @@ def task_of_joints(meant: Robot, program: Poses, keep: str | None) -> ProgramTas
 
 
 def _goals_reached(robot: Robot, joints: FloatArray, goals: Goals) -> tuple[Goals, FloatArray, BoolArray]:
-    """Goals where a robot brings their target, and its Jacobian (n_closed, 6, n_actuated); which joints close, (n,)."""
+    """Goals at the target's poses, the Jacobian (n_closed, 6, n_actuated), and where loops close, (n,)."""
     closed = robot.close(joints)
     target = robot.mechanism.targets[robot.target_names.index(goals.target or robot.target_names[0])]
     positions, rotations = np.zeros((len(joints), 3)), np.tile(np.eye(3), (len(joints), 1, 1))
@@ -107,12 +108,12 @@ def _moves_freely(jacobian: FloatArray, length: float) -> bool:
 
 
 def task_of_goals(nominal: Robot, meant: Robot, program: Goals) -> ProgramTask:
-    """Return the task that goals set: where the nominal robot brings the tool.
+    """Return the task of a program that gives goals: the poses to which the nominal robot brings the tool.
 
     Args:
-        nominal: The robot as its description has it, which is what a controller knows.
+        nominal: The robot of the description, which the controller assumes.
         meant: The nominal robot, in the frame in which the program is meant.
-        program: The goals, as the description sees them.
+        program: The goals, in the frames of the description.
 
     Raises:
         DataError: A coordinate is free.
@@ -127,14 +128,14 @@ def task_of_goals(nominal: Robot, meant: Robot, program: Goals) -> ProgramTask:
 
 
 def _without_branch_changes(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> FloatArray:
-    """Solutions (n, n_actuated) without changes of branch between neighbouring rows, as far as that can be."""
+    """Solutions (n, n_actuated) with as few changes of branch between neighbouring rows as possible."""
     q, tried = q.copy(), np.zeros(len(q), dtype=bool)
     for _ in range(_ROUNDS):
         step = np.max(np.abs(np.diff(q / reach.scale, axis=0)), axis=1, initial=0.0)
         rows = np.flatnonzero((step > _FURTHER) & ok[1:] & ok[:-1] & ~tried[1:]) + 1
         if len(rows) == 0:
             break
-        rows = rows[np.diff(rows, prepend=-2) > 1]  # those that follow one of them come after it
+        rows = rows[np.diff(rows, prepend=-2) > 1]  # of consecutive rows only the first, the next ones in later rounds
         tried[rows] = True
         start = robot.assemble(q[rows - 1])
         continued = descend(

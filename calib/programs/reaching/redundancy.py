@@ -1,26 +1,28 @@
-"""Where joints have more freedom than a goal takes: stay near given joint values.
+"""Redundant robots: of all configurations that reach a goal, the one nearest to given joint values.
 
-Problem. Minimise f = |w|^2 / 2 with w = s* - s, the way left to the wanted joints s* (lengths divided by the robot's
-characteristic length), over actuated joints s within limits that keep the target at its goal, e(s) = 0.
+Problem. Minimise f = |w|^2 / 2 over the actuated joints s within their limits, such that the target stays at its goal,
+e(s) = 0. Here w = s* - s is the difference to the given joint values s* (lengths divided by the robot's characteristic
+length).
 
-Method. Sequential quadratic programming. With c = [e; how far held passive joints are from where they are held], A its
-derivative by the joints that no limit holds, and P the projector on the null space of A, the step
+Method. Sequential quadratic programming. The constraints are c = [e; distances of passive joints from the limits that
+hold them]. A is the derivative of c by the joints that no limit holds, and P the projector on the null space of A. The
+step
 
     d = -A^+ c + n,      P B P n = P (w + B A^+ c)
 
 goes back to the goal and along it at once. B is the Hessian of the Lagrangian f + c^T l, with the multipliers
-l = (A^+)^T w. It starts at the identity (f's own) and learns the curvature of the goal from the steps by the damped
-BFGS formula (powell1978), so that convergence is faster than linear. A step counts if it lowers
+l = (A^+)^T w. It starts at the identity, which is the Hessian of f, and learns the curvature of the goal from the steps
+by the damped BFGS formula (powell1978), so that convergence is faster than linear. A step is accepted if it lowers
 
     |w + A^+ c|^2 / 2 + sigma |A^+ c|^2 / 2
 
-whose first term is, to second order, f where the goal is reached again: curvature of the goal alone makes no step
-shorter (fletcher1970). Else a third of it is tried, with B the identity again. A step ends at the first limit that it
-meets; an actuated joint at a limit is held where the step would leave it, and a passive one as in
-`calib.programs.reaching.reaching`. At the end `descend` removes the last picometres of e.
+The first term is, to second order, the value of f once the goal is reached again. So the curvature of the goal alone
+shortens no step (fletcher1970). If a step is not accepted, a third of it is tried, and B is the identity again. A step
+ends at the first limit that it meets. An actuated joint at a limit is held if the step would cross the limit; a passive
+joint is held as in `calib.programs.reaching.reaching`. At the end `descend` removes the last picometres of e.
 
-When it fails. The answer is a local minimum. Where steps shrink to nothing or their number ends, as far as they came
-counts; it is never farther from s* than the start.
+When it fails. The answer is a local minimum. If steps become too short, or their number is exhausted, the last
+configuration is returned; it is never farther from s* than the start.
 """
 
 from __future__ import annotations
@@ -44,19 +46,19 @@ from calib.programs.reaching.reaching import (
 )
 
 _STEPS = 60
-_TOLERANCE = 1e-7  # of the way left within the null space [rad, or characteristic lengths]
+_TOLERANCE = 1e-7  # of w within the null space [rad, or characteristic lengths]
 _SHORTEST = 1e-3  # part of a step, below which no shorter one is tried
 _WEIGHT = 100.0  # sigma; with 20, two in a hundred searches end early, with 1 a seventh of them
-_ROUNDING = 1e-12  # of a step: what is smaller leaves no limit
+_ROUNDING = 1e-12  # of a step: a smaller component crosses no limit
 
 
 def without_full_turns(reach: Reach, at: GoalConfigurations, near: FloatArray) -> GoalConfigurations:
-    """Take whole turns out of joints where that brings them nearer to `near`, (n, n_actuated), and leaves no limit."""
+    """Subtract whole turns of joints where this brings them nearer to `near`, (n, n_actuated), within limits."""
     mechanism, actuated = reach.mechanism, at.actuated.copy()
     for j, name in enumerate(mechanism.actuated):
         column = mechanism.select_actuated[:, j]
         if mechanism.dimensions[name] == "length" or np.count_nonzero(column) != 1:
-            continue  # a whole turn of a joint that others mimic is another pose
+            continue  # others mimic this joint, so that a whole turn is another pose
         turns = 2 * np.pi * np.round((actuated[:, j] - near[:, j]) / (2 * np.pi))
         inside = (actuated[:, j] - turns >= reach.lower[j]) & (actuated[:, j] - turns <= reach.upper[j])
         actuated[inside, j] -= turns[inside]
@@ -118,7 +120,7 @@ class _ActiveLimits(ConfigurationRows):
     low: BoolArray
 
     def rows(self, linear: LinearisedGoals) -> FloatArray:
-        """Return A, with the columns of held joints, (n, n_rows + n_passive, n_actuated)."""
+        """Return A with columns for the held joints, too, (n, n_rows + n_passive, n_actuated)."""
         return np.concatenate([linear.slope, self.passive[:, :, None] * linear.passive_slope], axis=1)
 
     def gap(self, reach: Reach, linear: LinearisedGoals, passive: FloatArray) -> FloatArray:
@@ -192,7 +194,7 @@ def _successful_trials(
     trial: FloatArray,
     near: FloatArray,
 ) -> tuple[IntArray, GoalConfigurations, LinearisedGoals, FloatArray]:
-    """Which trials lower the merit, (n,); of these: where they end, linearised, and the change of A^T l on the way."""
+    """Trials that lower the merit, (n,); for these the configurations, their derivatives, and the change of A^T l."""
     passive, closures, followed = reach.follow(at, linear, trial)
     moved = np.flatnonzero(followed)
     trial_linear = reach.linearise(index[moved], trial[moved], passive[moved], closures[moved])
@@ -211,7 +213,7 @@ def _successful_trials(
 
 
 def _merit(rows: FloatArray, gap: FloatArray, held: _ActiveLimits, way: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The function that a step must lower, (n,), and the multipliers l, (n, n_rows)."""
+    """The merit function, which a step must lower, (n,), and the multipliers l, (n, n_rows)."""
     inverse, _ = _inverse(rows, held)
     back = np.einsum("nij,nj->ni", inverse, gap)
     merit: FloatArray = 0.5 * np.sum((way + back) ** 2, axis=1) + 0.5 * _WEIGHT * np.sum(back**2, axis=1)

@@ -1,4 +1,4 @@
-"""Other fits of the same measurements: from other starts, and of folds."""
+"""Other fits of the same measurements: from other starts, and with folds left out in turn."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from calib.core.fitting.fitted import Fit
 
 
 def starts_table(fit: Fit) -> dict[str, object] | None:
-    """Return the minima that were found from other starts; None where there were no other starts."""
+    """Return the minima that were found from other starts; None without other starts."""
     if fit.starts is None:
         return None
     scale = error_scale(fit.identification.main_part.dimension)
@@ -17,7 +17,7 @@ def starts_table(fit: Fit) -> dict[str, object] | None:
 
 
 def folds_table(fit: Fit) -> dict[str, object] | None:
-    """Return the errors of folds that were left out; None where there were none."""
+    """Return the errors of folds that were left out in turn; None without folds."""
     if fit.folds is None:
         return None
     names = list(fit.nominal.description.setups)
@@ -31,7 +31,7 @@ def folds_table(fit: Fit) -> dict[str, object] | None:
 
 
 def start_lines(fit: Fit) -> list[str]:
-    """Return which minima other starts found, in a line; none where there were no other starts."""
+    """Return a line with the minima that other starts found; no line without other starts."""
     if fit.starts is None:
         return []
     dimension = fit.identification.main_part.dimension
@@ -41,7 +41,7 @@ def start_lines(fit: Fit) -> list[str]:
 
 
 def fold_lines(fit: Fit) -> list[str]:
-    """Return the errors of folds, or setups, that were left out, in a line; none where there were none."""
+    """Return a line with the errors of folds, or setups, that were left out in turn; no line without them."""
     if fit.folds is None:
         return []
     dimension = fit.identification.main_part.dimension

@@ -1,14 +1,14 @@
-"""Where gravity points: as a robot description says, and as sensors read it at each visit.
+"""Direction of gravity: stated in a robot description, or read by sensors at each visit.
 
 Compliance and bending need the direction of gravity in the root link of the URDF. It is (0, 0, -1) unless a description
-says otherwise: of an arm that hangs from a ceiling, stands on a ramp, or is mounted differently in each setup. A sensor
-on any link reads it at each visit: an inclinometer, or an accelerometer at rest, which reads upwards.
+says otherwise, such as for an arm that hangs from a ceiling, stands on a ramp, or is mounted differently in each setup.
+A sensor on any link may read it at each visit: an inclinometer, or an accelerometer at rest, which reads upwards.
 
-Sensors also say how far links are tilted: two joints that are not commanded, such as those between the ground and a
-base on tracks, or in a column that bends, take their values from what an inclinometer on the link behind them reads.
+Sensors also measure how far links are tilted. Two joints that are not commanded, such as those between the ground and a
+base on tracks, or in a column that bends, take their values from an inclinometer on the link after them.
 
-A direction d that is not well known is found: it is R_a(t_a) R_b(t_b) d, with turns t about two axes of the root link,
-the two that are most nearly across what the description says. A turn about gravity itself would change nothing.
+A direction d that is not well known is fitted as R_a(t_a) R_b(t_b) d, with turns t about two axes of the root link.
+These are the two axes most nearly perpendicular to the stated direction: a turn about gravity would change nothing.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from calib.core.base.sections import PositiveAngle, Section
 from calib.core.base.units import Dimension
 
 STANDARD = 9.81
-"""Acceleration by gravity [m/s^2]. Pinocchio's; what it misses goes into coefficients that are found."""
+"""Acceleration by gravity [m/s^2], as in Pinocchio; fitted coefficients absorb its local deviation."""
 _VECTOR = ("gravity_x", "gravity_y", "gravity_z")
 _ACCELEROMETER = ("accelerometer_x", "accelerometer_y", "accelerometer_z")
 _TILTS = ("gravity_tilt_x", "gravity_tilt_y")
@@ -34,23 +34,23 @@ COLUMNS: dict[str, Dimension] = {
     **dict.fromkeys((*_VECTOR, *_ACCELEROMETER), "acceleration"),
     **dict.fromkeys(_TILTS, "angle"),
 }
-"""Columns that say where gravity points at a visit, in the axes of the sensor, and what they measure."""
-_LENGTHS_AGREE = 0.05  # by which part the length of a vector that was read may differ from their median
-_TILTS_END = np.radians(85.0)  # an inclinometer with two axes tells directions up to here [rad]
+"""Columns for the direction of gravity at a visit, in the axes of the sensor, and their dimensions."""
+_LENGTHS_AGREE = 0.05  # largest relative difference of the length of a vector from the median length
+_TILTS_END = np.radians(85.0)  # largest tilt at which an inclinometer with two axes determines a direction [rad]
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 Direction = tuple[_Number, _Number, _Number]
 
 
 class GravitySection(Section):
-    """Where gravity points.
+    """Direction of gravity.
 
     Attributes:
-        down: Its direction in the axes of the URDF's root link; any length.
-        setups: The same in the setups where it is another one.
-        frame: Link in whose axes columns of the measurements say it; the root link if not given. It may move.
-        sigma: How far `down`, or the sensor on its link, may be turned (one standard deviation) [rad]; then the
-            direction is found. Not given: it is known.
+        down: Direction of gravity in the axes of the URDF's root link; any length.
+        setups: The direction in those setups where it is another one.
+        frame: Link in whose axes the columns of measurements are given, which may move; the root link if not given.
+        sigma: Standard deviation by which `down`, or the sensor on its link, may be turned [rad]; then the direction
+            is fitted. Not given: it is known.
     """
 
     down: Direction = (0.0, 0.0, -1.0)
@@ -62,7 +62,7 @@ class GravitySection(Section):
     @classmethod
     def _has_length(cls, value: Any) -> Any:
         for direction in value.values() if isinstance(value, dict) else [value]:
-            if not 1e-100 < np.max(np.abs(direction)) < 1e100:  # its square is a number, too
+            if not 1e-100 < np.max(np.abs(direction)) < 1e100:  # so that its square neither overflows nor vanishes
                 raise ValueError("a direction of gravity needs a length, such as [0, 0, -1]")
         return value
 
@@ -74,23 +74,23 @@ class GravitySection(Section):
         return value
 
     def stated_directions(self, setups: Sequence[str] = ()) -> FloatArray:
-        """Return the unit vector of each setup, of the only one where none is named, (n_setups, 3)."""
+        """Return the stated unit vector of each setup, (n_setups, 3); one row if no setups are named."""
         rows = np.array([self.setups.get(name, self.down) for name in setups] or [self.down], dtype=float)
         result: FloatArray = rows / np.linalg.norm(rows, axis=1, keepdims=True)
         return result
 
     @property
     def axes(self) -> tuple[int, int]:
-        """Number of the two axes of the root link, about which the direction is turned where it is found."""
+        """Indices of the two axes of the root link about which a fitted direction is turned."""
         first, second = sorted(np.argsort(np.abs(self.stated_directions()[0]), kind="stable")[:2].tolist())
         return first, second
 
 
 class InclinometerSection(Section):
-    """A sensor that reads where gravity points, and so the angles of two joints that are not commanded.
+    """A sensor that reads the direction of gravity, and so the angles of two joints that are not commanded.
 
     Attributes:
-        frame: The link that it is on, in whose axes it reads.
+        frame: Link that the sensor is on, in whose axes it reads.
         joints: Two joints that turn this link, about axes that are not vertical.
     """
 
@@ -104,9 +104,9 @@ def columns_of(sensor: str) -> dict[str, Dimension]:
 
 
 def read_down(conditions: Mapping[str, FloatArray]) -> FloatArray | None:
-    """Return where sensors saw down, unit vectors in their axes, (n, 3); NaN where not, None where never.
+    """Return the direction of gravity that sensors read, (n, 3), in their axes; NaN where not read, None if never.
 
-    Tilts are those of `calib.core.instruments.orientation`: 0 where the sensor is level, growing by the right hand.
+    Tilts are defined in `calib.core.instruments.orientation`: 0 where the sensor is level, right-handed.
 
     Args:
         conditions: `COLUMNS` by name, (n,) each [SI].
@@ -128,13 +128,13 @@ def read_down(conditions: Mapping[str, FloatArray]) -> FloatArray | None:
 
 
 def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[int], sensor: str = "") -> None:
-    """Raise `DataError` where columns do not say where gravity points.
+    """Raise `DataError` where columns do not determine the direction of gravity.
 
     Args:
         conditions: `COLUMNS` by name, (n,) each [SI].
-        path: Of the file.
-        lines: Of each row in it.
-        sensor: What the file has before these names.
+        path: Path of the file.
+        lines: Line of each row in the file.
+        sensor: Prefix of these names in the file.
     """
     having = [names for names in _WAYS if any(name in conditions for name in names)]
     if len(having) > 1:
@@ -158,7 +158,7 @@ def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[
 
 
 def _no_tilts(read: FloatArray) -> tuple[BoolArray, str]:
-    """Which rows of tilts (n, 2) tell no direction, and why."""
+    """Which rows of tilts (n, 2) determine no direction, and why."""
     why = (
         "is a tilt beyond 85 deg, where two tilts tell no direction; without [deg] in its header a column is in rad;"
         " else give gravity_x, gravity_y, gravity_z"

@@ -1,16 +1,16 @@
 """Periodic terms: harmonics of a joint's turn, and a curve of any shape.
 
-Harmonics: an error that repeats with the joint's turn, as of an eccentric encoder, or with the teeth of a gear.
+Harmonics: an error that repeats with each turn of the joint, such as of an eccentric encoder, or with gear teeth.
 
-Curve: any smooth error over the joint's value: gears, encoders, belts, screws, whatever their orders. A periodic
-Gaussian process as a Fourier series. Over a turn (or, for a prismatic joint, over twice its stroke, so that the two
-ends are free of each other),
+Curve: any smooth error over the joint's value, such as of gears, encoders, belts or screws. It is a periodic Gaussian
+process, written as a Fourier series. The period is a turn, or twice the stroke of a prismatic joint, so that the errors
+at its two ends are independent:
 
     dq = sum over k = 1 .. K of a_k sin(k q) + b_k cos(k q),        a_k, b_k ~ N(0, (amplitude / k)^2)
 
-Coefficients fall off with their order as those of a curve with bounded slope do. The amplitude is common to all orders
-of a joint and found by marginal likelihood (`calib.core.numerics.variance_components`), so that the curve follows what
-the data show and nothing else; where the joint did not move, it stays at zero with the prior's band.
+Coefficients decrease with their order as those of a curve with bounded slope. The amplitude is common to all orders of
+a joint, and is found by marginal likelihood (`calib.core.numerics.variance_components`), so that the curve is as large
+as the data show. Where the joint did not move, the curve stays at zero, with the standard deviation of the prior.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from calib.core.robots.terms.term import Joint, JointTerm, TermSection, coeffici
 
 TURN = 2.0 * np.pi
 AMPLITUDE: dict[Dimension, float] = {"angle": 3e-4, "length": 5e-5}
-"""Expected size of an amplitude where nothing is stated [rad, m]."""
+"""Sigma of an amplitude where none is stated [rad, m]."""
 
 
 def period(dimension: Dimension, section: TermSection, key: str, length: float | None) -> float:
-    """Return after what a term of a joint repeats: a turn [rad], or the stated length of a prismatic joint [m].
+    """Return the period of a joint's term: a turn [rad], or the stated length of a prismatic joint [m].
 
     Args:
-        dimension: The joint's.
-        section: The term's entry.
-        key: The entry's key of that length.
-        length: What the entry says there [m].
+        dimension: Dimension of the joint.
+        section: Entry of the term in the description.
+        key: Key of the length in this entry.
+        length: Length that the entry states [m]; None if it states none.
 
     Raises:
         ValueError: A prismatic joint without a length, or a length that is stated for one revolute joint.
@@ -49,7 +49,7 @@ def period(dimension: Dimension, section: TermSection, key: str, length: float |
         if length is None:
             raise ValueError(f"a prismatic joint needs the length `{key}`")
         return length
-    if length is not None and section.joint != "all":  # of all joints, the length is for the prismatic ones
+    if length is not None and section.joint != "all":  # an entry for all joints has it for the prismatic ones
         raise ValueError(f"`{key}` is for prismatic joints; this one repeats after a turn: leave it out")
     return TURN
 
@@ -59,8 +59,8 @@ class _Periodic(JointTerm):
     """dq = sum over orders k of a_k sin(k q) + b_k cos(k q), with q in turns of 2 pi or periods.
 
     Attributes:
-        orders: Every k.
-        period: After what the first order repeats [rad or m].
+        orders: All orders k.
+        period: Period of the first order [rad or m].
     """
 
     joint: str
@@ -98,7 +98,7 @@ class Harmonics(_Periodic):
 
     @classmethod
     def from_section(cls, joint: Joint, section: HarmonicsSection, sigma: float | None) -> Harmonics:
-        """Return the term that an entry of a robot description means.
+        """Return the term of an entry of a robot description.
 
         Raises:
             ValueError: The entry does not fit the joint.
@@ -112,7 +112,7 @@ class Harmonics(_Periodic):
 
     @classmethod
     def needs_more(cls, dimension: Dimension) -> str:
-        """Return the period of a joint that slides: the length after which a screw repeats is not known."""
+        """Return why a prismatic joint needs an entry of its own: the lead of its screw is not known."""
         return "prismatic joints need a period, which only a description can state" if dimension == "length" else ""
 
 
@@ -120,8 +120,8 @@ class CurveSection(TermSection):
     """A curve.
 
     Attributes:
-        orders: K.
-        stroke: Of a prismatic joint [m]; what its limits in the URDF allow if not given.
+        orders: Number of orders K.
+        stroke: Stroke of a prismatic joint [m]; from its limits in the URDF if not given.
         found: Whether the amplitude is found from the data; else it is `sigma`.
     """
 
@@ -143,7 +143,7 @@ class Curve(_Periodic):
 
     @classmethod
     def from_section(cls, joint: Joint, section: CurveSection, sigma: float | None) -> Curve:
-        """Return the term that an entry of a robot description means.
+        """Return the term of an entry of a robot description.
 
         Raises:
             ValueError: The entry does not fit the joint.

@@ -1,17 +1,17 @@
-"""What a term of a joint's error is.
+"""Interface of joint terms.
 
-Joints do not stand at their commands. The error of joint j is a sum of terms,
+Joints are not exactly at their commands. The error of joint j is a sum of terms,
 
     dq_j = sum over terms of c_k phi_k(q, context)
 
-with coefficients c_k that are found like all other parameters, and columns phi_k that depend on what was commanded
-alone. So derivatives are exact, d(anything)/dc_k = d(anything)/d(joint j) phi_k, through closed loops too, and a new
-term is one small class, here with a line in `calib.core.robots.terms.terms`, or in another package with an entry point.
+with coefficients c_k that are fitted like all other parameters, and columns phi_k that depend on commands and context
+only. So derivatives are exact, d(anything)/dc_k = d(anything)/d(joint j) phi_k, through closed loops, too. A new term
+is one small class, here with a line in `calib.core.robots.terms.terms`, or in another package with an entry point.
 
 Every coefficient has the dimension of its joint (an angle or a length): it is the error at phi_k = 1.
 
-A term may tilt the link behind its joint instead: about each axis about which the joint itself does not turn, by an
-angle c_k phi_k, all with the same coefficients.
+Instead, a term may tilt the link after its joint by angles c_k phi_k, about each axis about which the joint itself does
+not turn. The coefficients are the same for all these axes.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class TermSection(Section):
     """A term of one joint's error, or of every actuated joint's.
 
     Attributes:
-        joint: Which joint; `all` for every actuated joint.
-        term: Which term.
+        joint: Name of the joint; `all` for every actuated joint.
+        term: Name of the term.
         sigma: Expected size of its coefficients (one standard deviation), in the joint's unit.
     """
 
@@ -46,7 +46,7 @@ class TermSection(Section):
     sigma: Quantity | None = None
 
     def with_stroke(self, stroke: float) -> TermSection:
-        """Return the entry for a prismatic joint with this stroke [m], which says no more unless a term asks for it."""
+        """Return the entry for a prismatic joint with this stroke [m]; the same entry if the term needs no stroke."""
         return self
 
 
@@ -55,8 +55,8 @@ class Condition:
     """A quantity that a joint error may depend on beside the joint's own command; a term may bring a new one.
 
     Attributes:
-        words: What it is, in words.
-        column: Column of a file that states it; empty: none does, or one for each joint.
+        words: Its name in words.
+        column: Column of a file with its values; empty: no column, or one for each joint.
         dimension: What the column measures; None: it is a pure number.
     """
 
@@ -76,10 +76,10 @@ Condition.TEMPERATURE = Condition("temperature", "temperature", "temperature")
 Condition.LOAD = Condition("the load", "load", "mass")
 Condition.ANOTHER_JOINT = Condition("another joint")
 CONTEXT: dict[str, Dimension | None] = {"time": "time", "temperature": "temperature", "load": "mass", **GRAVITY}
-"""Columns that say under which conditions a visit was made, and what they measure."""
-_STEP = 1e-4  # part of the largest torque by which a central difference changes it
+"""Columns with the conditions of a visit, and their dimensions."""
+_STEP = 1e-4  # step of a central difference by the torque, over the largest torque
 REFERENCE_TEMPERATURE = 20.0
-"""At which lengths hold [degC]: a fixed one, so that a coefficient means the same for every file."""
+"""Temperature at which lengths hold [degC]; fixed, so that a coefficient means the same for every file."""
 
 
 @dataclass(frozen=True)
@@ -99,19 +99,19 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Context(ReadOnlyArrays):
-    """Under which conditions commands were given. Where nothing is known of one, it is neutral.
+    """Conditions of commands. A condition that is not known is neutral.
 
     Attributes:
         approach: Direction in which each joint moved last, +1, -1, or 0 where not known, (n, n_actuated).
-        time: As the file counts it, (n,) [s]; 0 where not known.
-        temperature: Above 20 degC, the reference of ISO 1, (n,) [K]; 0 where not known.
+        time: Time as counted in the file, (n,) [s]; 0 where not known.
+        temperature: Temperature above 20 degC, the reference of ISO 1, (n,) [K]; 0 where not known.
         load: Mass at the tool, (n,) [kg]; 0 where not known.
         down: Direction of gravity as a sensor read it, unit vectors in its axes, (n, 3); NaN where it was not read;
             None where it never was.
         setups: Number of the setup, (n,); None: the first.
         torque: Torque or force of gravity that each driven joint holds (`calib.core.robots.mechanism`), (n, n_driven)
-            [N m or N]; None where it is not known: what depends on it counts as nothing.
-        others: What columns that terms of other packages name say, (n,) each [SI]; 0 where not known.
+            [N m or N]; None where it is not known: terms that depend on it are then zero.
+        others: Values of the columns that terms of other packages name, (n,) each [SI]; 0 where not known.
     """
 
     approach: FloatArray
@@ -124,7 +124,7 @@ class Context(ReadOnlyArrays):
     others: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def column(self, name: str) -> FloatArray:
-        """Return what a column that a term names says, (n,) [SI]; 0 where not known."""
+        """Return the values of a column that a term names, (n,) [SI]; 0 where not known."""
         return self.others.get(name, np.zeros(len(self.time)))
 
     def inputs(self, q: FloatArray) -> dict[Source, FloatArray]:
@@ -140,12 +140,12 @@ class Context(ReadOnlyArrays):
 
     @staticmethod
     def neutral(n: int, n_actuated: int) -> Context:
-        """Return a context of which nothing is known."""
+        """Return a context in which no condition is known."""
         nothing, none = np.zeros(n), np.zeros((n, n_actuated))
         return Context(none, nothing, nothing, nothing)
 
     def select(self, which: slice | IntArray) -> Context:
-        """Return the conditions of some of the commands, a slice or places (k,)."""
+        """Return the conditions of some of the commands, by a slice or indices (k,)."""
         known = {key: value[which] for key, value in vars(self).items() if isinstance(value, np.ndarray)}
         return Context(**known, others={name: values[which] for name, values in self.others.items()})
 
@@ -172,25 +172,25 @@ class Context(ReadOnlyArrays):
 
 
 class JointTerm(ABC):
-    """One term of one joint's error. It gives its columns, or a formula that has them.
+    """One term of one joint's error. A class defines its columns, or a formula for them.
 
     Attributes:
         section: Keys of its entry in a robot description (class attribute).
         joint: The joint.
         parameters: Its coefficients.
-        needs_torque: Whether it asks for `Context.torque` (class attribute).
-        tilts: Whether it tilts the link behind its joint, in place of moving the joint (class attribute).
+        needs_torque: Whether it depends on `Context.torque` (class attribute).
+        tilts: Whether it tilts the link after its joint, instead of moving the joint (class attribute).
         adds: Whether its columns times its coefficients are errors of joints; if not, it acts on those of other terms,
             and its columns are the derivative of these by its coefficients (class attribute).
-        cause: Under which name an error budget counts it (class attribute).
+        cause: Its name in an error budget (class attribute).
         depends_on: Conditions that its columns change with (class attribute). With the direction of approach, columns
             change their sign.
-        per: What a coefficient is of, such as `per hour` (class attribute).
+        per: Denominator of a coefficient's unit, such as `per hour` (class attribute).
         follows_command: Whether its columns change with the command of its joint, so that one that did not move does
             not show it (class attribute).
         counts_turns: Whether a whole turn of the joint that it follows changes its columns (class attribute).
-        in_auto: Whether it is tried if it is not named which terms a robot has (class attribute).
-        differs: Whether joints differ in how large it is: a ratio or a belt is wrong at one of them (class attribute).
+        in_auto: Whether it is tried if a robot's terms are not named (class attribute).
+        differs: Whether its size differs between joints: a ratio or a belt is wrong at one of them (class attribute).
     """
 
     section: ClassVar[type[TermSection]] = TermSection
@@ -210,7 +210,7 @@ class JointTerm(ABC):
     @classmethod
     @abstractmethod
     def from_section(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
-        """Return the term that an entry of a robot description means.
+        """Return the term of an entry of a robot description.
 
         Args:
             joint: The joint.
@@ -235,31 +235,31 @@ class JointTerm(ABC):
 
     @classmethod
     def needs_more(cls, dimension: Dimension) -> str:
-        """Return what a joint of a dimension needs that only a description can state, in words; empty: nothing."""
+        """Return in words what only a description can state for a joint of this dimension; empty: nothing is needed."""
         return ""
 
     def answers(self, section: TermSection) -> bool:
-        """Whether a robot that has this term needs no other one for an entry of the same term."""
+        """Whether a robot with this term needs no other one for an entry of the same term."""
         return section.joint in ("all", self.joint)
 
     def driven_joint_names(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
-        """Return the names of the driven joints whose errors depend on it.
+        """Return the names of the driven joints whose errors depend on the term.
 
         Args:
-            dimensions: Of the actuated joints, by name.
+            dimensions: Dimensions of the actuated joints, by name.
         """
         return tilts_of(self.joint, dimensions[self.joint]) if self.tilts else (self.joint,)
 
     def driving_joint(self, actuated: tuple[str, ...]) -> str:
-        """Return the joint whose command it follows, of the actuated ones."""
+        """Return the actuated joint whose command the term follows."""
         return self.joint
 
     def formula(self, j: int) -> Formula | None:
-        """Return phi of the coefficients as data, which functions in other languages are made of; None: there is none.
+        """Return phi of the coefficients as data, to write it in other languages; None if there is no formula.
 
         Args:
-            j: Place of the term's joint among the actuated ones; of a term that tilts, of one of the rotations among
-                the driven joints.
+            j: Index of the term's joint among the actuated joints; for a term that tilts, index of one of its
+                rotations among the driven joints.
         """
         return None
 
@@ -280,33 +280,33 @@ class JointTerm(ABC):
         return formula.columns(context.inputs(q))
 
     def torque_derivative(self, q: FloatArray, j: int, context: Context, rate: FloatArray) -> FloatArray:
-        """Return how phi of a term that asks for the torque changes as that does, (n, n_coefficients).
+        """Return the derivative of phi along a change of the torque, (n, n_coefficients), for terms with torque.
 
-        By its formula; without one, by a central difference.
+        It follows from the formula, or without one from a central difference.
 
         Args:
             q, j, context: As in `columns`.
-            rate: At which rate the torque changes, (n, n_driven).
+            rate: Change of the torque, (n, n_driven).
         """
         formula, largest = self.formula(j), float(np.max(np.abs(rate), initial=0.0))
         if isinstance(formula, Proportional) and formula.knee:
             return formula.slope(context.inputs(q)) * rate[:, formula.place, None]
         if formula is not None:
-            return self.columns(q, j, replace(context, torque=rate))  # it is linear in it
-        assert context.torque is not None  # the term asks for it
+            return self.columns(q, j, replace(context, torque=rate))  # phi is linear in the torque
+        assert context.torque is not None  # the term needs the torque
         step = _STEP * (float(np.max(np.abs(context.torque))) or 1.0) / (largest or 1.0)
         ends = [self.columns(q, j, replace(context, torque=context.torque + s * rate)) for s in (step, -step)]
         return np.asarray((ends[0] - ends[1]) / (2 * step))
 
     def reads(self) -> tuple[str, ...]:
-        """Return columns of pure numbers that this one term depends on, beside the conditions of its class.
+        """Return the names of further columns of pure numbers that this term depends on, beside its class's conditions.
 
-        `Context.column` has them.
+        `Context.column` returns their values.
         """
         return ()
 
     def states_by_order(self, q: FloatArray) -> Mapping[str, FloatArray]:
-        """Return those of `reads` that follow from the order of commands, where a file does not state them.
+        """Return values for columns of `reads` that follow from the order of commands, if a file does not state them.
 
         Args:
             q: Commands of its joint in their order, (n,) [m or rad].
@@ -335,8 +335,8 @@ def coefficient(name: str, dimension: Dimension, sigma: float, family: str = "")
 
     Args:
         name: Its name.
-        dimension: The joint's.
+        dimension: Dimension of the joint.
         sigma: Expected size [m or rad].
-        family: Name of the coefficients whose common size is found from the data; empty: sigma is as stated.
+        family: Name of a family of coefficients whose common size is found from the data; empty: sigma is used.
     """
     return Parameter(name, dimension, 0.0, sigma, UNIT[dimension], family=family)

@@ -1,27 +1,28 @@
-"""Denavit-Hartenberg tables, and a chain of joints as one.
+"""Denavit-Hartenberg tables, and conversion of a chain of joints into a table.
 
 A chain whose joints turn about or slide along the z axes of their frames is a product of two kinds of steps:
 
     Z(theta, d) = Rot_z(theta) Trans_z(d)                       along a joint's axis
     X(a, alpha, beta) = Trans_x(a) Rot_x(alpha) Rot_y(beta)     from one axis to the next
 
-taken in turn, Z_0 X_0 Z_1 X_1 ... Z_n X_n Z_n+1, where joint i moves in Z_i. The two conventions only group them in two
-ways: a row of the standard one (Denavit and Hartenberg, Paul) is Z_i X_i, one of the modified one (Craig, Khalil) is
-X_i-1 Z_i. Rows that do not move, one before the first joint and one behind the last, hold the base and the tool, so
+in turn, Z_0 X_0 Z_1 X_1 ... Z_n X_n Z_n+1, where joint i moves in Z_i. The two conventions differ only in the grouping:
+a row of the standard convention (Denavit and Hartenberg, Paul) is Z_i X_i, a row of the modified one (Craig, Khalil) is
+X_i-1 Z_i. A fixed row before the first joint holds the base, and a fixed row after the last joint holds the tool, so
 that the table is exact for any chain.
 
-The conversion. Let M_i be the fixed transforms between neighbouring joints. Each M = Z X Z' where X goes along the
-common normal of the two axes, and Z' turns about and slides along the next axis. There it commutes with the joint's
-motion, so it is multiplied onto the next M. Of the two directions of a common normal the one with cos(theta) >= 0 is
-taken.
+The conversion. Let M_i be the fixed transforms between neighbouring joints. Each is a product M = Z X Z'. X goes along
+the common normal of the two axes, and Z' turns about and slides along the next axis. Z' commutes with the motion of the
+next joint, so it is multiplied onto the next M. Of the two directions of a common normal, the one with cos(theta) >= 0
+is taken.
 
-Parallel axes. The foot of the common normal of two axes that meet at a small angle s is known to 1/s of what the axes
-are known to, and may be far outside the robot; at s = 0 it is anywhere. Nearer than `NEARLY_PARALLEL`, Hayati's form
-takes its place: d = 0, X goes to where the next axis pierces the plane z = 0, and a turn beta about y, zero elsewhere,
-gives the axis its direction. Both forms have four numbers, and Hayati's has no singularity there.
+Parallel axes. If two axes meet at a small angle s, an error of the axes moves the foot of their common normal by 1/s as
+much, and the foot may be far outside the robot; at s = 0 it is anywhere. Where the sine of the angle is below
+`NEARLY_PARALLEL`, Hayati's form is used: d = 0, X goes to the point where the next axis pierces the plane z = 0, and a
+turn beta about y, which is zero in other rows, gives the axis its direction. Both forms have four numbers, and Hayati's
+has no singularity there.
 
-When it fails: never for a chain of rigid links; but a chain whose calibrated axes cross the limit of `NEARLY_PARALLEL`
-gets a table of another form than its nominal one.
+When it fails. It never fails for a chain of rigid links. But if calibration moves axes across the limit
+`NEARLY_PARALLEL`, the table has another form than the nominal one.
 
 References: Denavit 1955; Hayati 1985.
 """
@@ -46,9 +47,9 @@ CONVENTIONS: tuple[Convention, ...] = ("standard", "modified")
 KINDS: tuple[Kind, ...] = ("revolute", "prismatic", "fixed")
 NEARLY_PARALLEL = 0.05
 """Sine of the angle between two axes below which Hayati's form is used."""
-_FAR_AWAY = 5.0  # along its axis from the joint before it [m]
-_COINCIDENT = 1e-12  # axes that pass each other by less have no direction of a common normal [m]
-_ROUNDING = 1e-14  # smaller numbers are what rounding leaves of 0 [m or rad]
+_FAR_AWAY = 5.0  # distance of an origin, along the joint's axis, from the joint before it [m]
+_COINCIDENT = 1e-12  # axes with a smaller distance have no common normal with a direction [m]
+_ROUNDING = 1e-14  # smaller numbers are rounding errors of 0 [m or rad]
 BASE_LINK, LAST_LINK = "base_link", "flange"
 
 
@@ -57,10 +58,10 @@ class DhRow:
     """A row of a table.
 
     Attributes:
-        name: Of the joint.
-        kind: Whether q adds to theta, to d, or to nothing.
-        theta, d, a, alpha, beta: Of the module docstring, at q = 0 [rad], [m].
-        sign: 1, or -1 where q counts the other way.
+        name: Name of the joint.
+        kind: Kind of the joint: q adds to theta, to d, or to nothing.
+        theta, d, a, alpha, beta: Numbers of the module docstring, at q = 0 [rad], [m].
+        sign: 1, or -1 for a joint with q in the other direction.
         lower, upper: Limits of q [rad or m]; infinite where there are none.
     """
 
@@ -77,22 +78,22 @@ class DhRow:
 
     @property
     def motion_along_z(self) -> pin.SE3:
-        """Z at q = 0."""
+        """Z of the module docstring, at q = 0."""
         return _z_transform(self.theta, self.d)
 
     @property
     def motion_along_x(self) -> pin.SE3:
-        """X."""
+        """X of the module docstring."""
         return _x_transform(self.a, self.alpha, self.beta)
 
 
 @dataclass(frozen=True)
 class DhTable:
-    """A chain of rows, from the base frame to the last one.
+    """A chain of rows, from the base frame to the last frame.
 
     Attributes:
         convention: `standard` or `modified`.
-        rows: In their order along the chain.
+        rows: Rows in their order along the chain.
     """
 
     convention: Convention
@@ -115,8 +116,8 @@ def dh_table(links: Sequence[pin.SE3], joints: Sequence[DhRow], convention: Conv
     """Return the table of a chain of joints along and about the z axes of their frames.
 
     Args:
-        links: From the base frame to the first joint, from each joint to the next, and from the last one to the last
-            frame; one more than there are joints.
+        links: Transforms from the base frame to the first joint, from each joint to the next, and from the last joint
+            to the last frame; one more than there are joints.
         joints: Name, kind and limits of each joint.
         convention: `standard` or `modified`.
     """
@@ -140,7 +141,7 @@ def urdf_text(table: DhTable, name: str) -> str:
 
     Args:
         table: The table.
-        name: Of the robot.
+        name: Name of the robot.
     """
     joints: list[str] = []
     links = [BASE_LINK]
@@ -161,7 +162,7 @@ def urdf_text(table: DhTable, name: str) -> str:
 
 
 def _origin(convention: Convention, rest: pin.SE3, row: DhRow) -> tuple[pin.SE3, pin.SE3]:
-    """The URDF origin of a row's joint, and what is left for the next one."""
+    """The URDF origin of a row's joint, and the transform that remains for the next row."""
     if convention == "modified":
         return rest * row.motion_along_x * row.motion_along_z, pin.SE3.Identity()
     if row.kind == "fixed":
@@ -170,10 +171,10 @@ def _origin(convention: Convention, rest: pin.SE3, row: DhRow) -> tuple[pin.SE3,
 
 
 def _slide_origin(origin: pin.SE3, rest: pin.SE3) -> tuple[pin.SE3, pin.SE3]:
-    """The origin of a joint that turns, moved along its axis to where the joint before is, if it lies far away.
+    """The origin of a revolute joint; if it is far away, it is moved along the axis to the height of the joint before.
 
-    In tables of nearly parallel axes (calibrated robots of Universal Robots) d is hundreds of metres there and back. A
-    joint may stand anywhere on its axis: what follows it moves back, and no pose changes.
+    In tables with nearly parallel axes (calibrated robots of Universal Robots) d is hundreds of metres in one row, and
+    as much back in the next. An origin may be anywhere on its axis: the next row moves back, and no pose changes.
     """
     away = float(origin.translation @ origin.rotation[:, 2])
     if abs(away) < _FAR_AWAY:
@@ -203,7 +204,7 @@ def _x_transform(a: float, alpha: float, beta: float) -> pin.SE3:
 
 
 def _motions(kind: Kind, values: FloatArray) -> FloatArray:
-    """Z of a joint alone, (n, 4, 4), at values (n,)."""
+    """Transforms by the motion of a joint alone, (n, 4, 4), at values (n,)."""
     motions = np.tile(np.eye(4), (len(values), 1, 1))
     if kind == "prismatic":
         motions[:, 2, 3] = values
@@ -215,7 +216,7 @@ def _motions(kind: Kind, values: FloatArray) -> FloatArray:
 
 
 def _to_next_axis(link: pin.SE3) -> tuple[float, float, float, float, float]:
-    """Theta, d, a, alpha, beta that lead from the z axis here to that of `link`."""
+    """Theta, d, a, alpha, beta of the step from the present z axis to the z axis of `link`."""
     u, p = link.rotation[:, 2], link.translation
     sine = math.hypot(u[0], u[1])
     if sine < NEARLY_PARALLEL:
@@ -226,7 +227,7 @@ def _to_next_axis(link: pin.SE3) -> tuple[float, float, float, float, float]:
         return theta, 0.0, float(pierced @ x), math.atan2(-u @ y, u[2]), math.asin(u @ x)
     theta = _line_angle(-u[1], u[0])
     x = np.array([math.cos(theta), math.sin(theta), 0.0])
-    across = np.array([x[1], -x[0], 0.0])  # with x and z a right-handed frame: z = x cross (-across)
+    across = np.array([x[1], -x[0], 0.0])  # x, -across and z are a right-handed frame
     along_next = (p @ across) / (u @ across)
     return theta, float(p[2] - along_next * u[2]), float(p @ x), math.atan2(u @ across, u[2]), 0.0
 

@@ -3,10 +3,10 @@
 Its key `kinematics` has six joint origins, from `base_link_inertia` on. The URDF has the names of `ur_description`, and
 its fixed frames: `base` (half a turn from `base_link`), `flange` and `tool0`.
 
-The maker's two axes of shoulder and elbow are parallel, so that their origins may lie metres away along them, and
-single numbers cannot be compared with those of the type. Poses can: all joints turned to a few hundred values, and the
-base placed as well as possible. A robot is off its type by 1 to 9 mm RMS; one lost sign moves it by more than ten times
-that, and is named where turning it back brings the robot to a known type.
+The axes of shoulder and elbow are parallel, so that their origins may lie metres away along them, and single numbers
+cannot be compared with those of the type. Positions are compared instead, at a few hundred poses, with the base placed
+as well as possible. A robot differs from its type by 1 to 9 mm RMS; one lost sign makes more than ten times as much. A
+lost sign is named if the robot with the other sign is of a known type.
 
 References: ur_dh.
 """
@@ -47,8 +47,8 @@ TYPES = {
     "ur30": (0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543),
 }
 """The maker's d1, a2, a3, d4, d5, d6 of each type [m]."""
-_FAR = 0.03  # RMS distance from a type that no calibration explains [m]
-_TOOL = np.array([0.0, 0.0, 0.1])  # point that is compared, in the last joint's frame [m]
+_FAR = 0.03  # RMS distance from a type, too large for a calibrated robot of this type [m]
+_TOOL = np.array([0.0, 0.0, 0.1])  # compared point in the last joint's frame [m]
 _POSES = 200
 
 
@@ -69,7 +69,7 @@ def nominal_origins(model: str) -> FloatArray:
 
 
 def points(origins: FloatArray) -> FloatArray:
-    """Return where a point on the last axis is over many poses of all joints, (n, 3) [m].
+    """Return the position of a point on the last axis at many poses, (n, 3) [m].
 
     Args:
         origins: x y z [m] roll pitch yaw [rad], (6, 6).
@@ -88,13 +88,13 @@ def _nominal_points(model: str) -> FloatArray:
 
 
 def _distance(p: FloatArray, q: FloatArray) -> float:
-    """RMS distance of two robots' points (n, 3), the base of one placed as well as possible [m]."""
+    """RMS distance between two robots' points (n, 3) [m], with the base of one placed as well as possible."""
     rotation, shift = best_transform(p, q)
     return float(np.sqrt(np.mean(np.sum((p @ rotation.T + shift - q) ** 2, axis=1))))
 
 
 def nearest_type(origins: FloatArray) -> tuple[str, float]:
-    """Return the type that a robot (6, 6) is nearest to, and its RMS distance [m]."""
+    """Return the type nearest to a robot with these origins (6, 6), and its RMS distance [m]."""
     p = points(origins)
     away = {model: _distance(p, _nominal_points(model)) for model in TYPES}
     nearest = min(away, key=lambda model: away[model])
@@ -129,7 +129,7 @@ def _number(kinematics: Mapping[str, Any], link: str, key: str, path: Path | str
 
 
 def _require_sound(origins: FloatArray, path: Path | str) -> None:
-    """Raise `UrdfError` where one sign, turned back, brings a robot of no known type to one of them."""
+    """Raise `UrdfError` if the robot is of no known type, but would be with one other sign."""
     away = nearest_type(origins)[1]
     if away < _FAR:
         return

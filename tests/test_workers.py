@@ -25,13 +25,13 @@ from calib.core.base.workers import Workers, results_in_order
 
 PROGRAM = """
 import signal, sys, time
-from calib.core.base.workers import Workers, in_order
+from calib.core.base.workers import Workers, results_in_order
 
 if __name__ == "__main__":
     signal.signal(signal.SIGHUP, signal.SIG_IGN if "nohup" in sys.argv else signal.SIG_DFL)
     with Workers(2) as executor:
-        print(*in_order(abs, [-1, -2], executor), flush=True)
-        list(in_order(time.sleep, [120.0, 120.0, 120.0], executor))
+        print(*results_in_order(abs, [-1, -2], executor), flush=True)
+        list(results_in_order(time.sleep, [120.0, 120.0, 120.0], executor))
 """
 
 
@@ -250,13 +250,13 @@ ALWAYS_SENDING = """
 import sys
 
 try:
-    from calib.core.base.workers import Workers, in_order
+    from calib.core.base.workers import Workers, results_in_order
 
     if __name__ == "__main__":
         print(end="1", flush=True)
         with Workers(2) as executor:
             while True:
-                list(in_order(bytes, [300_000] * 20, executor))
+                list(results_in_order(bytes, [300_000] * 20, executor))
 except KeyboardInterrupt:
     sys.exit(130)
 """

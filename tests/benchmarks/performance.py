@@ -158,12 +158,12 @@ the [measurements of others](benchmarks.md) in FOLDER; `make bench` prints it, a
 
 ## Kinematics through closed loops
 
-Work for each of 420 poses of MedRUE after a small step of the parameters, and of whole fits. The unit is one call of
-Pinocchio's `computeJointJacobians` from Python.
+The table has the work for each of 420 poses of MedRUE after a small step of the parameters, and the work of whole fits.
+The unit is one call of Pinocchio's `computeJointJacobians` from Python.
 
 With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 5 s once for each
 version. Studies of many calibrations and work on thousands of poses use it, and so does code under `with
-calib.core.robots.acceleration.compiled():`.
+calib.core.robots.acceleration.compile_kinematics():`.
 
 | work for each pose | over Pinocchio's loop | with `fast` |
 |---|---:|---:|"""

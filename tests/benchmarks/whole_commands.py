@@ -29,8 +29,8 @@ MANY = 100_000
 MOST = 1_000_000
 COMPILE = """
 import sys, calib
-from calib.core.robots.acceleration import compiled
-with compiled():
+from calib.core.robots.acceleration import compile_kinematics
+with compile_kinematics():
     calib.fit(*sys.argv[1:])
 """
 PROGRAMS = {"calib": ["-m", "calib"], "medrue": ["-c", "from medrue.cli import main; main()"]}

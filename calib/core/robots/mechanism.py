@@ -12,7 +12,7 @@ Joint values. The user gives the actuated ones; a loop decides the passive ones;
 
 with selection matrices E that also hold `<mimic>` multipliers, so that a follower joint moves with its leader.
 
-Where a joint term tilts the link behind a joint (`calib.core.robots.terms.term.Tilting`), that link hangs on joints of
+Where a joint term tilts the link behind a joint (`calib.core.robots.terms.term`), that link hangs on joints of
 its own, one for each rotation that the joint itself does not make. They are given like the actuated ones and come after
 them in q_actuated; they are not commanded, and what they are follows from the commands.
 """

@@ -122,7 +122,7 @@ class Sight:
                     count[line.name, body] = count.get((line.name, body), 0) + 1
         ends_in = frozenset(key for key, n in count.items() if n >= _ALWAYS * len(joints))
         remarks = tuple(
-            f"{body} is always in sight of {line}, and does not count there" for line, body in sorted(ends_in)
+            f"{body} nearly always hides {line}, so it is not checked for that line" for line, body in sorted(ends_in)
         )
         return Sight(self.scene, self.lines, ends_in), remarks
 

@@ -23,7 +23,9 @@ def judge_pairs(result: PosePairs) -> HandEyeJudgement:
             reasons.append(
                 (grade, f"{', '.join(lost)} of the {name} {'is' if len(lost) == 1 else 'are'} not determined")
             )
-            advice.append("turn the tool about two axes or more; or measure what is open, such as a height, by hand")
+            advice.append(
+                "turn the tool about two axes or more; or measure by hand what is not determined, such as a height"
+            )
         if not np.all(known < WIDE):
             reasons.append(("CHECK", f"where the {name} is, is poorly known: see its intervals"))
             advice.append("turn the tool further, about two axes or more, at more poses")
@@ -48,7 +50,9 @@ def report_pairs(result: PosePairs, frames: Frames) -> str:
         _pose_in_words(f"Camera in {above[0]}", result.camera),
         _pose_in_words(f"Marker in {above[1]}", result.marker),
     ]
-    lines += [f"No pair shows this change, so that one of them must be known: {change}" for change in result.unseen]
+    lines += [
+        f"No pair shows this joint change; measure one of the quantities in it: {change}" for change in result.unseen
+    ]
     return "\n".join([*lines, *(f"Next: {text}" for text in judgement.advice)])
 
 

@@ -40,7 +40,7 @@ def command(robot: str | None, data: tuple[str, ...], out: str, output: Output) 
     poses. The exit code is 3 if a check fails.
     """
     if robot is not None and not data:
-        raise click.UsageError("ROBOT needs measurements; give DATA, or neither")
+        raise click.UsageError("ROBOT needs measurements: give ROBOT and DATA, or neither of them")
     model = None if robot is None else load_robot(robot, output)
     measured = None if model is None else read_measurements(data, model)
     names = _NAMES if find_spec("fpdf") else _NAMES[:2]

@@ -239,7 +239,10 @@ class _Loader(yaml.SafeLoader):
         sizes: dict[int, int] = {}
         if document is not None and _size(document, sizes) - len(sizes) > _MOST_BY_ALIASES:
             raise yaml.composer.ComposerError(
-                None, None, f"its aliases stand for more than {_MOST_BY_ALIASES} further entries", document.start_mark
+                None,
+                None,
+                f"its YAML aliases (*NAME) expand to more than {_MOST_BY_ALIASES} entries",
+                document.start_mark,
             )
         return document
 

@@ -39,8 +39,8 @@ _WEIGHTS_STAND = 1e-4
 _MEDIAN = 0.37  # efficiency of the median of absolute values as a scale, for normal noise (maronna2019)
 _SMALLEST_SCALE = 1e-8  # below ten nanometres a residual is rounding [SI]
 _TOO_FEW_LEFT = (
-    "the poses that the robust loss still believes do not determine the parameters: too many measurements disagree with"
-    " each other; check them, or fit with --loss none"
+    "the robust loss has rejected so many readings that the rest does not determine the parameters: too many"
+    " measurements disagree with each other; check them, or fit with --loss none"
 )
 
 

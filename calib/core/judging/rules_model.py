@@ -65,8 +65,8 @@ def check_convergence(fit: Fit) -> Iterator[Reason]:
         )
     elif end.receding:
         text = (
-            f"not converged: these poses do not determine {listing(end.receding)}: the farther the fit moves"
-            f" {'it' if len(end.receding) == 1 else 'them'}, the farther there is to go"
+            f"not converged: these poses do not determine {listing(end.receding)}: the fit would"
+            f" move {'it' if len(end.receding) == 1 else 'them'} without limit"
         )
         advice = f"measure poses that differ more, or hold what they do not determine (--fix {end.receding[0]})"
     elif not end.step_left < np.inf or end.step_left > 1.0:
@@ -316,7 +316,11 @@ def why_no_origins(fit: Fit) -> str:
     known = fit.robot.files.get(Holds.ORIGINS)
     if known is not None:
         return known.withheld
-    return "no fit without its joint terms has succeeded" if lost_by(fit.robot, Holds.ORIGINS) else ""
+    return (
+        "the fit without joint terms, which such a file needs, did not succeed"
+        if lost_by(fit.robot, Holds.ORIGINS)
+        else ""
+    )
 
 
 def systematic(fit: Fit) -> Iterator[Reason]:

@@ -62,7 +62,7 @@ class FleetSection(Section):
             if len(parameter.unsure) != len(first.unsure):
                 raise ValueError(
                     f"'unsure' has {len(parameter.unsure)} numbers for '{other}' and {len(first.unsure)} for '{name}';"
-                    " every parameter has as many: let `calib fleet` write it again"
+                    " all parameters must have the same number: write the file again with `calib fleet`"
                 )
         return self
 

@@ -218,7 +218,7 @@ def with_prior(robot: SomeRobot, names: str | Sequence[str], sigma: str) -> Some
             raise ParameterError(f"parameter '{name}' is of a joint term, whose sigma stands in the robot description")
         if not isinstance(sigma, str):
             number = isinstance(sigma, (float, int))
-            lacks = "has no unit; write it" if number else "is not one standard deviation, about nominal, with its unit"
+            lacks = "has no unit; write it" if number else "is not a standard deviation with its unit"
             raise InputError(f"prior of '{name}': {sigma!r:.40} {lacks}, such as '0.5 mm' or '1 mrad'")
         if quantity(sigma, robot.parameters[place].dimension, f"prior of '{name}'") <= 0:
             raise InputError(f"prior of '{name}': sigma {sigma} must be positive; fix('{name}') keeps it as it is")

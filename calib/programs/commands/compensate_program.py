@@ -110,7 +110,9 @@ def _remarks(compensated: CompensatedProgram, figures: Figures) -> list[str]:
     """Remarks on the file and on the program's tools."""
     program, compensation, lines = compensated.program, compensated.compensation, []
     if not compensation.nothing_to_correct:
-        lines.append(f"Rounding to the file's decimals moves it by {figures['rounding_mm']['max']:.4f} mm at worst")
+        lines.append(
+            f"Rounding to the file's decimals moves the tool by {figures['rounding_mm']['max']:.4f} mm at worst"
+        )
     if compensated.lever > 1e-6 and "expected_angle_mrad" in figures:
         far = millimetres(compensated.lever)
         most = figures["expected_mm"]["rms"] + far * figures["expected_angle_mrad"]["rms"] / 1e3

@@ -61,7 +61,9 @@ class NominalCell:
             (self.flange, between, f"target '{robot.mechanism.moved_targets[0].name}'", "--flange-link"),
         ):
             if np.max(np.abs(seen - seen[0])) > _ALIKE:
-                raise InputError(f"{robot.path}: link '{link}' moves against {what}; name another with {option}")
+                raise InputError(
+                    f"{robot.path}: link '{link}' moves relative to {what}; name another link with {option}"
+                )
         self._base_pose, self._target = pin.SE3(bases[0]), pin.SE3(between[0])
 
     def _link(self, given: str | None, usual: str, otherwise: str, links: Sequence[str]) -> str:

@@ -94,7 +94,7 @@ class Statements(ABC):
                 at = stop
         path = self.sources[0].path
         if self.flow.blocks:
-            raise DataError(f"{path}, line {self.flow.blocks[-1].line}: is not ended; correct it")
+            raise DataError(f"{path}, line {self.flow.blocks[-1].line}: the block that begins here has no end; add it")
         if self.flow.routine:
             raise DataError(f"{path}: routine '{self.flow.routine.lower()}' has no end; correct it")
         self.flow.finish()

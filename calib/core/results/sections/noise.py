@@ -107,8 +107,8 @@ def scatter_lines(fit: Fit) -> list[str]:
             f"{axis} {quantity_text(size, part.dimension)}" for (axis, part), size in zip(axes, offsets, strict=True)
         ]
         lines.append(
-            f"All readings of {name} at a pose share an error (what the model leaves out): {', '.join(sizes)}."
-            " Their weights allow for it, because that predicts poses left out better"
+            f"All readings of {name} at a pose share an error that the model leaves out: {', '.join(sizes)}."
+            " The fit gives these readings less weight, because it then predicts poses left out better"
         )
     if fit.chi_square is not None:
         chi = fit.chi_square

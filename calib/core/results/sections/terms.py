@@ -56,7 +56,7 @@ def _size_in_words(trial: TermTrial) -> str:
     """A kind of term and its size, in words."""
     low, high = trial.size95
     if not trial.added:
-        return f"{trial.term} (up to {high:.2g} times what is usual)"
+        return f"{trial.term} (up to {high:.2g} times the usual size)"
     of = f" of {listing(list(trial.joints))}" if trial.joints else ""
     sure = "surely there" if trial.proven else "probably there"
     size = f"{trial.size:.2g} times what is usual ({low:.2g} to {high:.2g})"

@@ -67,7 +67,7 @@ def expand(path: Path | str, arguments: Mapping[str, str]) -> bytes:
         )
     if done.returncode:
         last = done.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
-        message = last[0] if done.returncode == _FAILED and last else "it ended without a word"
+        message = last[0] if done.returncode == _FAILED and last else "it ended without an error message"
         raise UrdfError(f"{path}: xacro cannot expand it ({message}); correct it, {elsewhere}")
     return done.stdout
 
@@ -154,7 +154,7 @@ def _kind(error: BaseException) -> str:
     if any(isinstance(cause, MemoryError) for cause in causes):
         return "it takes more than 2 GB of memory"
     if "environment variable" in str(error):
-        return "it needs a variable of the environment, which no robot depends on here"
+        return "it needs an environment variable; robots here may not depend on one"
     line = next((f"line {cause.lineno}: " for cause in causes if hasattr(cause, "lineno")), "")
     quoted = _QUOTED.search(str(error))
     name = next(filter(None, quoted.groups()), "") if quoted else ""

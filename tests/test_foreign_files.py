@@ -35,11 +35,11 @@ def test_aliases_without_bound_are_refused_wherever_yaml_is_read(folder, refused
         before = (folder / name).read_text() if (folder / name).is_file() else None
         (folder / name).write_text(text)
         line = refused(command)
-        assert "aliases stand for more than 10000" in line
+        assert "aliases (*NAME) expand to more than 10000" in line
         if before is not None:
             (folder / name).write_text(before)
     (folder / "c.yaml").write_text(text)
-    with pytest.raises(InputError, match="aliases stand for more than 10000"):
+    with pytest.raises(InputError, match=r"aliases \(\*NAME\) expand to more than 10000"):
         read_camera(folder / "c.yaml")
 
 

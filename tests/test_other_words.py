@@ -239,7 +239,7 @@ ANSWERED = {
     "t.data + t.data": "calib.fit(robot, [first, 'b.csv'])",
     "t.fit.residuals['tool']": "valid: reflector",
     "t.fit.predict(t.q) - t.q[:, :3]": "give an array of shape (5, 1, 3)",
-    "calib.fit(t.robot, t.data, prior={'joint_2.x': (0, 0.001)})": "not one standard deviation, about nominal",
+    "calib.fit(t.robot, t.data, prior={'joint_2.x': (0, 0.001)})": "not a standard deviation with its unit",
     "calib.fit(t.robot, t.data, prior={'joint_2.x': 0.001})": "has no unit",
     "bool(t.fit.verdict)": "fit.verdict.grade == 'PASS'",
     "t.fit.save(t.folder / 'fit.pkl')": "leave the ending out",

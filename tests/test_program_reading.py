@@ -324,7 +324,7 @@ def test_a_routine_that_is_said_to_be_harmless_is(tmp_path, suffix, text, call):
         (".src", "DEF p()\nIF $IN[1] THEN\nEND\n", "'END' ends nothing"),
         (".src", "DEF p()\nLIN {X 1,\nY 2}\nEND\n", "bracket that is not closed"),
         (".src", "DEF p()\nUNTIL TRUE\nEND\n", "'UNTIL' belongs to nothing"),
-        (".ls", LS.replace("#", " IF (R[1]=1) THEN ;").replace("%\n", ""), "is not ended"),
+        (".ls", LS.replace("#", " IF (R[1]=1) THEN ;").replace("%\n", ""), "has no end"),
         (".ls", LS.replace("#", " ENDFOR ;").replace("%\n", ""), "'ENDFOR' ends nothing"),
         (".ls", LS.replace("#\n", "").replace("%\n", "").replace("P[2]{", "P[1]{"), "is in /POS twice"),
     ],

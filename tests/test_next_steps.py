@@ -206,6 +206,8 @@ def test_result_json_and_the_terminal_offer_the_same_fit(run_calib, tmp_path):
     run = run_calib("fit", EXAMPLES / "arm.yaml", EXAMPLES / "arm_simulated.csv", *asked, "--out", "out", cwd=tmp_path)
     told = json.loads((tmp_path / "out" / "result.json").read_text())["next"]
     command = shlex.split(told.partition(": ")[2])
+    assert "\nPASS: " in run.out or "\nCHECK: " in run.out or "\nFAIL: " in run.out  # no codes of a terminal
+    assert "\\x1b" not in run.out
     typed = shlex.split(run.out.rpartition("Next: ")[2].partition(": ")[2])
     files = {"ROBOT": str(EXAMPLES / "arm.yaml"), "DATA": str(EXAMPLES / "arm_simulated.csv"), "DIR": "out"}
     assert [files.get(word, word) for word in command] == typed

@@ -13,9 +13,9 @@ from calib.core.judging.next_step import next_step
 from calib.core.judging.verdict import judge
 
 _MEANINGS = {
-    "PASS": ("green", "this fit can be used at poses like those measured"),
-    "CHECK": ("yellow", "read the reasons above before you use this fit; intervals may be too narrow"),
-    "FAIL": ("red", "do not use these numbers; the reasons above say what to look for"),
+    "PASS": "this fit can be used at poses like those measured",
+    "CHECK": "read the reasons above before you use this fit; intervals may be too narrow",
+    "FAIL": "do not use these numbers; the reasons above say what to look for",
 }
 _NOT_AGAIN = ("--out", "--json", "--force", "--quiet", "--verbose", "--debug")
 NOISE = ("--sigma-mm",)
@@ -57,10 +57,9 @@ def advice_after_fit(
         written: Whether it is there, and is not only a proposal.
     """
     grade, step = judge(fit).grade, next_step(fit)
-    colour, meaning = _MEANINGS[grade]
     noise = {name: typed[name] for name in NOISE if name in typed}
     kept = {"fit": typed, "check": noise}.get(step.command.split()[1], {})
     words = step.with_file_names(robot, data, out, kept)
     if step.needs_folder and not written:
         words = f"fit again with --out {shlex.quote(out)}, then {words}"
-    return f"{click.style(grade, fg=colour, bold=True)}: {meaning}\nNext: {words}"
+    return f"{grade}: {_MEANINGS[grade]}\nNext: {words}"

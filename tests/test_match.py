@@ -137,7 +137,7 @@ def test_tool_is_found_and_a_wrong_statement_is_named(stock: Path, tmp_path: Pat
     pairs = ur_pairs(tmp_path / "pairs.csv", q, poses(q, o) @ tool)
     found = calib.match(stock, pairs)
     assert found.grade == "PASS", found.report()
-    assert "tool: the controller's differs from tool0: xyz" in found.places[1]
+    assert "tool: the controller's frame differs from tool0 by xyz" in found.places[1]
     assert calib.match(stock, pairs, tool=[30, 0, 120, 0, 0, 0]).grade == "PASS"
     with pytest.raises(DataError, match="of another tool than the one stated"):
         calib.match(stock, pairs, tool=[0, 0, 80, 0, 0, 0])

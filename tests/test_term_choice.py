@@ -141,7 +141,7 @@ def test_what_is_there_is_added_and_nothing_else():
     assert "Joint terms added: gain of joint_" in report
     assert "surely there: log evidence +" in report
     assert re.search(r"Coefficients of gain: joint_\d\.gain [+-]", report)
-    assert "The measurements do not say whether there are: " in report
+    assert "Joint terms that the measurements neither show nor exclude: " in report
 
 
 def test_which_joint_drives_which_is_found():

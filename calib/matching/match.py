@@ -142,7 +142,7 @@ def _places(fit: TwinFit, stated: tuple[bool, bool]) -> tuple[str, str]:
     ):
         if known is None:
             T = fit.found_place(place)
-            texts.append(f"{what}: the controller's differs from {frame}: {_place(T)} (found; not in the URDF)")
+            texts.append(f"{what}: the controller's frame differs from {frame} by {_place(T)} (found; not in the URDF)")
         elif given:
             texts.append(f"{what}: as stated")
         else:

@@ -48,7 +48,9 @@ def terms_lines(fit: Fit) -> list[str]:
     refused = [f"{trial.term} ({trial.why})" for trial in tried if trial.why]
     lines = [f"Joint terms added: {listing(added, '; ', count) or _NONE}"]
     lines += [line for trial in tried if trial.added for line in _coefficients(fit, trial.term)]
-    lines += [f"The measurements do not say whether there are: {listing(left, '; ', count)}"] if left else []
+    lines += (
+        [f"Joint terms that the measurements neither show nor exclude: {listing(left, '; ', count)}"] if left else []
+    )
     return lines + ([f"Joint terms that they cannot show: {listing(refused, '; ', count)}"] if refused else [])
 
 

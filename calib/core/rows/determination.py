@@ -40,9 +40,9 @@ class Determination(ReadOnlyArrays):
 
     def lines(self) -> list[str]:
         """Return both ranks of the poses alone with their gaps, and where they are unclear."""
-        lines = [f"All {self.everything.n_columns} parameters, poses without priors: {self.everything}"]
+        lines = [f"All {self.everything.n_columns} parameters, poses alone: {self.everything}"]
         if self.free.n_columns != self.everything.n_columns:
-            lines.append(f"The {self.free.n_columns} free ones, from the poses without priors: {self.free}")
+            lines.append(f"The {self.free.n_columns} free ones, poses alone: {self.free}")
         doubts = dict.fromkeys(rank.doubt for rank in (self.everything, self.free) if rank.unclear)
         return lines + [sentence(doubt) for doubt in doubts]
 

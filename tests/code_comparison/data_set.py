@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import urllib.request
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
@@ -45,7 +46,7 @@ class Split:
 
 
 @dataclass(frozen=True)
-class DataSet:
+class DataSet(ABC):
     """Measurements by others; each kind of problem says how one is written for codes, and what errors are.
 
     Attributes:
@@ -81,13 +82,13 @@ class DataSet:
     addresses: Mapping[str, str] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)
 
+    @abstractmethod
     def write(self, here: Path, split: Split, folder: Path) -> None:
         """Write a problem as `codes/exchange.py` says; `here` has the files."""
-        raise NotImplementedError
 
+    @abstractmethod
     def errors(self, unseen: Any, predicted: np.ndarray) -> np.ndarray:
         """How far off predictions are, one number for each unseen row [m, or px]."""
-        raise NotImplementedError
 
     def checked(self, folder: Path, *, fetch: bool = False) -> Path:
         """Return the folder of its files, which are those that were published.

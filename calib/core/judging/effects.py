@@ -365,10 +365,10 @@ def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, Flo
         (name, rows, robot.pairs(robot.instrument(name))) for name, own, rows in _seen_targets(setting) if own == target
     ]
     links = [None, *_other_joints(robot, target)]
-    wanted = [
+    frame_pairs = [
         pair if link is None else replace(pair, b=link) for link in links for _, _, pairs in seen for pair in pairs
     ]
-    poses = iter(relative_poses(robot.mechanism, setting.fit.configurations, tuple(wanted)))
+    poses = iter(relative_poses(robot.mechanism, setting.fit.configurations, tuple(frame_pairs)))
     for _ in links:
         result: dict[str, FloatArray] = {
             name: np.zeros((len(readings), robot.instrument(name).n_rows, 3)) for name, readings in all_readings.items()

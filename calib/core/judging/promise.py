@@ -303,10 +303,10 @@ class System:
         layout, left = self.rows.layout, self._orthogonal_part(self.rows.residuals)[: len(self.rows.residuals)]
         widths, used = np.maximum(layout.width, 1), np.ones(layout.n_readings)
         # the scale is known with as many degrees of freedom as the promise; there, half of them are counted
-        judged = studentised(left, self.rows.span, layout.reading, widths, used, 2.0 * self.promise.freedom, 1.0)
-        reading = int(np.argmin(judged.chance))
+        tests = studentised(left, self.rows.span, layout.reading, widths, used, 2.0 * self.promise.freedom, 1.0)
+        reading = int(np.argmin(tests.chance))
         n_read = len(np.unique(layout.reading[layout.group >= 0]))
-        return reading, min(1.0, float(judged.chance[reading]) * n_read)
+        return reading, min(1.0, float(tests.chance[reading]) * n_read)
 
     @cached_property
     def unlike(self) -> bool:

@@ -35,7 +35,7 @@ logarithms of sizes, w_i = d log V_i / d(log size), are
 With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B.
 
 Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Those below
-a ten-thousandth of the largest are put aside: rows do not see them. So are, if that is asked for, those of a family
+a ten-thousandth of the largest are put aside: rows do not see them. So are, with a least length, those of a family
 that move all rows together by less than a part of noise: of a coefficient u ~ N(0, 1) whose column has the length l,
 rows say l^2 / (1 + l^2) of its variance.
 

@@ -24,7 +24,7 @@ instruments:
     points: {{a: [0, 0, 0], b: [100 mm, 0, 0], c: [0, 80 mm, 0], d: [100 mm, 80 mm, 0], e: [50 mm, 30 mm, 20 mm]}}
     camera: {{frame: {camera}, xyz: {from}, rpy: {rpy}, pose: unknown}}
     intrinsics: {{fx: 3100, fy: 3100, cx: 2000, cy: 1500}}
-    sigma: 2
+    sigma: 1
 parametrisation:
   - {{origin: all, components: [rz], sigma: 5 deg}}
 """
@@ -44,9 +44,10 @@ def robot(request, tmp_path):
     return calib.load(tmp_path / "arm.yaml")
 
 
+@pytest.mark.parametrize("robot", ["on a tripod"], indirect=True)
 def test_signs_and_zeros_are_named_from_photographs_alone(robot):
     rng = np.random.default_rng(2)
-    joints = rng.uniform(-0.4, 0.4, (14, 5))
+    joints = rng.uniform(-1.0, 1.0, (16, 5))
     seen = calib.simulate(robot, joints, None, rng)
     assert likely_mistake(robot, seen) == ""
     logged = joints * [1, 1, -1, 1, 1] + [0, 0, 0, np.pi / 2, 0]
@@ -65,5 +66,5 @@ def test_positions_are_those_of_the_points_in_the_camera(robot):
     T = robot.forward(joints, camera.frame), robot.forward(joints, robot.description.targets["marks"].frame)
     ends = np.linalg.inv(T[0]) @ T[1] @ [*robot.description.targets["marks"].xyz, 1.0]
     expected = np.linalg.norm(ends[:, :3] - [0.0, 0.0, 0.0] - np.array(camera.xyz), axis=1)
-    # two pixels over a hundred millimetres at most a metre away: the depth is seen to a per cent or two
+    # a pixel over a hundred millimetres, a metre away: the depth is seen to a per cent
     assert np.allclose(np.linalg.norm(points.points(positioned)[:, 0], axis=1), expected, rtol=0.05)

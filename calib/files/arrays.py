@@ -112,7 +112,7 @@ def _columns(file: SomeFile, arrays: Mapping[str, Any]) -> dict[str, Sequence[ob
     if not lengths:
         raise DataError(f"{file.path}: holds no arrays of numbers; save one for each column, all of one length")
     most = max(lengths, key=lambda size: (lengths.count(size), size))
-    columns: dict[str, Sequence[object]] = {name: texts for name, texts in texts.items() if len(texts) == most}
+    columns: dict[str, Sequence[object]] = {name: column for name, column in texts.items() if len(column) == most}
     for name, array in numbers.items():
         if array.ndim == 2 and array.shape[0] != most:
             array = array.T

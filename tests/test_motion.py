@@ -366,6 +366,12 @@ def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_pa
     srdf = (tmp_path / "arm.srdf").read_text()
     (tmp_path / "arm.srdf").write_text(srdf.replace("six axes", "six_axes_description"))  # so is z1 of Unitree
     assert surroundings(calib.load(yaml)).scene.pairs == scene.pairs
+    groups = "<robot name='other'><group name='arm'><joint name='j2'/></group></robot>"  # that of z1 disables nothing
+    (tmp_path / "arm.srdf").write_text(groups)
+    assert set(scene.pairs) < set(surroundings(calib.load(yaml)).scene.pairs)
+    (tmp_path / "arm.srdf").write_text(groups.replace("j2", "wrist"))
+    with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
+        surroundings(calib.load(yaml))
     (tmp_path / "arm.srdf").write_text(srdf.replace("six axes", "other").replace("l4", "wrist"))
     with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
         surroundings(calib.load(yaml))

@@ -111,7 +111,8 @@ def _disabled_pairs(robot: Robot) -> set[frozenset[str]]:
             for element in root.iterfind("disable_collisions")
         ]
         unknown = [name for name in sorted(frozenset().union(*named)) if name not in robot.urdf.links]
-        if own and not same and (unknown or not named):  # with all links in common, only the names differ
+        shared = named or {joint.get("name") for joint in root.iter("joint")} & set(robot.mechanism.origin_names)
+        if own and not same and (unknown or not shared):  # with links or joints in common, only the names differ
             raise DescriptionError(
                 f"{path}: is the SRDF of robot '{root.get('name')}', but {robot.urdf.path} is '{robot.urdf.name}'"
             )

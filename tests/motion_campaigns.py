@@ -53,7 +53,7 @@ ROBOTS = (
 )
 LEG = {"cylinder": [0.1, 0.7], "xyz": [0.237, 0.34, -0.04], "rpy": [0, np.pi / 2, 0]}  # see medrue.workspace
 FINER = 10
-POSES_IN_A_SCENE = 10  # campaigns of a robot among the same boxes, each with other poses
+POSES_IN_A_SCENE = 5  # campaigns of a robot among the same boxes, each with other poses
 ARC = 1.02  # by which a point's way between two steps is longer than the straight line, at most
 
 
@@ -378,7 +378,7 @@ def checked_scene(path, seed):
     return robot, scene, checker_of(robot, scene, obstacles)
 
 
-def campaign(path, seed, n_poses=8):
+def campaign(path, seed, n_poses=5):
     """Plan a route among random boxes and walk along it; return what was seen, as a dictionary."""
     robot, scene, checker = checked_scene(path, seed // POSES_IN_A_SCENE)
     try:

@@ -440,6 +440,15 @@ def test_without_shapes_nothing_is_checked_and_that_is_said(tmp_path, run_calib)
     yaml = _write(tmp_path, "", URDF)
     run = run_calib("sample", yaml, "-n", 3, "--out", tmp_path / "s.csv")
     assert "collisions are not checked: the robot file has no collision shapes" in run.err
+    s, m = tmp_path / "s.csv", tmp_path / "m.csv"
+    run_calib("sample", yaml, "-n", 40, "--out", s, "--force")
+    for command in (
+        ("check", yaml, s),
+        ("select", yaml, s, "-n", 30, "--out", tmp_path / "c.csv"),
+        ("simulate", yaml, s, "--sigma-mm", 0.1, "--seed", 1, "--out", m),
+        ("watch", yaml, m, "--goal", "1mm", "--once", "--candidates", s),
+    ):
+        assert run_calib(*command).err.count("collisions are not checked: the robot file has no collision shapes") == 1
     check = check_poses(calib.load(yaml), np.zeros((2, 6)))
     assert check.is_free.all()
     assert check.unchecked

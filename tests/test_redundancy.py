@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kind_checks import brought, kind_error
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
@@ -430,6 +431,34 @@ def test_every_second_star_of_a_real_telescope_tells_of_the_others(tmp_path):
         readings = Readings(np.arange(len(at)), PAIRS[: len(at)], read[others], None, np.zeros((len(at), 0)))
         missed = np.sqrt(np.mean(np.sum(kind.misses(view, np.zeros(0), readings) ** 2, axis=1))) / ARCSEC
         assert missed <= 13.1
+
+
+def position(anchors, lengths, noise):
+    """Where cables of these lengths (n,) meet, (3,)."""
+    return least_squares(lambda p: (np.linalg.norm(p - anchors, axis=1) - lengths) / noise, [0, 0, 0.1]).x
+
+
+@pytest.mark.skipif(not (SHARED / "hangprinter_cable").is_dir(), reason="the cables are not here")
+def test_every_second_position_of_a_real_cable_robot_tells_of_the_others(tmp_path):
+    rows = np.genfromtxt(SHARED / "hangprinter_cable" / "samples.csv", delimiter=",", skip_header=1)
+    q, turned, missed = rows[:, :3] / 1e3, np.radians(rows[:, 4:8]), []
+    xml, yaml = (Path("docs/howto/cables.md").read_text().split(f'"mover.{name}"\n')[1] for name in ("urdf", "yaml"))
+    robot = load(tmp_path, "mover.yaml", yaml.split("```")[0], xml.split("```")[0])
+    for used, others in ((slice(0, None, 2), slice(1, None, 2)), (slice(1, None, 2), slice(0, None, 2))):
+        names = [instrument.name for instrument in robot.instruments]
+        read = {name: turned[used][:, [k]] for k, name in enumerate(names)}
+        fit = calib.fit(robot, calib.as_measurements(robot, q[used], read), loss="huber")
+        value = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
+        anchors = np.array([[value[f"{name}_anchor.{axis}"] for axis in "xyz"] for name in names])
+        noise = np.array([np.sqrt(np.mean(fit.identification.after[name] ** 2)) for name in names])
+        phi = turned[others] * 20 / 255
+        length, spool, growth = np.array(
+            [[value[f"{name}.{key}"] for name in names] for key in ("length", "spool", "growth")]
+        )
+        lengths = length + (spool + growth * phi / (4 * np.pi)) * phi / [2, 2, 2, 4]
+        at = np.array([position(anchors, each, noise) for each in lengths])
+        missed += list(np.linalg.norm(at - q[others], axis=1))
+    assert np.sqrt(np.mean(np.square(missed))) <= 4.3e-3
 
 
 def test_a_controller_gets_where_each_axis_of_rotation_is(tmp_path):

@@ -62,7 +62,7 @@ def _without_permanent_contacts(scene: CollisionScene) -> CollisionScene:
     """The scene without pairs that touch at home or nearly always."""
     if not scene.pairs:
         return scene
-    touching = scene.distances(scene.configurations(_samples(scene.robot))[0])
+    touching = scene.distances(scene.configurations(home_and_more(scene.robot, _SAMPLES, 0))[0])
     names = [scene.name(k) for k in range(len(scene.pairs))]
     given = np.array([scene.bodies[a].is_described or scene.bodies[b].is_described for a, b in scene.pairs], dtype=bool)
     order = np.array([sorted(set(names)).index(name) for name in names])
@@ -92,10 +92,10 @@ def _require_room(scene: CollisionScene, touching: FloatArray, always: BoolArray
                 )
 
 
-def _samples(robot: Robot) -> FloatArray:
-    """Home, then poses over the joint limits as far as they can be found, (n, n_actuated)."""
+def home_and_more(robot: Robot, count: int, seed: int) -> FloatArray:
+    """Return home, then poses over the joint limits as far as they can be found, (n, n_actuated) [m or rad]."""
     try:
-        return np.vstack([robot.home, robot.sample(_SAMPLES, 0)])
+        return np.vstack([robot.home, robot.sample(count, seed)])
     except DataError:
         return robot.home[None]
 

@@ -366,6 +366,9 @@ def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_pa
     srdf = (tmp_path / "arm.srdf").read_text()
     (tmp_path / "arm.srdf").write_text(srdf.replace("six axes", "six_axes_description"))  # so is z1 of Unitree
     assert surroundings(calib.load(yaml)).scene.pairs == scene.pairs
+    left = srdf.replace("</robot>", "<disable_collisions link1='l2' link2='right_arm'/></robot>")
+    (tmp_path / "arm.srdf").write_text(left)  # of the whole robot, as that of Talos beside its left arm
+    assert surroundings(calib.load(yaml)).scene.pairs == scene.pairs
     groups = "<robot name='other'><group name='arm'><joint name='j2'/></group></robot>"  # that of z1 disables nothing
     (tmp_path / "arm.srdf").write_text(groups)
     assert set(scene.pairs) < set(surroundings(calib.load(yaml)).scene.pairs)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.errors import DataError, DescriptionError, nearest
+from calib.core.base.errors import DataError, DescriptionError
 from calib.core.base.files import read_text
 from calib.core.base.words import count_noun
 from calib.core.robots.robot import Robot
@@ -116,13 +116,8 @@ def _disabled_pairs(robot: Robot) -> set[frozenset[str]]:
             raise DescriptionError(
                 f"{path}: is the SRDF of robot '{root.get('name')}', but {robot.urdf.path} is '{robot.urdf.name}'"
             )
-        if not own and not same:
-            continue
-        if unknown:
-            raise DescriptionError(
-                f"{path}: no link '{unknown[0]}' in the robot{nearest(unknown[0], robot.urdf.links)}"
-            )
-        pairs.update(named)
+        if own or same:
+            pairs.update(named)  # those of links that this part of the robot lacks have no shapes here
     return pairs
 
 

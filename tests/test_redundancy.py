@@ -26,6 +26,8 @@ from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import formats_that_hold
 from calib.core.robots.terms.term import Context, Joint
 from calib.core.robots.terms.terms import TERMS
+from calib.core.rows.jacobian import linearise
+from calib.exporting.joint_tables import joint_tables, lost_by_tables
 from calib.extend import check_kind, check_term
 from calib.redundancy.rotary_axes import FORMATS
 
@@ -391,6 +393,19 @@ def test_a_stated_side_of_the_play_is_taken_and_a_missing_column_is_named(tmp_pa
         calib.as_measurements(robot, {key: np.array(cells) for key, cells in columns.items() if key != "pose"})
 
 
+def test_no_table_of_a_joint_holds_its_play_or_what_a_column_winds_up(tmp_path):
+    robot, true, _ = driven(tmp_path)
+    robot = robot.with_parameters(true)
+    (table,) = joint_tables(robot)
+    q = table.commands
+    own = 0.006 * q + 1e-3 * np.sin(2 * q) - 2e-3 * np.cos(2 * q)
+    assert table.actual - q == pytest.approx(own, abs=1e-9)
+    assert [Holds.TABLES.keeps(term) for term in robot.terms] == [True, True, False, False]
+    play, wound_up = lost_by_tables(robot)
+    assert "it depends on the column 'play_elbow': 17.5 mrad to either side remains" in play
+    assert "it depends on the column 'current': 0.8 mrad remains" in wound_up
+
+
 def test_what_a_hand_that_turns_about_the_vertical_alone_cannot_tell_is_named(tmp_path):
     urdf = "<robot name='scara'><link name='l0'/><link name='hand'/>" + "".join(
         f"<link name='l{k + 1}'/><joint name='{n}' type='{t}'><parent link='l{k}'/><child link='l{k + 1}'/>"
@@ -460,6 +475,13 @@ def test_every_second_position_of_a_real_cable_robot_tells_of_the_others(tmp_pat
         at = np.array([position(anchors, each, noise) for each in lengths])
         missed += list(np.linalg.norm(at - q[others], axis=1))
     assert np.sqrt(np.mean(np.square(missed))) <= 4.3e-3
+
+
+@pytest.mark.parametrize("case", [machined, spooled])
+def test_a_target_that_no_origin_moves_has_derivatives_of_zero(tmp_path, case):
+    robot, _, _ = case(tmp_path)
+    linear = linearise(robot, robot.assemble(np.zeros((2, len(robot.joint_names)))))
+    assert not linear.jacobian.any()
 
 
 def test_a_controller_gets_where_each_axis_of_rotation_is(tmp_path):

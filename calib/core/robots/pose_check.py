@@ -45,7 +45,7 @@ class PoseCheck:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was not checked, and what stands for links."""
+        """Remarks on shapes and pairs; or that nothing was checked, and why."""
         return (f"collisions are not checked: {self.unchecked}",) if self.unchecked else self.remarks
 
     def summary(self) -> str:

@@ -277,7 +277,8 @@ def table_to_fill_in(route: Route) -> str:
     columns = pose_columns(route.robot, [stop.name for stop in route.stops], route.joints)
     for instrument in route.robot.instruments:
         numbers = [header(column.name, column.dimension) for column in instrument.columns()]
-        columns |= {name: [""] * len(route.stops) for name in (*numbers, *instrument.text_columns())}
+        for name in (*numbers, *instrument.text_columns()):
+            columns[name] = [""] * len(route.stops)
     comment = "fill in what was read at each pose; rows of an instrument's own log join by 'pose'"
     return format_table(list(columns.items()), (comment,))
 

@@ -366,6 +366,15 @@ def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_pa
     srdf = (tmp_path / "arm.srdf").read_text()
     (tmp_path / "arm.srdf").write_text(srdf.replace("six axes", "six_axes_description"))  # so is z1 of Unitree
     assert surroundings(calib.load(yaml)).scene.pairs == scene.pairs
+    left = srdf.replace("</robot>", "<disable_collisions link1='l2' link2='right_arm'/></robot>")
+    (tmp_path / "arm.srdf").write_text(left)  # of the whole robot, as that of Talos beside its left arm
+    assert surroundings(calib.load(yaml)).scene.pairs == scene.pairs
+    groups = "<robot name='other'><group name='arm'><joint name='j2'/></group></robot>"  # that of z1 disables nothing
+    (tmp_path / "arm.srdf").write_text(groups)
+    assert set(scene.pairs) < set(surroundings(calib.load(yaml)).scene.pairs)
+    (tmp_path / "arm.srdf").write_text(groups.replace("j2", "wrist"))
+    with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
+        surroundings(calib.load(yaml))
     (tmp_path / "arm.srdf").write_text(srdf.replace("six axes", "other").replace("l4", "wrist"))
     with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
         surroundings(calib.load(yaml))
@@ -434,6 +443,15 @@ def test_without_shapes_nothing_is_checked_and_that_is_said(tmp_path, run_calib)
     yaml = _write(tmp_path, "", URDF)
     run = run_calib("sample", yaml, "-n", 3, "--out", tmp_path / "s.csv")
     assert "collisions are not checked: the robot file has no collision shapes" in run.err
+    s, m = tmp_path / "s.csv", tmp_path / "m.csv"
+    run_calib("sample", yaml, "-n", 40, "--out", s, "--force")
+    for command in (
+        ("check", yaml, s),
+        ("select", yaml, s, "-n", 30, "--out", tmp_path / "c.csv"),
+        ("simulate", yaml, s, "--sigma-mm", 0.1, "--seed", 1, "--out", m),
+        ("watch", yaml, m, "--goal", "1mm", "--once", "--candidates", s),
+    ):
+        assert run_calib(*command).err.count("collisions are not checked: the robot file has no collision shapes") == 1
     check = check_poses(calib.load(yaml), np.zeros((2, 6)))
     assert check.is_free.all()
     assert check.unchecked

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kind_checks import brought, kind_error
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
@@ -25,6 +26,8 @@ from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import formats_that_hold
 from calib.core.robots.terms.term import Context, Joint
 from calib.core.robots.terms.terms import TERMS
+from calib.core.rows.jacobian import linearise
+from calib.exporting.joint_tables import joint_tables, lost_by_tables
 from calib.extend import check_kind, check_term
 from calib.redundancy.rotary_axes import FORMATS
 
@@ -390,6 +393,19 @@ def test_a_stated_side_of_the_play_is_taken_and_a_missing_column_is_named(tmp_pa
         calib.as_measurements(robot, {key: np.array(cells) for key, cells in columns.items() if key != "pose"})
 
 
+def test_no_table_of_a_joint_holds_its_play_or_what_a_column_winds_up(tmp_path):
+    robot, true, _ = driven(tmp_path)
+    robot = robot.with_parameters(true)
+    (table,) = joint_tables(robot)
+    q = table.commands
+    own = 0.006 * q + 1e-3 * np.sin(2 * q) - 2e-3 * np.cos(2 * q)
+    assert table.actual - q == pytest.approx(own, abs=1e-9)
+    assert [Holds.TABLES.keeps(term) for term in robot.terms] == [True, True, False, False]
+    play, wound_up = lost_by_tables(robot)
+    assert "it depends on the column 'play_elbow': 17.5 mrad to either side remains" in play
+    assert "it depends on the column 'current': 0.8 mrad remains" in wound_up
+
+
 def test_what_a_hand_that_turns_about_the_vertical_alone_cannot_tell_is_named(tmp_path):
     urdf = "<robot name='scara'><link name='l0'/><link name='hand'/>" + "".join(
         f"<link name='l{k + 1}'/><joint name='{n}' type='{t}'><parent link='l{k}'/><child link='l{k + 1}'/>"
@@ -431,6 +447,41 @@ def test_every_second_star_of_a_real_telescope_tells_of_the_others(tmp_path):
         readings = Readings(np.arange(len(at)), PAIRS[: len(at)], read[others], None, np.zeros((len(at), 0)))
         missed = np.sqrt(np.mean(np.sum(kind.misses(view, np.zeros(0), readings) ** 2, axis=1))) / ARCSEC
         assert missed <= 13.1
+
+
+def position(anchors, lengths, noise):
+    """Where cables of these lengths (n,) meet, (3,)."""
+    return least_squares(lambda p: (np.linalg.norm(p - anchors, axis=1) - lengths) / noise, [0, 0, 0.1]).x
+
+
+@pytest.mark.skipif(not (SHARED / "hangprinter_cable").is_dir(), reason="the cables are not here")
+def test_every_second_position_of_a_real_cable_robot_tells_of_the_others(tmp_path):
+    rows = np.genfromtxt(SHARED / "hangprinter_cable" / "samples.csv", delimiter=",", skip_header=1)
+    q, turned, missed = rows[:, :3] / 1e3, np.radians(rows[:, 4:8]), []
+    xml, yaml = (Path("docs/howto/cables.md").read_text().split(f'"mover.{name}"\n')[1] for name in ("urdf", "yaml"))
+    robot = load(tmp_path, "mover.yaml", yaml.split("```")[0], xml.split("```")[0])
+    for used, others in ((slice(0, None, 2), slice(1, None, 2)), (slice(1, None, 2), slice(0, None, 2))):
+        names = [instrument.name for instrument in robot.instruments]
+        read = {name: turned[used][:, [k]] for k, name in enumerate(names)}
+        fit = calib.fit(robot, calib.as_measurements(robot, q[used], read), loss="huber")
+        value = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
+        anchors = np.array([[value[f"{name}_anchor.{axis}"] for axis in "xyz"] for name in names])
+        noise = np.array([np.sqrt(np.mean(fit.identification.after[name] ** 2)) for name in names])
+        phi = turned[others] * 20 / 255
+        length, spool, growth = np.array(
+            [[value[f"{name}.{key}"] for name in names] for key in ("length", "spool", "growth")]
+        )
+        lengths = length + (spool + growth * phi / (4 * np.pi)) * phi / [2, 2, 2, 4]
+        at = np.array([position(anchors, each, noise) for each in lengths])
+        missed += list(np.linalg.norm(at - q[others], axis=1))
+    assert np.sqrt(np.mean(np.square(missed))) <= 4.3e-3
+
+
+@pytest.mark.parametrize("case", [machined, spooled])
+def test_a_target_that_no_origin_moves_has_derivatives_of_zero(tmp_path, case):
+    robot, _, _ = case(tmp_path)
+    linear = linearise(robot, robot.assemble(np.zeros((2, len(robot.joint_names)))))
+    assert not linear.jacobian.any()
 
 
 def test_a_controller_gets_where_each_axis_of_rotation_is(tmp_path):

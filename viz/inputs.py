@@ -77,9 +77,8 @@ def _planned_scene(robot: Robot, result: Result | None, poses: Poses) -> ShownSc
     elif result is not None:
         robot = load_result(result, robot, failed_too=True).robot
     check = check_poses(robot, poses.joints)
-    notes = [check.summary()] if check.n_blocked else []
-    notes += [f"collisions are not checked: {check.unchecked}"] if check.unchecked else check.remarks
-    return ShownScene(build_scene(robot, None, from_plan(robot, poses, check.hits), notes=tuple(notes)), robot, None)
+    notes = (*([check.summary()] if check.n_blocked else []), *check.notes)
+    return ShownScene(build_scene(robot, None, from_plan(robot, poses, check.hits), notes=notes), robot, None)
 
 
 def _from_fit(

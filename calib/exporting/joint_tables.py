@@ -118,7 +118,8 @@ def _remark_on_rest(robot: Robot, indices: slice, term: JointTerm) -> str:
     """Say what of a joint's error is not in its table."""
     dimension = robot.mechanism.dimensions[term.joint]
     size = quantity_text(float(np.max(np.abs(robot.values[indices]))), dimension)
-    depends_on = listing([condition.words for condition in term.depends_on])
+    columns = [f"the column '{name}'" for name in term.reads()]
+    depends_on = listing([*(condition.words for condition in term.depends_on), *columns])
     remainder = f"{size} {term.per}".rstrip()
     return f"{term.joint}: {term.cause} is not in the table, because it depends on {depends_on}: {remainder} remains"
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.errors import DataError, DescriptionError, nearest
+from calib.core.base.errors import DataError, DescriptionError
 from calib.core.base.files import read_text
 from calib.core.base.words import count_noun
 from calib.core.robots.robot import Robot
@@ -62,7 +62,7 @@ def _without_permanent_contacts(scene: CollisionScene) -> CollisionScene:
     """The scene without pairs that touch at home or nearly always."""
     if not scene.pairs:
         return scene
-    touching = scene.distances(scene.configurations(_samples(scene.robot))[0])
+    touching = scene.distances(scene.configurations(home_and_more(scene.robot, _SAMPLES, 0))[0])
     names = [scene.name(k) for k in range(len(scene.pairs))]
     given = np.array([scene.bodies[a].is_described or scene.bodies[b].is_described for a, b in scene.pairs], dtype=bool)
     order = np.array([sorted(set(names)).index(name) for name in names])
@@ -92,10 +92,10 @@ def _require_room(scene: CollisionScene, touching: FloatArray, always: BoolArray
                 )
 
 
-def _samples(robot: Robot) -> FloatArray:
-    """Home, then poses over the joint limits as far as they can be found, (n, n_actuated)."""
+def home_and_more(robot: Robot, count: int, seed: int) -> FloatArray:
+    """Return home, then poses over the joint limits as far as they can be found, (n, n_actuated) [m or rad]."""
     try:
-        return np.vstack([robot.home, robot.sample(_SAMPLES, 0)])
+        return np.vstack([robot.home, robot.sample(count, seed)])
     except DataError:
         return robot.home[None]
 
@@ -111,17 +111,13 @@ def _disabled_pairs(robot: Robot) -> set[frozenset[str]]:
             for element in root.iterfind("disable_collisions")
         ]
         unknown = [name for name in sorted(frozenset().union(*named)) if name not in robot.urdf.links]
-        if own and not same and (unknown or not named):  # with all links in common, only the names differ
+        shared = named or {joint.get("name") for joint in root.iter("joint")} & set(robot.mechanism.origin_names)
+        if own and not same and (unknown or not shared):  # with links or joints in common, only the names differ
             raise DescriptionError(
                 f"{path}: is the SRDF of robot '{root.get('name')}', but {robot.urdf.path} is '{robot.urdf.name}'"
             )
-        if not own and not same:
-            continue
-        if unknown:
-            raise DescriptionError(
-                f"{path}: no link '{unknown[0]}' in the robot{nearest(unknown[0], robot.urdf.links)}"
-            )
-        pairs.update(named)
+        if own or same:
+            pairs.update(named)  # those of links that this part of the robot lacks have no shapes here
     return pairs
 
 

@@ -30,6 +30,7 @@ def _let_go() -> None:
         vars(sys.modules.pop(name)).clear()
     for name in ("Proven", "base", "geometric", "util"):
         globals().pop(name, None)
+    gc.unfreeze()  # the program freezes all that is there, maybe before this: frozen objects are not collected
     gc.collect()
 
 

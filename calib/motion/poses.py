@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DataError, UrdfError
+from calib.core.base.errors import UrdfError
 from calib.core.base.memoize import memoize
 from calib.core.robots.pose_check import PoseCheck
 from calib.core.robots.robot import Robot
 from calib.core.robots.surroundings import UNCHECKED
-from calib.motion.allowed_contacts import build_scene
+from calib.motion.allowed_contacts import build_scene, home_and_more
 from calib.motion.shapes import has_collision_shapes, missing_meshes
 from calib.motion.sight import Sight, build_sight
 
@@ -46,13 +46,8 @@ def surroundings(robot: Robot) -> Sight:
     sight = build_sight(build_scene(robot))
     if not sight.lines:
         return sight
-    try:
-        q = np.vstack([robot.home, robot.sample(_SAMPLES, 1)])
-    except DataError:
-        q = robot.home[None]
-    joints, ok = sight.scene.configurations(q)
-    sight, remarks = sight.without_ends(joints[ok])
-    return Sight(sight.scene.with_pairs(sight.scene.pairs, *remarks), sight.lines, sight.ignored)
+    joints, ok = sight.scene.configurations(home_and_more(robot, _SAMPLES, 1))
+    return sight.without_ends(joints[ok])
 
 
 def what_hits(robot: Robot, joints: FloatArray) -> tuple[str, ...]:

@@ -18,10 +18,11 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.units import PER_SI, millimetres
+from calib.core.data.measurement_columns import header, pose_columns
 from calib.core.data.table_writing import format_table
 from calib.motion.route import Route, Stop
 
-_DEGREES, _MM = PER_SI["angle"]["deg"], PER_SI["length"]["mm"]
+_DEGREES = PER_SI["angle"]["deg"]
 _ROBOT_AXES = 6
 THIRD_JOINT = ("j3", "j2+j3")
 """What the third joint of a robot file is on a FANUC controller, which counts J3 from the horizontal."""
@@ -266,35 +267,20 @@ def _csv(route: Route, motion: Motion) -> str:
         for stop in route.stops
         for k, q in enumerate((*stop.corners, stop.joints))
     ]
-    columns: list[tuple[str, list[object]]] = [("pose", [name for name, *_ in rows])]
-    columns += joint_columns(route, np.array([q for _, q, _ in rows]))
-    columns.append(("dwell [s]", [motion.dwell if last else 0.0 for *_, last in rows]))
-    return format_table(columns, (_question(route),))
+    columns = pose_columns(route.robot, [name for name, *_ in rows], np.array([q for _, q, _ in rows]))
+    columns["dwell [s]"] = [motion.dwell if last else 0.0 for *_, last in rows]
+    return format_table(list(columns.items()), (_question(route),))
 
 
 def table_to_fill_in(route: Route) -> str:
     """Return the stops as a table, with empty columns for what the instruments read there."""
-    columns: list[tuple[str, list[object]]] = [("pose", [stop.name for stop in route.stops])]
-    columns += joint_columns(route, route.joints)
-    units = {"length": "mm", "angle": "deg"}
+    columns = pose_columns(route.robot, [stop.name for stop in route.stops], route.joints)
     for instrument in route.robot.instruments:
-        for column in instrument.columns():
-            unit = f" [{units[column.dimension]}]" if column.dimension in units else ""
-            columns.append((f"{column.name}{unit}", [""] * len(route.stops)))
-        columns += [(name, [""] * len(route.stops)) for name in instrument.text_columns()]
-    return format_table(
-        columns, ("fill in what was read at each pose; rows of an instrument's own log join by 'pose'",)
-    )
-
-
-def joint_columns(route: Route, joints: FloatArray) -> list[tuple[str, list[object]]]:
-    """Return joint values (n, n_actuated) as columns, in mm and deg."""
-    columns: list[tuple[str, list[object]]] = []
-    for k, name in enumerate(route.robot.joint_names):
-        turns = route.robot.mechanism.dimensions[name] == "angle"
-        unit, scale = ("deg", _DEGREES) if turns else ("mm", _MM)
-        columns.append((f"{name} [{unit}]", [float(value) for value in np.round(scale * joints[:, k], 9)]))
-    return columns
+        numbers = [header(column.name, column.dimension) for column in instrument.columns()]
+        for name in (*numbers, *instrument.text_columns()):
+            columns[name] = [""] * len(route.stops)
+    comment = "fill in what was read at each pose; rows of an instrument's own log join by 'pose'"
+    return format_table(list(columns.items()), (comment,))
 
 
 LANGUAGES = {

@@ -20,7 +20,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DescriptionError
 from calib.core.base.words import listing
 from calib.core.robots.mechanism import rigid
@@ -220,26 +220,16 @@ def _solid_of_mesh(path: Path, scale: FloatArray, *, exact: bool) -> _Solid:
 def _hull(vertices: FloatArray) -> tuple[Any, FloatArray]:
     """Convex hull of points, and its corners; a box around them where they lie in a plane."""
     import scipy
+    import trimesh
 
     try:
-        found = scipy.spatial.ConvexHull(vertices)
+        hull: Any = trimesh.convex.convex_hull(vertices)
     except (scipy.spatial.QhullError, ValueError):
-        low, high = vertices.min(axis=0) - _FLAT / 2, vertices.max(axis=0) + _FLAT / 2
-        found = scipy.spatial.ConvexHull(np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T)
-    points = found.points[found.vertices]
-    numbers = np.zeros(len(found.points), dtype=np.intp)
-    numbers[found.vertices] = np.arange(len(points))
-    corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+        hull = trimesh.creation.box(bounds=(vertices.min(axis=0) - _FLAT / 2, vertices.max(axis=0) + _FLAT / 2))
+    corners, triangles, points = coal.StdVec_Vec3s(), coal.StdVec_Triangle(), np.array(hull.vertices)
     corners.extend(list(points))
-    triangles.extend([coal.Triangle(*map(int, face)) for face in _oriented_triangles(found, numbers)])
+    triangles.extend([coal.Triangle(*face) for face in hull.faces.tolist()])
     return coal.Convex(corners, triangles), points
-
-
-def _oriented_triangles(found: Any, numbers: IntArray) -> IntArray:
-    """Triangles of a hull whose corners go round counter-clockwise, seen from outside."""
-    a, b, c = (found.points[found.simplices[:, k]] for k in range(3))
-    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), found.equations[:, :3]) < 0
-    return numbers[np.where(inwards[:, None], found.simplices[:, ::-1], found.simplices)]
 
 
 def _body(name: str, joint: int, placement: pin.SE3, solid: _Solid, clearance: float, *, given: bool = False) -> Body:

@@ -113,18 +113,18 @@ class Sight:
             if all(_touches(shape, T, beam, place) for shape in (body.hull, body.mesh) if shape is not None):
                 yield body.name
 
-    def without_ends(self, joints: FloatArray) -> tuple[Sight, tuple[str, ...]]:
-        """Return the lines without what hides them in nearly all configurations (n, n_joints), and what to say."""
+    def without_ends(self, joints: FloatArray) -> Sight:
+        """Return the lines without what hides them in nearly all configurations (n, n_joints), with remarks on that."""
         count: dict[tuple[str, str], int] = {}
         for q in joints:
             for line, ends, _ in list(self._lines_in_root(q)):
                 for body in dict.fromkeys(self.shapes_hiding(line, ends)):
                     count[line.name, body] = count.get((line.name, body), 0) + 1
         ends_in = frozenset(key for key, n in count.items() if n >= _ALWAYS * len(joints))
-        remarks = tuple(
+        remarks = [
             f"{body} nearly always hides {line}, so it is not checked for that line" for line, body in sorted(ends_in)
-        )
-        return Sight(self.scene, self.lines, ends_in), remarks
+        ]
+        return Sight(self.scene.with_pairs(self.scene.pairs, *remarks), self.lines, ends_in)
 
 
 def _touches(shape: Any, T: Any, beam: Any, place: Any) -> bool:

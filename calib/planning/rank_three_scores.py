@@ -10,8 +10,9 @@ change of rank three, and the new value follows from small matrices of every can
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -24,7 +25,7 @@ _UPDATED = 1e-6  # least det(I - G) for an update; where a direction nearly goes
 
 
 @dataclass(frozen=True, eq=False)
-class _ChoiceInformation:
+class ChoiceInformation:
     """The information of chosen candidates.
 
     Attributes:
@@ -34,6 +35,11 @@ class _ChoiceInformation:
 
     problem: SelectionProblem
     gathered: FloatArray
+
+    def after_move(self, candidate: int, *, add: bool) -> Self:
+        """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
+        rows = self.problem.rows[candidate]
+        return replace(self, gathered=self.gathered + (1.0 if add else -1.0) * rows.T @ rows)
 
     def spares(self, candidate: int) -> bool:
         """Return whether a chosen candidate can go; see `calib.planning.selection_scores.Scores`."""
@@ -45,7 +51,7 @@ class _ChoiceInformation:
 
 
 @dataclass(frozen=True, eq=False)
-class DeterminantScores(_ChoiceInformation):
+class DeterminantScores(ChoiceInformation):
     """log det K, by rank-three updates.
 
     Attributes:
@@ -124,7 +130,7 @@ def _determinants(seen: FloatArray, sign: float) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class TaskScores(_ChoiceInformation):
+class TaskScores(ChoiceInformation):
     """Minus trace(W K^-1), the square of the task index, by changes of rank three."""
 
     @cached_property
@@ -162,8 +168,3 @@ class TaskScores(_ChoiceInformation):
         )
         change = np.trace(np.linalg.solve(small, task_rows[candidates]), axis1=1, axis2=2)
         return int(candidates[np.argmin(change)])
-
-    def after_move(self, candidate: int, *, add: bool) -> TaskScores:
-        """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
-        rows = self.problem.rows[candidate]
-        return TaskScores(self.problem, self.gathered + (1.0 if add else -1.0) * rows.T @ rows)

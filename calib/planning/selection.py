@@ -106,32 +106,19 @@ def select(
     if blocked and len(blocked) == len(candidates):
         raise InputError(f"{candidates.path}: none of the candidates is free: {check.summary()}")
     kinds = _start_kinds(random_start, starts)
+    prepare_without = partial(
+        prepare, robot, candidates, request, measured, task, skip_unreachable=skip_unreachable, sigma=sigma
+    )
     with Workers(executor, starts) as workers:
-        setting = prepare(robot, candidates, request, measured, task, (*exclude, *blocked), skip_unreachable, sigma)
+        setting = prepare_without((*exclude, *blocked))
         require_count(setting)
         prepared = time.perf_counter()
-        runs, best = _run_all(setting, kinds, rng, workers, progress)
-        efficiency, bound = None, None
-        if request.index in CERTIFIED:
-            runs, best, efficiency, bound = _certify(setting, runs, best)
-    everywhere = None
+        runs, best, efficiency, bound = _best_choice(setting, kinds, rng, workers, progress)
+    unobstructed = None
     if blocked:
-        everywhere = select(
-            robot,
-            candidates,
-            count,
-            index,
-            instruments=instruments,
-            measured=measured,
-            task=task,
-            exclude=exclude,
-            minimum_distance=minimum_distance,
-            random_start=random_start,
-            seed=seed,
-            skip_unreachable=skip_unreachable,
-            checked=False,
-            sigma=sigma,
-        ).after
+        everywhere = prepare_without(exclude)
+        free_or_not = _best_choice(everywhere, kinds[:1], random_numbers(seed))[1]
+        unobstructed = index_values(everywhere.problem, free_or_not.chosen, everywhere.sigma)
     chosen = np.flatnonzero(best.chosen)
     pose, joints = setting.pairs.pose[chosen], setting.candidates.joints[setting.pairs.pose[chosen]]
     order = order_in_blocks(joints, robot.home, _blocks(setting, chosen))
@@ -162,22 +149,23 @@ def select(
         seconds=time.perf_counter() - started,
         selecting_seconds=time.perf_counter() - prepared,
         check=check,
-        unobstructed=everywhere,
+        unobstructed=unobstructed,
     )
 
 
-def _run_all(
+def _best_choice(
     setting: SelectionSetting,
     kinds: Sequence[str],
     rng: np.random.Generator,
-    workers: Executor | None,
-    progress: Progress | None,
-) -> tuple[tuple[Run, ...], Exchange]:
-    """Run the exchange from each start; return the runs and the best result."""
+    workers: Executor | None = None,
+    progress: Progress | None = None,
+) -> tuple[tuple[Run, ...], Exchange, float | None, float | None]:
+    """The runs from each start, and the best choice; where there is a bound, its efficiency and the bound."""
     starts = [setting.uniform() if kind == "uniform" else setting.random(rng) for kind in kinds]
     searched = first_candidates(setting, np.concatenate(starts))
     results, runs = zip(*_run(searched, kinds, starts, workers, progress), strict=True)
-    return runs, max(results, key=lambda exchange: exchange.scores.value)
+    best = max(results, key=lambda exchange: exchange.scores.value)
+    return _certify(setting, runs, best) if setting.request.index in CERTIFIED else (runs, best, None, None)
 
 
 def _run(

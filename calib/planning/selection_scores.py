@@ -26,8 +26,8 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import InputError, nearest
 from calib.core.numerics import linalg
 from calib.core.numerics.observability import observability
-from calib.planning.rank_three_scores import DeterminantScores, TaskScores
-from calib.planning.selection_problem import DETERMINED, TASK, PoseRedundancy, SelectionProblem
+from calib.planning.rank_three_scores import ChoiceInformation, DeterminantScores, TaskScores
+from calib.planning.selection_problem import DETERMINED, TASK, SelectionProblem
 
 CHOICES = ("O1", "O2", "O3", "O4", "O5", TASK)
 _PINCHED = 4  # smallest eigenvectors that are kept as a block
@@ -70,7 +70,7 @@ def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: floa
         return TaskScores(problem, gathered)
     if index not in CHOICES:
         raise InputError(f"unknown index '{index}'{nearest(index, CHOICES)}")
-    return Spectrum(problem, problem.strengths[:, None] * gathered * problem.strengths, index)
+    return Spectrum(problem, gathered, index)
 
 
 def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> dict[str, float]:
@@ -117,18 +117,19 @@ def index_of_score(problem: SelectionProblem, index: str, score: float, count: i
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class Spectrum(ChoiceInformation):
     """O2 to O5: functions of the singular values.
 
     Attributes:
-        problem: The candidates.
-        matrix: S K S, the information matrix of the scaled parameters, (r, r) [m^2].
         index: O2, O3, O4 or O5.
     """
 
-    problem: SelectionProblem
-    matrix: FloatArray
     index: str
+
+    @cached_property
+    def matrix(self) -> FloatArray:
+        """S K S, the information matrix of the scaled parameters, (r, r) [m^2]."""
+        return self.problem.strengths[:, None] * self.gathered * self.problem.strengths
 
     @cached_property
     def value(self) -> float:
@@ -153,19 +154,6 @@ class Spectrum:
             if np.max(exact) > best_value:
                 best, best_value = int(candidates[batch[np.argmax(exact)]]), float(np.max(exact))
         return best
-
-    def after_move(self, candidate: int, *, add: bool) -> Spectrum:
-        """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
-        rows = self.problem.rows[candidate] * self.problem.strengths
-        return Spectrum(self.problem, self.matrix + (1.0 if add else -1.0) * rows.T @ rows, self.index)
-
-    def spares(self, candidate: int) -> bool:
-        """Return whether a chosen candidate can go; see `calib.planning.selection_scores.Scores`."""
-        return bool(self._sparing.spares(self.problem.rows[[candidate]] * self.problem.strengths)[0])
-
-    @cached_property
-    def _sparing(self) -> PoseRedundancy:
-        return PoseRedundancy.from_choice(self.matrix)
 
 
 def _pinched_eigenvalues(eigenvalues: FloatArray, turned: FloatArray, sign: float) -> FloatArray:

@@ -63,6 +63,10 @@ class Watch:
         sigma: Noise of one measured position per axis [m]; the description's if not given.
         seed: Seed of sampled candidates, and of poses to check with.
 
+    Attributes:
+        candidates: Those at which nothing is hit.
+        notes: Which candidates are left out, and what was not checked.
+
     Raises:
         InputError: The goal is not a positive length.
         DataError: No candidates can be sampled.
@@ -82,11 +86,8 @@ class Watch:
         self.goal = quantity(goal, "length", "goal")
         if self.goal <= 0:
             raise InputError(f"goal {goal}: must be a positive length, such as 0.1 mm")
-        self.candidates, self.left_out = (
-            (sample(robot, CANDIDATES, seed), "")
-            if candidates is None
-            else free_poses(robot, as_poses(robot, candidates))
-        )
+        candidates = sample(robot, CANDIDATES, seed) if candidates is None else as_poses(robot, candidates)
+        self.candidates, self.notes = free_poses(robot, candidates)
         self._settings, self._seed = Settings(sigma), seed
         self._data: Measurements | None = None
         self._fit: Fit | None = None

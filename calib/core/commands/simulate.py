@@ -64,9 +64,8 @@ def command(
     camera = None if photographs is None else _camera(model)
     _require_noise(model, sigma, camera)
     poses = read_plan(joints, model)
-    poses, left_out = free_poses(model, poses)
-    if left_out:
-        output.note(f"note: {left_out}")
+    poses, notes = free_poses(model, poses)
+    output.remarks(notes)
     output.check(out, folders=(photographs,))
     remarks = near_singularities(model, model.assemble(poses.joints, labels=poses.labels), poses.labels)
     measured = simulate(model, poses, sigma, np.random.default_rng(seed))

@@ -31,7 +31,7 @@ class Holds(Enum):
 
     def keeps(self, term: JointTerm | type[JointTerm]) -> bool:
         """Whether a term of a joint's error is held."""
-        return self is Holds.EVERYTHING or (self is Holds.TABLES and not term.depends_on)
+        return self is Holds.EVERYTHING or (self is Holds.TABLES and term.follows_joint_alone())
 
 
 class PoseUse(Enum):

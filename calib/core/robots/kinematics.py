@@ -70,8 +70,8 @@ class WorldTwists:
         spread[at, :, np.arange(len(joints))] = twists
         turning = np.flatnonzero(np.any(twists[:, 3:], axis=1))
         self._turning, self._points = as_slice(turning), parents[turning]
-        self._linear = spread[:, :3].reshape(-1, len(joints))
-        self._angular = spread[:, 3:, turning].reshape(len(self._linear), -1)
+        self._linear = spread[:, :3].reshape(3 * len(self._frames), len(joints))
+        self._angular = spread[:, 3:, turning].reshape(3 * len(self._frames), len(turning))
 
     def in_world(self, swept: Sweep) -> FloatArray:
         """Return Ad(T_before) xi, (n, 6, n_twists)."""

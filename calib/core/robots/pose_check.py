@@ -43,6 +43,11 @@ class PoseCheck:
         """How many poses are not free."""
         return sum(map(bool, self.hits))
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks on shapes and pairs; or that nothing was checked, and why."""
+        return (f"collisions are not checked: {self.unchecked}",) if self.unchecked else self.remarks
+
     def summary(self) -> str:
         """Say how many poses are not free, and by which pairs; "" where all are."""
         return blocking_sentence(Counter(filter(None, self.hits)), len(self.hits))

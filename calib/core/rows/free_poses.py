@@ -13,19 +13,19 @@ from calib.core.robots.robot import Robot
 from calib.core.rows.candidates import rows_of_measured
 
 
-def free_poses(robot: Robot, poses: Poses) -> tuple[Poses, str]:
-    """Return the poses at which nothing is hit or hidden, and what to say of the others; "" if there are none.
+def free_poses(robot: Robot, poses: Poses) -> tuple[Poses, tuple[str, ...]]:
+    """Return the poses at which nothing is hit or hidden, and notes on the others and on what was not checked.
 
     Raises:
         DataError: No pose is free.
     """
     check = check_poses(robot, poses.joints)
     if not check.n_blocked:
-        return poses, ""
+        return poses, check.notes
     if check.n_blocked == len(poses):
         raise DataError(f"{poses.path}: none of the poses is free: {check.summary()}")
     kept = poses.subset(np.flatnonzero(check.is_free))
-    return kept, f"left out: {check.summary()}; {worth_sentence(robot, kept, poses)}"
+    return kept, (f"left out: {check.summary()}; {worth_sentence(robot, kept, poses)}", *check.notes)
 
 
 def worth_sentence(robot: Robot, kept: Poses, every: Poses) -> str:

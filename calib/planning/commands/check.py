@@ -89,9 +89,8 @@ def command(
         )
     task_poses = None if task is None else read_poses(task, model)
     output.remarks(wrapped_terms(model, pose_set.joints))
-    if isinstance(pose_set, Measurements):
-        output.remarks(unordered(pose_set))
     collisions = check_poses(model, pose_set.joints)
+    output.remarks(unordered(pose_set) if isinstance(pose_set, Measurements) else collisions.notes)
     for name, hit in zip(pose_set.names, collisions.hits, strict=True):
         if hit:
             output.alarm(f"pose {name}: {hit}")

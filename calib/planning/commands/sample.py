@@ -65,9 +65,7 @@ def command(
     output.say(f"{count_noun(len(poses), 'pose')} written to {out}, seed {seed}")
     if check.n_blocked:
         output.say(f"Left out: {check.summary()}; {worth_sentence(model, poses, unobstructed)}")
-    output.remarks(check.remarks)
-    if check.unchecked:
-        output.note(f"note: collisions are not checked: {check.unchecked}")
+    output.remarks(check.notes)
     if (few := little_seen(model, poses)) is not None:
         output.note(f"note: {few}")
 

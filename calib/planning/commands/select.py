@@ -173,7 +173,7 @@ def command(
     if plots is not None:
         write_folder(plots, figures(selection), force=output.force)
     output.say(text_report(selection, poses))
-    output.remarks(selection.check.remarks)
+    output.remarks(selection.check.notes)
     output.say(f"Written to {out}" + (f", figure to {plots}" if plots is not None else ""))
     output.say(advice_after_select(robot, out, options_as_typed()))
     output.json({"robot": model.path} | to_dict(selection, poses))

@@ -82,8 +82,7 @@ def command(
     watch = Watch(
         model, length, candidates=poses, sigma=None if sigma_mm is None else sigma_in_metres(sigma_mm), seed=seed
     )
-    if watch.left_out:
-        output.note(f"note: candidates {watch.left_out}")
+    output.remarks(watch.notes)
     if once:
         progress = watch.update(read_measurements(file, model))
         _tell(progress, output)

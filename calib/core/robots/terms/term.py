@@ -305,6 +305,11 @@ class JointTerm(ABC):
         """
         return ()
 
+    @classmethod
+    def follows_joint_alone(cls) -> bool:
+        """Whether commands of joints alone decide its columns: no condition, and no column that `reads` names."""
+        return not cls.depends_on and cls.reads is JointTerm.reads
+
     def states_by_order(self, q: FloatArray) -> Mapping[str, FloatArray]:
         """Return values for columns of `reads` that follow from the order of commands, if a file does not state them.
 

@@ -186,6 +186,7 @@ def test_numbers_do_not_depend_on_who_works(five_bar):
     assert fewer.draws.values == pytest.approx(alone.draws.values[:3], rel=1e-9)  # a draw has its own seed
 
 
+@pytest.mark.amount(0, 1)
 def test_code_is_compiled_before_work_is_given_out(five_bar, monkeypatch):
     """So that processes find it, instead of compiling it each by itself."""
     pytest.importorskip("numba", reason="numba is not installed (extra 'fast')")

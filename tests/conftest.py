@@ -22,15 +22,17 @@ ROOT = Path(__file__).resolve().parents[1]
 
 LONGEST = (
     "test_snippets.py",
-    "test_hand_eye.py",
-    "test_report_page.py",
     "test_viewer_page.py",
-    "test_suspects.py",
+    "test_report_page.py",
     "test_every_reason.py",
-    "test_code_comparison.py",
-    "test_many_calibrations.py",
-    "test_example_robots.py",
+    "test_hand_eye.py",
+    "test_photographs.py",
+    "test_match.py",
+    "test_suspects.py",
     "test_qualification.py",
+    "test_code_comparison.py",
+    "test_term_choice.py",
+    "test_function_gradients.py",
 )
 """Files that take longest: first, so that no process is left alone with one at the end."""
 

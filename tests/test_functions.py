@@ -15,7 +15,7 @@ from calib.core.robots.configurations import solve_configurations
 from calib.core.robots.joint_errors import term_columns
 from calib.exporting.functions.c_text import c_name
 
-N = {"six-axis arm, every term": 300, "example arm": 300}
+N = {"six-axis arm, every term": 100, "example arm": 100}
 """Poses of each robot; of those with loops, 40: `tests/function_robots.py` looks at 10 000 of each."""
 LANGUAGES = ("numpy", "c")
 COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")

@@ -257,6 +257,7 @@ def test_who_cannot_work_is_refused(five_bar, executor):
         calib.fit(*five_bar, executor=executor)
 
 
+@pytest.mark.amount(0, 1)
 def test_a_dask_cluster_does_the_draws(five_bar, alone, monkeypatch):
     monkeypatch.setattr(Shared, "sent", 0)
     distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra 'dask')")

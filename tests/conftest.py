@@ -43,7 +43,7 @@ THOROUGH = os.environ.get("CALIB_TESTS") == "thorough"
 def _amount(item: pytest.Item) -> int | None:
     """How much a test tries; None where it is not marked."""
     mark = item.get_closest_marker("amount")
-    return mark and mark.args[THOROUGH]
+    return int(mark.args[THOROUGH]) if mark else None
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

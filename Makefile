@@ -40,10 +40,9 @@ lint: $(VENV)/.ready-dev
 	$(BIN)/mypy
 	$(BIN)/python docs/site/name_check.py
 
-# Prints docs/performance.md and writes it, then single pieces of work; with DATA=FOLDER also of others' measurements.
+# Prints docs/performance.md and writes it; with DATA=FOLDER also of others' measurements.
 bench: $(VENV)/.ready-dev
 	$(BIN)/python tests/benchmarks/performance.py $(if $(DATA),--data $(DATA)) --write docs/performance.md
-	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -n 0 -s
 
 # The pictures of README and docs: MedRUE as on the start page, and the map of the arm.
 pictures: $(VENV)/.ready

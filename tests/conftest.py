@@ -22,23 +22,38 @@ ROOT = Path(__file__).resolve().parents[1]
 
 LONGEST = (
     "test_snippets.py",
-    "test_hand_eye.py",
-    "test_report_page.py",
     "test_viewer_page.py",
-    "test_suspects.py",
+    "test_report_page.py",
     "test_every_reason.py",
-    "test_code_comparison.py",
-    "test_many_calibrations.py",
-    "test_example_robots.py",
+    "test_hand_eye.py",
+    "test_photographs.py",
+    "test_match.py",
+    "test_suspects.py",
     "test_qualification.py",
+    "test_code_comparison.py",
+    "test_term_choice.py",
+    "test_function_gradients.py",
 )
 """Files that take longest: first, so that no process is left alone with one at the end."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the files that take longest first."""
+THOROUGH = os.environ.get("CALIB_TESTS") == "thorough"
+
+
+def _amount(item: pytest.Item) -> int | None:
+    """How much a test tries; None where it is not marked."""
+    mark = item.get_closest_marker("amount")
+    return int(mark.args[THOROUGH]) if mark else None
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out tests that try nothing, and put the files that take longest first."""
+    idle = [item for item in items if _amount(item) == 0]
+    config.hook.pytest_deselected(items=idle)
     order = {name: k for k, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: order.get(item.path.name, len(LONGEST)))
+    items[:] = sorted(
+        (item for item in items if _amount(item) != 0), key=lambda item: order.get(item.path.name, len(LONGEST))
+    )
 
 
 @dataclass(frozen=True)
@@ -100,8 +115,7 @@ def spawn_calib() -> RunCalib:
 @pytest.fixture
 def amount(request: pytest.FixtureRequest) -> int:
     """How much a test tries: the first number of `@pytest.mark.amount`; with CALIB_TESTS=thorough, the second."""
-    quick, thorough = request.node.get_closest_marker("amount").args
-    return thorough if os.environ.get("CALIB_TESTS") == "thorough" else quick
+    return _amount(request.node) or 0
 
 
 @pytest.fixture(scope="session")

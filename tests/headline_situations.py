@@ -114,7 +114,7 @@ class Commands:
         q, slipped = joints(25, 2), measured(self.truth, joints(25, 7), 7)
         points = slipped.points(self.truth).copy()
         points[7] += [0, 0.01, 0]
-        often, six_times = np.tile(joints(3, 4), (30, 1)), np.tile(joints(8, 4), (6, 1))
+        often = np.tile(joints(3, 4), (30, 1))
         names = [f"P{k % 3}" for k in range(90)]
         rng = np.random.default_rng(54)
         elsewhere = rng.uniform([-2, 0.1, -1.5], [2, 0.9, 1.5], (25, 3))
@@ -127,9 +127,6 @@ class Commands:
             "alike": verify(self.fit, measured(self.changed(slide_x=3e-4), q, 3)),
             "two": verify(self.fit, measured(self.changed(slide_x=3e-4, flange_z=4e-4), q, 3)),
             "slip": verify(self.fit, calib.as_measurements(self.truth, slipped, points)),
-            "noisier": verify(
-                self.fit, measured(self.truth, six_times, 5, 2 * SIGMA, [f"P{k % 8}" for k in range(48)])
-            ),
             "often": verify(self.fit, measured(self.truth, often, 5, SIGMA, names)),
             "same setup": verify(self.fit, measured(self.truth, often, 5, SIGMA, names), same_setup=True),
             "hidden": verify(self.in_a_corner, hidden),
@@ -150,8 +147,6 @@ class Commands:
         """By name: what poses determine."""
         (few, _), priors = self.few_free, self.robot
         known = self.arm(FEW_FREE, "priors: false\n", "known")
-        heights = "".join(f"  - {{origin: {name}, components: [z], sigma: 2 mm}}\n" for name in ("turn", "slide"))
-        lifted = self.arm(FEW_FREE + heights, "priors: false\n", "known")
         still = joints(20, 3) * [1, 0, 0] + [0, 0.3, 0.2]
         loop, camera = calib.load(write_parallelogram(self.new())), self.from_unknown_place
         crank = np.linspace(0.6, 2.4, 30)
@@ -161,7 +156,6 @@ class Commands:
             "two positions": calib.check(few, joints(20, 3), task=joints(2, 4)),
             "still": calib.check(few, still, task=joints(20, 3)),
             "priors": calib.check(priors, joints(3, 3), task=joints(20, 4), sigma=1e-9),
-            "held": calib.check(lifted.fix("slide.z"), joints(20, 3)),
             "singular": calib.check(loop, np.append(crank, 0.004)[:, None]),
             "regular": calib.check(loop, crank[:, None]),
             "unknown place": calib.check(camera, np.random.default_rng(0).uniform(-1.5, 1.5, (30, 6))),
@@ -182,11 +176,8 @@ class Commands:
     @cached_property
     def check_texts(self):
         return {
-            f"{name}{' in full' if verbose else ''}": on_one_line(
-                assessment_text.text_report(assessment, "poses.csv", verbose=verbose)
-            )
+            name: on_one_line(assessment_text.text_report(assessment, "poses.csv"))
             for name, assessment in self.checked.items()
-            for verbose in (False, True)
         }
 
     @cached_property

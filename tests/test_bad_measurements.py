@@ -129,15 +129,6 @@ def test_all_poses_equal_fix_no_measurement_frame(folder, fit_file):
     assert result is None
 
 
-def test_zero_noise_is_found_exactly_and_called_computed(folder, fit_file):
-    run, result = fit_file(joints(60), arm_positions(folder, joints(60), sigma=0.0))
-    assert run.code == 0
-    assert result["sigma"] < 1e-9
-    assert result["verdict"]["codes"] == ["no_noise"]
-    nominal = {row["name"]: row["nominal"] for row in result["parameters"]}
-    assert all(abs(row["value"] - nominal[row["name"]]) < 1e-6 for row in result["parameters"])
-
-
 def test_noise_of_metres_fails_and_exports_no_robot(folder, fit_file):
     run, result = fit_file(joints(60), arm_positions(folder, joints(60), sigma=2.0))
     assert run.code == 3

@@ -34,6 +34,7 @@ def test_signs_and_orders_of_rotation_do_not_explain_it() -> None:
     assert all(fourth.mean > 2 * PRINTED for _, fourth in rotation_orders(Q[::5]).values())
 
 
+@pytest.mark.amount(0, 1)
 def test_other_places_explain_table_2_and_not_table_4() -> None:
     """A coarse part of the places that the module tries."""
     result = list(placements(step=0.2, turns=4))

@@ -51,7 +51,7 @@ def nominal_delta(tmp_path_factory):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param("five_bar", marks=pytest.mark.amount(2, 4)), pytest.param("delta", marks=pytest.mark.amount(1, 2))],
+    [pytest.param("five_bar", marks=pytest.mark.amount(2, 4)), pytest.param("delta", marks=pytest.mark.amount(0, 2))],
 )
 def test_robots_with_errors_are_off_by_what_is_promised_of_every_form_of_program(tmp_path, name, amount):
     """Base and tool unknown; row by row, one standard deviation of such a ratio is 0.15 to 0.2 of these few robots."""
@@ -89,7 +89,7 @@ def test_what_a_point_of_unknown_place_leaves_open_is_counted_and_not_corrected(
     assert rms(moved) < 0.05e-3  # though the point is elsewhere by 0.5 mm
 
 
-@pytest.mark.parametrize("name", ["five_bar", "rail_and_five_bar"])
+@pytest.mark.parametrize("name", ["five_bar", pytest.param("rail_and_five_bar", marks=pytest.mark.amount(0, 1))])
 def test_a_good_robot_stays_as_it_is_and_would_not_be_harmed_either_way(tmp_path, name):
     """These moved by 0.15 to 0.47 mm, ten to forty times what was promised, along what priors alone hold."""
     nominal = described(name, tmp_path, "unknown")

@@ -100,25 +100,22 @@ def test_millimetres_on_the_board_are_where_rays_meet_its_plane():
     assert np.allclose(plane_errors_on_board(moved, placed), [-1e-3, 2e-3], atol=1e-9)
 
 
-def test_the_lens_is_found_where_none_is_given_and_where_the_given_one_is_wrong():
-    view = scene(8, "base", noise=0.2)
-    wrong = INTRINSICS.copy()
-    wrong[2:6] += [25.0, -15.0, 0.1, 0.0]
-    for given in (None, wrong):
-        result = calibrate(view, given, mounts=("base",))
-        assert result.lens_found
-        assert np.allclose(result.fitted.placed.intrinsics[:4], INTRINSICS[:4], atol=2.0)
-        assert rms(result.pixels) < 0.3
+def test_the_lens_is_found_where_none_is_given():
+    result = calibrate(scene(8, "base", noise=0.2), None, mounts=("base",))
+    assert result.lens_found
+    assert np.allclose(result.fitted.placed.intrinsics[:4], INTRINSICS[:4], atol=2.0)
+    assert rms(result.pixels) < 0.3
 
 
 def test_the_robots_part_is_told_from_the_cameras():
-    result = calibrate(scene(12, "tool", noise=0.2, shift=4e-4, turn=3e-4), INTRINSICS, mounts=("tool",))
+    view = scene(12, "tool", noise=0.2, shift=4e-4, turn=3e-4)
+    result = calibrate(view, INTRINSICS, mounts=("tool",), lens="given")
     noise = result.fitted.noise
     assert noise.pixel == pytest.approx(0.2, rel=0.1)
     assert noise.shift == pytest.approx(4e-4, rel=0.4)  # 60 squares: 12 images of 6, less 12 unknowns
     assert rms(result.alone) < 0.35 < rms(result.pixels)
     assert "comes from the robot's poses" in report(result, Frames())
-    exact = calibrate(scene(8, "tool", noise=0.2), INTRINSICS, mounts=("tool",))
+    exact = calibrate(scene(8, "tool", noise=0.2), INTRINSICS, mounts=("tool",), lens="given")
     assert exact.fitted.noise.shift < 5e-5
 
 
@@ -139,29 +136,29 @@ def test_what_new_images_stay_below_holds_for_errors_that_an_image_shares(good):
 
 
 def test_order_names_and_the_boards_origin_do_not_matter():
-    view = scene(7, "tool", noise=0.3, shift=3e-4)
-    result = calibrate(view, INTRINSICS, mounts=("tool",))
+    view = scene(5, "tool", noise=0.3, shift=3e-4)
+    result = calibrate(view, INTRINSICS, mounts=("tool",), lens="given")
     order = np.random.default_rng(1).permutation(len(view.image))
     order = order[np.argsort(view.image[order], kind="stable")]
     body = view.body[order] - [0.09, 0.12, 0.0]
-    other = replace(view, names=tuple("abcdefg"), body=body, pixels=view.pixels[order])
-    moved = calibrate(other, INTRINSICS, mounts=("tool",))
+    other = replace(view, names=tuple("abcde"), body=body, pixels=view.pixels[order])
+    moved = calibrate(other, INTRINSICS, mounts=("tool",), lens="given")
     back = moved.fitted.placed.board @ pose((-0.09, -0.12, 0.0), (0, 0, 0))
     assert np.allclose(moved.fitted.placed.camera, result.fitted.placed.camera, atol=1e-9)
     assert np.allclose(back, result.fitted.placed.board, atol=1e-9)
 
 
-@pytest.mark.amount(2, 4)
+@pytest.mark.amount(1, 4)
 def test_each_mistake_is_named_and_none_passes(amount):
     view = scene(8, "tool", noise=0.2, shift=2e-4, turn=2e-4)
     swapped = INTRINSICS[[0, 1, 3, 2, 4, 5, 6, 7, 8]] + [0, 0, -40, 120, 0, 0, 0, 0, 0]
     late = np.arange(len(view)) >= 5
     moved = replace(view, tool=np.where(late[:, None, None], pose((4e-3, 0, 0), (0, 0, 0)) @ view.tool, view.tool))
     cases = {
+        "moved": (moved, INTRINSICS),
         "pairs_shifted": (replace(view, tool=np.roll(view.tool, 1, axis=0)), INTRINSICS),
         "principal_point": (view, swapped),
         "square_size": (replace(view, body=view.body / 1.02), INTRINSICS),
-        "moved": (moved, INTRINSICS),
     }
     for code, (case, intrinsics) in list(cases.items())[:amount]:
         result = calibrate(case, intrinsics, mounts=("tool",))
@@ -171,7 +168,7 @@ def test_each_mistake_is_named_and_none_passes(amount):
 
 @pytest.mark.amount(1, 2)
 def test_exchanged_intrinsics_are_named_and_do_not_spoil_the_lens_found(amount):
-    view = scene(10, "base", noise=0.2)
+    view = scene(6, "base", noise=0.2)
     for order, words in (((2, 1, 0, 3), "fx and cx"), ((0, 1, 3, 2), "cx and cy"))[:amount]:
         swapped = INTRINSICS[[*order, 4, 5, 6, 7, 8]]
         result = calibrate(view, swapped, mounts=("base",))
@@ -184,6 +181,7 @@ def test_exchanged_intrinsics_are_named_and_do_not_spoil_the_lens_found(amount):
         assert judge(kept).grade == "FAIL"
 
 
+@pytest.mark.amount(0, 1)
 def test_a_size_far_off_is_named():
     exact = scene(6, "tool", noise=0.2, shift=2e-4, turn=2e-4)
     result = calibrate(replace(exact, body=1.2 * exact.body), INTRINSICS, mounts=("tool",))
@@ -231,7 +229,7 @@ def test_of_other_readings_just_the_one_that_is_named_gives_the_scene_back():
         assert words in fits[0]
 
 
-@pytest.mark.amount(1, 6)
+@pytest.mark.amount(0, 6)
 def test_another_reading_is_named_with_what_it_leaves(amount):
     for words, wrong in list(misread(scene(7, "tool", noise=0.2, shift=2e-4, turn=2e-4)))[:amount]:
         judgement = judge(calibrate(wrong, INTRINSICS, mounts=("tool",)))
@@ -242,7 +240,7 @@ def test_another_reading_is_named_with_what_it_leaves(amount):
 @pytest.mark.amount(1, 2)
 def test_inverted_poses_are_named_where_the_mount_is_stated_and_doubted_where_it_is_not(amount):
     for mount in ("base", "tool")[:amount]:
-        exact = scene(6, mount, noise=0.2, shift=2e-4, turn=2e-4)
+        exact = scene(5, mount, noise=0.2, shift=2e-4, turn=2e-4)
         inverted = replace(exact, tool=np.linalg.inv(exact.tool))
         stated = calibrate(inverted, INTRINSICS, mounts=(mount,))
         assert "poses_inverted" in codes(stated)
@@ -262,13 +260,14 @@ def test_one_wrong_image_is_set_aside_by_name_with_how_far_its_pose_is_off():
     view = scene(9, "base", noise=0.2, shift=2e-4)
     tool = view.tool.copy()
     tool[4] = tool[4] @ pose((0.0, 0.012, 0.0), (0, 0, 0))
-    result = calibrate(replace(view, tool=tool), INTRINSICS, mounts=("base",))
+    result = calibrate(replace(view, tool=tool), INTRINSICS, mounts=("base",), lens="given")
     assert [image.name for image in result.off] == ["shot_05"]
     assert result.off[0].shift == pytest.approx(0.012, rel=0.15)
     assert judge(result).grade == "CHECK"
     assert "shot_05" not in result.scene.names
 
 
+@pytest.mark.amount(0, 1)
 def test_a_large_move_is_named_as_a_move():
     view = scene(8, "base", noise=0.2, shift=2e-4, turn=2e-4)
     late = np.arange(8)[:, None, None] >= 4
@@ -354,11 +353,11 @@ def test_corners_that_are_off_go_by_themselves_and_are_no_doubt(clean, good):
 
 
 def test_so_many_corners_off_are_a_reason_to_look():
-    images = scene(12, "tool", seed=4, noise=0.1)
+    images = scene(8, "tool", seed=4, noise=0.1)
     generator, pixels = np.random.default_rng(1), images.pixels.copy()
-    chosen = np.concatenate([np.flatnonzero(images.image == i)[[1, 8, 17]] for i in range(12)])
+    chosen = np.concatenate([np.flatnonzero(images.image == i)[[1, 8, 17]] for i in range(8)])
     pixels[chosen] += generator.choice([-6.0, 6.0], (len(chosen), 2))
-    result = calibrate(replace(images, pixels=pixels), INTRINSICS, mounts=("tool",))
+    result = calibrate(replace(images, pixels=pixels), INTRINSICS, mounts=("tool",), lens="given")
     assert len(result.points_off) >= len(chosen) - 2
     assert judge(result).grade == "CHECK"
     assert any("points do not fit the others of their image" in reason for reason in judge(result).reasons)

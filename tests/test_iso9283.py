@@ -68,9 +68,9 @@ def test_intervals_of_repeatability_cover_the_true_one(axes):
     many = np.linalg.norm(axes * rng.standard_normal((10**6, 3)), axis=1)
     truth = many.mean() + 3 * many.std()
     share = covered(
-        lambda: axes * rng.standard_normal((30, 3)), lambda e: iso9283.pose_repeatability(e, other), truth, 200
+        lambda: axes * rng.standard_normal((30, 3)), lambda e: iso9283.pose_repeatability(e, other), truth, 100
     )
-    assert share > 0.9  # 200 draws: +- 0.03; the shape of the scatter is found from the same cycles
+    assert share > 0.88  # 100 draws: +- 0.04; the shape of the scatter is found from the same cycles
 
 
 def test_intervals_of_angles_and_distances_cover():

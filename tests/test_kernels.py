@@ -221,6 +221,7 @@ kernels.poses(tree, np.zeros((2, 1)))
 """
 
 
+@pytest.mark.amount(0, 1)
 def test_the_first_program_says_once_that_it_compiles(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     program = [sys.executable, "-c", FIRST_USE]

@@ -357,7 +357,7 @@ def test_real_robots_that_touched_two_sockets(shared_data, robot, tools, held_ou
     assert from_sockets(fit.robot, holes) == pytest.approx(after, abs=0.02)
 
 
-@pytest.mark.amount(1, 2)
+@pytest.mark.amount(0, 2)
 def test_joint_terms_found_in_two_places_help_in_a_third(shared_data, amount):
     folder = shared_data / "mukca"
     for arm, places, held, after in (

@@ -1,6 +1,7 @@
 """Eigenvalues and singular values of every finite matrix, whatever LAPACK's fastest method does."""
 
 import ast
+import re
 from pathlib import Path
 
 import numpy as np
@@ -136,7 +137,7 @@ def test_no_file_asks_numpy_or_scipy_for_singular_values_or_eigenvalues():
         f"{path.relative_to(ROOT)}:{line}"
         for package in ("calib", "viz", "medrue")
         for path in sorted((ROOT / package).rglob("*.py"))
-        if path != Path(linalg.__file__)
+        if path != Path(linalg.__file__) and re.search("linalg|lapack", path.read_text(encoding="utf-8"))
         for line in _bare_calls(path.read_text(encoding="utf-8"))
     ]
     assert bare == []  # calib.core.numerics.linalg has each

@@ -38,7 +38,7 @@ def drawn_parameters(rng):
     return table1().nominal + np.where(ANGLES, np.radians(1.5), 2e-3) * rng.uniform(-1, 1, 36)
 
 
-@pytest.mark.amount(20, 100)
+@pytest.mark.amount(6, 60)
 def test_thousands_of_random_poses_and_parameters_agree_with_the_closed_form(robot, amount):
     rng = np.random.default_rng(7)
     worst, compared = 0.0, 0
@@ -63,10 +63,10 @@ def test_thousands_of_random_poses_and_parameters_agree_with_the_closed_form(rob
 def test_poses_over_the_whole_joint_range_never_come_back_on_a_wrong_branch(robot):
     rng = np.random.default_rng(8)
     limits = np.array([(j.lower, j.upper) for j in robot.urdf.joints if j.name in robot.joint_names]).T
-    q = rng.uniform(*limits, (600, 6))
+    q = rng.uniform(*limits, (200, 6))
     oracle = forward(q, table1().nominal)
     closed = robot.close(q)
-    assert 20 < closed.ok.sum() < 580
+    assert 5 < closed.ok.sum() < 195
     assert np.array_equal(closed.ok, oracle.closes & inside_limits(passive_of(oracle, robot), robot))
 
 

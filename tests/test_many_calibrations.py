@@ -186,6 +186,7 @@ def test_numbers_do_not_depend_on_who_works(five_bar):
     assert fewer.draws.values == pytest.approx(alone.draws.values[:3], rel=1e-9)  # a draw has its own seed
 
 
+@pytest.mark.amount(0, 1)
 def test_code_is_compiled_before_work_is_given_out(five_bar, monkeypatch):
     """So that processes find it, instead of compiling it each by itself."""
     pytest.importorskip("numba", reason="numba is not installed (extra 'fast')")
@@ -256,6 +257,7 @@ def test_who_cannot_work_is_refused(five_bar, executor):
         calib.fit(*five_bar, executor=executor)
 
 
+@pytest.mark.amount(0, 1)
 def test_a_dask_cluster_does_the_draws(five_bar, alone, monkeypatch):
     monkeypatch.setattr(Shared, "sent", 0)
     distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra 'dask')")

@@ -241,13 +241,20 @@ Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 6))  # as `joint_values
         ("J1,J2,J3,J4,J5,J6,X,Y,Z,A,B,C", Q, lambda T: numbers(T, "xyz"), "a b c are not ZYX, but xyz"),
         ("J1,J2,J3,J4,J5,J6,X,Y,Z,W,P,R", Q, lambda T: numbers(T, "ZYX"), "w p r are not xyz, but ZYX"),
         ("j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz", Q - Q[:, [1]] * np.eye(6)[2], numbers, "elbow_joint from the horizontal"),
-        ("j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz", Q * [1, 1, -1, 1, 1, 1], numbers, "elbow_joint has the wrong sign"),
+        pytest.param(
+            "j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz",
+            Q * [1, 1, -1, 1, 1, 1],
+            numbers,
+            "elbow_joint has the wrong sign",
+            marks=pytest.mark.amount(0, 1),
+        ),
         ("j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz", Q, lambda T: np.roll(numbers(T), 1, axis=0), "1 row above their poses"),
-        (
+        pytest.param(
             "j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz",
             Q,
             lambda T: numbers(T) * [1, -1, 1, 1, 1, 1],
             "x, y, z of positions hold",
+            marks=pytest.mark.amount(0, 1),
         ),
     ],
 )
@@ -275,6 +282,7 @@ def test_readings_that_fit_alike_are_refused(stock: Path, tmp_path: Path) -> Non
         calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(q, origins()) @ turned, digits=(6, 1, 2)))
 
 
+@pytest.mark.amount(0, 1)
 def test_pairs_of_another_robot_are_refused(tmp_path: Path, stock: Path) -> None:
     q = joint_values(1)
     T = poses(q, origins())

@@ -48,6 +48,7 @@ def test_poses_are_those_of_the_closed_form(tmp_path: Path) -> None:
     assert facts["positions_from_y_towards_z_deg"] == pytest.approx([56.0, 224.0])
 
 
+@pytest.mark.amount(0, 1)
 @pytest.mark.usefixtures("few")
 def test_study_writes_every_table_and_figure_and_one_page(tmp_path: Path) -> None:
     out = tmp_path / "study"

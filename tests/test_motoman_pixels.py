@@ -22,6 +22,7 @@ def test_pixels_of_a_turned_image_do_not_pass_and_the_reason_is_said(shared_data
     assert "camera 'left': 284 of 601 readings lie outside an image" in words
 
 
+@pytest.mark.amount(0, 1)
 def test_pixels_and_tracker_together_are_no_worse_than_the_tracker_alone(shared_data):
     robot, train, test = motoman_cameras(shared_data / "motoman_right", tracker=True, turned=True)
     fit = calib.fit(robot, train, validation=test)
@@ -37,6 +38,7 @@ def test_pixels_and_tracker_together_are_no_worse_than_the_tracker_alone(shared_
     assert max(share.std for share in fit.budget.shares) < 0.05e-6  # directions that readings leave open do not count
 
 
+@pytest.mark.amount(0, 1)
 def test_pixels_that_do_not_fit_their_camera_do_not_spoil_what_the_tracker_finds(shared_data):
     """Counted as so many independent readings, they make 0.0767 mm of the tracker's 0.0726."""
     robot, train, test = motoman_cameras(shared_data / "motoman_right", tracker=True, turned=False)

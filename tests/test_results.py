@@ -282,7 +282,7 @@ def test_a_damaged_result_is_an_error_and_never_another_robot(fitted, folder, tm
     shutil.copytree(folder, tmp_path / "out")
     path, whole, rng = tmp_path / "out" / "fit.npz", (folder / "fit.npz").read_bytes(), np.random.default_rng(5)
     damaged = [whole[:end] for end in range(0, len(whole), len(whole) // 30)]
-    for place in rng.integers(0, len(whole), 300):
+    for place in rng.integers(0, len(whole), 80):
         damaged.append(whole[:place] + bytes([whole[place] ^ (1 << int(rng.integers(8)))]) + whole[place + 1 :])
     errors = []
     for content in damaged:

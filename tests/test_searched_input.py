@@ -267,7 +267,7 @@ def keep_promises(run_calib, folder, arguments):
 def search(cases, check):
     """Try cases: the same few in the suite, as many others as CALIB_SEARCH says in a search."""
     hypothesis.settings(
-        max_examples=SEARCHED or 15,
+        max_examples=SEARCHED or 6,
         derandomize=not SEARCHED,
         database=None,
         deadline=None,

@@ -43,15 +43,15 @@ def test_the_predicted_error_is_the_one_that_fits_have(medrue):
     selection = select(medrue, Q, 84, "task", sigma=SIGMA)
     truth = forward(Q, table1().nominal).p_world_tool
     rng, squares = np.random.default_rng(3), []
-    for _ in range(12):
+    for _ in range(5):
         noisy = truth[selection.chosen] + SIGMA * rng.standard_normal((84, 3))
         errors = (
             fit(medrue, calib.as_measurements(medrue, Q[selection.chosen], noisy), sigma=SIGMA).robot.positions(Q)[:, 0]
             - truth
         )
         squares.append(np.mean(np.sum(errors**2, axis=1)))
-    # 12 draws of 28 parameters give the root mean square to about 5 %
-    assert np.sqrt(np.mean(squares)) == pytest.approx(selection.after["task"], rel=0.2)
+    # 5 draws of 28 parameters give the root mean square to about 8 %
+    assert np.sqrt(np.mean(squares)) == pytest.approx(selection.after["task"], rel=0.3)
 
 
 @pytest.fixture(scope="module")

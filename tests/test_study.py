@@ -96,6 +96,7 @@ def test_poses_of_o1_beat_uniform_ones(task: DrawTask, outcome: DrawOutcome) -> 
     )
 
 
+@pytest.mark.amount(0, 1)
 def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(
     task: DrawTask, outcome: DrawOutcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:

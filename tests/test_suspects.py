@@ -18,7 +18,7 @@ from medrue.workspace import target_workspace
 SIGMA = 4e-5
 
 
-@pytest.fixture(scope="module", params=["known", "unknown"])
+@pytest.fixture(scope="module", params=["known"])
 def arm(request, tmp_path_factory):
     yaml = YAML.replace("frame: l0", f"frame: l0, pose: {request.param}")
     return calib.load(write_six_axis(tmp_path_factory.mktemp("arm"), yaml + FREE))
@@ -31,8 +31,8 @@ def data(arm):
     return noisy(real, joints(60), SIGMA, 1)
 
 
-placed_anew = pytest.mark.parametrize("arm", ["unknown"], indirect=True)
-"""With a known base, the same mistakes are found by the same search, which places less."""
+placed_or_not = pytest.mark.parametrize("arm", ["known", "unknown"], indirect=True)
+"""Of an unknown base, the search is the same, but places each robot anew, which takes three times as long."""
 
 
 def joint_changed(data, change):
@@ -49,6 +49,7 @@ def test_measurements_of_other_poses_show_no_mistake(arm, data):
     assert likely_mistake(arm, replace(data, joints=data.joints[::-1])) == ""
 
 
+@placed_or_not
 @pytest.mark.amount(1, 6)
 def test_a_joint_that_counts_the_other_way_is_named(arm, data, amount):
     for j in (2, 0, 5, 1, 3, 4)[:amount]:
@@ -56,12 +57,12 @@ def test_a_joint_that_counts_the_other_way_is_named(arm, data, amount):
         assert likely_mistake(arm, wrong).startswith(f"probable mistake: joint j{j + 1} has the wrong sign")
 
 
+@placed_or_not
 def test_swapped_columns_are_named(arm, data):
     wrong = replace(data, joints=data.joints[:, [0, 2, 1, 3, 4, 5]])
     assert "columns of joints j2 and j3 were swapped" in likely_mistake(arm, wrong)
 
 
-@placed_anew
 @pytest.mark.parametrize(
     ("order", "where"),
     [
@@ -73,7 +74,6 @@ def test_columns_in_another_order_are_named_with_where_each_stands(arm, data, or
     assert f"the columns of joints {where}" in likely_mistake(arm, replace(data, joints=data.joints[:, order]))
 
 
-@placed_anew
 @pytest.mark.parametrize("turned", [(1, 4), (0, 1, 4), (0, 1, 3, 5)])
 def test_several_signs_are_named_together(arm, data, turned):
     wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), turned), -q[:, turned]))
@@ -81,7 +81,6 @@ def test_several_signs_are_named_together(arm, data, turned):
     assert likely_mistake(arm, wrong).startswith(f"probable mistake: joints {names} have the wrong sign. Corrected")
 
 
-@placed_anew
 @pytest.mark.parametrize(
     ("offsets", "words"),
     [
@@ -104,7 +103,6 @@ def test_a_turned_joint_with_another_zero_is_named_by_what_would_be_right(arm, d
     assert "joint j3 counted from another zero (90 deg - j3 would be right)" in likely_mistake(arm, wrong)
 
 
-@placed_anew
 def test_joint_values_beside_the_wrong_row_are_named(arm, data):
     above = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])  # beside the next measurement
     assert "all joint values stood one row below their measurements" in likely_mistake(arm, above)
@@ -112,7 +110,6 @@ def test_joint_values_beside_the_wrong_row_are_named(arm, data):
     assert "all joint values stood one row above their measurements" in likely_mistake(arm, below)
 
 
-@placed_anew
 @pytest.mark.amount(1, 4)
 def test_a_shift_is_named_where_rows_are_held_out(arm, data, amount):
     """The file is shifted, and then split: rows that were neighbours in it need not be so any more."""
@@ -125,7 +122,6 @@ def test_a_shift_is_named_where_rows_are_held_out(arm, data, amount):
         assert f"all joint values stood {abs(rows)} rows {side} their measurements" in likely_mistake(arm, used)
 
 
-@placed_anew
 @pytest.mark.amount(1, 5)
 def test_a_scaled_joint_is_named_with_its_factor(arm, data, amount):
     for joint, factor in ((4, 10 / 9), (0, 1.1), (3, 0.5), (1, 2.0), (5, 0.7))[:amount]:
@@ -139,7 +135,6 @@ def test_a_scaled_joint_is_named_with_its_factor(arm, data, amount):
         assert ("gon read as degrees" in told) == (factor == 10 / 9)
 
 
-@placed_anew
 def test_two_joints_that_are_a_little_scaled_get_no_pass(arm, data):
     """Three percent of two wrist joints: the nominal robot is off by less than half as much."""
     wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), [3, 4]), 1.03 * q[:, [3, 4]]))
@@ -152,7 +147,6 @@ def test_two_joints_that_are_a_little_scaled_get_no_pass(arm, data):
     assert "joint j4 0.9709 times as far, joint j5 0.9709 times as far" in str(with_gains)
 
 
-@placed_anew
 @pytest.mark.amount(1, 3)
 def test_values_mapped_to_a_range_are_named(arm, data, amount):
     """Columns [deg] hold parts of the range from -3 to 3 rad."""
@@ -168,7 +162,6 @@ def with_zeros(arm, data, rows):
     return with_points(arm, data, positions)
 
 
-@placed_anew
 def test_readings_of_zero_are_named_alone_and_beside_another_mistake(arm, data):
     wrong = with_zeros(arm, data, [7, 30])
     zeros = "probable mistake: 2 readings of exactly 0, 0, 0 (row 7, row 30) were empty"
@@ -183,6 +176,7 @@ def test_columns_that_are_copies_are_named(arm, data):
     assert likely_mistake(arm, wrong) == f"probable mistake: {copied}"
 
 
+@placed_or_not
 @pytest.mark.amount(1, 20)
 def test_healthy_arms_show_no_mistake(arm, amount):
     sigmas = np.array([p.sigma_si * (p.prior and not p.placement) for p in arm.parameters])
@@ -206,7 +200,8 @@ def test_a_five_bar_with_a_motor_half_a_turn_off_is_told(five_bar):
 
 def test_a_five_bar_with_a_shifted_table_is_told(five_bar):
     robot, data = five_bar
-    shifted = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])
+    data = data.subset(np.arange(30))
+    shifted = replace(data.subset(np.arange(1, 30)), joints=data.joints[:-1])
     assert "all joint values stood one row below their measurements" in likely_mistake(robot, shifted)
 
 
@@ -237,16 +232,13 @@ def test_a_healthy_real_arm_shows_no_mistake(motoman, amount):
 
 def test_mistakes_in_the_data_of_a_real_arm_are_named(motoman):
     robot, data = motoman
-    data = data.subset(np.arange(80))
+    data = data.subset(np.arange(50))
     signs = np.array([1, -1, -1, -1, 1, 1, 1])
     assert "joints S, L, U have the wrong sign" in likely_mistake(robot, replace(data, joints=signs * data.joints))
-    zero = np.radians([0, 0, -90, 0, 0, 0, 0])
-    assert "(L +90 deg would be right)" in likely_mistake(robot, replace(data, joints=data.joints + zero))
     shifted = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])
     assert "all joint values stood one row below their measurements" in likely_mistake(robot, shifted)
 
 
-@placed_anew
 @pytest.mark.parametrize(
     ("factor", "words"),
     [(np.degrees(1), "degrees were read as radians"), (np.radians(1), "radians were read as degrees")],
@@ -255,7 +247,6 @@ def test_angles_in_the_wrong_unit_are_named(arm, data, factor, words):
     assert words in likely_mistake(arm, replace(data, joints=factor * data.joints))
 
 
-@placed_anew
 @pytest.mark.amount(3, 8)
 def test_positions_in_the_wrong_unit_are_named(arm, data, amount):
     units = {
@@ -283,12 +274,11 @@ def test_positions_in_the_wrong_unit_are_named(arm, data, amount):
         ),
     ],
 )
-@pytest.mark.parametrize("arm", ["known"], indirect=True)
 def test_a_left_handed_measurement_frame_is_named(arm, data, change, words):
     assert words in likely_mistake(arm, with_points(arm, data, change(data.points(arm))))
 
 
-@placed_anew
+@pytest.mark.parametrize("arm", ["unknown"], indirect=True)
 def test_a_left_handed_frame_somewhere_is_named(arm, data):
     mistake = likely_mistake(arm, with_points(arm, data, data.points(arm) * [1, -1, 1]))
     assert "left-handed" in mistake or "y of the measured positions had the wrong sign" in mistake
@@ -315,13 +305,11 @@ def test_columns_that_are_copies_are_named_in_the_verdict_once(arm, data):
     assert sum("ball_x" in reason.text and "ball_y" in reason.text for reason in verdict.reasons) == 1
 
 
-@placed_anew
 def test_a_first_point_that_is_the_origin_of_the_frame_is_no_lost_sight(arm, data):
     first = with_points(arm, data, data.points(arm) - data.points(arm)[:1])
     assert not {"zero_readings", "likely_mistake"} & set(calib.fit(arm, first).verdict.to_dict()["codes"])
 
 
-@placed_anew
 def test_an_error_names_readings_of_zero_that_no_mistake_explains(arm, data, monkeypatch):
     def fails(*_):
         raise calib.ComputationError("the robot cannot be assembled")

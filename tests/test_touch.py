@@ -199,6 +199,7 @@ def rows_of(out: Path, name: str) -> dict[str, dict[str, str]]:
     return {row[next(iter(row))]: row for row in rows}
 
 
+@pytest.mark.amount(0, 1)
 def test_the_command_writes_tables_a_figure_and_a_page(command: tuple[Path, Result]) -> None:
     out, run = command
     assert run.exit_code == 0, run.output
@@ -217,6 +218,7 @@ def test_the_command_writes_tables_a_figure_and_a_page(command: tuple[Path, Resu
         assert heading in run.output
 
 
+@pytest.mark.amount(0, 1)
 def test_the_authors_figures_stand_beside_ours(command: tuple[Path, Result]) -> None:
     world = rows_of(command[0], "world")
     assert tuple(world["mean, authors"])[1:] == ("before", *METHODS, "encoders, tool known")
@@ -233,6 +235,7 @@ def test_the_authors_figures_stand_beside_ours(command: tuple[Path, Result]) -> 
     assert float(world["max, mean over 2 draws of noise"]["before"]) == pytest.approx(1e3 * nominal.max())
 
 
+@pytest.mark.amount(0, 1)
 def test_touch_gets_about_as_far_as_the_tracker_and_encoders_do_not(command: tuple[Path, Result]) -> None:
     """Noise of 0.04 mm in 84 touches: theory promises 0.024 mm (rms); three times that would be no luck."""
     world, shape = rows_of(command[0], "world"), rows_of(command[0], "shape")
@@ -261,6 +264,7 @@ def test_touch_gets_about_as_far_as_the_tracker_and_encoders_do_not(command: tup
     assert "xt; yt; zt" in methods["encoders"]["cannot see"]
 
 
+@pytest.mark.amount(0, 1)
 def test_one_socket_does_not_determine_the_workspace(command: tuple[Path, Result]) -> None:
     artefacts = rows_of(command[0], "artefacts")
     assert list(artefacts) == ["9 on 525 mm by 282 mm", "one"]

@@ -139,22 +139,6 @@ def test_priors_are_weighed_by_the_noise_found_where_it_contradicts_what_is_stat
     assert believed.scales.groups == 1.0
 
 
-def test_noise_that_is_less_than_chance_explains_is_told(arm, truth):
-    verdict_remark = remark(calib.fit(arm, noisy(truth, joints(80), 0.5 * SIGMA, 1), sigma=SIGMA), "noise")
-    assert "less than chance" in verdict_remark.text
-
-
-def test_worse_than_before_fails_also_where_the_fit_knows_little_of_these_poses(arm, truth):
-    """Poses in a corner leave the rest of the space open: that they get worse there is no surprise, and harm."""
-    corner = joints(40) * 0.05
-    fit = calib.fit(arm, noisy(arm, corner, SIGMA, 1), validation=noisy(arm, joints(40, 5), SIGMA, 2))
-    known = fit.validation_uncertainty.reported_distance
-    assert np.sqrt(np.mean(known**2)) > 0.5 * np.sqrt(3) * fit.validation.rms("after") / np.sqrt(3)
-    verdict_reason = reason(fit, "worse_on_validation")
-    assert verdict_reason.grade == fit.verdict.grade == "FAIL"
-    assert "nothing_to_correct" not in fit.verdict.to_dict()["codes"]
-
-
 @pytest.mark.parametrize(("rows", "parameters", "others"), [(180, 28, 60), (45, 30, 30)])
 def test_a_robot_that_needs_no_correction_is_rarely_said_to_get_worse_also_where_the_noise_is_hardly_known(
     rows, parameters, others

@@ -18,7 +18,7 @@ from calib.core.commands.verify import command
 from calib.core.data.measurement_files import format_measurements
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.data.table_writing import format_table
-from calib.core.judging.acceptance import poses_needed, verify, visible_changes
+from calib.core.judging.acceptance import verify, visible_changes
 from calib.core.judging.promise import Change, Promise, System, without_outliers
 from calib.core.judging.repeatability import CONDITIONS, conditions, iso_figures
 from calib.core.results.acceptance_text import plan_report, text_report
@@ -200,26 +200,13 @@ def test_a_change_that_is_visible_is_seen_in_nine_of_ten(arm):
     q = rng.uniform(-1.2, 1.2, (20, 6))
     first = next(change for change in visible_changes(fit, q) if change.name == "joint_5.z")
     changed = truth.with_parameters({"joint_5.z": value(truth, "joint_5.z") + first.visible})
-    z = [next(c.z for c in verify(fit, measured(changed, q, rng)).changes if c.name == "joint_5.z") for _ in range(12)]
+    z = [next(c.z for c in verify(fit, measured(changed, q, rng)).changes if c.name == "joint_5.z") for _ in range(6)]
     # one calibration: its own error of the parameter is the same each time, and part of std
     own = value(fit.robot, "joint_5.z") - value(truth, "joint_5.z")
     assert np.mean(z) == pytest.approx((first.visible - own) / first.std, abs=1.5)
     assert first.visible / first.std == pytest.approx(
         5.1, abs=0.4
     )  # 3.8 for the level over 40 candidates, 1.28 for 90 %
-
-
-def test_fewer_poses_are_needed_for_larger_changes(arm):
-    _, _, fit = arm
-    q = np.random.default_rng(10).uniform(-1.2, 1.2, (60, 6))
-    small, large = (poses_needed(fit, q, "zero of joint_3", size) for size in (1.2e-4, 3e-4))
-    assert small is not None
-    assert large is not None
-    assert large < small
-    by_name = {n: visible_changes(fit, q[:n]) for n in (small - 1, small)}
-    seen = {n: next(c.visible for c in changes if c.name == "zero of joint_3") for n, changes in by_name.items()}
-    assert seen[small] <= 1.2e-4 < seen[small - 1]
-    assert poses_needed(fit, q[:4], "zero of joint_3", 1e-6) is None
 
 
 def test_a_result_folder_promises_what_its_fit_did(arm, folder):

@@ -56,13 +56,13 @@ def test_predictions_of_a_fit_agree_with_the_robots(fit):
 def test_the_spread_of_predictions_agrees_with_random_parameters(fit):
     table = from_fit(fit)
     generator = np.random.default_rng(0)
-    draws = generator.multivariate_normal(np.zeros(int(fit.free.sum())), fit.covariance.values, size=300)
-    values = fit.robot.values + np.zeros((300, len(fit.free)))
+    draws = generator.multivariate_normal(np.zeros(int(fit.free.sum())), fit.covariance.values, size=100)
+    values = fit.robot.values + np.zeros((100, len(fit.free)))
     values[:, fit.free] += draws
     q = table.joints[:3]
     cloud = np.array([fit.robot.with_parameters(row).positions(q)[:, 0] for row in values])
-    # 300 draws give a standard deviation to 4 %; four of these sigmas
-    np.testing.assert_allclose(cloud.std(axis=0, ddof=1), table.spread[:3], rtol=0.17)
+    # 100 draws give a standard deviation to 7 %; four of these sigmas
+    np.testing.assert_allclose(cloud.std(axis=0, ddof=1), table.spread[:3], rtol=0.29)
 
 
 def test_a_wrong_reading_is_marked_where_it_is():

@@ -151,7 +151,7 @@ def test_a_request_without_end_is_cut_off(server):
 
 
 def test_only_so_many_are_served_at_once(server, listen, monkeypatch):
-    monkeypatch.setattr("viz.server._Handler.timeout", 1.0)  # seconds that a silent connection may stay
+    monkeypatch.setattr("viz.server._Handler.timeout", 0.2)  # seconds that a silent connection may stay
     first, _ = listen()
     held = [socket.create_connection(("127.0.0.1", server.port), timeout=30) for _ in range(100)]
     try:

@@ -47,18 +47,18 @@ def test_covariance_agrees_with_the_scatter_over_draws() -> None:
     truth, sigma = some_pose(generator), 1e-4
     predicted = rigid_fit(NESTS, carried(truth, NESTS), sigma).covariance
     results = []
-    for _ in range(2000):
+    for _ in range(500):
         fit = rigid_fit(NESTS, carried(truth, NESTS) + generator.normal(0, sigma, NESTS.shape), sigma)
         results.append(np.concatenate([fit.translation - truth.translation, pin.log3(truth.rotation.T @ fit.rotation)]))
     ratio = np.linalg.solve(predicted, np.cov(np.array(results).T))
-    # eigenvalues of a Wishart matrix with 2000 draws in 6 dimensions stay within 1 +- 2 sqrt(6 / 2000) = 1 +- 0.11
-    assert np.abs(np.linalg.eigvals(ratio) - 1).max() < 0.13
+    # eigenvalues of a Wishart matrix with 500 draws in 6 dimensions stay within 1 +- 2 sqrt(6 / 500) = 1 +- 0.22
+    assert np.abs(np.linalg.eigvals(ratio) - 1).max() < 0.26
 
 
 def test_noise_is_estimated_with_the_right_degrees_of_freedom() -> None:
     generator = np.random.default_rng(5)
-    squares = [rigid_fit(NESTS, NESTS + generator.normal(0, 1e-4, NESTS.shape)).sigma ** 2 for _ in range(3000)]
-    assert abs(np.mean(squares) / 1e-8 - 1) < 4 * np.sqrt(2 / 3 / 3000)  # chi-square with 3 degrees of freedom
+    squares = [rigid_fit(NESTS, NESTS + generator.normal(0, 1e-4, NESTS.shape)).sigma ** 2 for _ in range(500)]
+    assert abs(np.mean(squares) / 1e-8 - 1) < 4 * np.sqrt(2 / 3 / 500)  # chi-square with 3 degrees of freedom
 
 
 def test_point_covariance_is_the_scatter_of_the_carried_point() -> None:

@@ -48,7 +48,8 @@ def report(kept_report):
 
     def sized(width, height, media="screen"):
         kept_report.page.emulate_media(media=media)
-        kept_report.page.set_viewport_size({"width": width, "height": height})
+        if kept_report.page.viewport_size != {"width": width, "height": height}:  # every plot is drawn again
+            kept_report.page.set_viewport_size({"width": width, "height": height})
         return kept_report
 
     yield sized
@@ -101,6 +102,51 @@ def place_of(tab, chart, layer, mark):
     )
 
 
+def test_nothing_of_a_plot_is_cut(report):
+    tab = report(390, 844)
+    tab.page.evaluate("calibrationReport.all()")
+    over = "[...document.querySelectorAll('.panel, .panels, figure')].map((e) => e.scrollWidth - e.clientWidth)"
+    assert max(tab.page.evaluate(over)) <= 0
+
+
+def test_words_in_the_first_column_are_not_broken_on_a_phone(report):
+    tab = report(320, 640)
+    heights = """[...document.querySelectorAll('.facts th')].filter((e) => !e.textContent.includes(' '))
+      .map((e) => e.getBoundingClientRect().height / parseFloat(getComputedStyle(e).lineHeight))"""
+    assert max(tab.page.evaluate(heights)) < 1.5
+
+
+def test_rows_after_calibration_are_bold_and_headers_stand_above_their_numbers(report):
+    tab = report(320, 640)
+    weights = "[...document.querySelectorAll('.numbers .after > *')].map((e) => getComputedStyle(e).fontWeight)"
+    assert set(tab.page.evaluate(weights)) == {"600"}
+    heads = "[...document.querySelectorAll('.numbers thead th:not(.left):not(:first-child)')]"
+    aligned = heads + ".map((e) => getComputedStyle(e).textAlign)"
+    assert set(tab.page.evaluate(aligned)) == {"right"}
+
+
+def test_it_prints(report):
+    tab = report(1200, 800)
+    document = tab.page.pdf(prefer_css_page_size=True)
+    assert document.startswith(b"%PDF")
+    report(688, 1000, "print")  # what A4 leaves between the margins
+    assert tab.page.evaluate("Math.max(...[...document.querySelectorAll('table')].map((t) => t.scrollWidth))") <= 688
+    assert (
+        3 <= document.count(b"/Type /Page\n") + document.count(b"/Type/Page ") + document.count(b"/Type /Page ") <= 12
+    )
+
+
+def test_the_first_printed_page_has_the_robot_and_no_page_is_half_empty(report):
+    tab = report(688, 1000, "print")  # what A4 leaves between the margins
+    page = 1000
+    bottom = tab.page.locator(".robot img").evaluate("(image) => image.getBoundingClientRect().bottom + scrollY")
+    assert bottom < page
+    assert tab.page.locator(".robot img").evaluate("(image) => image.naturalWidth") > 300
+    blocks = """[...document.querySelectorAll('figure.robot, .panel, .whole, .verdict')]
+      .map((e) => e.getBoundingClientRect().height)"""
+    assert max(tab.page.evaluate(blocks)) < page / 2  # what may not be broken leaves at most so much empty
+
+
 def test_hover_a_box_in_a_plot_a_line_of_a_table_and_a_click_in_space_mean_the_same_poses(small_report):
     tab = small_report
     x, y, row = place_of(tab, "order", 1, 30)
@@ -133,51 +179,6 @@ def test_hover_a_box_in_a_plot_a_line_of_a_table_and_a_click_in_space_mean_the_s
     tab.page.locator("#unselect").click()
     n_rows = tab.page.evaluate("calibrationReport.selection.rows.texts.length")
     assert selected(tab)["space"] == list(range(n_rows))  # all again
-
-
-def test_nothing_of_a_plot_is_cut(report):
-    tab = report(390, 844)
-    tab.page.evaluate("calibrationReport.all()")
-    over = "[...document.querySelectorAll('.panel, .panels, figure')].map((e) => e.scrollWidth - e.clientWidth)"
-    assert max(tab.page.evaluate(over)) <= 0
-
-
-def test_it_prints(report):
-    tab = report(1200, 800)
-    document = tab.page.pdf(prefer_css_page_size=True)
-    assert document.startswith(b"%PDF")
-    report(688, 1000, "print")  # what A4 leaves between the margins
-    assert tab.page.evaluate("Math.max(...[...document.querySelectorAll('table')].map((t) => t.scrollWidth))") <= 688
-    assert (
-        3 <= document.count(b"/Type /Page\n") + document.count(b"/Type/Page ") + document.count(b"/Type /Page ") <= 12
-    )
-
-
-def test_rows_after_calibration_are_bold_and_headers_stand_above_their_numbers(report):
-    tab = report(1200, 800)
-    weights = "[...document.querySelectorAll('.numbers .after > *')].map((e) => getComputedStyle(e).fontWeight)"
-    assert set(tab.page.evaluate(weights)) == {"600"}
-    heads = "[...document.querySelectorAll('.numbers thead th:not(.left):not(:first-child)')]"
-    aligned = heads + ".map((e) => getComputedStyle(e).textAlign)"
-    assert set(tab.page.evaluate(aligned)) == {"right"}
-
-
-def test_words_in_the_first_column_are_not_broken_on_a_phone(report):
-    tab = report(320, 640)
-    heights = """[...document.querySelectorAll('.facts th')].filter((e) => !e.textContent.includes(' '))
-      .map((e) => e.getBoundingClientRect().height / parseFloat(getComputedStyle(e).lineHeight))"""
-    assert max(tab.page.evaluate(heights)) < 1.5
-
-
-def test_the_first_printed_page_has_the_robot_and_no_page_is_half_empty(report):
-    tab = report(688, 1000, "print")  # what A4 leaves between the margins
-    page = 1000
-    bottom = tab.page.locator(".robot img").evaluate("(image) => image.getBoundingClientRect().bottom + scrollY")
-    assert bottom < page
-    assert tab.page.locator(".robot img").evaluate("(image) => image.naturalWidth") > 300
-    blocks = """[...document.querySelectorAll('figure.robot, .panel, .whole, .verdict')]
-      .map((e) => e.getBoundingClientRect().height)"""
-    assert max(tab.page.evaluate(blocks)) < page / 2  # what may not be broken leaves at most so much empty
 
 
 def test_compared_results_fit_the_window_and_print(show, tmp_path):

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.photographs import starts
+from calib.photographs.camera_alone import point_errors
 from calib.photographs.estimation import estimate, solve
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
@@ -338,7 +339,7 @@ def test_exported_files_hold_the_same_transform_in_the_direction_of_their_format
 
 
 def test_corners_that_are_off_go_by_themselves_and_are_no_doubt(clean, good):
-    assert not np.any(starts.point_errors(clean, INTRINSICS, (0, 1, 2, 3, 4, 5)))
+    assert not np.any(point_errors(clean, INTRINSICS, (0, 1, 2, 3, 4, 5)))
     off = {7: (6.0, 0.0), 11: (0.0, -5.0), 105: (-4.0, 4.0), 184: (9.0, 3.0)}  # two of them in one image
     pixels = clean.pixels.copy()
     pixels[list(off)] += list(off.values())

@@ -14,11 +14,12 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import ComputationError
 from calib.core.numerics import linalg
+from calib.photographs.camera_alone import point_errors
 from calib.photographs.estimation import plain
 from calib.photographs.left_out_images import predict_left_out_images, rms
 from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior
 from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, residuals
-from calib.photographs.starts import Start, image_rms, point_errors
+from calib.photographs.starts import Start, image_rms
 
 _OFF = 5.0  # multiple of the median error from which an image is left out
 _LEAST_OFF = 1.0  # px

@@ -26,6 +26,8 @@ from calib.photographs.scene import BoardScene, HandEyePlacement, Mount, points_
 _TRIALS = 25
 _GOOD = 5.0  # px, median error of the images below which no subsets are tried
 _AT_ONCE = 4
+_POINTS = 8  # of an image, from which places are improved; more add little
+_STEPS = 20
 _SEED = 0
 
 
@@ -80,21 +82,24 @@ def start(scene: BoardScene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...
 
 def _start(scene: BoardScene, intrinsics: FloatArray, views: FloatArray, usable: IntArray) -> Start:
     links, now, none = scene.links, (np.eye(4), np.eye(4)), (False, False)
-    sightings = Sightings(links[scene.image], scene.body, rays(scene.pixels, intrinsics), scene.image)
+    in_image = np.arange(len(scene.image)) - np.searchsorted(scene.image, scene.image)
+    some = scene.with_points(in_image % np.maximum(scene.counts // _POINTS, 1)[scene.image] == 0)
+    sightings = Sightings(links[some.image], some.body, rays(some.pixels, intrinsics), some.image)
 
-    def start_at(places: Places) -> Start:
-        placed = HandEyePlacement(*places, intrinsics)
+    def start_at(places: Places, steps: int = 0) -> Start:
+        improved = refine_places(sightings, places, steps=steps) if steps else places
+        placed = HandEyePlacement(*improved, intrinsics)
         return Start(scene, placed, image_rms(scene, placed))
 
-    whole = start_at(refine_places(sightings, solve_poses(links[usable], views[usable], now, none), none))
+    whole = start_at(solve_poses(links[usable], views[usable], now, none), _STEPS)
     if whole.typical < _GOOD or len(usable) <= _AT_ONCE:
         return whole
     generator = np.random.default_rng(_SEED)
     subsets = np.array([generator.choice(usable, _AT_ONCE, replace=False) for _ in range(_TRIALS)])
     tried = [start_at(places) for places in zip(*solve_poses(links[subsets], views[subsets], now, none), strict=True)]
     best = sorted(tried, key=lambda candidate: candidate.typical)[:3]
-    refined = [refine_places(sightings, (each.placed.camera, each.placed.board), none) for each in best]
-    return min([whole, *map(start_at, refined)], key=lambda candidate: candidate.typical)
+    improved = [start_at((each.placed.camera, each.placed.board), _STEPS) for each in best]
+    return min([whole, *improved], key=lambda candidate: candidate.typical)
 
 
 def image_rms(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:

@@ -145,8 +145,17 @@ def _typical(sightings: Sightings, places: Places) -> float:
     return float(np.median(np.sum(errors**2, axis=1)))
 
 
-def refine_places(sightings: Sightings, places: Places, known: tuple[bool, bool]) -> Places:
-    """Return places near those given, by least squares over those that are not known; far-off sightings count less."""
+def refine_places(
+    sightings: Sightings, places: Places, known: tuple[bool, bool] = (False, False), steps: int = _STEPS
+) -> Places:
+    """Return places near those given, by least squares over those that are not known; far-off sightings count less.
+
+    Args:
+        sightings: What was seen.
+        places: Where to begin.
+        known: Which of them are known.
+        steps: At most so many.
+    """
     free = np.repeat(np.logical_not(known), 6)
     scale = max(np.sqrt(_typical(sightings, places)), 1e-6)
 
@@ -180,7 +189,7 @@ def refine_places(sightings: Sightings, places: Places, known: tuple[bool, bool]
         jac=jacobian,
         loss="soft_l1",
         f_scale=10 * scale,
-        max_nfev=_STEPS,
+        max_nfev=steps,
         x_scale="jac",
     )
     return places_at(found_x.x)

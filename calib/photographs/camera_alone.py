@@ -115,8 +115,8 @@ def single_views(scene: BoardScene, intrinsics: FloatArray) -> tuple[FloatArray,
     for i in np.flatnonzero(scene.counts >= LEAST_POINTS):
         points = (part[scene.image == i] for part in (scene.body, scene.pixels))
         lens = (_matrix(intrinsics), intrinsics[4:])
-        _, turns, places, _ = cv2.solvePnPGeneric(*points, *lens, flags=cv2.SOLVEPNP_IPPE)
-        if len(turns) and turns[0] is not None:
+        found, turns, places, _ = cv2.solvePnPGeneric(*points, *lens, flags=cv2.SOLVEPNP_IPPE)
+        if found and turns[0] is not None:  # not a number where the points lie in a line
             poses[i] = _pose(turns[0], places[0])
     return poses, np.all(np.isfinite(poses), axis=(1, 2))
 

@@ -26,7 +26,8 @@ from calib.photographs.scene import BoardScene, HandEyePlacement, Mount, points_
 _TRIALS = 25
 _GOOD = 5.0  # px, median error of the images below which no subsets are tried
 _AT_ONCE = 4
-_POINTS = 8  # of an image, from which places are improved; more add little
+_POINTS = 12  # of an image, about, from which places are improved; more add little
+_GOLDEN = 0.618034  # steps by it fall on every row and column of a board alike
 _STEPS = 20
 _SEED = 0
 
@@ -83,7 +84,7 @@ def start(scene: BoardScene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...
 def _start(scene: BoardScene, intrinsics: FloatArray, views: FloatArray, usable: IntArray) -> Start:
     links, now, none = scene.links, (np.eye(4), np.eye(4)), (False, False)
     in_image = np.arange(len(scene.image)) - np.searchsorted(scene.image, scene.image)
-    some = scene.with_points(in_image % np.maximum(scene.counts // _POINTS, 1)[scene.image] == 0)
+    some = scene.with_points((in_image * _GOLDEN) % 1.0 < _POINTS / scene.counts[scene.image])
     sightings = Sightings(links[some.image], some.body, rays(some.pixels, intrinsics), some.image)
 
     def start_at(places: Places, steps: int = 0) -> Start:

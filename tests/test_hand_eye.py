@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.photographs import starts
-from calib.photographs.camera_alone import point_errors
+from calib.photographs.camera_alone import intrinsics_at_first, point_errors
 from calib.photographs.estimation import estimate, solve
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
@@ -110,6 +110,17 @@ def test_the_lens_is_found_where_none_is_given_and_where_the_given_one_is_wrong(
         assert result.lens_found
         assert np.allclose(result.fitted.placed.intrinsics[:4], INTRINSICS[:4], atol=2.0)
         assert rms(result.pixels) < 0.3
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_a_focal_length_is_found_from_tilted_boards_and_refused_from_those_seen_from_the_front(noise):
+    tilted = scene(8, "tool", noise=noise)
+    assert intrinsics_at_first(tilted)[0] == pytest.approx(INTRINSICS[0], rel=0.06)  # the lens has distortion
+    flat = [pose((0.0, 0.01 * k, 0.5 + 0.02 * k), (0, 0, 20 * k)) for k in range(8)]
+    pixels = np.concatenate([pixels_of(board_points() @ at[:3, :3].T + at[:3, 3]) for at in flat])
+    pixels += noise * np.random.default_rng(0).standard_normal(pixels.shape)
+    with pytest.raises(NotIdentifiableError, match="do not determine the focal length"):
+        intrinsics_at_first(replace(tilted, pixels=pixels))
 
 
 def test_the_robots_part_is_told_from_the_cameras():

@@ -112,7 +112,14 @@ def normal_equations(
 
 
 def deviance(linear: ImageSums, noise: ErrorSizes, prior: IntrinsicsPrior | None, now: FloatArray) -> float:
-    """Return minus twice the log-likelihood at the best step of a linear problem, but for a constant."""
+    """Return minus twice the log-likelihood at the best step of a linear problem, but for a constant.
+
+    Args:
+        linear: Sums over images.
+        noise: Sizes of the errors.
+        prior: Of the intrinsics that are sought.
+        now: These, as they are, (f,).
+    """
     a, b, c = normal_equations(linear, noise, prior, now)
     return _log_v(linear, noise) + c - float(b @ linalg.lstsq(a, b, rcond=1e-12))
 

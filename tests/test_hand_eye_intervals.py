@@ -7,7 +7,7 @@ from calib.photographs.arm_errors import arm_twists
 from calib.photographs.estimation import estimate
 from calib.photographs.intervals import intervals
 from calib.photographs.scene import HandEyePlacement, linearise, rows
-from calib.photographs.shared_errors import ErrorSizes, criterion
+from calib.photographs.shared_errors import ErrorSizes, criterion, find_noise, logarithms
 
 
 def test_errors_of_the_arm_move_the_tool_as_those_of_its_denavit_hartenberg_table():
@@ -58,8 +58,25 @@ def test_the_criterion_is_the_restricted_likelihood_of_all_rows():
         logs = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(a)[1]
         theirs.append(logs + r @ weighed[:, -1] - b @ np.linalg.solve(a, b))
         sizes = np.log([noise.pixel, noise.shift, noise.turn, noise.arm])
-        ours.append(criterion(linear, sizes, None, np.zeros(0)))
+        ours.append(criterion(linear, sizes, None, np.zeros(0))[0])
     assert np.isclose(ours[0] - ours[1], theirs[0] - theirs[1], rtol=1e-7)
+
+
+def test_sizes_are_found_where_the_criterion_is_flat():
+    """Its gradient is that of differences; where it vanishes is a minimum, wherever the search began."""
+    case, none = scene(n=7, shift=1e-3, turn=5e-3), np.zeros(0)
+    placed = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS)
+    linear, at, step = (
+        linearise(case, placed, ()).with_arm(arm_twists(case.tool)),
+        np.log([0.25, 3e-4, 2e-4, 4e-4]),
+        1e-4,
+    )
+    ends = [[criterion(linear, at + sign * one, None, none)[0] for sign in (1, -1)] for one in step * np.eye(4)]
+    differences = [(ahead - back) / (2 * step) for ahead, back in ends]
+    assert np.allclose(criterion(linear, at, None, none)[1], differences, rtol=1e-5, atol=1e-5)
+    for near in (ErrorSizes(0.2, 1e-3, 5e-3), ErrorSizes(0.5, 1e-4, 1e-2)):
+        logs = logarithms(find_noise(linear, None, none, near), linear)
+        assert np.all(np.abs(criterion(linear, logs, None, none)[1]) < 1e-3)
 
 
 @pytest.mark.parametrize("weights", [ErrorSizes(0.3), ErrorSizes(0.2, 4e-4, 2e-4)])

@@ -308,7 +308,7 @@ def test_all_ways_to_write_a_rotation_give_the_same(tmp_path):
     [
         ("image,x,y,qx,qy,qz,qw\na,0,0,0,0,0,1\n", "no column 'z'"),
         ("image,x,y,z\na,0,0,0\n", "no rotation"),
-        ("image,x,y,z,qx,qy,qz,qw\na,0,0,0,0,0,1,1\n", "not a unit quaternion"),
+        ("image,x,y,z,qx,qy,qz,qw\na,0,0,0,0,0,1,1\n", "not a quaternion of length 1"),
         ("image,x,y,z,rx,ry,rz\na,0,0,0,0,0,1\n", "--angles rotvec or --angles rpy"),
         ("x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,1\n", "no column 'image' or 'pose'"),
         ("image,x,y,z,qx,qy,qz,qw\na,0,0,0,0,0,0,1\na,0,0,0,0,0,0,1\n", "'a' comes twice"),

@@ -398,16 +398,19 @@ def _chessboard(board: Board, image: GreyImage, *, quick: bool = False) -> dict[
     done, corners = cv2.findChessboardCornersSB(image, counts, flags=flags)
     if not done:
         return {}
-    grid = np.asarray(corners, dtype=float).reshape(board.rows - 1, board.columns - 1, 2)
-    along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
-    if along[0] * down[1] < along[1] * down[0]:  # rows run from right to left: seen from the front, they do not
-        grid = grid[:, ::-1]
+    grid = _from_the_front(np.asarray(corners, dtype=float).reshape(board.rows - 1, board.columns - 1, 2))
     pixels = grid.reshape(-1, 2)
     ways = [pixels, pixels[::-1]]
     contrasts = [_contrast(board, image, way) for way in ways]
     if abs(contrasts[0] - contrasts[1]) < 5:  # grey values: the squares cannot be told apart
         return {}
     return {f"c{k}": place for k, place in enumerate(ways[int(np.argmax(contrasts))])}
+
+
+def _from_the_front(grid: FloatArray) -> FloatArray:
+    """Pixels of a grid (rows, columns, 2) whose rows run as on a board that is seen from the front."""
+    along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    return grid[:, ::-1] if along[0] * down[1] < along[1] * down[0] else grid
 
 
 def _contrast(board: Board, image: GreyImage, pixels: FloatArray) -> float:
@@ -456,10 +459,7 @@ def _dots(board: Board, image: GreyImage) -> dict[str, FloatArray]:
         return {}
     found = blobs.detect(image)
     places, sizes = np.array([blob.pt for blob in found]), np.array([blob.size for blob in found])
-    grid = np.asarray(centres, dtype=float).reshape(board.rows, board.columns, 2)
-    along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
-    if along[0] * down[1] < along[1] * down[0]:  # rows run from right to left: seen from the front, they do not
-        grid = grid[:, ::-1]
+    grid = _from_the_front(np.asarray(centres, dtype=float).reshape(board.rows, board.columns, 2))
     ways = [np.rot90(grid, k) for k in range(4)]
     ways = [way for way in ways if way.shape == grid.shape]
     size = [float(sizes[np.argmin(np.linalg.norm(places - way[0, 0], axis=1))]) for way in ways]

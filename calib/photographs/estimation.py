@@ -135,25 +135,24 @@ def estimate(
         NotIdentifiableError: The images do not determine all of it.
         NotConvergedError: The noise was not found.
     """
-    free = tuple(free)
-    if not weighed:
-        placed, weights = plain(scene, start, free, prior, scaled=scaled)
-        linear = linearise(scene, placed, free, scaled)
-        noise = find_noise(linear, prior, placed.intrinsics[list(free)], near)
-        return _finish(scene, placed, free, noise, weights, prior, scaled)
-    placed, before = start, near
-    for _ in range(_NOISE_ROUNDS):
-        linear = linearise(scene, placed, free, scaled)
-        noise = find_noise(linear, prior, placed.intrinsics[list(free)], before)
-        placed = solve(scene, placed, free, noise, prior, scaled=scaled)
-        if before is not None and _are_alike(before, noise):
-            break
-        before = noise
+    free, placed, noise = tuple(free), start, near
+    if weighed:
+        for _ in range(_NOISE_ROUNDS):
+            linear, before = linearise(scene, placed, free, scaled), noise
+            noise = find_noise(linear, prior, placed.intrinsics[list(free)], before)
+            placed = solve(scene, placed, free, noise, prior, scaled=scaled)
+            if before is not None and np.allclose(before.sizes, noise.sizes, _NOISE_STANDS, 1e-12):
+                break
+        else:
+            raise NotConvergedError("the noise of the photographs could not be found from what is left")
+        weights = noise
     else:
-        raise NotConvergedError("the noise of the photographs could not be found from what is left")
-    linear = linearise(scene, placed, free, scaled)
-    require_determined(normal_equations(linear, noise, prior, placed.intrinsics[list(free)])[0], scene)
-    return _finish(scene, placed, free, noise, noise, prior, scaled)
+        placed, weights = plain(scene, start, free, prior, scaled=scaled)
+        noise = find_noise(linearise(scene, placed, free, scaled), prior, placed.intrinsics[list(free)], near)
+    linear, now = linearise(scene, placed, free, scaled), placed.intrinsics[list(free)]
+    require_determined(normal_equations(linear, weights, prior, now)[0], scene)
+    arm, covariance, freedom = intervals(linear, arm_twists(scene.tool), weights, noise, prior, now)
+    return HandEyeEstimate(placed, free, noise, weights, arm, covariance, freedom, scaled)
 
 
 def plain(
@@ -188,26 +187,6 @@ def plain(
     linear = linearise(scene, placed, free, scaled)
     require_determined(normal_equations(linear, weights, prior, placed.intrinsics[list(free)])[0], scene)
     return placed, weights
-
-
-def _are_alike(noise: ErrorSizes, other: ErrorSizes) -> bool:
-    first, second = (np.array([n.pixel, n.shift, n.turn]) for n in (noise, other))
-    return bool(np.all(np.abs(first - second) <= _NOISE_STANDS * np.maximum(first, second) + 1e-12))
-
-
-def _finish(
-    scene: BoardScene,
-    placed: HandEyePlacement,
-    free: tuple[int, ...],
-    noise: ErrorSizes,
-    weights: ErrorSizes,
-    prior: IntrinsicsPrior | None,
-    scaled: bool,
-) -> HandEyeEstimate:
-    linear = linearise(scene, placed, free, scaled)
-    now = placed.intrinsics[list(free)]
-    arm, covariance, freedom = intervals(linear, arm_twists(scene.tool), weights, noise, prior, now)
-    return HandEyeEstimate(placed, free, noise, weights, arm, covariance, freedom, scaled)
 
 
 def require_determined(a: FloatArray, scene: BoardScene) -> None:

@@ -21,6 +21,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, DataError
 from calib.core.base.words import count_noun
+from calib.photographs.camera_alone import LEAST_IMAGES, camera_alone, intrinsics_at_first
 from calib.photographs.estimation import estimate
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.images_off import fitting_images, fitting_points, images_far_off
@@ -28,7 +29,7 @@ from calib.photographs.left_out_images import LeftOutImages, predict_left_out_im
 from calib.photographs.lens_choice import lens_choices, lens_prior, unlikely
 from calib.photographs.mistakes import find_mistakes
 from calib.photographs.scene import BoardScene, Mount
-from calib.photographs.starts import LEAST_IMAGES, Start, camera_alone, intrinsics_at_first, start
+from calib.photographs.starts import Start, start
 
 _GAIN = 1.5
 
@@ -90,7 +91,7 @@ def calibrate(
         except ComputationError:
             pass  # weights that cannot be found are not used
     tell(4, 5)
-    alone, _ = camera_alone(kept_scene, fitted.placed.intrinsics, fitted.free)
+    alone = camera_alone(kept_scene, fitted.placed.intrinsics, fitted.free)
     of_lens = fitted if better is chosen else estimate(kept_scene, better.placed, better.free, better.prior)
     mistakes = find_mistakes(sure, kept_scene, fitted, used, intrinsics, first, of_lens, mounts)
     tell(5, 5)

@@ -14,11 +14,12 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import ComputationError
 from calib.core.numerics import linalg
+from calib.photographs.camera_alone import point_errors
 from calib.photographs.estimation import plain
 from calib.photographs.left_out_images import predict_left_out_images, rms
 from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior
 from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, residuals
-from calib.photographs.starts import Start, image_rms, point_errors
+from calib.photographs.starts import Start, image_rms
 
 _OFF = 5.0  # multiple of the median error from which an image is left out
 _LEAST_OFF = 1.0  # px
@@ -71,46 +72,39 @@ def fitting_points(begin: Start, intrinsics: FloatArray) -> tuple[Start, tuple[O
 
 def fitting_images(scene: BoardScene, begin: Start, intrinsics: FloatArray | None, lens: str) -> BoolArray:
     """Return which images fit the others, (n,)."""
-    kept = np.ones(len(scene), dtype=bool)
     free = () if lens == "given" else LENS_NUMBERS
     most = int(_MOST_OFF * len(scene))
+    fewest = max(_FEWEST, len(scene) - most)
+    every: BoolArray = np.ones(len(scene), dtype=bool)
     candidates = np.argsort(-begin.rms)[: most + 1]
-    trial = kept.copy()
-    trial[[i for i in candidates if begin.rms[i] > 3 * begin.typical][:most]] = False
+    trial = ~np.isin(np.arange(len(scene)), [i for i in candidates if begin.rms[i] > 3 * begin.typical][:most])
     if np.sum(trial) < _FEWEST:
-        return kept
+        return every
     for _ in range(3):
         errors = _prediction_errors(scene, trial, begin.placed, free, intrinsics)
         if errors is None:
-            return kept
-        level = max(_OFF * float(np.median(errors[trial])), _LEAST_OFF)
-        now = errors <= level
-        if np.sum(now) < max(_FEWEST, len(scene) - most):
-            return kept
+            return every
+        now = errors <= _limit(errors[trial])
+        if np.sum(now) < fewest:
+            return every
         if np.array_equal(now, trial):
             break
         trial = now
-    return _without_the_furthest(scene, trial, begin.placed, free, intrinsics, max(_FEWEST, len(scene) - most))
-
-
-def _without_the_furthest(
-    scene: BoardScene,
-    kept: BoolArray,
-    begin: HandEyePlacement,
-    free: tuple[int, ...],
-    intrinsics: FloatArray | None,
-    fewest: int,
-) -> BoolArray:
-    """Images that fit, (n,); an outlying image that is kept changes the fit, which hides how far off it is."""
-    errors = _prediction_errors(scene, kept, begin, free, intrinsics)
-    while errors is not None and np.sum(kept) > fewest:
-        furthest = int(np.argmax(np.where(kept, errors, -np.inf)))
-        without = kept & (np.arange(len(scene)) != furthest)
-        errors = _prediction_errors(scene, without, begin, free, intrinsics)
-        if errors is None or not errors[furthest] > max(_OFF * float(np.median(errors[without])), _LEAST_OFF):
+    # an outlying image that is kept changes the fit, which hides how far off it is
+    errors = _prediction_errors(scene, trial, begin.placed, free, intrinsics)
+    while errors is not None and np.sum(trial) > fewest:
+        furthest = int(np.argmax(np.where(trial, errors, -np.inf)))
+        without = trial & (np.arange(len(scene)) != furthest)
+        errors = _prediction_errors(scene, without, begin.placed, free, intrinsics)
+        if errors is None or not errors[furthest] > _limit(errors[without]):
             break
-        kept = without
-    return kept
+        trial = without
+    return trial
+
+
+def _limit(errors: FloatArray) -> float:
+    """Error from which an image does not fit others with these errors [px]."""
+    return max(_OFF * float(np.median(errors)), _LEAST_OFF)
 
 
 def _prediction_errors(

@@ -32,13 +32,12 @@ from calib.photographs.scene import ImageSums
 from calib.photographs.shared_errors import (
     ErrorSizes,
     IntrinsicsPrior,
-    criterion,
-    differences,
+    curvature,
     find_noise,
     gains,
-    known_sizes,
     logarithms,
     normal_equations,
+    prior_of,
 )
 
 _STEP = 1e-3  # of logarithms, for differences
@@ -72,21 +71,18 @@ def intervals(
     pixels = np.sum(by_pixel, axis=0) / weights.pixel**4
     by_image = (linear.jg - weighed @ linear.gg) / weights.pixel**2
     by_arm = np.sum(by_image @ twists, axis=0)
-    held = np.zeros(len(inverse))
-    if prior is not None:
-        held[12 : 12 + len(now)] = 1.0 / prior.sigma**2
+    held, _ = prior_of(linear, weights, prior, now)
 
     def covariance_of(at: FloatArray) -> FloatArray:
         pixel, shift, turn, arm = np.exp(2 * at)
         images = np.sum((by_image * np.repeat([shift, turn], 3)) @ by_image.transpose(0, 2, 1), axis=0)
         return inverse @ (pixel * pixels + images + arm * by_arm @ by_arm.T + np.diag(held)) @ inverse
 
-    covariance, sizes = covariance_of(logs), known_sizes(logs)
-    _, curvature = differences(lambda at: criterion(wide, at, prior, now), logs, sizes)
+    covariance, (sizes, bends) = covariance_of(logs), curvature(wide, logs, prior, now)
     unit = np.eye(len(logs))[sizes] * _STEP
     slopes = [(np.diag(covariance_of(logs + step)) - np.diag(covariance_of(logs - step))) / 2e-3 for step in unit]
     slope = np.array(slopes).reshape(len(sizes), -1)
-    variance = np.einsum("ik,ij,jk->k", slope, linalg.pinv(curvature / 2, hermitian=True), slope)
+    variance = np.einsum("ik,ij,jk->k", slope, linalg.pinv(bends / 2, hermitian=True), slope)
     with np.errstate(over="ignore"):  # where sizes are known exactly
         freedom = np.where(variance > 0, 2 * np.diag(covariance) ** 2 / np.maximum(variance, 1e-300), _MANY)
     return noise.arm, covariance, np.clip(freedom, 1.0, _MANY)

@@ -26,32 +26,6 @@ class LeftOutImages(ReadOnlyArrays):
     board: FloatArray
 
 
-def solve_without_each_image(
-    scene: BoardScene,
-    placed: HandEyePlacement,
-    free: Sequence[int],
-    weights: ErrorSizes,
-    prior: IntrinsicsPrior | None = None,
-    *,
-    scaled: bool = False,
-) -> list[HandEyePlacement]:
-    """Return the solution without each image in turn, in order.
-
-    Args:
-        scene: The images.
-        placed: The solution of all.
-        free: Which intrinsics are sought.
-        weights: What images are weighed by; they stay as they are.
-        prior: Of the intrinsics.
-        scaled: Whether the size of the board is sought.
-    """
-    result = []
-    for i in range(len(scene)):
-        others: BoolArray = np.arange(len(scene)) != i
-        result.append(solve(scene.select_images(others), placed, free, weights, prior, scaled=scaled, steps=6))
-    return result
-
-
 def predict_left_out_images(
     scene: BoardScene,
     placed: HandEyePlacement,
@@ -61,11 +35,21 @@ def predict_left_out_images(
     *,
     scaled: bool = False,
 ) -> LeftOutImages:
-    """Return how far each image is from where the others put it; see `solve_without_each_image`."""
+    """Return how far each image is from where a fit of the others puts it.
+
+    Args:
+        scene: The images.
+        placed: The solution of all.
+        free: Which intrinsics are sought.
+        weights: What images are weighed by; they stay as they are.
+        prior: Of the intrinsics.
+        scaled: Whether the size of the board is sought.
+    """
     pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
-    for i, without in enumerate(solve_without_each_image(scene, placed, free, weights, prior, scaled=scaled)):
-        in_image = scene.image == i
-        part = scene.select_images(np.arange(len(scene)) == i)
+    for i in range(len(scene)):
+        only: BoolArray = np.arange(len(scene)) == i
+        part, in_image = scene.select_images(only), scene.image == i
+        without = solve(scene.select_images(~only), placed, free, weights, prior, scaled=scaled, steps=6)
         pixels[in_image], board[in_image] = residuals(part, without), plane_errors_on_board(part, without)
     return LeftOutImages(pixels, board)
 

@@ -16,11 +16,11 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, NotIdentifiableError
 from calib.core.instruments.camera import NAMES
 from calib.core.numerics.chances import FALSE_ALARM
+from calib.photographs.camera_alone import camera_alone
 from calib.photographs.estimation import plain
 from calib.photographs.left_out_images import LeftOutImages, predict_left_out_images
 from calib.photographs.scene import BoardScene, HandEyePlacement
 from calib.photographs.shared_errors import IntrinsicsPrior
-from calib.photographs.starts import camera_alone
 
 LENSES = ("auto", "given", "found")
 LENS_NUMBERS = tuple(NAMES.index(name) for name in ("fx", "fy", "cx", "cy", "k1", "k2"))
@@ -112,7 +112,7 @@ def _is_distorted(scene: BoardScene, first: FloatArray) -> bool:
     """Whether single images show more distortion than chance does; first: intrinsics to begin with, (9,)."""
     squares = []
     for count in (4, 6):
-        lengths = np.sum(camera_alone(scene, first, LENS_NUMBERS[:count])[0] ** 2, axis=1)
+        lengths = np.sum(camera_alone(scene, first, LENS_NUMBERS[:count]) ** 2, axis=1)
         known = np.isfinite(lengths)
         squares.append(float(np.sum(lengths[known])))
     freedom = 2 * np.count_nonzero(known) - 6 * len(np.unique(scene.image[known])) - 6

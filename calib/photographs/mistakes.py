@@ -25,13 +25,14 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import CalibrationError
 from calib.core.instruments.camera import NAMES
 from calib.core.numerics import linalg
+from calib.photographs.camera_alone import camera_alone
 from calib.photographs.estimation import HandEyeEstimate, estimate, solve
 from calib.photographs.left_out_images import predict_left_out_images, rms
 from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior, unlikely
 from calib.photographs.other_readings import other_readings
 from calib.photographs.scene import SIDES, BoardScene, HandEyePlacement, ImageSums, Mount, linearise, residuals, rows
-from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, find_noise, normal_equations
-from calib.photographs.starts import Start, camera_alone, image_rms, start
+from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, deviance, find_noise, normal_equations
+from calib.photographs.starts import Start, image_rms, start
 
 _UNKNOWN = "not_explained"
 _FAR_PIXELS = 4.0
@@ -120,7 +121,7 @@ def _mistakes_of_whole(
     typical = float(np.median(image))
     if not typical > _FAR_PIXELS:
         return []
-    left = np.sum(camera_alone(scene, intrinsics)[0] ** 2, axis=1)
+    left = np.sum(camera_alone(scene, intrinsics) ** 2, axis=1)
     alone = float(np.sqrt(np.mean(left[np.isfinite(left)]))) if np.any(np.isfinite(left)) else 0.0
     if not typical > 4 * alone:
         return []
@@ -184,19 +185,6 @@ def _check_exchange(placed: HandEyePlacement, mount: Mount) -> Mistake | None:
     )
 
 
-def _likelihood(
-    linear: ImageSums, near: HandEyeEstimate, prior: IntrinsicsPrior | None, now: FloatArray
-) -> tuple[float, FloatArray]:
-    """Twice the log-likelihood at the best step of a linearised problem, its sizes found anew, and that step."""
-    noise = find_noise(linear, prior, now, near.noise)
-    a, b, c = normal_equations(linear, noise, prior, now)
-    s = noise.sizes
-    inner = np.eye(6) + s[:, None] * linear.gg * s / noise.pixel**2
-    log_v = float(np.sum(np.linalg.slogdet(inner)[1]) + 2 * np.sum(linear.n_rows) * np.log(noise.pixel))
-    step = -linalg.lstsq(a, b, rcond=1e-12)
-    return -(log_v + c + float(b @ step)), step
-
-
 def _square_size(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None) -> Mistake | None:
     """Whether the board has another size than described."""
     try:
@@ -231,19 +219,17 @@ def _check_move(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPri
     free = fitted.free
     now = fitted.placed.intrinsics[list(free)]
     linear = linearise(scene, fitted.placed, free)
-    before, _ = _likelihood(linear, fitted, prior, now)
-    a, b, _ = normal_equations(linear, fitted.noise, prior, now)
-    unmoved = float(b @ linalg.lstsq(a, b, rcond=1e-12))
+    before = deviance(linear, find_noise(linear, prior, now, fitted.noise), prior, now)
     best: tuple[float, int, str, FloatArray] = (0.0, 0, "", np.zeros(6))
     for which, first in (("board", 6), ("camera", 0)):
-        promised = []  # with the noise as it is: which image it may be
-        for k in range(3, n - 2):
-            a, b, _ = normal_equations(_with_step(linear, np.arange(n) >= k, first), fitted.noise, prior, now)
-            promised.append((float(b @ linalg.lstsq(a, b, rcond=1e-12)) - unmoved, k))
-        k = max(promised)[1]
-        likelihood, step = _likelihood(_with_step(linear, np.arange(n) >= k, first), fitted, prior, now)
-        if likelihood - before > best[0]:
-            best = likelihood - before, k, which, step[-6:]
+        moved_from = [_with_step(linear, np.arange(n) >= k, first) for k in range(3, n - 2)]
+        left = [deviance(each, fitted.noise, prior, now) for each in moved_from]  # with the noise as it is
+        most = moved_from[int(np.argmin(left))]
+        noise = find_noise(most, prior, now, fitted.noise)
+        gained = before - deviance(most, noise, prior, now)
+        if gained > best[0]:
+            a, b, _ = normal_equations(most, noise, prior, now)
+            best = gained, 3 + int(np.argmin(left)), which, -linalg.lstsq(a, b, rcond=1e-12)[-6:]
     gained, k, which, step = best
     moved, turned = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
     chance = 2 * (n - 5) * float(scipy.special.chdtrc(6, max(gained, 0.0)))
@@ -259,42 +245,23 @@ def _check_move(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPri
 
 def _with_step(linear: ImageSums, later: BoolArray, first: int) -> ImageSums:
     """The problem with six more unknowns: a step of camera or board that only later images have."""
-    moved_columns = slice(first, first + 6)
-    on = later.astype(float)
-    jj = np.concatenate(
-        [
-            np.concatenate([linear.jj, linear.jj[:, :, moved_columns] * on[:, None, None]], axis=2),
-            np.concatenate(
-                [
-                    linear.jj[:, moved_columns] * on[:, None, None],
-                    linear.jj[:, moved_columns, moved_columns] * on[:, None, None],
-                ],
-                axis=2,
-            ),
-        ],
-        axis=1,
-    )
-    jg = np.concatenate([linear.jg, linear.jg[:, moved_columns] * on[:, None, None]], axis=1)
-    jr = np.concatenate([linear.jr, linear.jr[:, moved_columns] * on[:, None]], axis=1)
-    return ImageSums(linear.residuals, jj, jg, linear.gg, jr, linear.gr, linear.rr, linear.n_rows)
+    chosen = np.eye(linear.jj.shape[1])[:, first : first + 6]
+    return linear.with_columns(later[:, None, None] * chosen, np.zeros((len(later), 6, 6)))
 
 
 def _explains(scene: BoardScene, fitted: HandEyeEstimate, k: int, which: str) -> bool:
     """Whether one move predicts images left out better: the sum over them, each by the linear problem without it."""
-    later = np.arange(len(scene)) >= k
     r, j, _ = rows(scene, fitted.placed, fitted.free)
     moved_columns = slice(6, 12) if which == "board" else slice(0, 6)
-    wide = np.concatenate([j, j[:, :, moved_columns] * later[scene.image][:, None, None]], axis=2)
+    wide = np.concatenate([j, j[:, :, moved_columns] * (scene.image >= k)[:, None, None]], axis=2)
 
     def error(columns: FloatArray) -> float:
-        total = 0.0
-        size = columns.shape[2]
-        flat = columns.reshape(-1, size)
-        scale = 1.0 / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
-        for i in range(len(scene)):
-            at = np.repeat(scene.image == i, 2)
-            step_ = linalg.lstsq(flat[~at] * scale, -r.ravel()[~at], rcond=1e-9) * scale
-            total += float(np.sum((r.ravel()[at] + flat[at] @ step_) ** 2))
+        flat, image = columns.reshape(r.size, -1), np.repeat(scene.image, 2)
+        span = np.linalg.qr(flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300))[0]
+        left, total = r.ravel() - span @ (span.T @ r.ravel()), 0.0
+        for own in (image == i for i in range(len(scene))):
+            remains = np.eye(int(np.sum(own))) - span[own] @ span[own].T
+            total += float(np.sum(linalg.lstsq(remains, left[own], rcond=1e-9) ** 2))
         return total
 
     return error(wide) < _BETTER * error(j)

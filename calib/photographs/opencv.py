@@ -1,4 +1,4 @@
-"""OpenCV: it finds boards in images and reads and writes image files. Nothing else of it is used.
+"""OpenCV: it finds boards in images, places single boards, and reads and writes image files.
 
 It is the extra `camera`; whatever needs it says so.
 """
@@ -30,8 +30,8 @@ def opencv() -> Any:
         cv2 = import_module("cv2")
     except ImportError:
         raise InputError(
-            "OpenCV, which finds boards in images, is not installed: pip install opencv-python-headless (or"
-            f" {DISTRIBUTION}[camera])"
+            "OpenCV, which finds boards in images and places them, is not installed: pip install"
+            f" opencv-python-headless (or {DISTRIBUTION}[camera])"
         ) from None
     if tuple(map(int, cv2.__version__.split(".")[:2])) < (4, 14) or not hasattr(cv2, "aruco"):
         raise InputError(

@@ -161,20 +161,27 @@ class ImageSums(ReadOnlyArrays):
     n_rows: IntArray
     n_arm: int = 0
 
+    def with_columns(self, by_unknowns: FloatArray, by_errors: FloatArray, n_arm: int = 0) -> ImageSums:
+        """Return the sums with further columns J a + G b of J.
+
+        Args:
+            by_unknowns: a, (n, k, c).
+            by_errors: b, (n, 6, c).
+            n_arm: How many of them are for errors of the arm.
+        """
+        a, b = by_unknowns.transpose(0, 2, 1), by_errors.transpose(0, 2, 1)
+        j_new = self.jj @ by_unknowns + self.jg @ by_errors
+        new_g = a @ self.jg + b @ self.gg
+        jj = np.block([[self.jj, j_new], [j_new.transpose(0, 2, 1), a @ j_new + new_g @ by_errors]])
+        jr = np.concatenate(
+            [self.jr, np.einsum("nck,nk->nc", a, self.jr) + np.einsum("nck,nk->nc", b, self.gr)], axis=1
+        )
+        return replace(self, jj=jj, jg=np.concatenate([self.jg, new_g], axis=1), jr=jr, n_arm=n_arm)
+
     def with_arm(self, twists: FloatArray) -> ImageSums:
         """Return the sums with further columns for errors of the arm, which move the tool by `twists`, (n, 6, k)."""
-        turned = twists.transpose(0, 2, 1)
-        by_arm = self.jg @ twists
-        jj = np.block([[self.jj, by_arm], [by_arm.transpose(0, 2, 1), turned @ self.gg @ twists]])
-        jg = np.concatenate([self.jg, turned @ self.gg], axis=1)
-        jr = np.concatenate([self.jr, np.einsum("nak,na->nk", twists, self.gr)], axis=1)
-        return replace(self, jj=jj, jg=jg, jr=jr, n_arm=twists.shape[2])
-
-    def times(self, weight: FloatArray) -> ImageSums:
-        """Return the sums times weights of the images, (n,)."""
-        parts = (self.jj, self.jg, self.gg, self.jr, self.gr, self.rr)
-        jj, jg, gg, jr, gr, rr = (part * weight.reshape(-1, *[1] * (part.ndim - 1)) for part in parts)
-        return ImageSums(self.residuals, jj, jg, gg, jr, gr, rr, self.n_rows, self.n_arm)
+        n, _, n_arm = twists.shape
+        return self.with_columns(np.zeros((n, self.jj.shape[1], n_arm)), twists, n_arm)
 
 
 def points_in_camera(scene: BoardScene, placed: HandEyePlacement) -> tuple[FloatArray, FloatArray]:

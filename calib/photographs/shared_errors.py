@@ -26,7 +26,6 @@ Reference: patterson1971.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +39,9 @@ _SMALLEST = 1e-8  # s_t [m] and s_r [rad] that count as none
 _FAR = 1e12  # of a criterion that cannot be computed
 _STARTS = ((3e-4, 3e-4), (3e-3, 1e-4), (1e-4, 3e-3))  # s_t [m], s_r [rad]
 _ARM_STARTS = (3e-5, 5e-4)  # s_a [m, rad]
-_STEP = 1e-3  # of logarithms, for differences
+_STEP = 1e-4  # of logarithms, for differences
+_POLISHED = 3  # Newton steps
+_FAR_STEP = 0.5  # of a logarithm: no longer near the minimum
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,19 @@ def gains(linear: ImageSums, noise: ErrorSizes) -> FloatArray:
     return s[:, None] * np.linalg.solve(inner, np.broadcast_to(np.diag(s), inner.shape))
 
 
+def prior_of(
+    linear: ImageSums, noise: ErrorSizes, prior: IntrinsicsPrior | None, now: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the diagonal of P (k,), and how far unknowns are from where it expects them, (k,)."""
+    weight, off = np.zeros((2, linear.jr.shape[1]))
+    if prior is not None:
+        lens = slice(12, 12 + len(now))
+        weight[lens], off[lens] = 1.0 / prior.sigma**2, now - prior.values
+    if linear.n_arm:
+        weight[-linear.n_arm :] = 1.0 / noise.arm**2
+    return weight, off
+
+
 def normal_equations(
     linear: ImageSums, noise: ErrorSizes, prior: IntrinsicsPrior | None, now: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
@@ -89,37 +103,75 @@ def normal_equations(
         now: These, as they are.
     """
     gain, square = gains(linear, noise), noise.pixel**2
+    weight, off = prior_of(linear, noise, prior, now)
     jgk = linear.jg @ gain
-    a = np.sum(linear.jj - jgk @ linear.jg.transpose(0, 2, 1), axis=0) / square
-    b = np.sum(linear.jr - np.einsum("nab,nb->na", jgk, linear.gr), axis=0) / square
+    a = np.sum(linear.jj - jgk @ linear.jg.transpose(0, 2, 1), axis=0) / square + np.diag(weight)
+    b = np.sum(linear.jr - np.einsum("nab,nb->na", jgk, linear.gr), axis=0) / square + weight * off
     c = float(np.sum(linear.rr - np.einsum("na,nab,nb->n", linear.gr, gain, linear.gr))) / square
-    if prior is not None and len(now):
-        weight = 1.0 / prior.sigma**2
-        lens = 12 + np.arange(len(now))
-        a[lens, lens] += weight
-        b[lens] += weight * (now - prior.values)
-        c += float(np.sum(weight * (now - prior.values) ** 2))
-    if linear.n_arm:
-        arm = len(a) - 1 - np.arange(linear.n_arm)
-        a[arm, arm] += 1.0 / noise.arm**2
-    return a, b, c
+    return a, b, c + float(np.sum(weight * off**2))
 
 
-def criterion(linear: ImageSums, logs: FloatArray, prior: IntrinsicsPrior | None, now: FloatArray) -> float:
-    """Return minus twice the restricted log-likelihood of the logarithms of sizes, (3,) or (4,), but for a constant."""
-    noise = _noise_of(logs)
+def deviance(linear: ImageSums, noise: ErrorSizes, prior: IntrinsicsPrior | None, now: FloatArray) -> float:
+    """Return minus twice the log-likelihood at the best step of a linear problem, but for a constant.
+
+    Args:
+        linear: Sums over images.
+        noise: Sizes of the errors.
+        prior: Of the intrinsics that are sought.
+        now: These, as they are, (f,).
+    """
     a, b, c = normal_equations(linear, noise, prior, now)
+    return _log_v(linear, noise) + c - float(b @ linalg.lstsq(a, b, rcond=1e-12))
+
+
+def _log_v(linear: ImageSums, noise: ErrorSizes) -> float:
+    """Sum of log det V_i, with that of the prior of errors of the arm."""
     s = noise.sizes
     inner = np.eye(6) + s[:, None] * linear.gg * s / noise.pixel**2
-    log_v = float(np.sum(np.linalg.slogdet(inner)[1]) + 2 * np.sum(linear.n_rows) * np.log(noise.pixel))
-    if linear.n_arm:
-        log_v += 2 * linear.n_arm * np.log(noise.arm)
+    own = float(np.sum(np.linalg.slogdet(inner)[1]) + 2 * np.sum(linear.n_rows) * np.log(noise.pixel))
+    return own + (2 * linear.n_arm * float(np.log(noise.arm)) if linear.n_arm else 0.0)
+
+
+def criterion(
+    linear: ImageSums, logs: FloatArray, prior: IntrinsicsPrior | None, now: FloatArray
+) -> tuple[float, FloatArray]:
+    """Return minus twice the restricted log-likelihood of the logarithms of sizes (3,) or (4,), and its gradient.
+
+    With Q = V^-1 - V^-1 J A^-1 J^T V^-1 the gradient by the logarithm of a size whose errors move residuals by H is
+    2 s_h^2 (tr(H^T Q H) - |H^T Q r|^2).
+    """
+    noise = _noise_of(logs)
+    a, b, c = normal_equations(linear, noise, prior, now)
     if not np.all(np.diag(a) > 0):  # rounding, where the sizes are far from what they can be
-        return _FAR
+        return _FAR, np.zeros(len(logs))
     scale = 1.0 / np.sqrt(np.diag(a))
-    scaled = scale[:, None] * a * scale
-    log_a = float(np.linalg.slogdet(scaled)[1] - 2 * np.sum(np.log(scale)))
-    return log_v + log_a + c - float((scale * b) @ np.linalg.solve(scaled, scale * b))
+    inverse = scale[:, None] * np.linalg.inv(scale[:, None] * a * scale) * scale
+    log_a = float(np.linalg.slogdet(scale[:, None] * a * scale)[1] - 2 * np.sum(np.log(scale)))
+    step, (weight, off) = -inverse @ b, prior_of(linear, noise, prior, now)
+    left = (np.eye(6) - linear.gg @ gains(linear, noise)) / noise.pixel**2  # G^T V^-1 = left G^T
+    by_unknowns = left @ linear.jg.transpose(0, 2, 1)
+    traces = np.diagonal(left @ linear.gg - by_unknowns @ inverse @ by_unknowns.transpose(0, 2, 1), axis1=1, axis2=2)
+    pulls = np.einsum("nab,nb->na", left, linear.gr) + by_unknowns @ step
+    robot = 2 * noise.sizes**2 * np.sum(traces - pulls**2, axis=0)
+    reached = weight @ (np.diag(inverse) - (off + step) ** 2)  # what priors have of the rows' freedom and squares
+    pixel = 2 * (float(np.sum(linear.n_rows)) - len(a) + reached - c - b @ step) + 4 * weight @ (off + step) ** 2
+    pixel -= np.sum(robot)
+    gradient = [pixel, np.sum(robot[:3]), np.sum(robot[3:])]
+    if linear.n_arm:
+        arm = slice(-linear.n_arm, None)
+        gradient.append(2 * linear.n_arm - 2 * np.sum(weight[arm] * (np.diag(inverse)[arm] + step[arm] ** 2)))
+    return _log_v(linear, noise) + log_a + c + float(b @ step), np.array(gradient)
+
+
+def curvature(
+    linear: ImageSums, logs: FloatArray, prior: IntrinsicsPrior | None, now: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Return which sizes are not at their smallest (k,), and second derivatives of the criterion by these, (k, k)."""
+    free = np.flatnonzero(np.exp(logs) > 30 * _SMALLEST)
+    unit = np.eye(len(logs))[free] * _STEP
+    ends = [[criterion(linear, logs + sign * step, prior, now)[1][free] for sign in (1, -1)] for step in unit]
+    slopes = np.array([ahead - back for ahead, back in ends]).reshape(len(free), len(free)) / (2 * _STEP)
+    return free, (slopes + slopes.T) / 2
 
 
 def logarithms(noise: ErrorSizes, linear: ImageSums) -> FloatArray:
@@ -146,10 +198,6 @@ def find_noise(
     """
     low = logarithms(ErrorSizes(1e-3), linear)
     bounds = list(zip(low, np.log([1e3, 0.1, 0.1, 0.1]), strict=False))
-
-    def cost(logs: FloatArray) -> float:
-        return criterion(linear, logs, prior, now)
-
     rough = np.sqrt(float(np.sum(linear.rr)) / max(float(np.sum(linear.n_rows)) - linear.jr.shape[1], 1.0))
     pixel = np.clip(rough / 2, 2e-3, 500.0)
     starts = [np.log([pixel, *start]) for start in _STARTS] if near is None else []
@@ -157,48 +205,18 @@ def find_noise(
         starts = [np.log(np.maximum([near.pixel, near.shift, near.turn], [1e-3, 1e-6, 1e-6]))]
     if linear.n_arm:
         starts = [np.append(start, np.log(arm)) for start in starts for arm in _ARM_STARTS]
-    best = min(
-        (scipy.optimize.minimize(cost, start, method="L-BFGS-B", bounds=bounds) for start in starts),
-        key=lambda end: end.fun,
-    )
-    return _noise_of(_polish(cost, np.asarray(best.x), low))
 
+    def cost(logs: FloatArray) -> tuple[float, FloatArray]:
+        return criterion(linear, logs, prior, now)
 
-def _polish(cost: Callable[[FloatArray], float], at: FloatArray, low: FloatArray) -> FloatArray:
-    """Newton steps by central differences, over sizes that are not at their smallest."""
-    for _ in range(4):
-        free = known_sizes(at)
-        gradient, curvature = differences(cost, at, free)
-        values, vectors = linalg.eigh(curvature)
-        if len(values) == 0 or values.min() <= 1e-6:
+    ends = [scipy.optimize.minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in starts]
+    at = np.asarray(min(ends, key=lambda end: end.fun).x)
+    for _ in range(_POLISHED):
+        free, slopes = curvature(linear, at, prior, now)
+        if len(free) == 0 or linalg.eigvalsh(slopes)[0] <= 1e-6:
             break
-        step = vectors @ ((vectors.T @ gradient) / values)
-        if np.max(np.abs(step)) > 0.5:
+        step = np.linalg.solve(slopes, cost(at)[1][free])
+        if np.max(np.abs(step)) > _FAR_STEP:
             break
-        at = at.copy()
         at[free] -= step
-        if np.max(np.abs(step)) < 1e-9:
-            break
-    return np.maximum(at, low)
-
-
-def known_sizes(logs: FloatArray) -> IntArray:
-    """Return the numbers of sizes that are not at their smallest, of logarithms (k,)."""
-    return np.flatnonzero(np.exp(logs) > 30 * _SMALLEST)
-
-
-def differences(cost: Callable[[FloatArray], float], at: FloatArray, free: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return gradient (k,) and curvature (k, k) of a cost by some of its arguments, by central differences."""
-    h, k = _STEP, len(free)
-    gradient, curvature = np.zeros(k), np.zeros((k, k))
-    unit = np.eye(len(at))[free] * h
-    centre = cost(at)
-    ahead = [cost(at + step) for step in unit]
-    back = [cost(at - step) for step in unit]
-    for i in range(k):
-        gradient[i] = (ahead[i] - back[i]) / (2 * h)
-        curvature[i, i] = (ahead[i] - 2 * centre + back[i]) / h**2
-        for j in range(i):
-            corners = [cost(at + a * unit[i] + b * unit[j]) * a * b for a in (1, -1) for b in (1, -1)]
-            curvature[i, j] = curvature[j, i] = sum(corners) / (4 * h**2)
-    return gradient, curvature
+    return _noise_of(np.maximum(at, low))

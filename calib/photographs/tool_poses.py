@@ -21,29 +21,29 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, nearest, nearest_column
+from calib.core.base.units import Dimension
 from calib.core.data.tables import Table, read_table
-from calib.core.numerics.rigid import nearest_rotation
+from calib.core.instruments.rotations import Form, not_rotations, rotations_of
 from calib.core.robots.robot import Robot
 from calib.photographs.images import SUFFIXES
 
 ANGLES = ("rpy", "rotvec")
 _POSITION = ("x", "y", "z")
-_FORMS = (
-    ("qx", "qy", "qz", "qw"),
-    ("q1", "q2", "q3", "q4"),
-    ("roll", "pitch", "yaw"),
-    ("w", "p", "r"),
-    ("a", "b", "c"),
-    ("rx", "ry", "rz"),
-    ("r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"),
-    ("00", "01", "02", "10", "11", "12", "20", "21", "22"),
-)
+_FORMS: dict[tuple[str, ...], Form] = {
+    ("qx", "qy", "qz", "qw"): "quaternion",
+    ("q1", "q2", "q3", "q4"): "quaternion",
+    ("roll", "pitch", "yaw"): "rpy",
+    ("w", "p", "r"): "rpy",
+    ("a", "b", "c"): "intrinsic_zyx",
+    ("rx", "ry", "rz"): "rotation_vector",
+    ("r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"): "matrix",
+    ("00", "01", "02", "10", "11", "12", "20", "21", "22"): "matrix",
+}
+_TYPED = 0.01  # how far numbers may be from those of a rotation: what a pendant shows is typed with few digits
 _LAST_COLUMN = ("03", "13", "23")  # of a 4 x 4 matrix whose cells are called after row and column
-_NORM = 0.01
 
 
 def read_tool_poses(
@@ -147,41 +147,25 @@ def image_names(table: Table) -> list[str]:
     return names
 
 
-def _rotations(table: Table, columns: Sequence[str], form: tuple[str, ...], angles: str | None) -> FloatArray:
-    if form[0].startswith("q"):
-        numbers = np.stack([table.column(name, None) for name in columns], axis=1)
-        lengths = np.linalg.norm(numbers, axis=1)
-        bad = np.flatnonzero(np.abs(lengths - 1) > _NORM)
-        if len(bad):
-            raise DataError(
-                f"{table.path}, line {table.lines[bad[0]]}: {', '.join(form)} is not a unit quaternion (its length is"
-                f" {lengths[bad[0]]:.4g}); write more digits, or correct it"
-            )
-        return scipy.spatial.transform.Rotation.from_quat(
-            numbers if form[0] == "qx" else np.roll(numbers, -1, axis=1)
-        ).as_matrix()
-    if len(form) == 9:
-        matrices = np.stack([table.column(name, None) for name in columns], axis=1).reshape(-1, 3, 3)
-        nearest_ones = nearest_rotation(matrices)
-        off = np.flatnonzero(np.max(np.abs(matrices - nearest_ones), axis=(1, 2)) > _NORM)
-        if len(off):
-            raise DataError(f"{table.path}, line {table.lines[off[0]]}: {form[0]} to {form[-1]} are no rotation matrix")
-        return nearest_ones
-    values = np.stack([table.column(name, "angle") for name in columns], axis=1)
-    if form == _POSITION:
-        return scipy.spatial.transform.Rotation.from_rotvec(values).as_matrix()
-    if form == ("a", "b", "c"):
-        return scipy.spatial.transform.Rotation.from_euler("ZYX", values).as_matrix()
-    if form == ("rx", "ry", "rz"):
+def _rotations(table: Table, columns: Sequence[str], names: tuple[str, ...], angles: str | None) -> FloatArray:
+    form = _FORMS.get(names, "rotation_vector")  # of tvec and rvec
+    if names == ("rx", "ry", "rz"):
         if angles is None:
             raise DataError(
                 f"{table.path}: rx, ry, rz may be a rotation vector (Universal Robots) or angles about x, y, z;"
-                f" say which:"
-                " --angles rotvec or --angles rpy"
+                " say which: --angles rotvec or --angles rpy"
             )
-        if angles == "rotvec":
-            return scipy.spatial.transform.Rotation.from_rotvec(values).as_matrix()
-    return scipy.spatial.transform.Rotation.from_euler("xyz", values).as_matrix()
+        form = form if angles == "rotvec" else "rpy"
+    dimension: Dimension | None = None if form in ("quaternion", "matrix") else "angle"
+    numbers = np.stack([table.column(name, dimension) for name in columns], axis=1)
+    numbers = np.roll(numbers, -1, axis=1) if names[0] == "q1" else numbers
+    bad, what = not_rotations(form, numbers, _TYPED if form == "quaternion" else 2 * _TYPED)
+    if len(bad):
+        raise DataError(
+            f"{table.path}, line {table.lines[bad[0]]}: {names[0]} to {names[-1]} are not {what}; write more digits, or"
+            " correct it"
+        )
+    return rotations_of(form, numbers).as_matrix()
 
 
 def _tool_poses_from_joints(table: Table, robot: Robot) -> FloatArray:

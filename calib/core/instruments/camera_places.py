@@ -69,16 +69,16 @@ def guesses(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list
     sample = sightings.select(np.unique(np.linspace(0, len(sightings.view) - 1, _POINTS).astype(np.intp)))
     tried = [now, *_from_views(sightings, now, known), *_from_points(sample, now, known)]
     tried.sort(key=lambda places: _typical(sample, places))
-    improved = [_refine_places(sample, places, known) for places in tried[:_IMPROVED]]
+    improved = [refine_places(sample, places, known) for places in tried[:_IMPROVED]]
     improved = [
-        _refine_places(sightings, places, known)
+        refine_places(sightings, places, known)
         for places in sorted(improved, key=lambda p: _typical(sample, p))[:_KEPT]
     ]
     improved.sort(key=lambda places: _typical(sightings, places))
     if any(known):
         return improved
     only_camera = sorted(_from_points(sample, now, (False, True)), key=lambda places: _typical(sample, places))
-    return improved + [_refine_places(sightings, places, (False, True)) for places in only_camera[:1]]
+    return improved + [refine_places(sightings, places, (False, True)) for places in only_camera[:1]]
 
 
 def seen_points(sightings: Sightings, places: Places) -> FloatArray:
@@ -145,8 +145,17 @@ def _typical(sightings: Sightings, places: Places) -> float:
     return float(np.median(np.sum(errors**2, axis=1)))
 
 
-def _refine_places(sightings: Sightings, places: Places, known: tuple[bool, bool]) -> Places:
-    """Least squares over the places that are not known; far-off sightings count less."""
+def refine_places(
+    sightings: Sightings, places: Places, known: tuple[bool, bool] = (False, False), steps: int = _STEPS
+) -> Places:
+    """Return places near those given, by least squares over those that are not known; far-off sightings count less.
+
+    Args:
+        sightings: What was seen.
+        places: Where to begin.
+        known: Which of them are known.
+        steps: At most so many.
+    """
     free = np.repeat(np.logical_not(known), 6)
     scale = max(np.sqrt(_typical(sightings, places)), 1e-6)
 
@@ -180,7 +189,7 @@ def _refine_places(sightings: Sightings, places: Places, known: tuple[bool, bool
         jac=jacobian,
         loss="soft_l1",
         f_scale=10 * scale,
-        max_nfev=_STEPS,
+        max_nfev=steps,
         x_scale="jac",
     )
     return places_at(found_x.x)

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError
 from calib.core.base.units import Dimension
 from calib.core.instruments.kind import Column, Part
@@ -55,7 +55,15 @@ def read_rotations(name: str, form: Form, numbers: FloatArray) -> FloatArray:
     vectors = np.full((len(numbers), 3), np.nan)
     complete = np.isfinite(numbers).all(axis=1)
     if np.any(complete):
-        vectors[complete] = _rotations(name, form, numbers[complete]).as_rotvec()
+        bad, what = not_rotations(form, numbers[complete])
+        if len(bad):
+            columns = ", ".join(column.name for column in rotation_columns(name, form))
+            reading = int(np.flatnonzero(complete)[bad[0]]) + 1
+            raise DataError(
+                f"instrument '{name}', reading {reading}: is not {what}; check the columns {columns}, and"
+                " `rotation` in the description"
+            )
+        vectors[complete] = rotations_of(form, numbers[complete]).as_rotvec()
     return vectors
 
 
@@ -88,9 +96,9 @@ def other_rotations(form: Form, vectors: FloatArray) -> Iterator[tuple[str, Floa
     elif form != "matrix":
         for other_form in (*_EULER, "rotation_vector"):
             if other_form != form:
-                other = _rotations("", other_form, numbers).as_rotvec()  # type: ignore[arg-type]
+                other = rotations_of(other_form, numbers).as_rotvec()  # type: ignore[arg-type]
                 yield f"its angles were of the form {other_form}", other
-        yield "its angles were degrees read as radians", _rotations("", form, np.radians(numbers)).as_rotvec()
+        yield "its angles were degrees read as radians", rotations_of(form, np.radians(numbers)).as_rotvec()
 
 
 def rotation_errors(rotations: FloatArray, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -129,30 +137,34 @@ def turn_by(vectors: FloatArray, change: FloatArray) -> FloatArray:
     return turned.as_rotvec()
 
 
-def _rotations(name: str, form: Form, numbers: FloatArray) -> scipy.spatial.transform.Rotation:
+def rotations_of(form: Form, numbers: FloatArray) -> scipy.spatial.transform.Rotation:
+    """Return the rotations that numbers (n, k) mean in this form."""
     if form == "quaternion":
-        length = np.linalg.norm(numbers, axis=1)
-        _check(name, form, np.abs(length - 1.0), "a quaternion of length 1")
         return scipy.spatial.transform.Rotation.from_quat(numbers)
     if form == "matrix":
-        matrices = numbers.reshape(-1, 3, 3)
-        off = matrices @ matrices.transpose(0, 2, 1) - np.eye(3)
-        wrong = np.max(np.abs(off), axis=(1, 2)) + (np.linalg.det(matrices) < 0)
-        _check(name, form, wrong, "a rotation matrix")
-        return scipy.spatial.transform.Rotation.from_matrix(matrices)
+        return scipy.spatial.transform.Rotation.from_matrix(numbers.reshape(-1, 3, 3))
     if form == "rotation_vector":
         return scipy.spatial.transform.Rotation.from_rotvec(numbers)
     return scipy.spatial.transform.Rotation.from_euler(_EULER[form], numbers)
 
 
-def _check(name: str, form: Form, off: FloatArray, what: str) -> None:
-    bad = np.flatnonzero(off > _UNIT_LENGTH)
-    if len(bad):
-        columns = ", ".join(column.name for column in rotation_columns(name, form))
-        raise DataError(
-            f"instrument '{name}', reading {int(bad[0]) + 1}: is not {what}; check the columns {columns}, and"
-            " `rotation` in the description"
-        )
+def not_rotations(form: Form, numbers: FloatArray, tolerance: float = _UNIT_LENGTH) -> tuple[IntArray, str]:
+    """Return which of numbers (n, k) are no rotation in this form, and what they should be, in words.
+
+    Args:
+        form: Of the numbers.
+        numbers: As they were read.
+        tolerance: How far a quaternion may be from unit length, and R R^T of a matrix from the identity.
+    """
+    if form == "quaternion":
+        off, what = np.abs(np.linalg.norm(numbers, axis=1) - 1.0), "a quaternion of length 1"
+    elif form == "matrix":
+        matrices = numbers.reshape(-1, 3, 3)
+        products = matrices @ matrices.transpose(0, 2, 1) - np.eye(3)
+        off, what = np.max(np.abs(products), axis=(1, 2)) + (np.linalg.det(matrices) < 0), "a rotation matrix"
+    else:
+        off, what = np.zeros(len(numbers)), ""
+    return np.flatnonzero(off > tolerance), what
 
 
 def inverse_left_jacobian(vectors: FloatArray) -> FloatArray:

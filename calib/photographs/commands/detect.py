@@ -15,6 +15,7 @@ from calib.core.commands.common import Output, shared_options
 from calib.core.data.table_writing import format_table
 from calib.core.instruments.board import Board
 from calib.core.instruments.camera import LITTLE_COVERAGE, image_coverage
+from calib.photographs.camera_alone import LEAST_IMAGES, views
 from calib.photographs.commands.boards import board_option, read_board_option
 from calib.photographs.detection import DetectedImage, Detection, detect
 from calib.photographs.estimation import LITTLE_TURN, turning
@@ -22,7 +23,6 @@ from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.opencv import GreyImage
 from calib.photographs.pages import Picture, figure, small_copy
 from calib.photographs.scene import scene_of
-from calib.photographs.starts import LEAST_IMAGES, views
 from calib.pictures import answer
 
 

@@ -1,0 +1,221 @@
+"""The camera without the robot: boards of single images, placed by OpenCV, and the lens that follows from them.
+
+The board has a pose of its own in each image, so that neither the robot nor another image matters. What is left then is
+the camera's part of the error; a point that is left far off does not fit the others of its image.
+
+When it fails. An image with fewer than six points is not used, because its own pose could explain them.
+
+References: zhang2000; OpenCV's documentation of calib3d.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.errors import NotIdentifiableError
+from calib.core.instruments.camera import LEAST_POINTS
+from calib.core.numerics import linalg
+from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.numerics.losses import median_length
+from calib.photographs.opencv import opencv
+from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, residuals, rows
+
+LEAST_IMAGES = 3
+_LEAST_ALONE = 6  # points of an image that its own pose cannot explain exactly
+_TO_THE_END = (3, 100, 1e-15)  # OpenCV's steps: at most so many, until none is larger than that
+_UNSURE = 0.2  # standard deviation of a focal length, over it, from which images do not determine it
+_SHORTEST, _LONGEST = 0.1, 25.0  # focal length of cameras, over the width of their images
+_NO_NOISE = 1e-9  # px: rounding of pixels that were computed
+_SMALLEST = 1e-6  # least part of a point's noise that remains once its image is placed; less counts as none
+
+
+@dataclass(frozen=True, eq=False)
+class FreeBoards(ReadOnlyArrays):
+    """The board with a free pose in each image, and the lens.
+
+    Attributes:
+        scene: The images that are used; its `tool` is the pose of the board in the camera.
+        placed: Camera and board at the origin, with the intrinsics.
+        images: Numbers of these images in the scene that was given, (n,).
+        focal_std: Standard deviation of the focal length [px]; zero where it is not sought.
+    """
+
+    scene: BoardScene
+    placed: HandEyePlacement
+    images: IntArray
+    focal_std: float
+
+
+def free_boards(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...] = ()) -> FreeBoards | None:
+    """Return the board placed in each image with enough points; None where a pose is not determined.
+
+    Args:
+        scene: The images.
+        intrinsics: First values of the intrinsics, (9,).
+        free: Indices of the intrinsics that are fitted, of the first six; fy follows fx where it is not among them.
+    """
+    images = np.flatnonzero(scene.counts >= _LEAST_ALONE)
+    if len(images) == 0:
+        return None
+    free = free if len(images) >= LEAST_IMAGES else ()
+    cv2 = opencv()
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_TANGENT_DIST | cv2.CALIB_FIX_K3
+    held = (cv2.CALIB_FIX_FOCAL_LENGTH, cv2.CALIB_FIX_ASPECT_RATIO, cv2.CALIB_FIX_PRINCIPAL_POINT)
+    flags |= sum(
+        flag for number, flag in enumerate((*held, 0, cv2.CALIB_FIX_K1, cv2.CALIB_FIX_K2)) if number not in free
+    )
+    body, pixels = ([part[scene.image == i].astype(np.float32) for i in images] for part in (scene.body, scene.pixels))
+    known = (scene.size, _matrix(intrinsics), intrinsics[4:].copy())
+    try:
+        _, matrix, lens, turns, places, stds, *_ = cv2.calibrateCameraExtended(
+            body, pixels, *known, flags=flags, criteria=_TO_THE_END
+        )
+    except cv2.error:  # points of an image lie in a line
+        return None
+    poses = np.array([_pose(*pose) for pose in zip(turns, places, strict=True)])
+    if not np.all(np.isfinite(poses)):
+        return None
+    found = np.concatenate([matrix[[0, 1, 0, 1], [0, 1, 2, 2]], np.ravel(lens)[:5]])
+    used = scene.select_images(np.isin(np.arange(len(scene)), images))
+    # each image counts as one pose of the robot: the camera is in the base, the board on the tool
+    alone = replace(used, tool=poses, mount="base")
+    return FreeBoards(alone, HandEyePlacement(np.eye(4), np.eye(4), found), images, float(np.ravel(stds)[1]))
+
+
+def usual_intrinsics(scene: BoardScene) -> FloatArray:
+    """Return intrinsics of a usual camera with images of this size, (9,): as far from the image as it is wide."""
+    width, height = scene.size
+    return np.array([width, width, (width - 1) / 2, (height - 1) / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def intrinsics_at_first(scene: BoardScene) -> FloatArray:
+    """Return intrinsics to begin with where none are given, (9,): a focal length alone.
+
+    Raises:
+        NotIdentifiableError: The images do not determine it, such as when all see the board from the front.
+    """
+    alone = free_boards(scene, usual_intrinsics(scene), (0,))
+    focal = np.nan if alone is None else alone.placed.intrinsics[0] / scene.size[0]
+    if alone is None or not (_SHORTEST < focal < _LONGEST and 0.0 < alone.focal_std < _UNSURE * focal * scene.size[0]):
+        raise NotIdentifiableError(
+            "the photographs do not determine the focal length; give intrinsics (--camera FILE), or tilt the board"
+            " by 30 deg in some images"
+        )
+    return alone.placed.intrinsics
+
+
+def single_views(scene: BoardScene, intrinsics: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the board in the camera at each image, (n, 4, 4) [m], and whether it was found there, (n,)."""
+    cv2, poses = opencv(), np.full((len(scene), 4, 4), np.nan)
+    for i in np.flatnonzero(scene.counts >= LEAST_POINTS):
+        points = (part[scene.image == i] for part in (scene.body, scene.pixels))
+        lens = (_matrix(intrinsics), intrinsics[4:])
+        found, turns, places, _ = cv2.solvePnPGeneric(*points, *lens, flags=cv2.SOLVEPNP_IPPE)
+        if found and turns[0] is not None:  # not a number where the points lie in a line
+            poses[i] = _pose(turns[0], places[0])
+    return poses, np.all(np.isfinite(poses), axis=(1, 2))
+
+
+def views(scene: BoardScene) -> FloatArray:
+    """Return approximate poses of the board in the camera, for the images that determine one, (k, 4, 4) [m].
+
+    The focal length follows from the images; where these do not determine it, it is that of a usual camera.
+    """
+    try:
+        intrinsics = intrinsics_at_first(scene)
+    except NotIdentifiableError:
+        intrinsics = usual_intrinsics(scene)
+    poses, found = single_views(scene, intrinsics)
+    return poses[found]
+
+
+def _matrix(intrinsics: FloatArray) -> FloatArray:
+    """The camera matrix of OpenCV, (3, 3)."""
+    return np.array([[intrinsics[0], 0.0, intrinsics[2]], [0.0, intrinsics[1], intrinsics[3]], [0.0, 0.0, 1.0]])
+
+
+def _pose(turn: FloatArray, place: FloatArray) -> FloatArray:
+    """A pose from a rotation vector and a position, as OpenCV gives them."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = opencv().Rodrigues(turn)[0], np.ravel(place)
+    return pose
+
+
+def camera_alone(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...] = ()) -> FloatArray:
+    """Return residuals of a fit without the robot, (m, 2) [px]; NaN in images that are not used.
+
+    Args:
+        scene: The images.
+        intrinsics: First values of the intrinsics, (9,).
+        free: Indices of the intrinsics that are fitted.
+    """
+    alone = free_boards(scene, intrinsics, free)
+    result = np.full_like(scene.pixels, np.nan)
+    if alone is not None:
+        result[np.isin(scene.image, alone.images)] = residuals(alone.scene, alone.placed)
+    return result
+
+
+def point_errors(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...]) -> FloatArray:
+    """Return the distances of outlying points from where the other points of their image put them, (m,) [px]; else 0.
+
+    The point of an image with the largest studentised residual is left out, and the board is placed again, until no
+    residual is larger than chance explains: in one of a hundred sets of good points (`calib.core.numerics.losses`).
+    Where more than half of the points would be left out, or too few would stay, the image keeps all: then the image or
+    its board is wrong.
+
+    Args:
+        scene: The images.
+        intrinsics: First values of the intrinsics, (9,).
+        free: Indices of the intrinsics that are fitted.
+    """
+    far: FloatArray = np.zeros(len(scene.pixels))
+    alone = free_boards(scene, intrinsics, free)
+    if alone is None:
+        return far
+    freedom = 2 * len(alone.scene.pixels) - 6 * len(alone.images) - len(free)
+    if freedom <= 0:
+        return far
+    sizes = _studentised_residuals(alone)
+    scale = max(float(np.median(sizes)) / float(median_length(np.array([2]))[0]), _NO_NOISE)
+
+    def chances(size: FloatArray) -> FloatArray:
+        return np.asarray(len(sizes) * scipy.special.fdtrc(2, freedom / 2, (size / scale) ** 2 / 2))
+
+    for i in alone.images:
+        image = scene.select_images(np.arange(len(scene)) == i)
+        far[scene.image == i] = _errors_in_image(image, alone.placed.intrinsics, chances)
+    return far
+
+
+def _errors_in_image(
+    image: BoardScene, intrinsics: FloatArray, chances: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """`point_errors` of one image, by the chances that good points are so far off."""
+    gone: BoolArray = np.zeros(len(image.pixels), dtype=bool)
+    while 2 * np.sum(gone) <= len(gone) and (alone := free_boards(image.with_points(~gone), intrinsics)) is not None:
+        placed = replace(image, tool=alone.scene.tool, mount="base")
+        lengths = np.linalg.norm(residuals(placed, alone.placed), axis=1)
+        sizes = np.zeros(len(gone))
+        sizes[~gone] = _studentised_residuals(alone)
+        k = int(np.argmax(sizes))
+        if chances(sizes)[k] >= FALSE_ALARM:
+            return np.where(gone, lengths, 0.0)
+        gone[k] = True
+    return np.zeros(len(gone))
+
+
+def _studentised_residuals(alone: FreeBoards) -> FloatArray:
+    """Residuals over the noise that remains once the image is placed, in units of the noise's own, (m,) [px]."""
+    r, _, g = rows(alone.scene, alone.placed, ())
+    inverse = np.linalg.inv(linearise(alone.scene, alone.placed, ()).gg)[alone.scene.image]
+    left = np.eye(2) - g @ inverse @ g.transpose(0, 2, 1)
+    values, vectors = linalg.eigh(left)
+    turned = np.einsum("mba,mb->ma", vectors, r)
+    squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
+    return np.sqrt(np.sum(squares, axis=1))

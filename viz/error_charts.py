@@ -55,7 +55,7 @@ def error_charts(fit: Fit, scene: ViewerScene) -> tuple[Chart, ...]:
         of_part = _Part(rows, np.arange(first, first + len(rows)), scene.joints, tolerance(fit))
         first += len(rows)
         if len(rows):
-            charts += [of_part.distribution(), of_part.planes(), of_part.order(), of_part.joint_charts()]
+            charts += [of_part.distribution(), of_part.order(), of_part.planes(), of_part.joint_charts()]
     return tuple(charts)
 
 

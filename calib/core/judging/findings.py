@@ -9,6 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from collections.abc import Sequence
+
 from calib.core.base.errors import ComputationError, UnreachablePoseError
 from calib.core.base.memoize import memoize
 from calib.core.base.threads import one_blas_thread
@@ -19,7 +21,7 @@ from calib.core.fitting.outliers import Outlier, outliers_of, readings_of_outlie
 from calib.core.judging import residual_patterns
 from calib.core.judging.effect_kinds import Kind, Pattern, Trait
 from calib.core.judging.effects import EffectSetting, effects
-from calib.core.judging.error_budget import ErrorBudget, error_budget
+from calib.core.judging.error_budget import ErrorBudget, error_budget, joints_of
 from calib.core.judging.linear_fit import LinearFit
 from calib.core.numerics import linalg
 from calib.core.numerics.losses import StudentisedErrors
@@ -138,7 +140,18 @@ def budget(fit: Fit) -> ErrorBudget | None:
 
     None if the robot cannot be assembled at a step between before and after.
     """
+    return _budget(fit)
+
+
+@memoize
+@one_blas_thread
+def joint_budget(fit: Fit) -> ErrorBudget | None:
+    """Return the error budget with the joints as causes: how much each of them makes; None as for `budget`."""
+    return _budget(fit, joints_of(fit.robot))
+
+
+def _budget(fit: Fit, causes: Sequence[str] | None = None) -> ErrorBudget | None:
     try:
-        return error_budget(fit)
+        return error_budget(fit, causes)
     except UnreachablePoseError:
         return None

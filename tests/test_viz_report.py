@@ -10,16 +10,20 @@ import numpy as np
 import pytest
 from markupsafe import escape
 from six_axis_arm import FREE, YAML, joints, write_six_axis
-from viz_examples import NOON, measurements, medrue_fit, medrue_robot, spoiled, undrawn, words_of
+from small_robots import ARM_YAML, write_arm
+from viz_examples import NOON, five_bar_fit, measurements, medrue_fit, medrue_robot, spoiled, undrawn, words_of
 
 import calib
 import viz
 from calib.core.base.files import image_address
+from calib.core.judging.findings import joint_budget
+from calib.core.results.sections.budget import worst_joints
 from viz.error_charts import error_charts, page_rows
+from viz.joint_charts import corrections, dials
 from viz.pose_sources import from_fit
 from viz.report_page import command_line, decimals_of, millimetres, number, powers, report_page, significant
-from viz.result_charts import parameters, waterfall
-from viz.scene import scene_of_fit
+from viz.result_charts import joint_shares, parameters, waterfall
+from viz.scene import joints_of, scene_of_fit
 
 COMMAND = "calib fit a.yaml b.csv --out c"
 
@@ -357,6 +361,64 @@ def test_causes_of_the_error_fall_from_the_error_before_to_zero(fit):
     assert bars["left"][:-1] == bars["right"][1:]
     squares = np.square(bars["right"]) - np.square(bars["left"])
     assert np.sqrt(squares.sum()) == pytest.approx(bars["right"][0])
+
+
+def test_the_page_alone_answers_ten_questions(fit, html):
+    shown, worst = words_of(html), worst_joints(joint_budget(fit))
+    biggest = max(fit.validation.after["tool"].tolist(), key=np.linalg.norm)
+    at = np.linalg.norm(fit.validation.after["tool"], axis=1).argmax()
+    claim = fit.verdict.claim.at_measured_poses
+    answers = {
+        "is it good enough": rf"Verdict: {fit.verdict.grade} .*? within {claim.in_unit(claim.limit95)} of where",
+        "how far off, before and after": r"[\d.]+ → [\d.]+ mm Position error \(RMS\) before and after calibration",
+        "which joint is worst": rf"Worst joint {worst[0].cause} [\d.]+ % ± [\d.]+ % .*; next {worst[1].cause}",
+        "where is it worst": rf"Largest error {millimetres(1e3 * np.linalg.norm(biggest))} mm .*? pose"
+        rf" {fit.validation.data.names[at]}, at",
+        "which reading is wrong": r"Outliers None: no point lies further off than noise explains",
+        "what is next": r"Next: .*? calib compensate",
+        "where was it measured": r"Where it was measured x .* mm in",
+        "how sure is that": r"predicted positions are known to [\d.]+ mm on average, [\d.]+ mm at worst",
+        "what is left, and why": r"not explained [\d.]+ .* The rest is as large as the stated noise",
+        "what is not known": r"What could not be identified .* stay near nominal|Every parameter is identified",
+    }
+    assert {question for question, words in answers.items() if not re.search(words, shown)} == set()
+
+
+def test_joints_are_ranked_by_what_they_make_of_the_error(fit):
+    names = [name for panel in joint_shares(fit).panels for name in panel["y"]["names"]]
+    assert names == [share.cause for share in worst_joints(joint_budget(fit))]
+    assert {"q2", "q3", "q4", "q5", "q6"} <= set(names)
+
+
+def test_readings_show_the_error_that_was_fitted_to_a_joint(tmp_path):
+    """Simulated: a gain alone. The curve is the true one, and what readings show scatters about it."""
+    nominal = calib.load(write_arm(tmp_path, ARM_YAML + "  - {joint: turn, term: gain, sigma: 2 mrad}\nsigma: 20 um\n"))
+    true = nominal.with_parameters({"turn.gain": 2e-3})
+    q = np.random.default_rng(3).uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (80, 3))
+    noise = np.random.default_rng(4).normal(0, 2e-5, (80, 1, 3))
+    fit = calib.fit(nominal, calib.as_measurements(nominal, q, true.positions(q) + noise))
+    joints = joints_of(nominal)
+    (panel,) = corrections(fit, joints).panels
+    shown, fitted = panel["layers"]
+    assert (shown["kind"], fitted["kind"]) == ("points", "line")
+    expected = 2e-3 * np.array(fitted["x"])  # [deg], of a command in deg
+    offset = np.mean(np.array(fitted["y"]) - expected)  # what an offset of the joint takes up
+    np.testing.assert_allclose(fitted["y"], expected + offset, atol=2e-2)
+    known = np.array([y is not None for y in shown["y"]])
+    apart = np.array([y for y in shown["y"] if y is not None]) - np.array(fitted["y"])[known]
+    assert 0 < np.abs(apart).max() < 0.05
+
+
+def test_offsets_of_joints_are_dials_and_say_their_interval():
+    fit = five_bar_fit()
+    drawn = dials(fit)
+    for panel in drawn.panels:
+        name = panel["title"].split()[0]
+        estimate = fit.parameters[name]
+        (needle,) = (layer for layer in panel["layers"] if layer["kind"] == "points")
+        assert needle["texts"][0].startswith(f"{name}: {estimate.value - estimate.nominal:+.4f}")
+        assert panel["bare"]
+    assert {panel["title"].split()[0] for panel in drawn.panels} >= {"left_motor.rz", "right_motor.rz"}
 
 
 def test_the_forest_has_every_free_parameter_and_its_interval_in_expected_deviations(fit):

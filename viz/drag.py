@@ -105,7 +105,9 @@ class DraggedView:
         """The slider of a joint, within its limits."""
         joint, solid = self._shown.scene.joints[k], self._shown.solid
         limits = {one.name: (one.lower, one.upper) for one in solid.urdf.joints}
-        ends = [end if np.isfinite(end) else side * np.pi for end, side in zip(limits[joint.name], (-1, 1), strict=True)]
+        ends = [
+            end if np.isfinite(end) else side * np.pi for end, side in zip(limits[joint.name], (-1, 1), strict=True)
+        ]
         low, high = (joint.per_si * end for end in ends)
         home = float(np.clip(joint.per_si * solid.home[k], low, high))
         slider = self.server.gui.add_slider(f"{joint.name} [{joint.unit}]", low, high, (high - low) / 1000, home)

@@ -11,7 +11,6 @@ from calib import Fit
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, quantity
 from calib.core.fitting.error_sets import STATES
-from calib.core.robots.joint_errors import actual_joints, term_columns
 from viz.charts import COLOURS, Chart, PageRows, axis, layer, panel
 from viz.poses import EXCLUDED, VALIDATION
 from viz.reading_errors import ReadingErrors
@@ -94,27 +93,6 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
         tuple(panels),
         190,
     )
-
-
-def corrections(fit: Fit, joints: tuple[ViewerJoint, ...]) -> Chart | None:
-    """Return what the joint terms that were fitted add to each joint, at the poses measured; None without terms."""
-    if not fit.robot.terms:
-        return None
-    data = fit.identification.data
-    added = actual_joints(fit.robot, data.joints, term_columns(fit.robot, data.joints, data.conditions))
-    added = added[:, : len(joints)] - data.joints
-    panels = []
-    for k, joint in enumerate(joints):
-        if not np.any(added[:, k]):
-            continue
-        values, change = joint.per_si * data.joints[:, k], joint.per_si * added[:, k]
-        texts = [f"pose {name}: {by:+.4f} {joint.unit}" for name, by in zip(data.names, change, strict=True)]
-        points = layer("points", "", COLOURS["after"], x=values, y=change, texts=texts)
-        panels.append(
-            panel(axis(f"{joint.name} [{joint.unit}]"), axis(f"joint error [{joint.unit}]"), [points], height=240)
-        )
-    text = "What the joint terms that were fitted add to the command; without them, this would be left."
-    return Chart("joint-errors", "Fitted errors of the joints", text, tuple(panels), 280) if panels else None
 
 
 def conditions(fit: Fit, scene: ViewerScene) -> Chart | None:

@@ -33,7 +33,8 @@ from calib.core.results.sections.noise import noise_found
 from calib.core.results.sections.outliers import outlier_grid
 from calib.core.results.sections.parameters import parameter_grid
 from viz.charts import Charts
-from viz.error_charts import conditions, corrections, coverage, error_charts, page_rows
+from viz.error_charts import conditions, coverage, error_charts, page_rows
+from viz.joint_charts import corrections, dials
 from viz.page_parts import chart_parts, places
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks, record, signatures
@@ -146,7 +147,11 @@ def printed_page(
 
 def _charts(fit: Fit, scene: ViewerScene | None) -> Charts:
     """All plots of a report."""
-    plots = places(parameters=parameters(fit), budget=(waterfall(fit), joint_shares(fit)), worth=file_worth_chart(fit))
+    plots = places(
+        parameters=(parameters(fit), dials(fit)),
+        budget=(waterfall(fit), joint_shares(fit)),
+        worth=file_worth_chart(fit),
+    )
     if scene is None or not scene.n_rows:
         return Charts(plots)
     return Charts(

@@ -130,8 +130,8 @@ def joint_shares(fit: Fit) -> Chart | None:
     return Chart(
         "joints",
         "Which joint makes the error",
-        "Part of the squared error before calibration that goes with each joint, with its 95 % interval; below zero, these"
-        " readings are better without its correction. Wide intervals: other joints can stand in for it.",
+        "Part of the squared error before calibration that goes with each joint, with its 95 % interval; below zero,"
+        " these readings are better without its correction. Wide intervals: other joints can stand in for it.",
         forest(names, [("", COLOURS["after"], percent, half, texts)], "part of the squared error [%]"),
         440,
     )

@@ -95,7 +95,7 @@ class Chart {
   }
 
   /** @param room width that the panel has [px] */
-  figure({ x, y, layers, title, height, equal }, room) {
+  figure({ x, y, layers, title, height, equal, bare }, room) {
     const range = ({ log, ends, names }, turned) => (names.length ? new Bokeh.Range1d({ start: turned ? names.length - 0.5 : -0.5, end: turned ? -0.5 : names.length - 0.5 })
       : ends ? new Bokeh.Range1d({ start: ends[0], end: ends[1] }) : new Bokeh.DataRange1d({ range_padding: 0.06 }));
     const figure = new Bokeh.Plotting.Figure({
@@ -106,6 +106,7 @@ class Chart {
       lod_threshold: null,
     });
     this.look(figure, x, y, height);
+    if (bare) [...figure.xaxes, ...figure.yaxes, ...figure.center.filter((part) => part.type === "Grid")].forEach((part) => { part.visible = false; });
     const own = []; // what a selection in this panel changes
     const hovered = layers.flatMap((layer) => this.layer(figure, layer, own));
     figure.add_tools(new Bokeh.HoverTool({ renderers: hovered, tooltips: "<div style='max-width: 260px; white-space: normal'>@text</div>", point_policy: "snap_to_data" }));

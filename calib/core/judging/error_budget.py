@@ -120,7 +120,7 @@ def causes_of(robot: Robot) -> tuple[str, ...]:
     return (*causes, *(term.cause for term in robot.terms for _ in term.parameters))
 
 
-def joints_of(robot: Robot) -> tuple[str, ...]:
+def joint_causes(robot: Robot) -> tuple[str, ...]:
     """Return the joints whose origins each parameter moves, or whose error it is, as its cause, (n_parameters,)."""
     causes, own = list(causes_of(robot)), robot.values[: len(robot.parametrisation.parameters)]
     moved = robot.parametrisation.twists(own)

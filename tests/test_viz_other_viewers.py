@@ -47,9 +47,12 @@ def test_a_target_that_is_dragged_brings_the_robot_there():
         assert "not reached" in view.note.content
 
 
-@pytest.mark.parametrize(("package", "view"), [("rerun", lambda shown: recording(shown.scene)), ("viser", DraggedView)])
-def test_without_the_package_one_line_says_what_to_install(package, view, monkeypatch):
+@pytest.mark.parametrize(
+    ("package", "distribution", "view"),
+    [("rerun", "rerun-sdk", lambda shown: recording(shown.scene)), ("viser", "viser", DraggedView)],
+)
+def test_without_the_package_one_line_says_what_to_install(package, distribution, view, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     shown = gather(five_bar_fit().nominal)
-    with pytest.raises(InputError, match=rf"pip install medrue\[{package}\]"):
+    with pytest.raises(InputError, match=f"pip install {distribution}"):
         view(shown)

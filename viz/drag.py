@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError, InputError
-from calib.core.base.version import DISTRIBUTION
 from viz.bodies import posed_robot
 from viz.inputs import ShownScene
 from viz.scene_data import colours, ranges, rows_of
@@ -38,7 +37,7 @@ class DraggedView:
         try:
             import viser
         except ImportError:
-            raise InputError(f"--drag needs viser: pip install {DISTRIBUTION}[viser]") from None
+            raise InputError("--drag shows the robot with viser, which is not installed: pip install viser") from None
         self._shown, scene = shown, shown.scene
         self.server = viser.ViserServer(ADDRESS, port, label=scene.title, verbose=False)
         space = self.server.scene

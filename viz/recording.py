@@ -27,7 +27,9 @@ def recording(scene: ViewerScene) -> bytes:
     try:
         import rerun as rr
     except ImportError:
-        raise InputError(f"recordings need rerun: pip install {DISTRIBUTION}[rerun]") from None
+        raise InputError(
+            f"--rrd needs rerun, which is not installed: pip install rerun-sdk (or {DISTRIBUTION}[rerun])"
+        ) from None
     stream = rr.RecordingStream(f"calibration of {scene.title}")
     kept = stream.memory_recording()
     stream.log("scene", rr.Transform3D(mat3x3=scene.view.upright), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)

@@ -159,7 +159,7 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     assert "Distance error (RMS) before and after calibration, 120 poses (identification)" in shown
     assert "Where it was measured" not in shown
     assert [chart.name for chart in error_charts(fit, scene)] == [
-        f"distance-{name}" for name in ("errors", "planes", "order", "by-joint")
+        f"distance-{name}" for name in ("errors", "order", "planes", "by-joint")
     ]
     fit.save(tmp_path / "out", pages=False)
     saved = saved_scene = gather(robot, tmp_path / "out").scene

@@ -17,6 +17,7 @@ import calib
 import viz
 from calib.core.base.files import image_address
 from calib.core.judging.findings import joint_budget
+from calib.core.judging.next_step import next_step
 from calib.core.results.sections.budget import worst_joints
 from viz.error_charts import error_charts, page_rows
 from viz.joint_charts import corrections, dials
@@ -58,7 +59,7 @@ def test_every_section_is_there(html):
         "Where this comes from",
     ):
         assert heading in html
-    assert html.count("<figure") == 8  # the picture for paper and seven plots
+    assert html.count("<figure") == 10  # the picture for paper and nine plots
 
 
 def test_without_validation_the_report_says_so():
@@ -165,7 +166,7 @@ def test_everything_from_files_is_escaped(fit):
 def test_tables_have_headers_and_the_page_a_language(html):
     assert '<html lang="en">' in html
     assert html.count("<th scope=") > 40
-    assert html.count("Numbers of this plot") == 7
+    assert html.count("Numbers of this plot") == 9
 
 
 def test_the_same_fit_gives_the_same_report(fit, html):
@@ -319,7 +320,7 @@ def test_every_plot_of_errors_has_a_mark_for_each_pose_which_knows_its_row(fit):
     charts, rows = charts_of(fit)
     n = len(fit.identification.data) + len(fit.validation.data)
     assert len(rows.texts) == len(set(rows.poses)) == n
-    assert list(charts) == ["errors", "planes", "order", "by-joint"]
+    assert list(charts) == ["errors", "order", "planes", "by-joint"]
     after = fit.validation.after["tool"]
     row = len(fit.identification.data) + int(np.argmax(np.linalg.norm(after, axis=1)))
     size = 1e3 * np.linalg.norm(after, axis=1).max()
@@ -375,11 +376,11 @@ def test_the_page_alone_answers_ten_questions(fit, html):
         "where is it worst": rf"Largest error {millimetres(1e3 * np.linalg.norm(biggest))} mm .*? pose"
         rf" {fit.validation.data.names[at]}, at",
         "which reading is wrong": r"Outliers None: no point lies further off than noise explains",
-        "what is next": r"Next: .*? calib compensate",
+        "what is next": rf"Next: {re.escape(str(next_step(fit)).partition(': ')[0])}: calib ",
         "where was it measured": r"Where it was measured x .* mm in",
         "how sure is that": r"predicted positions are known to [\d.]+ mm on average, [\d.]+ mm at worst",
         "what is left, and why": r"not explained [\d.]+ .* The rest is as large as the stated noise",
-        "what is not known": r"What could not be identified .* stay near nominal|Every parameter is identified",
+        "what is not known": r"What could not be identified .*? Held at nominal .*?\bd31\b",
     }
     assert {question for question, words in answers.items() if not re.search(words, shown)} == set()
 

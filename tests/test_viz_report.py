@@ -9,6 +9,7 @@ import re
 import numpy as np
 import pytest
 from markupsafe import escape
+from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, YAML, joints, write_six_axis
 from small_robots import ARM_YAML, write_arm
 from viz_examples import NOON, five_bar_fit, measurements, medrue_fit, medrue_robot, spoiled, undrawn, words_of
@@ -19,7 +20,7 @@ from calib.core.base.files import image_address
 from calib.core.judging.findings import joint_budget
 from calib.core.judging.next_step import next_step
 from calib.core.results.sections.budget import worst_joints
-from viz.error_charts import error_charts, page_rows
+from viz.error_charts import _views, error_charts, page_rows
 from viz.joint_charts import corrections, dials
 from viz.pose_sources import from_fit
 from viz.report_page import command_line, decimals_of, millimetres, number, powers, report_page, significant
@@ -340,6 +341,19 @@ def test_every_plot_of_errors_has_a_mark_for_each_pose_which_knows_its_row(fit):
         rel=1e-4,
     )  # five digits are drawn
     assert largest["y"][-1] == 100.0
+
+
+@pytest.mark.parametrize(("tilt", "more"), [(0.5, ["on the measured surface"]), (0.0, [])])
+def test_places_on_a_tilted_plane_are_also_seen_in_that_plane(tilt, more):
+    flat = np.random.default_rng(2).uniform(-100, 100, (40, 3)) * [3, 1, 0.01]
+    tilted = flat @ Rotation.from_euler("x", tilt).as_matrix().T + [500, 0, 200]
+    views = _views(tilted)
+    assert [view[0] for view in views][3:] == more
+    for _, _, _, along, across in views[3:]:
+        apart = np.stack([along, across], axis=1)
+        np.testing.assert_allclose(
+            np.linalg.norm(apart[1:] - apart[0], axis=1), np.linalg.norm(flat[1:] - flat[0], axis=1), atol=0.5
+        )  # as far apart as in space
 
 
 def test_outliers_have_a_mark_of_their_own_in_every_plot():

@@ -21,6 +21,8 @@ from viz.scene_data import colours, rows_of
 _MM = PER_SI["length"]["mm"]
 _MEANS = 12  # places along a joint at which residuals are averaged
 _CELLS = 9  # along the longer side of a plane
+_FLAT = 0.05  # extent of places across a plane, of their extent in it, up to which they are a surface
+_ALONG_AN_AXIS = 0.999  # cosine: the surface is then one of the three planes
 _PAIRED = 6  # joints whose ranges are drawn in pairs; of more, neighbours only
 
 
@@ -172,18 +174,14 @@ class _Part:
             return [palette[int(255 * min(1.0, value / max(highest, 1e-12)))] for value in values]
 
         panels = []
-        for across, up, view in ((0, 1, "from above"), (0, 2, "from the side"), (1, 2, "from the front")):
-            x, y = places[known, across], places[known, up]
+        for view, across, up, x, y in _views(places[known]):
             cells = _cells(x, y, size[known]) if len(known) else None
             layers = [] if cells is None else [
                 layer("cells", x=cells[0], y=cells[1], width=cells[3], height=cells[3], colours=painted(cells[2]),
                       texts=[f"mean error here {value:.3g} {self._unit}" for value in cells[2]])
             ]  # fmt: skip
             layers.append(layer("points", x=x, y=y, rows=self._numbers[known], colours=painted(size[known])))
-            names = "xyz"
-            panels.append(
-                panel(axis(f"{names[across]} [mm]"), axis(f"{names[up]} [mm]"), layers, title=view, equal=True)
-            )
+            panels.append(panel(axis(f"{across} [mm]"), axis(f"{up} [mm]"), layers, title=view, equal=True))
         return Chart(
             *self._chart_name("planes", "Errors over the workspace, after calibration"),
             f"From dark (0) to bright ({highest:.3g} {self._unit}; outliers beyond). A square is the mean of what was"
@@ -243,6 +241,18 @@ class _Part:
             tuple(panels),
             280,
         )
+
+
+def _views(places: FloatArray) -> list[tuple[str, str, str, FloatArray, FloatArray]]:
+    """Planes of places (n, 3): title, names of both axes, and coordinates; also the plane in which all lie, if any."""
+    x, y, z = places.T
+    views = [("from above", "x", "y", x, y), ("from the side", "x", "z", x, z), ("from the front", "y", "z", y, z)]
+    if len(places) > 3:
+        _, extents, axes = np.linalg.svd(places - places.mean(axis=0), full_matrices=False)
+        if extents[2] < _FLAT * extents[1] and np.abs(axes[2]).max() < _ALONG_AN_AXIS:
+            along, across, _ = axes @ (places - places.mean(axis=0)).T
+            views.append(("on the measured surface", "along", "across", along, across))
+    return views
 
 
 def _local_mean(values: FloatArray, component: FloatArray) -> dict[str, FloatArray]:

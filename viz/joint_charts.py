@@ -36,10 +36,10 @@ def corrections(fit: Fit, joints: tuple[ViewerJoint, ...]) -> Chart | None:
         shown = change + joint.per_si * more[order, k]
         names = [data.names[place] for place in order]
         texts = [f"pose {name}: fitted {by:+.4f} {joint.unit}" for name, by in zip(names, change, strict=True)]
-        said = [f"pose {name}: readings show {by:+.4f} {joint.unit}" for name, by in zip(names, shown, strict=True)]
+        seen = [f"pose {name}: readings show {by:+.4f} {joint.unit}" for name, by in zip(names, shown, strict=True)]
         own = all(term.follows_command and not term.depends_on for term in fit.robot.terms if term.joint == joint.name)
         layers = [
-            layer("points", "shown by readings", COLOURS["before"], x=values, y=shown, texts=said),
+            layer("points", "shown by readings", COLOURS["before"], x=values, y=shown, texts=seen),
             layer("line", "fitted", COLOURS["after"], x=values, y=change)
             if own
             else layer("points", "fitted", COLOURS["after"], x=values, y=change, texts=texts),

@@ -44,8 +44,8 @@ class Shape:
 
         make = {
             "box": lambda: creation.box(self.size),
-            "cylinder": lambda: creation.cylinder(*self.size, sections=24),
-            "sphere": lambda: creation.icosphere(2, self.size[0]),
+            "cylinder": lambda: creation.cylinder(radius=self.size[0], height=self.size[1], sections=24),
+            "sphere": lambda: creation.icosphere(subdivisions=2, radius=self.size[0]),
         }
         vertices, faces = self.vertices, self.faces
         if self.kind != "mesh":

@@ -71,8 +71,9 @@ def _left_in_joints(fit: Fit) -> FloatArray:
 
 def dials(fit: Fit) -> Chart | None:
     """Return the offset of each revolute joint: the change of the parameter that turns it about its own axis."""
-    own = fit.robot.values[: len(fit.robot.parametrisation.parameters)]
-    twists, axes = fit.robot.parametrisation.twists(own), {one.name: one for one in fit.nominal.urdf.joints}
+    nominal = fit.nominal
+    own = nominal.values[: len(nominal.parametrisation.parameters)]
+    twists, axes = nominal.parametrisation.twists(own), {one.name: one for one in nominal.urdf.joints}
     unit = DISPLAY_UNIT["angle"]
     offsets = []
     for name, twist in twists.items():
@@ -81,19 +82,20 @@ def dials(fit: Fit) -> Chart | None:
             continue
         about = np.array(joint.axis) / np.linalg.norm(joint.axis)
         along = np.concatenate([np.zeros(3), about])
-        for k, parameter in enumerate(fit.robot.parametrisation.parameters):
+        for k, parameter in enumerate(nominal.parametrisation.parameters):
             column = twist[:, k]
             turns = np.allclose(column, along * (along @ column), atol=1e-9) and abs(along @ column) > 0.5
             if turns and parameter.name in fit.free_names:
                 found = fit.parameters[parameter.name]
-                offsets.append((parameter.name, found.value - found.nominal, found.high95 - found.value))
+                if found.status != "prior" and np.isfinite(found.high95):  # the measurements tell
+                    offsets.append((parameter.name, found.value - found.nominal, found.high95 - found.value))
     if not offsets:
         return None
     per_si = PER_SI["angle"][unit]
-    turn = _FURTHEST / max(max(abs(value) for _, value, _ in offsets), 1e-12)
+    turn = _FURTHEST / max(1e-12, *(max(abs(value), half) for _, value, half in offsets))
     panels = tuple(_dial(name, value, half, unit, turn) for name, value, half in offsets)
     text = (
-        f"Straight up is the drawing; the needle is what was found, {turn * per_si:.2g} times as large as it is, with"
+        f"Straight up is the drawing; the needle is what was found, {turn * per_si:.0f} times as large as it is, with"
         " its 95 % interval."
     )
     return Chart("dials", "Joint offsets", text, panels, 150)
@@ -112,5 +114,5 @@ def _dial(name: str, value: float, half: float, unit: str, turn: float) -> dict[
         layer("line", "", COLOURS["after"], x=[0.0, -np.sin(needle)], y=[0.0, np.cos(needle)]),
         layer("points", "", COLOURS["after"], x=[-np.sin(needle)], y=[np.cos(needle)], texts=[says]),
     ]
-    around = axis("", ends=[-1.25, 1.25])
+    around = axis("")
     return dict(panel(around, around, layers, title=f"{name} {value:+.3f} {unit}", height=170, equal=True, bare=True))

@@ -50,9 +50,9 @@ def recording(scene: ViewerScene) -> bytes:
         points = rr.Points3D(rows.anchors[known], labels=np.array(labels)[known].tolist(), show_labels=False)
         stream.log(f"scene/{name}/read", points, static=True)
         for state in STATES:
-            arrows, colour = enlarged[state] * rows.arrows(state), COLOURS[state]
+            arrows = enlarged[state] * rows.arrows(state)
             drawn_too = known & np.isfinite(arrows).all(axis=1)
-            every = rr.Arrows3D(origins=rows.anchors[drawn_too], vectors=arrows[drawn_too], colors=_rgb(colour))
+            every = rr.Arrows3D(origins=rows.anchors[drawn_too], vectors=arrows[drawn_too], colors=_rgb(COLOURS[state]))
             stream.log(f"scene/{name}/{state}", every, static=True)
         for row, pose in enumerate(poses):
             stream.set_time("row", sequence=first + row)

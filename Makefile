@@ -69,6 +69,7 @@ pins: $(VENV)/.ready-dev
 ci-packages: $(VENV)/.ready-dev
 	@echo "Installing every optional tool into $(VENV): several minutes."
 	@$(PIP) -r requirements-ci.txt
+	@$(PIP) --no-deps robosuite==1.5.2  # its robots alone; what it imports would replace packages above
 
 $(VENV)/.ready: pyproject.toml requirements.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..." >&2; exit 1; }

@@ -1,7 +1,9 @@
 """Measurements as other programs write them: read by their head, or named; signs and zeros of columns; joined files."""
 
+import gzip
 import importlib
 import json
+import pickle
 import re
 from pathlib import Path
 
@@ -193,6 +195,10 @@ def test_names_and_numbers_may_be_parted_by_blanks(tmp_path, arm):
     check(calib.read_measurements(tmp_path / "named.txt", arm()), arm())
 
 
+TRC = (
+    "PathFileType\t4\t(X/Y/Z)\ta.trc\nDataRate\tCameraRate\tUnits\n100\t100\tmm\n"
+    "Frame#\tTime\tball\t\t\tbase\t\t\n\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n\n1\t0.0\t4\t5\t6\t1\t2\t3\n2\t0.1\t4\t5\t6\t11\t12\t13\n"
+)
 SEGMENTS = """Segments
 100
 ,,Arm:Hand,,,,,,Arm:Base,,,,,
@@ -216,9 +222,87 @@ def test_segments_markers_and_other_heads_are_told_apart(tmp_path, arm):
         SPATIAL_ANALYZER.replace("[mm]", "").replace("export", "export, Units: Inches")
     )
     assert read_table(tmp_path / "inches.txt").units[5] == "in"
-    (tmp_path / "a.json").write_text('{"a": 1}')
-    with pytest.raises(calib.DataError, match="this looks like JSON: write a CSV"):
+    (tmp_path / "trc.txt").write_text(TRC)
+    table = read_table(tmp_path / "trc.txt")
+    assert table.names == ("Frame#", "Time", "ball_x", "ball_y", "ball_z", "base_x", "base_y", "base_z")
+    assert np.allclose(table.column("base_z", None), [3, 13])
+
+
+@pytest.mark.parametrize("form", ["records", "lines", "arrays", "nested"])
+def test_json_of_arrays_or_records_is_read(tmp_path, arm, form):
+    robot = arm("columns: {q_x: turn, q_y: slide, q_z: wrist}")
+    records = [
+        {"pose": f"p{k}", "q": q.tolist(), "tool": p.tolist()}
+        for k, (q, p) in enumerate(zip(JOINTS, POINTS, strict=True))
+    ]
+    content = {
+        "records": json.dumps(records, indent=1),
+        "lines": "\n".join(json.dumps(record) for record in records),
+        "arrays": json.dumps({"q": JOINTS.tolist(), "tool": POINTS.tolist(), "pose": ["p0", "p1", "p2"]}),
+        "nested": json.dumps(
+            {"q": JOINTS.T.tolist(), "tool": POINTS.tolist(), "rate": 10.0, "pose": ["p0", "p1", "p2"]}
+        ),
+    }[form]
+    (tmp_path / "a.json").write_text(content)
+    data = calib.read_measurements(tmp_path / "a.json", robot)
+    if form != "nested":  # three joints of three poses: the first axis counts
+        check(data, robot)
+    assert data.names == ("p0", "p1", "p2")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('{"a": 1}', "holds no arrays of numbers"),
+        ('{"a": [1, 2', "cannot be read"),
+        ('[{"a": 1}, {"b": 2}]', "not every record has 'a'"),
+        ("[" * 10_000 + "1,", "cannot be read"),
+    ],
+)
+def test_json_without_columns_is_said_in_one_line(tmp_path, content, said):
+    (tmp_path / "a.json").write_text(content)
+    with pytest.raises(calib.DataError, match=said):
         read_table(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize(
+    ("content", "name"),
+    [
+        (b"ARROW1\0\0", "a Parquet or Arrow file"),
+        (b"#ROSBAG V2.0\n", "a bag of ROS 1"),
+        (b"\x02\x50" + bytes(100), "a C3D file"),
+        (gzip.compress(b"a,b\n1,2\n"), "a compressed file"),
+        (pickle.dumps({"q": [1]}), "a pickle of Python"),
+        (b"\n<!doctype html>\n", "a web page"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(100), "a picture or a document"),
+        (b"*110001+0000000000000P01 81..00+0000000000510000\n", "Leica's GSI format"),
+        (b"NO_OF_FRAMES\t3\nMARKER_NAMES\tball\n1.0\t2.0\t3.0\n", "an export of Qualisys"),
+    ],
+)
+def test_files_that_are_no_tables_are_known_by_how_they_begin(tmp_path, content, name):
+    (tmp_path / "data.csv").write_bytes(content)
+    with pytest.raises(calib.DataError, match=re.escape(f"this looks like {name}")):
+        read_table(tmp_path / "data.csv")
+
+
+def test_files_that_only_begin_alike_are_none_of_these(tmp_path):
+    (tmp_path / "a.tsv").write_text(
+        "NO_OF_FRAMES\t3\nFrame\tTime\tball X\tball Y\tball Z\n1\t0\t1\t2\t3\n2\t1\t1\t2\t3\n"
+    )
+    assert "ball Y" in read_table(tmp_path / "a.tsv").names
+    (tmp_path / "frames.dt").write_text("[*SYSTEM*]$MNUFRAME\n")
+    with pytest.raises(calib.DataError, match="has a header but no rows"):
+        read_table(tmp_path / "frames.dt")
+    (tmp_path / "arm.yaml").write_text("urdf: arm.urdf\n")
+    with pytest.raises(calib.DataError, match="this looks like YAML: a robot description comes first"):
+        read_table(tmp_path / "arm.yaml")
+
+
+def test_columns_of_an_array_in_c_and_units_behind_a_slash_are_read(tmp_path, arm):
+    robot = arm('columns: {"q[0]": turn, "q[1]": slide, "q[2]": wrist}')
+    header = "q[0],q[1],q[2],tool_x/m,tool_y/m,tool_z/m\n"
+    (tmp_path / "a.csv").write_text(header + text_of(rows()))
+    check(calib.read_measurements(tmp_path / "a.csv", robot), robot)
 
 
 def test_arrays_are_columns(tmp_path, arm):
@@ -264,7 +348,7 @@ def test_files_that_are_not_read_are_named_with_the_way(tmp_path, arm):
     with pytest.raises(calib.DataError, match=re.escape('{elbow_flex.pos: "elbow_flex [deg]"} in the robot desc')):
         calib.read_measurements(tmp_path / "so100.json", arm())
     (tmp_path / "d.parquet").write_bytes(b"PAR1" + bytes(100))
-    with pytest.raises(calib.DataError, match=r"this looks like a Parquet file: .*read_parquet"):
+    with pytest.raises(calib.DataError, match=r"this looks like a Parquet or Arrow file: .*read_parquet"):
         calib.read_measurements(tmp_path / "d.parquet", arm())
     (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04" + bytes(100))
     with pytest.raises(calib.DataError, match=r"bad.npz: cannot be read"):

@@ -193,6 +193,16 @@ def test_a_xacro_file_reads_the_files_of_its_package(tmp_path):
     assert calib.load(tmp_path / "urdf" / "arm.xacro").urdf.links == ("tip", "a", "b")
 
 
+def test_a_file_of_macros_is_a_part_of_a_robot(tmp_path):
+    pytest.importorskip("xacro")
+    macro = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="arm" params="prefix"/></robot>'
+    (tmp_path / "arm_macro.xacro").write_text(macro)
+    (tmp_path / "arm.xml").write_text("<mujocoinclude/>")
+    for name in ("arm_macro.xacro", "arm.xml"):
+        with pytest.raises(InputError, match=r"of a part of a robot.*give the file that includes it"):
+            calib.load(tmp_path / name)
+
+
 def test_a_xacro_file_that_does_not_end_is_stopped(tmp_path, monkeypatch):
     pytest.importorskip("xacro")
     monkeypatch.setattr("calib.core.robots.urdf.xacro_files._SECONDS", 3)

@@ -29,6 +29,7 @@ ARM = """<mujoco model="odd"><compiler angle="degree"/>
 <actuator><motor joint="turn"/><motor joint="push"/><position joint="wrist"/></actuator></mujoco>"""
 
 FOLLOWS = '<joint joint1="jaw" joint2="wrist" polycoef=".002 .03 0 0 0"/>'
+CLOTH = '<flexcomp name="c" type="grid" count="3 3 1" spacing=".1 .1 .1" radius=".01" mass="1"/>'
 TENDON = '<tendon><fixed name="t"><joint joint="jaw" coef="1"/></fixed></tendon>'
 
 FIVE_BAR = """<mujoco model="five_bar"><compiler angle="radian"/><worldbody><body name="table" euler=".3 .2 .1">
@@ -223,6 +224,7 @@ def test_ball_joints_are_three_hinges_and_free_bodies_stand_still(tmp_path, run_
         ('<mujoco><include file="missing.xml"/></mujoco>', "MuJoCo cannot read it"),
         (ARM.replace(' range="0 .1"', ""), "joint 'jaw' slides without a range"),
         ("<mujoco/>", "there is nothing to calibrate"),
+        (ARM.replace("</worldbody>", f"{CLOTH}</worldbody>"), "has soft bodies (flex)"),
         (five_bar(CONNECT).replace("actuator", "sensor").replace("motor joint", "jointpos joint"), "no joint has an"),
     ],
 )  # fmt: skip

@@ -1,8 +1,9 @@
-"""Named arrays as columns: NumPy's `.npz`, MATLAB's `.mat`."""
+"""Named arrays as columns: NumPy's `.npz`, MATLAB's `.mat`, JSON."""
 
 from __future__ import annotations
 
 import io
+import json
 import zipfile
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -58,6 +59,28 @@ def mat73_columns(file: SomeFile) -> dict[str, Sequence[object]]:
         raise _unreadable(file, error) from None
 
 
+def json_columns(file: SomeFile) -> dict[str, Sequence[object]]:
+    """Return the columns of JSON: of arrays by name, or of records by name, in a list or one a line.
+
+    Raises:
+        DataError: It is no valid JSON, or holds neither; for others see `numpy_columns`.
+    """
+    text = "\n".join(file.lines)
+    try:
+        try:
+            content = json.loads(text)
+        except ValueError:
+            content = [json.loads(line) for line in file.lines if line.strip()]
+        if isinstance(content, list) and content and all(isinstance(record, dict) for record in content):
+            records = [_flatten(record) for record in content]
+            content = {name: [record[name] for record in records] for name in records[0]}
+        return _columns(file, _flatten(content if isinstance(content, dict) else {file.path.stem: content}))
+    except KeyError as error:
+        raise DataError(f"{file.path}: not every record has {error}; give each the same names") from None
+    except (ValueError, RecursionError) as error:
+        raise _unreadable(file, error) from None
+
+
 def _flatten(arrays: Mapping[str, Any], start: str = "") -> dict[str, Any]:
     """Arrays in structures, by names with what they are in."""
     result: dict[str, Any] = {}
@@ -76,8 +99,12 @@ def _unreadable(file: SomeFile, error: Exception) -> DataError:
 
 
 def _columns(file: SomeFile, arrays: Mapping[str, Any]) -> dict[str, Sequence[object]]:
-    """Columns of the arrays of numbers; all whose first axis, or second of two, has the length that most have."""
+    """Columns of the arrays of numbers; all whose first axis, or second of two, has the length that most have.
+
+    Texts of that length, such as names of poses, are columns, too.
+    """
     numbers = {name: np.asarray(a) for name, a in arrays.items() if not name.startswith("__")}
+    texts = {name: a.tolist() for name, a in numbers.items() if a.ndim == 1 and a.dtype.kind == "U"}
     numbers = {name: a.ravel() if 1 in a.shape and a.ndim == 2 else a for name, a in numbers.items()}
     numbers = {n: a for n, a in numbers.items() if a.ndim in (1, 2, 3) and a.size > 1 and np.isrealobj(a)}
     numbers = {n: a.astype(float) for n, a in numbers.items() if a.dtype.kind in "fiub"}
@@ -85,7 +112,7 @@ def _columns(file: SomeFile, arrays: Mapping[str, Any]) -> dict[str, Sequence[ob
     if not lengths:
         raise DataError(f"{file.path}: holds no arrays of numbers; save one for each column, all of one length")
     most = max(lengths, key=lambda size: (lengths.count(size), size))
-    columns: dict[str, Sequence[object]] = {}
+    columns: dict[str, Sequence[object]] = {name: column for name, column in texts.items() if len(column) == most}
     for name, array in numbers.items():
         if array.ndim == 2 and array.shape[0] != most:
             array = array.T

@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
-from calib.core.data.other_formats import OtherFormat
+import re
+from collections.abc import Callable
+
+from calib.core.data.other_formats import OtherFormat, SomeFile
 from calib.files import arrays, reports, servos, text
 
+
+def _begins(pattern: bytes) -> Callable[[SomeFile], bool]:
+    """Return whether the first bytes of a file fit a pattern."""
+    begins = re.compile(pattern, re.DOTALL)
+    return lambda file: begins.match(file.head) is not None
+
+
+def _not_read(name: str, head: str, pattern: bytes, way: str) -> OtherFormat:
+    """Return a format that is known by its first bytes, and the way to measurements."""
+    return OtherFormat(name, head, way, _begins(pattern))
+
+
+_CSV = "write a CSV file with a header"
 FORMATS = (
     OtherFormat(
         "NumPy arrays",
@@ -20,21 +36,59 @@ FORMATS = (
         "a MATLAB file (version 5)",
         "begins with `MATLAB 5.0`",
         "variables of one length are columns, as NumPy arrays",
-        lambda file: file.head.startswith(b"MATLAB 5.0"),
+        _begins(rb"MATLAB 5\.0"),
         arrays.mat5_columns,
     ),
     OtherFormat(
         "a MATLAB file (version 7.3)",
         "begins with `MATLAB 7.3`, or is HDF5",
         "variables of one length are columns, as NumPy arrays; this needs the package h5py",
-        lambda file: file.head.startswith((b"MATLAB 7.3", b"\x89HDF\r\n")),
+        _begins(rb"MATLAB 7\.3|\x89HDF"),
         arrays.mat73_columns,
     ),
-    OtherFormat(
-        "a Parquet file",
-        "begins with `PAR1`, as data sets of LeRobot",
+    _not_read(
+        "a Parquet or Arrow file",
+        "begins with `PAR1`, as data sets of LeRobot, or with `ARROW1`",
+        b"PAR1|ARROW1",
         "give the data frame from Python: calib.read_measurements(pandas.read_parquet(FILE), robot)",
-        lambda file: file.head.startswith(b"PAR1"),
+    ),
+    _not_read(
+        "a bag of ROS 1", "begins with `#ROSBAG`", b"#ROSBAG", "convert it: rosbags-convert --src FILE --dst FOLDER"
+    ),
+    _not_read("a C3D file", "begins with its mark, 02 50", rb"\x02\x50", "export a table, such as CSV or TSV"),
+    _not_read(
+        "a compressed file",
+        "begins as gzip, xz, zstd or 7z",
+        rb"\x1f\x8b|\xfd7zXZ|\x28\xb5\x2f\xfd|7z\xbc",
+        "unpack it",
+    ),
+    _not_read(
+        "a pickle of Python",
+        "begins with its mark, 80 02 to 80 05",
+        rb"\x80[\x02-\x05]",
+        "load it in Python, and save arrays with numpy.savez",
+    ),
+    _not_read(
+        "a web page", "begins with `<!DOCTYPE` or `<html`", rb"(?i)\s*<(!doctype|html)", "download the file itself"
+    ),
+    _not_read(
+        "a picture or a document",
+        "begins as PNG, JPEG, TIFF or PDF",
+        rb"\x89PNG|\xff\xd8\xff|II\*\x00|MM\x00\*|%PDF",
+        f"{_CSV}; boards in photographs are found by calib detect",
+    ),
+    _not_read("Leica's GSI format", "a word such as `110001+` at first", rb"\*?11\d{4}[+-]", "export X, Y, Z as text"),
+    _not_read(
+        "an export of Qualisys (QTM) without a column header",
+        "begins with `NO_OF_`, and has no column X",
+        rb"NO_OF_(?!.*\bX\b)",
+        "export it with the column header; its lengths are in mm, which `columns` says",
+    ),
+    OtherFormat(
+        "YAML",
+        "`.yaml` or `.yml`",
+        f"a robot description comes first, then measurements; for those, {_CSV}, or record a bag where ROS is",
+        lambda file: file.path.suffix.lower() in (".yaml", ".yml"),
     ),
     OtherFormat(
         "a calibration of LeRobot's servos",
@@ -45,9 +99,10 @@ FORMATS = (
     ),
     OtherFormat(
         "JSON",
-        "begins with `{` or `[`",
-        "write a CSV file with a header, or give a data frame from Python",
-        lambda file: file.head.lstrip()[:1] in (b"{", b"["),
+        'begins with `{"`, `[{`, or `[` and a number',
+        "arrays, or fields of records in a list or one a line, are columns, as NumPy arrays",
+        _begins(rb'\s*(\{\s*"|\[\s*\{|\[[\s\[]*-?\d+(\.\d*)?(e-?\d+)?\s*[],])'),
+        arrays.json_columns,
     ),
     OtherFormat(
         "an export of Motive (OptiTrack)",
@@ -64,8 +119,8 @@ FORMATS = (
         reports.report_lines,
     ),
     OtherFormat(
-        "a table with names above X, Y, Z, as Vicon writes it",
-        "a line of names above one that repeats `X,Y,Z`",
+        "a table with names above X, Y, Z, as Vicon and TRC files have them",
+        "a line of names above one that repeats `X,Y,Z` or goes on as `X1,Y1,Z1,X2`",
         "columns NAME_x, NAME_y, NAME_z, with the units of the line below",
         text.has_names_above,
         text.named_above_lines,

@@ -161,13 +161,18 @@ def _axes_line(file: SomeFile) -> int | None:
     """The line of X, Y, Z (or RX, RY, RZ, TX, TY, TZ) whose names stand in the line above."""
     lines = [cells_of(line) for line in file.first_lines[:SEEN]]
     for k in range(1, len(lines)):
-        letters, above = [cell.casefold() for cell in lines[k]], lines[k - 1]
+        letters, above = [_letter(cell) for cell in lines[k]], lines[k - 1]
         starts = {j for j in range(len(letters) - 2) if letters[j : j + 3] in _TRIPLES}
-        named = {j for j, cell in enumerate(above) if cell}
+        named = {j for j, (cell, letter) in enumerate(zip(above, letters, strict=False)) if cell and letter}
         first = {j for j in starts if letters[j] != "tx" or j - 3 not in starts}  # behind the angles of the same name
         if first and first == named:
             return k
     return None
+
+
+def _letter(cell: str) -> str:
+    """An axis without the number of its marker: X12 is x."""
+    return re.sub(r"(?<=^[xyz])\d+$", "", cell.casefold())
 
 
 def has_names_above(file: SomeFile) -> bool:
@@ -185,10 +190,10 @@ def named_above_lines(file: SomeFile) -> list[str]:
     header, name = [], ""
     for j, letter in enumerate(letters):
         name = above[j].rpartition(":")[2] if j < len(above) and above[j] else name
-        axis = letter.casefold().removeprefix("t")
+        axis = _letter(letter).removeprefix("t")
         measured = any(axis in triple for triple in _TRIPLES) and name
         unit = f" [{units[j]}]" if has_units and j < len(units) and units[j] else ""
-        header.append((f"{name}_{axis}" if measured else letter or f"column_{j + 1}") + unit)
+        header.append((f"{name}_{axis}" if measured else letter or name or f"column_{j + 1}") + unit)
     return _with_header(lines, k + 1 + has_units, header)
 
 

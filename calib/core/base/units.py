@@ -44,7 +44,10 @@ ERROR_UNIT: dict[Dimension, str] = DISPLAY_UNIT | {"angle": "mrad"}
 """Units of errors."""
 _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°µ\u03bc]*)\s*$")
 _COLUMN = re.compile(r"^\s*(?P<name>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$", re.DOTALL)
-_IN_ROUND = re.compile(r"^(?P<name>.*?\S)\s*\(\s*(?P<unit>[^()]*?)\s*\)$", re.DOTALL)
+_UNIT = "|".join(map(re.escape, (*_SIGNS, *PER_SI["length"], *PER_SI["angle"])))
+_OTHERWISE = re.compile(
+    rf"^(?:(?P<name>.*?\S)\s*\((?P<unit>[^()]*)\)|(?P<lead>[^/]*[^/\s])\s*/\s*(?P<slash>{_UNIT}))$", re.DOTALL
+)
 _UNITS = {*_SIGNS, *(unit for units in PER_SI.values() for unit in units if unit != "1")}
 _SMALLEST, _LARGEST = 1e-30, 1e9  # [SI]
 
@@ -114,18 +117,22 @@ def in_si(value: Number | str, dimension: Dimension, where: str) -> Number | flo
 def split_column(header: str) -> tuple[str, str | None]:
     """Split the column header `name [unit]` into name and unit (None where there is none).
 
-    The unit is in the last pair of brackets: a joint named `joint[1]` needs its unit written, `joint[1] [rad]`. Round
-    brackets, which other programs write, count only where a known unit is in them.
+    The unit is in the last pair of brackets; a number there is no unit. Other programs write round brackets, which
+    count only where a known unit is in them, or a slash before a unit of length or angle.
 
-    >>> split_column("tool_x [mm]"), split_column("tool_x (mm)"), split_column("joint (left)")
-    (('tool_x', 'mm'), ('tool_x', 'mm'), ('joint (left)', None))
+    >>> split_column("tool_x [mm]"), split_column("tool_x (mm)"), split_column("tool_x/mm")
+    (('tool_x', 'mm'), ('tool_x', 'mm'), ('tool_x', 'mm'))
+    >>> split_column("joint (left)"), split_column("/arm/joint"), split_column("q[0]")
+    (('joint (left)', None), ('/arm/joint', None), ('q[0]', None))
     """
     match = _COLUMN.match(header)
     assert match is not None  # the pattern takes any text
     name, unit = match.group("name"), match.group("unit")
-    round_ones = _IN_ROUND.match(name) if unit is None else None
-    if round_ones is not None and round_ones.group("unit") in _UNITS:
-        return round_ones.group("name"), round_ones.group("unit")
+    if unit is not None and unit.isdecimal():
+        return header.strip(), None
+    other = _OTHERWISE.match(name) if unit is None else None
+    if other is not None and (known := (other["unit"] or other["slash"] or "").strip()) in _UNITS:
+        return other["name"] or other["lead"], known
     return name, unit
 
 

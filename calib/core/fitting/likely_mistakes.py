@@ -12,7 +12,7 @@ within a part of what was measured, is named. Columns that are copies of each ot
 
 When it fails. Mistakes of two kinds at once are not found. A robot whose base or tool is given wrong, and not called
 unknown, is far off whatever is tried; the verdict looks for that first. Only instruments that measure points are
-looked at.
+looked at; where there are none, photographs of a board (`calib.core.fitting.photographed_points`).
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from calib.core.base.words import count_noun, listing
 from calib.core.data.measurements import Measurements, with_points
 from calib.core.data.tables import read_table
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
+from calib.core.fitting.photographed_points import photographed_points
 from calib.core.fitting.scaled_joints import joint_scales
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
@@ -81,6 +82,9 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
     copied = equal_columns(data, robot)
     if copied:
         return f"probable mistake: column {copied[0][1]} is a copy of {copied[0][0]}; they are equal in every row"
+    photographed = photographed_points(robot, data)
+    if photographed is not None:
+        (robot, data), noise = photographed, np.inf
     data = data.subset(np.flatnonzero(np.isfinite(data.points(robot)).all(axis=(1, 2))))
     zeros = zero_visits(data, robot)
     sound = data.subset(np.setdiff1d(np.arange(len(data)), zeros))
@@ -134,7 +138,9 @@ def _nominal_fits(
         scales = joint_scales(robot, sound, first)
         if scales is not None and not scales.map.words(robot):  # nothing is scaled: only some poses did not close
             return "", None
-        words = words[:1] if scales is None else [prefix + scales.map.words(robot, scales.std)]
+        if scales is not None:
+            first, words = scales.map, [prefix + scales.map.words(robot, scales.std)]
+        words = words[:1]
     sentence = (
         f"probable mistake: {', or '.join(words[:3])}. Corrected, the nominal robot fits {now / best:.0f} times better"
     )

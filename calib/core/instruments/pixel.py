@@ -133,7 +133,7 @@ class Pixel(FrameInstrument):
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return pixels, (n, 2); NaN for points that have no image."""
-        points, numbers = _points_in_camera(view, self._body(details)), self.numbers(unknowns)
+        points, numbers = _points_in_camera(view, self.body(details)), self.numbers(unknowns)
         pixels, seen = self._project(points, numbers)
         if self.board is not None:
             seen &= self._is_detected(self.board, view, numbers)
@@ -168,7 +168,7 @@ class Pixel(FrameInstrument):
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
         """Return errors in the image, and how the twist and unknown intrinsics move them."""
-        body = self._body(readings.details)
+        body = self.body(readings.details)
         pixels, by_point, by_number = project(_points_in_camera(view, body), self.numbers(unknowns))
         turned = np.einsum("kab,kb->ka", view.rotation, body)
         by_twist = np.concatenate([by_point, -by_point @ cross_matrices(turned)], axis=2)
@@ -176,7 +176,7 @@ class Pixel(FrameInstrument):
 
     def point_seen(self, view: View, details: FloatArray) -> FloatArray:
         """Return the point of the body that each pixel shows, seen from the camera, (n, 3) [m]."""
-        return _points_in_camera(view, self._body(details))
+        return _points_in_camera(view, self.body(details))
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return guesses at the places of camera and target.
@@ -191,7 +191,7 @@ class Pixel(FrameInstrument):
             _, view = np.unique(scene.readings.visits[chosen], return_inverse=True)
             sightings = Sightings(
                 scene.links[chosen],
-                self._body(scene.readings.details[chosen]),
+                self.body(scene.readings.details[chosen]),
                 rays(scene.readings.values[chosen], self.numbers(scene.unknowns)),
                 view.reshape(-1),
             )
@@ -230,8 +230,8 @@ class Pixel(FrameInstrument):
                 " frame is its viewing direction"
             )
 
-    def _body(self, details: FloatArray) -> FloatArray:
-        """Where the points of readings are in the target frame, (n, 3) [m]."""
+    def body(self, details: FloatArray) -> FloatArray:
+        """Return where the points of readings are in the target frame, (n, 3) [m]."""
         body_points = np.array(list(self.points_of_body.values()))
         return body_points[details[:, 0].astype(np.intp)]
 

@@ -28,6 +28,7 @@ from __future__ import annotations
 import io
 import itertools
 import os
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,6 +55,7 @@ _DRAWN = 12  # configurations at which directions of a loop are looked at
 _SPREAD = 0.3  # how far from those of the file [m, rad]
 _MOVES = 1e-7  # singular value over the largest, from which a direction moves
 _SHOWN_GROUPS = 3  # of shapes: MuJoCo draws groups 0, 1 and 2
+_NOT_HELD = "a URDF cannot hold it; take it out of the file, or its joints if the arm does not need them"
 _MESHES = (".stl", ".obj", ".dae", ".ply")
 
 
@@ -145,9 +147,12 @@ def read_mjcf(path: Path | str) -> MjcfRobot:
         ) from None
     try:
         spec = mujoco.MjSpec.from_file(str(Path(path).resolve()))  # meshes are looked for from the working folder
-        model = spec.compile()
+        with warnings.catch_warnings(action="ignore"):  # of what it computes of soft bodies
+            model = spec.compile()
     except (ValueError, OSError) as error:
         raise UrdfError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None
+    if model.nflex:
+        raise UrdfError(f"{path}: has soft bodies (flex), which a URDF cannot hold; take them out of the file")
     folder = Path(str(path)).resolve().parent
     return _MjcfReader(mujoco, model, str(path), os.path.relpath(folder / (spec.meshdir or "."), folder)).read()
 
@@ -324,16 +329,14 @@ class _MjcfReader:
             elif kind == types.mjEQ_JOINT:
                 self._follower(number, name)
             else:
-                raise UrdfError(f"{self.path}: equality '{name}' ties neither bodies nor joints; a URDF cannot hold it")
+                raise UrdfError(f"{self.path}: equality '{name}' ties neither bodies nor joints; {_NOT_HELD}")
 
     def _follower(self, number: int, name: str) -> None:
         model = self.model
         follower, leader = (int(ids[number]) for ids in (model.eq_obj1id, model.eq_obj2id))
         polynomial = model.eq_data[number]
         if leader < 0 or follower not in self.joints or leader not in self.joints or np.any(polynomial[2:5]):
-            raise UrdfError(
-                f"{self.path}: equality '{name}' is not linear, or not between two joints; a URDF cannot hold it"
-            )
+            raise UrdfError(f"{self.path}: equality '{name}' is not linear, or not between two joints; {_NOT_HELD}")
         element, led_by = self.joints[follower], self.joints[leader].attrib["name"]
         factor = float(polynomial[1])
         offset = self.home[element.attrib["name"]] + float(polynomial[0]) - factor * self.home[led_by]

@@ -11,6 +11,7 @@ from small_robots import ARM_YAML, write_arm
 import calib
 from calib.core.base.words import as_data
 from calib.core.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, _root_of_span, causes_of
+from calib.core.judging.findings import joint_budget
 from calib.core.results.report_text import text_report
 from calib.core.results.result_content import to_dict
 from calib.core.results.sections.budget import budget_table
@@ -115,6 +116,19 @@ def test_the_parts_are_those_of_the_true_causes_within_their_uncertainty(mixed):
     assert left[NOISE].mean_square == pytest.approx(3 * SIGMA**2, rel=1e-12)
     assert abs(left[UNEXPLAINED].mean_square) < 0.35 * 3 * SIGMA**2
     assert fit.budget.advice == "The rest is as large as the stated noise; more modelling will not help"
+
+
+def test_joints_as_causes_are_those_of_all_orders(mixed):
+    fit, _ = mixed
+    budget = joint_budget(fit)
+    assert sum(share.mean_square for share in budget.shares) == pytest.approx(budget.before, rel=1e-12)
+    joints = [share.cause for share in budget.shares if share.cause not in (PLACES, NOISE, UNEXPLAINED, REST)]
+    assert {"turn", "slide", "wrist"} <= set(joints)
+    members = [np.array([name.startswith(f"{joint}.") for name in fit.free_names]) for joint in joints]
+    expected = by_all_orders(fit.nominal, fit.robot, fit.validation.data, members)
+    np.testing.assert_allclose(
+        [shares(budget)[joint].mean_square for joint in joints], expected, atol=2e-3 * budget.before
+    )
 
 
 def test_a_gain_alone_is_all_of_the_error_as_computed_by_hand(tmp_path):

@@ -64,7 +64,7 @@ def test_a_target_that_was_not_seen_has_no_row(tmp_path):
     saved = gather(robot, tmp_path / "out").scene.poses
     assert (saved.labels, saved.targets) == (table.labels, table.targets)
     np.testing.assert_allclose(saved.after, table.after, atol=1e-9)
-    assert undrawn(fit).count("<figure") == 8
+    assert undrawn(fit).count("<figure") == 9
 
 
 def test_repeats_of_a_pose_are_one_row_with_the_mean_of_their_readings(tmp_path):
@@ -120,7 +120,7 @@ def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
     assert re.search(r"noise of one reading of ball, position 0\.0\d+ mm per axis \(stated: 0\.0500 mm", shown)
     assert re.search(r"noise of one reading of ball, orientation 0\.\d+ mrad .*\(stated: 0\.200 mrad", shown)
     assert "Instruments ball (position, orientation of ball)" in shown
-    assert html.count("<figure") == 12  # the picture, four plots of each part, coverage, causes, parameters
+    assert html.count("<figure") == 13  # the picture, four plots of each part, coverage, causes, joints, parameters
     names = re.findall(r'\bid="([^"]+)"', html)
     assert len(names) == len(set(names))
 
@@ -159,7 +159,7 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     assert "Distance error (RMS) before and after calibration, 120 poses (identification)" in shown
     assert "Where it was measured" not in shown
     assert [chart.name for chart in error_charts(fit, scene)] == [
-        f"distance-{name}" for name in ("errors", "planes", "order", "by-joint")
+        f"distance-{name}" for name in ("errors", "order", "planes", "by-joint")
     ]
     fit.save(tmp_path / "out", pages=False)
     saved = saved_scene = gather(robot, tmp_path / "out").scene

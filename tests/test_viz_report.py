@@ -9,17 +9,23 @@ import re
 import numpy as np
 import pytest
 from markupsafe import escape
+from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, YAML, joints, write_six_axis
-from viz_examples import NOON, measurements, medrue_fit, medrue_robot, spoiled, undrawn, words_of
+from small_robots import ARM_YAML, write_arm
+from viz_examples import NOON, five_bar_fit, measurements, medrue_fit, medrue_robot, spoiled, undrawn, words_of
 
 import calib
 import viz
 from calib.core.base.files import image_address
-from viz.error_charts import error_charts, page_rows
+from calib.core.judging.findings import joint_budget
+from calib.core.judging.next_step import next_step
+from calib.core.results.sections.budget import worst_joints
+from viz.error_charts import _views, error_charts, page_rows
+from viz.joint_charts import corrections, dials
 from viz.pose_sources import from_fit
 from viz.report_page import command_line, decimals_of, millimetres, number, powers, report_page, significant
-from viz.result_charts import parameters, waterfall
-from viz.scene import scene_of_fit
+from viz.result_charts import joint_shares, parameters, waterfall
+from viz.scene import joints_of, scene_of_fit
 
 COMMAND = "calib fit a.yaml b.csv --out c"
 
@@ -54,7 +60,7 @@ def test_every_section_is_there(html):
         "Where this comes from",
     ):
         assert heading in html
-    assert html.count("<figure") == 8  # the picture for paper and seven plots
+    assert html.count("<figure") == 10  # the picture for paper and nine plots
 
 
 def test_without_validation_the_report_says_so():
@@ -161,7 +167,7 @@ def test_everything_from_files_is_escaped(fit):
 def test_tables_have_headers_and_the_page_a_language(html):
     assert '<html lang="en">' in html
     assert html.count("<th scope=") > 40
-    assert html.count("Numbers of this plot") == 7
+    assert html.count("Numbers of this plot") == 9
 
 
 def test_the_same_fit_gives_the_same_report(fit, html):
@@ -315,7 +321,7 @@ def test_every_plot_of_errors_has_a_mark_for_each_pose_which_knows_its_row(fit):
     charts, rows = charts_of(fit)
     n = len(fit.identification.data) + len(fit.validation.data)
     assert len(rows.texts) == len(set(rows.poses)) == n
-    assert list(charts) == ["errors", "planes", "order", "by-joint"]
+    assert list(charts) == ["errors", "order", "planes", "by-joint"]
     after = fit.validation.after["tool"]
     row = len(fit.identification.data) + int(np.argmax(np.linalg.norm(after, axis=1)))
     size = 1e3 * np.linalg.norm(after, axis=1).max()
@@ -335,6 +341,19 @@ def test_every_plot_of_errors_has_a_mark_for_each_pose_which_knows_its_row(fit):
         rel=1e-4,
     )  # five digits are drawn
     assert largest["y"][-1] == 100.0
+
+
+@pytest.mark.parametrize(("tilt", "more"), [(0.5, ["on the measured surface"]), (0.0, [])])
+def test_places_on_a_tilted_plane_are_also_seen_in_that_plane(tilt, more):
+    flat = np.random.default_rng(2).uniform(-100, 100, (40, 3)) * [3, 1, 0.01]
+    tilted = flat @ Rotation.from_euler("x", tilt).as_matrix().T + [500, 0, 200]
+    views = _views(tilted)
+    assert [view[0] for view in views][3:] == more
+    for _, _, _, along, across in views[3:]:
+        apart = np.stack([along, across], axis=1)
+        np.testing.assert_allclose(
+            np.linalg.norm(apart[1:] - apart[0], axis=1), np.linalg.norm(flat[1:] - flat[0], axis=1), atol=0.5
+        )  # as far apart as in space
 
 
 def test_outliers_have_a_mark_of_their_own_in_every_plot():
@@ -357,6 +376,64 @@ def test_causes_of_the_error_fall_from_the_error_before_to_zero(fit):
     assert bars["left"][:-1] == bars["right"][1:]
     squares = np.square(bars["right"]) - np.square(bars["left"])
     assert np.sqrt(squares.sum()) == pytest.approx(bars["right"][0])
+
+
+def test_the_page_alone_answers_ten_questions(fit, html):
+    shown, worst = words_of(html), worst_joints(joint_budget(fit))
+    biggest = max(fit.validation.after["tool"].tolist(), key=np.linalg.norm)
+    at = np.linalg.norm(fit.validation.after["tool"], axis=1).argmax()
+    claim = fit.verdict.claim.at_measured_poses
+    answers = {
+        "is it good enough": rf"Verdict: {fit.verdict.grade} .*? within {claim.in_unit(claim.limit95)} of where",
+        "how far off, before and after": r"[\d.]+ → [\d.]+ mm Position error \(RMS\) before and after calibration",
+        "which joint is worst": rf"Worst joint {worst[0].cause} [\d.]+ % ± [\d.]+ % .*; next {worst[1].cause}",
+        "where is it worst": rf"Largest error {millimetres(1e3 * np.linalg.norm(biggest))} mm .*? pose"
+        rf" {fit.validation.data.names[at]}, at",
+        "which reading is wrong": r"Outliers None: no point lies further off than noise explains",
+        "what is next": rf"Next: {re.escape(str(next_step(fit)).partition(': ')[0])}: calib ",
+        "where was it measured": r"Where it was measured x .* mm in",
+        "how sure is that": r"predicted positions are known to [\d.]+ mm on average, [\d.]+ mm at worst",
+        "what is left, and why": r"not explained [\d.]+ .* The rest is as large as the stated noise",
+        "what is not known": r"What could not be identified .*? Held at nominal .*?\bd31\b",
+    }
+    assert {question for question, words in answers.items() if not re.search(words, shown)} == set()
+
+
+def test_joints_are_ranked_by_what_they_make_of_the_error(fit):
+    names = [name for panel in joint_shares(fit).panels for name in panel["y"]["names"]]
+    assert names == [share.cause for share in worst_joints(joint_budget(fit))]
+    assert {"q2", "q3", "q4", "q5", "q6"} <= set(names)
+
+
+def test_readings_show_the_error_that_was_fitted_to_a_joint(tmp_path):
+    """Simulated: a gain alone. The curve is the true one, and what readings show scatters about it."""
+    nominal = calib.load(write_arm(tmp_path, ARM_YAML + "  - {joint: turn, term: gain, sigma: 2 mrad}\nsigma: 20 um\n"))
+    true = nominal.with_parameters({"turn.gain": 2e-3})
+    q = np.random.default_rng(3).uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (80, 3))
+    noise = np.random.default_rng(4).normal(0, 2e-5, (80, 1, 3))
+    fit = calib.fit(nominal, calib.as_measurements(nominal, q, true.positions(q) + noise))
+    joints = joints_of(nominal)
+    (panel,) = corrections(fit, joints).panels
+    shown, fitted = panel["layers"]
+    assert (shown["kind"], fitted["kind"]) == ("points", "line")
+    expected = 2e-3 * np.array(fitted["x"])  # [deg], of a command in deg
+    offset = np.mean(np.array(fitted["y"]) - expected)  # what an offset of the joint takes up
+    np.testing.assert_allclose(fitted["y"], expected + offset, atol=2e-2)
+    known = np.array([y is not None for y in shown["y"]])
+    apart = np.array([y for y in shown["y"] if y is not None]) - np.array(fitted["y"])[known]
+    assert 0 < np.abs(apart).max() < 0.05
+
+
+def test_offsets_of_joints_are_dials_and_say_their_interval():
+    fit = five_bar_fit()
+    drawn = dials(fit)
+    for panel in drawn.panels:
+        name = panel["title"].split()[0]
+        estimate = fit.parameters[name]
+        (needle,) = (layer for layer in panel["layers"] if layer["kind"] == "points")
+        assert needle["texts"][0].startswith(f"{name}: {estimate.value - estimate.nominal:+.4f}")
+        assert panel["bare"]
+    assert {panel["title"].split()[0] for panel in drawn.panels} >= {"left_motor.rz", "right_motor.rz"}
 
 
 def test_the_forest_has_every_free_parameter_and_its_interval_in_expected_deviations(fit):

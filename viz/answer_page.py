@@ -45,7 +45,7 @@ def answer_page(
         charts, grade = _new_reading_charts(subject), _GRADES.get(subject.verdict, "FAIL")
     else:
         raise TypeError(f"no page of {type(subject).__name__}")
-    first, *rest = [part for part in text.splitlines() if part.strip()]
+    first, *rest = [part for part in text.replace("\n  ", " ").splitlines() if part.strip()]
     split = next((k for k, line in enumerate(rest) if line.startswith(("Smallest", "Changes", "ISO 9283"))), len(rest))
     return printed_page(
         "answer.html",

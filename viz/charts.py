@@ -55,9 +55,19 @@ def axis(label: str, *, log: bool = False, ends: Sequence[float] | None = None, 
     return {"label": label, "log": log, "ends": shown, "names": list(names)}
 
 
-def panel(x: Any, y: Any, layers: Sequence[Any], *, title: str = "", height: int = 300, equal: bool = False) -> Any:
-    """Return a panel; `equal`: a unit is as long on both axes."""
-    return {"x": x, "y": y, "layers": list(layers), "title": title, "height": height, "equal": equal}
+def panel(
+    x: Any,
+    y: Any,
+    layers: Sequence[Any],
+    *,
+    title: str = "",
+    height: int = 300,
+    equal: bool = False,
+    bare: bool = False,
+) -> Any:
+    """Return a panel; `equal`: a unit is as long on both axes; `bare`: without axes."""
+    shape = {"title": title, "height": height, "equal": equal, "bare": bare}
+    return {"x": x, "y": y, "layers": list(layers), **shape}
 
 
 def layer(kind: str, label: str = "", colour: str = "", **columns: Any) -> dict[str, Any]:

@@ -6,11 +6,13 @@ import os
 import signal
 import sys
 import threading
+from pathlib import Path
 from types import FrameType
 
 import click
 
 from calib.core.base.errors import InputError
+from calib.core.base.files import write_files
 from calib.core.commands.common import Output, folder_of_values, load_robot, shared_options
 
 MAP_POSES = 1000
@@ -39,6 +41,10 @@ MAP_POSES = 1000
     f" (--map alone: {MAP_POSES}), and ellipsoids at measured poses.",
 )
 @click.option("--html", metavar="FILE", help="Write one self-contained page instead, and end.")
+@click.option("--rrd", metavar="FILE", help="Write a recording for rerun instead, and end (extra `rerun`).")
+@click.option(
+    "--drag", is_flag=True, help="Show it with viser: sliders, and a target to drag through space (pip install viser)."
+)
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=0, help="Port on this computer; any free one if not given."
 )
@@ -50,32 +56,39 @@ def view(
     data: str | None,
     mapped: int,
     html: str | None,
+    rrd: str | None,
+    drag: bool,
     port: int,
     no_browser: bool,
     output: Output,
 ) -> None:
     """Show ROBOT (YAML description, URDF or result folder) in a browser on this computer, until Ctrl-C."""
     from calib.core.data.plan_files import read_pose_files
+    from viz.drag import DraggedView
     from viz.inputs import gather
     from viz.live import LiveViewer
+    from viz.recording import recording
     from viz.viewer_page import scene_page
 
-    if html is not None and (port or no_browser):
-        raise InputError("--html writes a file and starts no server: leave out --port and --no-browser")
+    if (html or rrd) is not None and (port or no_browser or drag):
+        raise InputError("--html and --rrd write a file and start no server: leave out --port, --no-browser and --drag")
     model = load_robot(robot, output)
     if result is None and (result := folder_of_values(robot, None, None)) is not None:
         model = model.with_parameters([parameter.nominal_si for parameter in model.parameters])  # the robot before
     measurements = None if data is None else read_pose_files((data,), model)
-    output.check(html)
+    output.check(html, rrd)
     with output.working("preparing the scene"):
         shown = gather(model, result, measurements, mapped)
     for note in shown.scene.notes:
         output.note(f"Note: {note}")
     if html is not None:
         scene_page(shown.scene).save(html, force=output.force)
-        output.say(f"Written to {html}")
+    if rrd is not None:
+        write_files({Path(rrd): recording(shown.scene)}, comment=None, force=output.force)
+    if written := [path for path in (html, rrd) if path is not None]:
+        output.say(f"Written to {' and '.join(written)}")
         return
-    with LiveViewer(shown, port) as viewer:
+    with DraggedView(shown, port) if drag else LiveViewer(shown, port) as viewer:
         if no_browser:
             click.echo(viewer.url)  # also with --quiet: nothing else tells where to look
         else:

@@ -11,7 +11,6 @@ from calib import Fit
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, quantity
 from calib.core.fitting.error_sets import STATES
-from calib.core.robots.joint_errors import actual_joints, term_columns
 from viz.charts import COLOURS, Chart, PageRows, axis, layer, panel
 from viz.poses import EXCLUDED, VALIDATION
 from viz.reading_errors import ReadingErrors
@@ -22,6 +21,8 @@ from viz.scene_data import colours, rows_of
 _MM = PER_SI["length"]["mm"]
 _MEANS = 12  # places along a joint at which residuals are averaged
 _CELLS = 9  # along the longer side of a plane
+_FLAT = 0.05  # extent of places across a plane, of their extent in it, up to which they are a surface
+_ALONG_AN_AXIS = 0.999  # cosine: the surface is then one of the three planes
 _PAIRED = 6  # joints whose ranges are drawn in pairs; of more, neighbours only
 
 
@@ -55,7 +56,7 @@ def error_charts(fit: Fit, scene: ViewerScene) -> tuple[Chart, ...]:
         of_part = _Part(rows, np.arange(first, first + len(rows)), scene.joints, tolerance(fit))
         first += len(rows)
         if len(rows):
-            charts += [of_part.distribution(), of_part.planes(), of_part.order(), of_part.joint_charts()]
+            charts += [of_part.distribution(), of_part.order(), of_part.planes(), of_part.joint_charts()]
     return tuple(charts)
 
 
@@ -94,27 +95,6 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
         tuple(panels),
         190,
     )
-
-
-def corrections(fit: Fit, joints: tuple[ViewerJoint, ...]) -> Chart | None:
-    """Return what the joint terms that were fitted add to each joint, at the poses measured; None without terms."""
-    if not fit.robot.terms:
-        return None
-    data = fit.identification.data
-    added = actual_joints(fit.robot, data.joints, term_columns(fit.robot, data.joints, data.conditions))
-    added = added[:, : len(joints)] - data.joints
-    panels = []
-    for k, joint in enumerate(joints):
-        if not np.any(added[:, k]):
-            continue
-        values, change = joint.per_si * data.joints[:, k], joint.per_si * added[:, k]
-        texts = [f"pose {name}: {by:+.4f} {joint.unit}" for name, by in zip(data.names, change, strict=True)]
-        points = layer("points", "", COLOURS["after"], x=values, y=change, texts=texts)
-        panels.append(
-            panel(axis(f"{joint.name} [{joint.unit}]"), axis(f"joint error [{joint.unit}]"), [points], height=240)
-        )
-    text = "What the joint terms that were fitted add to the command; without them, this would be left."
-    return Chart("joint-errors", "Fitted errors of the joints", text, tuple(panels), 280) if panels else None
 
 
 def conditions(fit: Fit, scene: ViewerScene) -> Chart | None:
@@ -194,18 +174,14 @@ class _Part:
             return [palette[int(255 * min(1.0, value / max(highest, 1e-12)))] for value in values]
 
         panels = []
-        for across, up, view in ((0, 1, "from above"), (0, 2, "from the side"), (1, 2, "from the front")):
-            x, y = places[known, across], places[known, up]
+        for view, across, up, x, y in _views(places[known]):
             cells = _cells(x, y, size[known]) if len(known) else None
             layers = [] if cells is None else [
                 layer("cells", x=cells[0], y=cells[1], width=cells[3], height=cells[3], colours=painted(cells[2]),
                       texts=[f"mean error here {value:.3g} {self._unit}" for value in cells[2]])
             ]  # fmt: skip
             layers.append(layer("points", x=x, y=y, rows=self._numbers[known], colours=painted(size[known])))
-            names = "xyz"
-            panels.append(
-                panel(axis(f"{names[across]} [mm]"), axis(f"{names[up]} [mm]"), layers, title=view, equal=True)
-            )
+            panels.append(panel(axis(f"{across} [mm]"), axis(f"{up} [mm]"), layers, title=view, equal=True))
         return Chart(
             *self._chart_name("planes", "Errors over the workspace, after calibration"),
             f"From dark (0) to bright ({highest:.3g} {self._unit}; outliers beyond). A square is the mean of what was"
@@ -265,6 +241,18 @@ class _Part:
             tuple(panels),
             280,
         )
+
+
+def _views(places: FloatArray) -> list[tuple[str, str, str, FloatArray, FloatArray]]:
+    """Planes of places (n, 3): title, names of both axes, and coordinates; also the plane in which all lie, if any."""
+    x, y, z = places.T
+    views = [("from above", "x", "y", x, y), ("from the side", "x", "z", x, z), ("from the front", "y", "z", y, z)]
+    if len(places) > 3:
+        _, extents, axes = np.linalg.svd(places - places.mean(axis=0), full_matrices=False)
+        if extents[2] < _FLAT * extents[1] and np.abs(axes[2]).max() < _ALONG_AN_AXIS:
+            along, across, _ = axes @ (places - places.mean(axis=0)).T
+            views.append(("on the measured surface", "along", "across", along, across))
+    return views
 
 
 def _local_mean(values: FloatArray, component: FloatArray) -> dict[str, FloatArray]:

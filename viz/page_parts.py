@@ -50,10 +50,11 @@ def pack(text: str) -> str:
     return base64.b64encode(gzip.compress(text.encode("utf-8"), 9, mtime=0)).decode("ascii")
 
 
-def places(**charts: Chart | tuple[Chart, ...] | None) -> dict[str, tuple[Chart, ...]]:
+def places(**charts: Chart | tuple[Chart | None, ...] | None) -> dict[str, tuple[Chart, ...]]:
     """Return plots by the part of the page that they belong to."""
     return {
-        name: () if given is None else given if isinstance(given, tuple) else (given,) for name, given in charts.items()
+        name: tuple(chart for chart in (given if isinstance(given, tuple) else (given,)) if chart is not None)
+        for name, given in charts.items()
     }
 
 

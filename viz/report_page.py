@@ -24,7 +24,7 @@ from calib.core.base.words import sentence
 from calib.core.judging.next_step import next_step
 from calib.core.judging.verdict import judge
 from calib.core.results.sections.accuracy import accuracy_grids
-from calib.core.results.sections.budget import budget_grid, budget_table
+from calib.core.results.sections.budget import budget_grid, budget_table, worst_joint
 from calib.core.results.sections.details import details
 from calib.core.results.sections.determination import position_uncertainty_table, unsure
 from calib.core.results.sections.files_held import files_grid
@@ -33,12 +33,13 @@ from calib.core.results.sections.noise import noise_found
 from calib.core.results.sections.outliers import outlier_grid
 from calib.core.results.sections.parameters import parameter_grid
 from viz.charts import Charts
-from viz.error_charts import conditions, corrections, coverage, error_charts, page_rows
+from viz.error_charts import conditions, coverage, error_charts, page_rows
+from viz.joint_charts import corrections, dials
 from viz.page_parts import chart_parts, places
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks, record, signatures
 from viz.report_tables import Headline, extent, tolerance_of, worst
-from viz.result_charts import file_worth_chart, parameters, waterfall
+from viz.result_charts import file_worth_chart, joint_shares, parameters, waterfall
 from viz.scene import ViewerScene, scene_of_fit
 from viz.scene_data import mean_distances
 from viz.viewer_page import ViewerPage, scene_page, templates
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
 
 _PACKAGES = ("pin", "numpy", "scipy", "trimesh", "meshcat", "bokeh")
 _DECIMALS, _MOST_DECIMALS = 4, 9
-_FIRST = ("errors", "order")  # plots beside the robot in space: of the first part of readings
+_BESIDE = 2  # plots beside the robot in space: of the first part of readings
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,7 @@ def report_page(
         budget=budget_grid(fit),
         advice="" if budget is None else budget["advice"],
         worst=worst(fit),
+        worst_joint=worst_joint(fit),
         extent=extent(table),
         measured_in=frame_name(fit.nominal),
         remarks=fit_remarks(fit, beside_record=True),
@@ -110,7 +112,7 @@ def report_page(
         claim="" if claim is None else claim.words.replace(" %", "\u00a0%"),
         parameters=parameter_grid(fit),
         has_space=shown is not None,
-        first_plots=() if shown is None else _FIRST,
+        n_beside=0 if shown is None else _BESIDE,
         notes=details(fit, brief=True),
         unsure=unsure(fit),
         outliers=outlier_grid(fit),
@@ -145,7 +147,11 @@ def printed_page(
 
 def _charts(fit: Fit, scene: ViewerScene | None) -> Charts:
     """All plots of a report."""
-    plots = places(parameters=parameters(fit), budget=waterfall(fit), worth=file_worth_chart(fit))
+    plots = places(
+        parameters=(parameters(fit), dials(fit)),
+        budget=(waterfall(fit), joint_shares(fit)),
+        worth=file_worth_chart(fit),
+    )
     if scene is None or not scene.n_rows:
         return Charts(plots)
     return Charts(
@@ -153,7 +159,8 @@ def _charts(fit: Fit, scene: ViewerScene | None) -> Charts:
         | places(
             errors=(
                 *error_charts(fit, scene),
-                *(chart for chart in (conditions(fit, scene), corrections(fit, scene.joints)) if chart),
+                conditions(fit, scene),
+                corrections(fit, scene.joints),
             ),
             coverage=coverage(scene, fit),
         ),

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from calib import Fit
-from calib.core.results.sections.budget import budget_table
+from calib.core.judging import findings
+from calib.core.results.sections.budget import budget_table, worst_joints
 from calib.core.results.sections.files_held import files_grid
 from calib.core.results.sections.grid import GridNumber
 from viz.charts import COLOURS, Chart, axis, layer, panel
@@ -33,7 +34,8 @@ def forest(
     """
     reach = max(np.nanmax(np.abs(values) + np.nan_to_num(half), initial=0.0) for _, _, values, half, _ in groups)
     end = 1.05 * max(float(reach), band[1] if band else 0.0, 1e-9)
-    each = max(1, _LINES // max(1, (len(groups) + 1) // 2))
+    most = max(1, _LINES // max(1, (len(groups) + 1) // 2))
+    each = -(-len(names) // -(-len(names) // most)) if names else 1  # pieces of about one size
     pieces = [slice(first, first + each) for first in range(0, len(names), each)]
     return tuple(_piece(names[piece], [
         (called, colour, values[piece], half[piece], texts[piece]) for called, colour, values, half, texts in groups
@@ -112,6 +114,26 @@ def waterfall(fit: Fit) -> Chart | None:
             ),
         ),
         600,
+    )
+
+
+def joint_shares(fit: Fit) -> Chart | None:
+    """Return how much of the squared error before calibration each joint made, the largest first."""
+    budget = findings.joint_budget(fit)
+    if budget is None or not budget.before > 0:
+        return None
+    shares = worst_joints(budget)
+    percent, half = (100 / budget.before * np.array(v) for v in zip(
+        *((one.mean_square, 1.96 * one.std) for one in shares), strict=True))  # fmt: skip
+    names = [one.cause for one in shares]
+    texts = [f"{name}: {p:.3g} % ± {h:.2g} %" for name, p, h in zip(names, percent, half, strict=True)]
+    return Chart(
+        "joints",
+        "Which joint makes the error",
+        "Part of the squared error before calibration that goes with each joint, with its 95 % interval; below zero,"
+        " these readings are better without its correction. Wide intervals: other joints can stand in for it.",
+        forest(names, [("", COLOURS["after"], percent, half, texts)], "part of the squared error [%]"),
+        440,
     )
 
 

@@ -38,6 +38,21 @@ class Shape:
     vertices: FloatArray
     faces: IntArray
 
+    def triangles(self) -> tuple[FloatArray, IntArray]:
+        """Return the surface in its link's frame: vertices (n, 3) [m], and the three of each triangle, (m, 3)."""
+        from trimesh import creation
+
+        make = {
+            "box": lambda: creation.box(self.size),
+            "cylinder": lambda: creation.cylinder(radius=self.size[0], height=self.size[1], sections=24),
+            "sphere": lambda: creation.icosphere(subdivisions=2, radius=self.size[0]),
+        }
+        vertices, faces = self.vertices, self.faces
+        if self.kind != "mesh":
+            solid = make[self.kind]()
+            vertices, faces = np.array(solid.vertices), np.array(solid.faces)
+        return vertices @ self.T_body_shape[:3, :3].T + self.T_body_shape[:3, 3], faces
+
     def corners(self) -> FloatArray:
         """Return points that enclose the shape in its link's frame, (n, 3) [m]."""
         if self.kind == "mesh":

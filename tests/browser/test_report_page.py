@@ -232,3 +232,6 @@ def test_a_fleet_in_folders_far_down_fits_the_window(show, tmp_path):
     for box in tab.page.locator(".wide").all():
         assert box.evaluate("(e) => e.scrollWidth - e.clientWidth") <= 0  # below: folded
     assert str(tmp_path) not in tab.page.locator("main").inner_text()
+    tab = show(page.as_uri(), size=(390, 844))  # a phone: labels and the legend have two lines
+    tab.page.evaluate("calibrationReport.all()")
+    assert tab.page.evaluate("document.documentElement.scrollWidth") <= 390

@@ -80,7 +80,7 @@ class Chart {
     this.node.dataset.dark = String(window.matchMedia("(prefers-color-scheme: dark)").matches); // paper turns it round
     this.views = await Promise.all(this.panels.map((panel, k) => {
       this.grid.children[k].replaceChildren();
-      return Bokeh.Plotting.show(this.figure(panel), this.grid.children[k]);
+      return Bokeh.Plotting.show(this.figure(panel, this.grid.children[k].clientWidth), this.grid.children[k]);
     }));
     this.follow();
     this.node.dataset.drawn = "true";
@@ -94,17 +94,19 @@ class Chart {
     this.draw();
   }
 
-  figure({ x, y, layers, title, height, equal }) {
+  /** @param room width that the panel has [px] */
+  figure({ x, y, layers, title, height, equal, bare }, room) {
     const range = ({ log, ends, names }, turned) => (names.length ? new Bokeh.Range1d({ start: turned ? names.length - 0.5 : -0.5, end: turned ? -0.5 : names.length - 0.5 })
-      : ends ? new Bokeh.Range1d({ start: ends[0], end: ends[1] }) : new Bokeh.DataRange1d({ range_padding: log ? 0.02 : 0.06 }));
+      : ends ? new Bokeh.Range1d({ start: ends[0], end: ends[1] }) : new Bokeh.DataRange1d({ range_padding: 0.06 }));
     const figure = new Bokeh.Plotting.Figure({
-      height, sizing_mode: "stretch_width", title: title || null, x_axis_label: x.label, y_axis_label: y.label || null,
+      height, sizing_mode: "stretch_width", title: title || null, x_axis_label: 7.2 * x.label.length > room - 60 ? x.label.replace(" [", "\n[") : x.label, y_axis_label: y.label || null,
       x_axis_type: x.log ? "log" : "linear", y_axis_type: y.log ? "log" : "linear",
       x_range: range(x, false), y_range: range(y, true), match_aspect: equal, tools: "pan,wheel_zoom,box_zoom,box_select,tap,reset,save",
       toolbar_location: "above", background_fill_color: null, border_fill_color: null, outline_line_color: null,
       lod_threshold: null,
     });
     this.look(figure, x, y, height);
+    if (bare) [...figure.xaxes, ...figure.yaxes, ...figure.center.filter((part) => part.type === "Grid")].forEach((part) => { part.visible = false; });
     const own = []; // what a selection in this panel changes
     const hovered = layers.flatMap((layer) => this.layer(figure, layer, own));
     figure.add_tools(new Bokeh.HoverTool({ renderers: hovered, tooltips: "<div style='max-width: 260px; white-space: normal'>@text</div>", point_policy: "snap_to_data" }));
@@ -113,7 +115,8 @@ class Chart {
     const select = figure.toolbar.tools.find((tool) => tool.type === "BoxSelectTool");
     figure.toolbar.active_drag = TOUCH ? null : select;
     if (figure.legend.items.length > 0) {
-      Object.assign(figure.legend, { location: "top_left", orientation: "horizontal", label_text_color: this.ink, label_text_font_size: "12px",
+      const letters = layers.reduce((sum, { label }) => sum + (label ? 5 + label.length : 0), 0);
+      Object.assign(figure.legend, { location: "top_left", orientation: "horizontal", ncols: 7 * letters > room - 60 ? 2 : "auto", label_text_color: this.ink, label_text_font_size: "12px",
         background_fill_alpha: 0, border_line_color: null, click_policy: "hide", padding: 0, margin: 0 });
       figure.add_layout(figure.legend, "above");
     } else figure.legend.visible = false;

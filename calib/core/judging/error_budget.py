@@ -34,7 +34,7 @@ geometry.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,15 +120,31 @@ def causes_of(robot: Robot) -> tuple[str, ...]:
     return (*causes, *(term.cause for term in robot.terms for _ in term.parameters))
 
 
-def error_budget(fit: Fit) -> ErrorBudget:
+def joint_causes(robot: Robot) -> tuple[str, ...]:
+    """Return the joints whose origins each parameter moves, or whose error it is, as its cause, (n_parameters,)."""
+    causes, own = list(causes_of(robot)), robot.values[: len(robot.parametrisation.parameters)]
+    moved = robot.parametrisation.twists(own)
+    for k, cause in enumerate(causes):
+        if cause == GEOMETRY:
+            causes[k] = " and ".join(name for name, twist in moved.items() if np.any(twist[:, k]))
+    terms = [term.joint for term in robot.terms for _ in term.parameters]
+    return (*causes[: len(causes) - len(terms)], *terms)
+
+
+def error_budget(fit: Fit, causes_by_parameter: Sequence[str] | None = None) -> ErrorBudget:
     """Return the error budget of the readings that a fit has not used, or of all there are.
+
+    Args:
+        fit: The fit.
+        causes_by_parameter: The cause that each parameter stands for, (n_parameters,); `causes_of` if not given.
 
     Raises:
         UnreachablePoseError: The robot cannot be assembled on the way from before to after.
     """
     errors, unknowns, unused = fit.validation or fit.identification, fit.unknowns, fit.validation_rows
     rows = fit.rows if unused is None else unused
-    of_parameter = np.array(causes_of(fit.robot))[unknowns.index]
+    named = causes_of(fit.robot) if causes_by_parameter is None else causes_by_parameter
+    of_parameter = np.array(named)[unknowns.index]
     causes = list(dict.fromkeys(of_parameter.tolist()))
     members = np.array([of_parameter == cause for cause in causes])
     layout = rows.layout

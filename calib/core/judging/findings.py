@@ -5,6 +5,7 @@ Each finding is a function of a fit, made at first use.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from calib.core.fitting.outliers import Outlier, outliers_of, readings_of_outlie
 from calib.core.judging import residual_patterns
 from calib.core.judging.effect_kinds import Kind, Pattern, Trait
 from calib.core.judging.effects import EffectSetting, effects
-from calib.core.judging.error_budget import ErrorBudget, error_budget
+from calib.core.judging.error_budget import ErrorBudget, error_budget, joint_causes
 from calib.core.judging.linear_fit import LinearFit
 from calib.core.numerics import linalg
 from calib.core.numerics.losses import StudentisedErrors
@@ -138,7 +139,18 @@ def budget(fit: Fit) -> ErrorBudget | None:
 
     None if the robot cannot be assembled at a step between before and after.
     """
+    return _budget(fit)
+
+
+@memoize
+@one_blas_thread
+def joint_budget(fit: Fit) -> ErrorBudget | None:
+    """Return the error budget with the joints as causes: how much each of them makes; None as for `budget`."""
+    return _budget(fit, joint_causes(fit.robot))
+
+
+def _budget(fit: Fit, causes: Sequence[str] | None = None) -> ErrorBudget | None:
     try:
-        return error_budget(fit)
+        return error_budget(fit, causes)
     except UnreachablePoseError:
         return None

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from calib.core.base.units import ERROR_UNIT, error_scale
 from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
+from calib.core.judging.error_budget import NOISE, PLACES, REST, UNEXPLAINED, CauseShare, ErrorBudget
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 
 _NOT_SEEN = "none to be seen"
@@ -84,6 +87,23 @@ def budget_grid(fit: Fit) -> Grid | None:
         (*rows, whole),
         (len(rows),),
     )
+
+
+def worst_joints(budget: ErrorBudget) -> list[CauseShare]:
+    """Return what each joint made of the error before calibration, the largest first; `findings.joint_budget`."""
+    joints = [share for share in budget.shares if share.cause not in (PLACES, NOISE, UNEXPLAINED, REST)]
+    return sorted(joints, key=lambda share: -share.mean_square)
+
+
+def worst_joint(fit: Fit) -> str:
+    """Return the joint that made most of the error before calibration, and the next; empty where it is not known."""
+    budget = findings.joint_budget(fit)
+    joints = [] if budget is None else [share for share in worst_joints(budget) if share.mean_square > 0]
+    if budget is None or not joints:
+        return ""
+    percent = [100 * np.array([one.mean_square, 1.96 * one.std]) / budget.before for one in joints[:2]]
+    words = [f"{one.cause} {part:.2g} % ± {half:.2g} %" for one, (part, half) in zip(joints, percent, strict=False)]
+    return f"{words[0]} of the squared error before calibration" + (f"; next {words[1]}" if words[1:] else "")
 
 
 def budget_lines(fit: Fit) -> list[str]:

@@ -1,0 +1,71 @@
+"""A scene as a recording for rerun, `.rrd`: the robot pose by pose, readings with error arrows, and errors over poses.
+
+The recording has one timeline, `row`: the rows of the page, part by part. Errors are drawn in their place and enlarged
+as on the page; `errors/PART/before` and `after` are their sizes in the unit of the part.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.core.base.errors import InputError
+from calib.core.base.units import error_scale
+from calib.core.base.version import DISTRIBUTION
+from calib.core.fitting.error_sets import STATES
+from viz.charts import COLOURS
+from viz.poses import EXCLUDED
+from viz.scene import ViewerScene
+from viz.scene_data import rows_of
+
+
+def recording(scene: ViewerScene) -> bytes:
+    """Return the recording of a scene, as the bytes of its file.
+
+    Raises:
+        InputError: rerun is not installed.
+    """
+    try:
+        import rerun as rr
+    except ImportError:
+        raise InputError(
+            f"--rrd needs rerun, which is not installed: pip install rerun-sdk (or {DISTRIBUTION}[rerun])"
+        ) from None
+    stream = rr.RecordingStream(f"calibration of {scene.title}")
+    kept = stream.memory_recording()
+    stream.log("scene", rr.Transform3D(mat3x3=scene.view.upright), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    bodies = [f"scene/robot/{number}" for number in range(len(scene.bodies.names))]
+    for k, shape in enumerate((*scene.shapes, *scene.decorations)):
+        vertices, faces = shape.triangles()
+        place = "scene/around" if shape.body is None else bodies[scene.bodies.names.index(shape.body)]
+        colour = [round(255 * part) for part in shape.colour]
+        drawn = rr.Mesh3D(vertex_positions=vertices, triangle_indices=faces, albedo_factor=colour)
+        stream.log(f"{place}/{k}", drawn, static=True)
+    factors, first = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:], 0
+    of_robot = [np.arange(len(scene.shown)), *scene.pose_of_row] if scene.shows_poses else list(scene.pose_of_row)
+    for rows, enlarged, poses in zip(rows_of(scene), factors, of_robot, strict=True):
+        name, scale = rows.part.name.replace(" ", "_"), error_scale(rows.part.dimension)
+        known = np.isfinite(rows.anchors).all(axis=1)
+        labels = [f"pose {label}{', left out' if group == EXCLUDED else ', outlier' if bad else ''}"
+                  for label, group, bad in zip(rows.labels, rows.group, rows.outlier, strict=True)]  # fmt: skip
+        points = rr.Points3D(rows.anchors[known], labels=np.array(labels)[known].tolist(), show_labels=False)
+        stream.log(f"scene/{name}/read", points, static=True)
+        for state in STATES:
+            arrows = enlarged[state] * rows.arrows(state)
+            drawn_too = known & np.isfinite(arrows).all(axis=1)
+            every = rr.Arrows3D(origins=rows.anchors[drawn_too], vectors=arrows[drawn_too], colors=_rgb(COLOURS[state]))
+            stream.log(f"scene/{name}/{state}", every, static=True)
+        for row, pose in enumerate(poses):
+            stream.set_time("row", sequence=first + row)
+            for place, T in zip(bodies, scene.bodies.matrices(scene.solid, int(pose)), strict=True):
+                stream.log(place, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
+            for state in STATES:
+                if np.isfinite(size := rows.sizes(state)[row]):
+                    stream.log(f"errors/{name}/{state}", rr.Scalars(scale * size))
+        first += len(rows)
+    content: bytes = kept.drain_as_bytes()
+    return content
+
+
+def _rgb(colour: str) -> list[int]:
+    """Numbers of a colour such as #0072B2."""
+    return [int(colour[k : k + 2], 16) for k in (1, 3, 5)]

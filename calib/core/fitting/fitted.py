@@ -22,7 +22,7 @@ from calib.core.fitting.regions import Regions, disagreeing
 from calib.core.fitting.settings import RequestedOptions
 from calib.core.fitting.starts import Starts
 from calib.core.fitting.terms.candidate_terms import TermChoice
-from calib.core.fitting.unexplained import unexplained_joint_error
+from calib.core.fitting.unexplained import UnexplainedErrors, unexplained_errors
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import Rank
 from calib.core.numerics.losses import Loss
@@ -392,25 +392,17 @@ class Fit(ReadOnlyArrays, HintedObject):
         return ParameterUncertainty(self.free, known, factor, self.undecided, self.joint_error, contains)
 
     @cached_property
+    def unexplained(self) -> UnexplainedErrors:
+        """Return what the residuals show beside noise."""
+        return unexplained_errors(self)
+
+    @property
     def joint_error(self) -> float:
         """Error of each joint that residuals show beside noise, another one at each pose.
 
         In rad, of a joint that slides in characteristic lengths; 0 where there is none.
         """
-        if self.computed:
-            return 0.0
-        scale = self.robot.mechanism.joint_scale
-        by_joint = self.whitening.flatten(self.joint_derivative)[:, : len(scale)] * scale
-        weighing = self.whitening.weighing(self.scales.ratios)
-        plain = self.rows.jacobian if weighing is None else weighing.unwhiten(self.rows.jacobian)
-        rows = replace(
-            self.rows,
-            residuals=self.whitening.flatten(self.identification.after),
-            jacobian=plain * self.whitening.row_scale(self.scales.groups)[:, None],
-        )
-        return unexplained_joint_error(
-            rows.with_weights(self.weights), np.sqrt(self.weights)[rows.layout.reading, None] * by_joint
-        )
+        return self.unexplained.joint_error
 
     @cached_property
     def joint_derivative(self) -> dict[str, FloatArray]:
@@ -421,7 +413,9 @@ class Fit(ReadOnlyArrays, HintedObject):
     @property
     def undecided(self) -> UndecidedTerms | None:
         """Joint terms that the robot may have, too; None if none were left undecided."""
-        return None if self.terms is None else self.terms.undecided
+        if self.terms is not None and self.terms.automatic:
+            return self.terms.undecided
+        return self.unexplained.terms
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.core.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.contributions import Contribution, Contributions, Sureness, contributions_to
-from calib.core.base.errors import InputError, nearest
 from calib.core.base.other_words import HintedObject
 from calib.core.data.in_memory import PosesLike, as_poses
-from calib.core.fitting.error_sets import ErrorSet, Folds
+from calib.core.fitting.error_sets import Errors, ErrorSet, Folds, Residuals
 from calib.core.fitting.estimates import Correlation, Covariance, Estimates, estimates
 from calib.core.fitting.outliers import Outlier
 from calib.core.fitting.regions import Regions, disagreeing
@@ -80,34 +78,6 @@ class NoiseEstimate:
     sigma: float
     stated: float | None
     freedom: float
-
-
-class Errors(dict[str, dict[str, dict[str, object]]]):
-    """Errors by set of rows, state and quantity."""
-
-    def __missing__(self, key: object) -> NoReturn:
-        raise InputError(f"no errors of '{key}'{nearest(str(key), self)}")
-
-
-class Residuals(ReadAsArray, dict[str, FloatArray]):
-    """Residuals by instrument; of a single one, as an array: `np.std(fit.residuals)`, `fit.residuals[:10]`."""
-
-    __len__ = dict.__len__
-
-    def __getitem__(self, key: Any) -> Any:
-        """Return the residuals of an instrument by its name; with a single one, also what its array has there."""
-        return dict.__getitem__(self, key) if isinstance(key, str) else super().__getitem__(key)
-
-    def __missing__(self, key: object) -> NoReturn:
-        whole = "; np.asarray(fit.residuals) is an array" if len(self) == 1 else ""
-        raise InputError(f"no residuals of '{key}'{nearest(str(key), self)}{whole}")
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        if len(self) != 1:
-            raise InputError(
-                f"residuals of {len(self)} instruments are not one array; take one: residuals['{min(self)}']"
-            )
-        return np.array(next(iter(self.values())), dtype=dtype)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

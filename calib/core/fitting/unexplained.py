@@ -17,9 +17,9 @@ such as of a coupling, looks more like noise than like an error of all joints. B
 and such an error does. So where noise is not stated, kinds of joint errors that have few coefficients are in the model
 with sizes of their own (`calib.core.fitting.terms.kind_model`): each as large as is likeliest, if the log likelihood is
 higher with it by odds of 20 to 1 (kass1995), times their number: of many that are not there, one looks as if it were,
-and far from the poses measured it would count for much. The fit has none of them, so its robot is off by all of what the rows say about
-them, and that counts beside what they leave open. Where `--terms auto` has found the sizes of all kinds, these count
-instead.
+and far from the poses measured it would count for much. The fit has none of them, so its robot is off by all of what
+the rows say about them, and that counts beside what they leave open. Where `--terms auto` has found the sizes of all
+kinds, these count instead.
 
 What rows cannot tell apart counts as delta, because the noise of readings does not move the tool
 (`calib.core.numerics.size_search.scatter_beside_noise`). Where noise is known, that is nothing; where all joints move

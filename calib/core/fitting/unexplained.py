@@ -51,6 +51,8 @@ from calib.core.rows.prediction import UndecidedTerms
 if TYPE_CHECKING:
     from calib.core.fitting.fitted import Fit
 
+_SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is nothing beside others
+
 
 @dataclass(frozen=True)
 class UnexplainedErrors:
@@ -73,8 +75,8 @@ def unexplained_errors(fit: Fit) -> UnexplainedErrors:
     stated = np.array([group.stated for group in groups])
     kinds = () if np.all(stated) or (fit.terms is not None and fit.terms.automatic) else _kinds_of_few_coefficients(fit)
     model = KindModel(fit, kinds, fit.unknowns.scales)
-    rows = model.rows(np.ones(len(groups)), np.zeros(len(fit.scales.ratios)), stated)
-    at = solve_beside_noise(MixedModel.from_rows(rows))
+    rows = model.rows(np.where(stated, 1.0, fit.scales.groups), np.zeros(len(fit.scales.ratios)), stated)
+    at = solve_beside_noise(MixedModel.from_rows(rows, _SHORTEST))
     return UnexplainedErrors() if at is None else UnexplainedErrors(scatter_beside_noise(at), _shown(model, kinds, at))
 
 

@@ -363,7 +363,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @cached_property
     def unexplained(self) -> UnexplainedErrors:
-        """Return what the residuals show beside noise."""
+        """Errors that the residuals show beside noise."""
         return unexplained_errors(self)
 
     @property

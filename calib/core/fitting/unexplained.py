@@ -56,7 +56,7 @@ _SHORTEST = 0.3  # length of a component of usual size, over the noise of the fi
 
 @dataclass(frozen=True)
 class UnexplainedErrors:
-    """What residuals show beside noise.
+    """Errors that residuals show beside noise.
 
     Attributes:
         joint_error: Delta of the module docstring [rad]; 0 where noise explains the residuals.
@@ -68,7 +68,7 @@ class UnexplainedErrors:
 
 
 def unexplained_errors(fit: Fit) -> UnexplainedErrors:
-    """Return what the residuals of a fit show beside noise."""
+    """Return the errors that the residuals of a fit show beside noise."""
     if fit.computed:
         return UnexplainedErrors()
     groups = fit.whitening.groups

@@ -37,7 +37,7 @@ _LITTLE = 0.01  # of the largest variance that readings feel of undecided terms,
 
 
 @dataclass(frozen=True)
-class Family:
+class TermFamily:
     """Coefficients of one size.
 
     Attributes:
@@ -75,7 +75,7 @@ class KindModel:
         self.robot = with_kinds(fit.robot, kinds)
         self._unknowns = Unknowns.from_robot(self.robot)
         owner = {
-            p.name: Family(kind.term, term.joint if term.differs else "")
+            p.name: TermFamily(kind.term, term.joint if term.differs else "")
             for kind in kinds
             for term in kind.terms_in(self.robot)
             for p in term.parameters
@@ -85,7 +85,7 @@ class KindModel:
             own, known = [""] * len(own), dict(zip(fit.unknowns.names, scales, strict=True))
             every = zip(self._unknowns.names, self._unknowns.scales, strict=True)
             self._unknowns = replace(self._unknowns, scales=np.array([known.get(name, scale) for name, scale in every]))
-        labels = [owner.get(name, Family(label)) for name, label in zip(self._unknowns.names, own, strict=True)]
+        labels = [owner.get(name, TermFamily(label)) for name, label in zip(self._unknowns.names, own, strict=True)]
         self.families = [family for family in dict.fromkeys(labels) if family.term]
         numbers = {family: k for k, family in enumerate(self.families)}
         self._family = np.array([numbers.get(label, -1) for label in labels], dtype=np.intp)

@@ -75,7 +75,9 @@ def unexplained_errors(fit: Fit) -> UnexplainedErrors:
     stated = np.array([group.stated for group in groups])
     kinds = () if np.all(stated) or (fit.terms is not None and fit.terms.automatic) else _kinds_of_few_coefficients(fit)
     model = KindModel(fit, kinds, fit.unknowns.scales)
-    rows = model.rows(np.where(stated, 1.0, fit.scales.groups), np.zeros(len(fit.scales.ratios)), stated)
+    read = model.informative_rows
+    read = read[np.any(fit.weighted_rows.jacobian[read] != 0.0, axis=1)]
+    rows = model.rows(read, np.where(stated, 1.0, fit.scales.groups), np.zeros(len(fit.scales.ratios)), stated)
     at = solve_beside_noise(MixedModel.from_rows(rows, _SHORTEST))
     return UnexplainedErrors() if at is None else UnexplainedErrors(scatter_beside_noise(at), _shown(model, kinds, at))
 

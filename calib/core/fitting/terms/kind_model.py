@@ -99,10 +99,11 @@ class KindModel:
         some = poses[:: -(-len(poses) // _POSES)]
         return np.flatnonzero((layout.group >= 0) & np.isin(layout.pose_of_row, some))
 
-    def rows(self, groups: FloatArray, ratios: FloatArray, stated: BoolArray) -> MixedRows:
-        """Return the rows that tell the sizes.
+    def rows(self, read: IntArray, groups: FloatArray, ratios: FloatArray, stated: BoolArray) -> MixedRows:
+        """Return rows of the model.
 
         Args:
+            read: Which, (n_read,).
             groups: Scales of the noise that they are whitened by, (n_groups,).
             ratios: Of the offsets that they are weighed for, (n_offsets,).
             stated: Of which groups the noise is not found, (n_groups,).
@@ -121,7 +122,6 @@ class KindModel:
         by_joint = fit.whitening.joint_columns(observed) / fit.whitening.row_scale(groups)[:, None]
         levers: FloatArray = np.sqrt(fit.weights)[layout.reading, None] * by_joint * fit.robot.mechanism.joint_scale
         levers = levers if weighing is None else weighing.whiten(levers)
-        read = self.informative_rows
         return MixedRows.from_linear_problem(
             rows.take_rows(read), self._family, stated, layout.pose_of_row[read], levers[read]
         )

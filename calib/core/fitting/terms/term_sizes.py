@@ -129,8 +129,9 @@ class _TermModel:
     @cached_property
     def _rows(self) -> MixedRows:
         """Rows of the model, over the noise that the fit found; stated noise knows nothing of what the robot does."""
-        scales = self._fit.scales
-        return self._kind_model.rows(scales.groups, scales.ratios, np.zeros(len(scales.groups), dtype=bool))
+        scales, model = self._fit.scales, self._kind_model
+        found = np.zeros(len(scales.groups), dtype=bool)
+        return model.rows(model.informative_rows, scales.groups, scales.ratios, found)
 
     def _without_families(self, families: BoolArray) -> SolvedModel:
         """The model without some families, (n_families,), and with the likeliest sizes of the others."""

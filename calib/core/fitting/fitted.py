@@ -364,7 +364,9 @@ class Fit(ReadOnlyArrays, HintedObject):
     @cached_property
     def unexplained(self) -> UnexplainedErrors:
         """Errors that the residuals show beside noise."""
-        return unexplained_errors(self)
+        if self.computed:
+            return UnexplainedErrors()
+        return unexplained_errors(self, sized=self.terms is not None and self.terms.automatic)
 
     @property
     def joint_error(self) -> float:

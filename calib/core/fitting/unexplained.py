@@ -38,18 +38,14 @@ Reference: kass1995; patterson1971.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calib.core.fitting.terms.candidate_terms import TELLS, CandidateTerm, candidates
-from calib.core.fitting.terms.kind_model import KindModel, with_kinds
+from calib.core.fitting.terms.kind_model import KindModel, SolvedProblem, with_kinds
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.size_search import least_sizes, likeliest_sizes, scatter_beside_noise
 from calib.core.rows.prediction import UndecidedTerms
-
-if TYPE_CHECKING:
-    from calib.core.fitting.fitted import Fit
 
 _SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is nothing beside others
 
@@ -67,13 +63,16 @@ class UnexplainedErrors:
     terms: UndecidedTerms | None = None
 
 
-def unexplained_errors(fit: Fit) -> UnexplainedErrors:
-    """Return the errors that the residuals of a fit show beside noise."""
-    if fit.computed:
-        return UnexplainedErrors()
+def unexplained_errors(fit: SolvedProblem, *, sized: bool) -> UnexplainedErrors:
+    """Return the errors that the residuals of a fit show beside noise.
+
+    Args:
+        fit: The fit.
+        sized: Whether the sizes of all kinds of joint terms were found for it.
+    """
     groups = fit.whitening.groups
     stated = np.array([group.stated for group in groups])
-    kinds = () if np.all(stated) or (fit.terms is not None and fit.terms.automatic) else _kinds_of_few_coefficients(fit)
+    kinds = () if sized or np.all(stated) else _kinds_of_few_coefficients(fit)
     model = KindModel(fit, kinds, fit.unknowns.scales)
     read = model.informative_rows
     read = read[np.any(fit.weighted_rows.jacobian[read] != 0.0, axis=1)]
@@ -87,7 +86,7 @@ def solve_beside_noise(model: MixedModel) -> SolvedModel | None:
     return likeliest_sizes(model) if np.any(model.spread > 0.0) else None
 
 
-def _kinds_of_few_coefficients(fit: Fit) -> tuple[CandidateTerm, ...]:
+def _kinds_of_few_coefficients(fit: SolvedProblem) -> tuple[CandidateTerm, ...]:
     """Kinds that a fit lacks and its measurements can show, without curves."""
     kinds = [kind for kind in candidates(fit.robot, fit.identification.data) if not (kind.refused or kind.doubt)]
     robot = with_kinds(fit.robot, kinds)

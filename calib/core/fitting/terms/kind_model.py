@@ -14,23 +14,24 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.terms.candidate_terms import CandidateTerm
 from calib.core.numerics import linalg
 from calib.core.numerics.mixed_model import MixedModel
 from calib.core.numerics.mixed_rows import MixedRows
+from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import TermSection
 from calib.core.rows.observed import observe
 from calib.core.rows.prediction import UndecidedTerms
+from calib.core.rows.rows import Rows, Scales
 from calib.core.rows.unknowns import Unknowns
-
-if TYPE_CHECKING:
-    from calib.core.fitting.fitted import Fit
+from calib.core.rows.whitening import Whitening
 
 _POSES = 500  # that tell the sizes
 _LITTLE = 0.01  # of the largest variance that readings feel of undecided terms, below which directions are left out
@@ -47,6 +48,34 @@ class TermFamily:
 
     term: str
     joint: str = ""
+
+
+class SolvedProblem(Protocol):
+    """The attributes of a `Fit` that errors beside it are found from."""
+
+    @property
+    def robot(self) -> Robot: ...
+
+    @property
+    def identification(self) -> ErrorSet: ...
+
+    @property
+    def configurations(self) -> Configurations: ...
+
+    @property
+    def unknowns(self) -> Unknowns: ...
+
+    @property
+    def whitening(self) -> Whitening: ...
+
+    @property
+    def scales(self) -> Scales: ...
+
+    @property
+    def weights(self) -> FloatArray: ...
+
+    @property
+    def weighted_rows(self) -> Rows: ...
 
 
 def with_kinds(robot: Robot, kinds: Sequence[CandidateTerm]) -> Robot:
@@ -70,7 +99,7 @@ class KindModel:
         of_kinds: Which of them are of the kinds, (n_families,).
     """
 
-    def __init__(self, fit: Fit, kinds: Sequence[CandidateTerm], scales: FloatArray | None = None) -> None:
+    def __init__(self, fit: SolvedProblem, kinds: Sequence[CandidateTerm], scales: FloatArray | None = None) -> None:
         self._fit = fit
         self.robot = with_kinds(fit.robot, kinds)
         self._unknowns = Unknowns.from_robot(self.robot)

@@ -54,28 +54,28 @@ class SolvedProblem(Protocol):
     """The attributes of a `Fit` that errors beside it are found from."""
 
     @property
-    def robot(self) -> Robot: ...
+    def robot(self) -> Robot: ...  # noqa: D102
 
     @property
-    def identification(self) -> ErrorSet: ...
+    def identification(self) -> ErrorSet: ...  # noqa: D102
 
     @property
-    def configurations(self) -> Configurations: ...
+    def configurations(self) -> Configurations: ...  # noqa: D102
 
     @property
-    def unknowns(self) -> Unknowns: ...
+    def unknowns(self) -> Unknowns: ...  # noqa: D102
 
     @property
-    def whitening(self) -> Whitening: ...
+    def whitening(self) -> Whitening: ...  # noqa: D102
 
     @property
-    def scales(self) -> Scales: ...
+    def scales(self) -> Scales: ...  # noqa: D102
 
     @property
-    def weights(self) -> FloatArray: ...
+    def weights(self) -> FloatArray: ...  # noqa: D102
 
     @property
-    def weighted_rows(self) -> Rows: ...
+    def weighted_rows(self) -> Rows: ...  # noqa: D102
 
 
 def with_kinds(robot: Robot, kinds: Sequence[CandidateTerm]) -> Robot:

@@ -1,6 +1,7 @@
 import csv
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ def test_the_covariance_is_that_of_drawn_parameters_and_of_joints_off_by_what_is
     q = joints(4, seed=5)
     by_joint = positions_by_joint(fit.robot, q)[:, 0]
     left_out = fit.joint_error**2 * by_joint @ by_joint.swapaxes(1, 2)
-    prediction = fit.predict(q)
+    prediction = replace(fit.uncertainty, undecided=None).predict(fit.robot, q)
     rng = np.random.default_rng(2)
     drawn = rng.multivariate_normal(np.zeros(fit.free.sum()), fit.covariance.values, size=amount)
     positions = []

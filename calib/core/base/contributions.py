@@ -62,8 +62,8 @@ class Contribution(Enum):
     )
     UNDECIDED = (
         "undecided terms",
-        "sizes of joint terms, also of terms that the data neither show nor exclude",
-        "fitting.terms.term_sizes",
+        "joint terms that the fit does not have and the data show or do not exclude; sizes of those that it has",
+        "fitting.terms.kind_model",
         (Sureness.INTERVAL, Sureness.POSITION),
     )
     JOINT_ERRORS = (

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, IntArray, ReadAsArray, ReadOnlyArrays
+from calib.core.base.errors import InputError, nearest
 from calib.core.base.units import error_scale
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import Instrument, Part
@@ -178,3 +181,31 @@ def _standard_deviation(values: FloatArray) -> float:
 def _percentiles(values: FloatArray) -> dict[str, float]:
     percentiles = np.percentile(values, list(PERCENTILES.values()))
     return {key: float(value) for key, value in zip(PERCENTILES, percentiles, strict=True)}
+
+
+class Errors(dict[str, dict[str, dict[str, object]]]):
+    """Errors by set of rows, state and quantity."""
+
+    def __missing__(self, key: object) -> NoReturn:
+        raise InputError(f"no errors of '{key}'{nearest(str(key), self)}")
+
+
+class Residuals(ReadAsArray, dict[str, FloatArray]):
+    """Residuals by instrument; of a single one, as an array: `np.std(fit.residuals)`, `fit.residuals[:10]`."""
+
+    __len__ = dict.__len__
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return the residuals of an instrument by its name; with a single one, also what its array has there."""
+        return dict.__getitem__(self, key) if isinstance(key, str) else super().__getitem__(key)
+
+    def __missing__(self, key: object) -> NoReturn:
+        whole = "; np.asarray(fit.residuals) is an array" if len(self) == 1 else ""
+        raise InputError(f"no residuals of '{key}'{nearest(str(key), self)}{whole}")
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        if len(self) != 1:
+            raise InputError(
+                f"residuals of {len(self)} instruments are not one array; take one: residuals['{min(self)}']"
+            )
+        return np.array(next(iter(self.values())), dtype=dtype)

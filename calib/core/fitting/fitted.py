@@ -5,24 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.core.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.contributions import Contribution, Contributions, Sureness, contributions_to
-from calib.core.base.errors import InputError, nearest
 from calib.core.base.other_words import HintedObject
 from calib.core.data.in_memory import PosesLike, as_poses
-from calib.core.fitting.error_sets import ErrorSet, Folds
+from calib.core.fitting.error_sets import Errors, ErrorSet, Folds, Residuals
 from calib.core.fitting.estimates import Correlation, Covariance, Estimates, estimates
 from calib.core.fitting.outliers import Outlier
 from calib.core.fitting.regions import Regions, disagreeing
 from calib.core.fitting.settings import RequestedOptions
 from calib.core.fitting.starts import Starts
 from calib.core.fitting.terms.candidate_terms import TermChoice
-from calib.core.fitting.unexplained import unexplained_joint_error
+from calib.core.fitting.unexplained import UnexplainedErrors, unexplained_errors
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import Rank
 from calib.core.numerics.losses import Loss
@@ -80,34 +78,6 @@ class NoiseEstimate:
     sigma: float
     stated: float | None
     freedom: float
-
-
-class Errors(dict[str, dict[str, dict[str, object]]]):
-    """Errors by set of rows, state and quantity."""
-
-    def __missing__(self, key: object) -> NoReturn:
-        raise InputError(f"no errors of '{key}'{nearest(str(key), self)}")
-
-
-class Residuals(ReadAsArray, dict[str, FloatArray]):
-    """Residuals by instrument; of a single one, as an array: `np.std(fit.residuals)`, `fit.residuals[:10]`."""
-
-    __len__ = dict.__len__
-
-    def __getitem__(self, key: Any) -> Any:
-        """Return the residuals of an instrument by its name; with a single one, also what its array has there."""
-        return dict.__getitem__(self, key) if isinstance(key, str) else super().__getitem__(key)
-
-    def __missing__(self, key: object) -> NoReturn:
-        whole = "; np.asarray(fit.residuals) is an array" if len(self) == 1 else ""
-        raise InputError(f"no residuals of '{key}'{nearest(str(key), self)}{whole}")
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        if len(self) != 1:
-            raise InputError(
-                f"residuals of {len(self)} instruments are not one array; take one: residuals['{min(self)}']"
-            )
-        return np.array(next(iter(self.values())), dtype=dtype)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -392,25 +362,19 @@ class Fit(ReadOnlyArrays, HintedObject):
         return ParameterUncertainty(self.free, known, factor, self.undecided, self.joint_error, contains)
 
     @cached_property
+    def unexplained(self) -> UnexplainedErrors:
+        """Errors that the residuals show beside noise."""
+        if self.computed:
+            return UnexplainedErrors()
+        return unexplained_errors(self, sized=self.terms is not None and self.terms.automatic)
+
+    @property
     def joint_error(self) -> float:
         """Error of each joint that residuals show beside noise, another one at each pose.
 
         In rad, of a joint that slides in characteristic lengths; 0 where there is none.
         """
-        if self.computed:
-            return 0.0
-        scale = self.robot.mechanism.joint_scale
-        by_joint = self.whitening.flatten(self.joint_derivative)[:, : len(scale)] * scale
-        weighing = self.whitening.weighing(self.scales.ratios)
-        plain = self.rows.jacobian if weighing is None else weighing.unwhiten(self.rows.jacobian)
-        rows = replace(
-            self.rows,
-            residuals=self.whitening.flatten(self.identification.after),
-            jacobian=plain * self.whitening.row_scale(self.scales.groups)[:, None],
-        )
-        return unexplained_joint_error(
-            rows.with_weights(self.weights), np.sqrt(self.weights)[rows.layout.reading, None] * by_joint
-        )
+        return self.unexplained.joint_error
 
     @cached_property
     def joint_derivative(self) -> dict[str, FloatArray]:
@@ -421,7 +385,9 @@ class Fit(ReadOnlyArrays, HintedObject):
     @property
     def undecided(self) -> UndecidedTerms | None:
         """Joint terms that the robot may have, too; None if none were left undecided."""
-        return None if self.terms is None else self.terms.undecided
+        if self.terms is not None and self.terms.automatic:
+            return self.terms.undecided
+        return self.unexplained.terms
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:

@@ -12,57 +12,111 @@ test of whether anything is left out would leave out what is too small for it, w
 
 Noise that is stated is 1 in whitened rows, and all that residuals have beyond it is delta. Noise that is not stated is
 found together with delta. What tells one from the other: joints move the tool far in some directions and hardly in
-others, and noise does not know which; readings that repeat a pose share its errors of joints. What rows cannot tell
-apart counts as delta, because the noise of readings does not move the tool
+others, and noise does not know which; readings that repeat a pose share its errors of joints. An error of few joints,
+such as of a coupling, looks more like noise than like an error of all joints. But noise does not follow joint values,
+and such an error does. So where noise is not stated, kinds of joint errors that have few coefficients are in the model
+with sizes of their own (`calib.core.fitting.terms.kind_model`): each as large as is likeliest, if the log likelihood is
+higher with it by odds of 20 to 1 (kass1995), times their number: of many that are not there, one looks as if it were,
+and far from the poses measured it would count for much. The fit has none of them, so its robot is off by all of what
+the rows say about them, and that counts beside what they leave open. Where `--terms auto` has found the sizes of all
+kinds, these count instead.
+
+What rows cannot tell apart counts as delta, because the noise of readings does not move the tool
 (`calib.core.numerics.size_search.scatter_beside_noise`). Where noise is known, that is nothing; where all joints move
 all readings alike, as in a gantry, it is most of what residuals have.
 
 Delta is no part of the covariance of parameters: these are found with residuals as large as they are. Of very many
 poses, some tell it.
 
-When it fails. A stated noise that is too small counts as an error of the joints. Where noise is not stated, an error of
-few joints, as of a coupling, does not look like one of all joints, and most of it counts as noise: of three simulated
-arms with couplings, positions were off by 1.8 to 2.7 standard deviations (RMS), of twelve with gears, a sag or gains by
-0.85 to 1.35. State the noise, or fit the term. What the parameters took up shows in no residual: at poses unlike those
-measured the robot may be further off. Gross errors that a robust loss lets through count, too. Of a robot that its
-parameters describe, noise alone makes delta larger than 0 in about half of all fits.
+When it fails. A stated noise that is too small counts as an error of the joints. What the parameters took up shows in
+no residual: at poses unlike those measured the robot may be further off. Gross errors that a robust loss lets through
+count, too. Of a robot that its parameters describe, noise alone makes delta larger than 0 in about half of all fits.
 
-Reference: patterson1971.
+Reference: kass1995; patterson1971.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from calib.core.base.arrays import FloatArray
-from calib.core.numerics.mixed_model import MixedModel
-from calib.core.numerics.mixed_rows import MixedRows
-from calib.core.numerics.size_search import likeliest_sizes, scatter_beside_noise
-from calib.core.rows.rows import Rows
+from calib.core.fitting.terms.candidate_terms import TELLS, CandidateTerm, candidates
+from calib.core.fitting.terms.kind_model import KindModel, SolvedProblem, with_kinds
+from calib.core.numerics.mixed_model import MixedModel, SolvedModel
+from calib.core.numerics.size_search import least_sizes, likeliest_sizes, scatter_beside_noise
+from calib.core.rows.prediction import UndecidedTerms
 
-_POSES = 500
-"""Number of poses that tell delta."""
+_SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is nothing beside others
 
 
-def unexplained_joint_error(rows: Rows, by_joint: FloatArray) -> float:
-    """Return delta of the module docstring [rad]; 0 where noise explains the residuals.
+@dataclass(frozen=True)
+class UnexplainedErrors:
+    """Errors that residuals show beside noise.
+
+    Attributes:
+        joint_error: Delta of the module docstring [rad]; 0 where noise explains the residuals.
+        terms: Kinds of joint errors that the fit does not have, and its residuals show; None if there are none.
+    """
+
+    joint_error: float = 0.0
+    terms: UndecidedTerms | None = None
+
+
+def unexplained_errors(fit: SolvedProblem, *, sized: bool) -> UnexplainedErrors:
+    """Return the errors that the residuals of a fit show beside noise.
 
     Args:
-        rows: Whitened by the stated noise alone, with the weights of a robust loss.
-        by_joint: Their derivative by the joints, scaled by s_j, whitened likewise, (n_rows, n_joints).
+        fit: The fit.
+        sized: Whether the sizes of all kinds of joint terms were found for it.
     """
-    model = _model(rows, by_joint)
-    if not np.any(model.spread > 0.0):
-        return 0.0
-    return scatter_beside_noise(likeliest_sizes(model))
+    groups = fit.whitening.groups
+    stated = np.array([group.stated for group in groups])
+    kinds = () if sized or np.all(stated) else _kinds_of_few_coefficients(fit)
+    model = KindModel(fit, kinds, fit.unknowns.scales)
+    read = model.informative_rows
+    read = read[np.any(fit.weighted_rows.jacobian[read] != 0.0, axis=1)]
+    rows = model.rows(read, np.where(stated, 1.0, fit.scales.groups), np.zeros(len(fit.scales.ratios)), stated)
+    at = solve_beside_noise(MixedModel.from_rows(rows, _SHORTEST))
+    return UnexplainedErrors() if at is None else UnexplainedErrors(scatter_beside_noise(at), _shown(model, kinds, at))
 
 
-def _model(rows: Rows, by_joint: FloatArray) -> MixedModel:
-    """The model of some poses."""
-    layout, pose = rows.layout, rows.layout.pose_of_row
-    poses = np.unique(pose)
-    use = np.isin(pose, poses[:: -(-len(poses) // _POSES)]) & (layout.group >= 0) & np.any(rows.jacobian != 0.0, axis=1)
-    no_family, stated = np.full(rows.jacobian.shape[1], -1), np.array([group.stated for group in layout.groups])
-    return MixedModel.from_rows(
-        MixedRows.from_linear_problem(rows.take_rows(use), no_family, stated, pose[use], by_joint[use])
+def solve_beside_noise(model: MixedModel) -> SolvedModel | None:
+    """Return a model with its likeliest sizes; None where joints move none of its rows."""
+    return likeliest_sizes(model) if np.any(model.spread > 0.0) else None
+
+
+def _kinds_of_few_coefficients(fit: SolvedProblem) -> tuple[CandidateTerm, ...]:
+    """Kinds that a fit lacks and its measurements can show, without curves."""
+    kinds = [kind for kind in candidates(fit.robot, fit.identification.data) if not (kind.refused or kind.doubt)]
+    robot = with_kinds(fit.robot, kinds)
+    return tuple(kind for kind in kinds if not kind.is_curve_in(robot))
+
+
+def _shown(model: KindModel, kinds: tuple[CandidateTerm, ...], at: SolvedModel) -> UndecidedTerms | None:
+    """Kinds that the rows show, as large as is likeliest; None if there are none."""
+    n, least, known = at.model.n_families, least_sizes(at.model), at
+    for k in (k for k in np.argsort(at.logs[:n]) if at.logs[k] > least[k]):
+        logs = known.logs.copy()
+        logs[k] = least[k]
+        without = at.model.solve(logs)
+        if without.cost - known.cost < TELLS + np.log(n):
+            known = without
+    absent = known.logs[:n] <= least[:n]
+    if np.all(absent):
+        return None
+    shown = [family for family, gone in zip(model.families, absent, strict=True) if not gone]
+    sections = tuple(
+        section
+        for kind in kinds
+        for section in kind.scaled_sections(
+            model.robot,
+            {
+                term.joint: 1.0
+                for term in kind.terms_in(model.robot)
+                if any(family.term == kind.term and family.joint in ("", term.joint) for family in shown)
+            },
+        )
     )
+    none = np.append(least[:n], known.logs[n:])
+    return model.undecided(at.model.without(absent), none, [known.logs], sections)

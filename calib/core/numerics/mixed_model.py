@@ -32,7 +32,8 @@ logarithms of sizes, w_i = d log V_i / d(log size), are
                            mixed     sum of w_i T_ic^2 / V_i over the rows and the columns of f
                            noise, d  1/2 sum of w_i w'_i (1 - 2 h_i) + 1/2 tr(K A^-1 K' A^-1),  K = Z^T (w / V) Z
 
-With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B.
+With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B, or
+the sum of w_i w'_j (B_i . B_j)^2 over rows i and j.
 
 Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Those below
 a ten-thousandth of the largest are put aside: rows do not see them. So are, with a least length, those of a family
@@ -260,9 +261,13 @@ class SolvedModel(ReadOnlyArrays):
         families = 2.0 * members @ self.inverse**2 @ members.T
         families += np.diag(2.0 * members @ (1.0 - 2.0 * np.diag(self.inverse)))
         mixed = members @ (shares @ self._span**2).T
-        weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]
-        seen = np.array([(rows.T @ rows).ravel() for rows in weighed]).reshape(len(shares), -1)
-        noise = 0.5 * ((shares * (1.0 - 2.0 * self._leverage)) @ shares.T + seen @ seen.T)
+        if len(self._spread) < len(shares) * self._spread.shape[1]:  # the shorter of two ways to the same products
+            seen = shares @ (self._spread @ self._spread.T) ** 2 @ shares.T
+        else:
+            weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]
+            of_columns = np.array([(rows.T @ rows).ravel() for rows in weighed]).reshape(len(shares), -1)
+            seen = of_columns @ of_columns.T
+        noise = 0.5 * ((shares * (1.0 - 2.0 * self._leverage)) @ shares.T + seen)
         return np.block([[families, mixed], [mixed.T, noise]])
 
     @property

@@ -32,6 +32,7 @@ from calib.core.fitting.robust import RobustSolution
 from calib.core.fitting.settings import RequestedOptions, Settings
 from calib.core.fitting.solving import reset_unseen
 from calib.core.fitting.terms.candidate_terms import TermChoice
+from calib.core.fitting.unexplained import UnexplainedErrors
 from calib.core.instruments.kind import Readings
 from calib.core.judging.verdict import JudgedFit
 from calib.core.numerics.least_squares import LeastSquaresSolution
@@ -190,7 +191,8 @@ def evaluate_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedFi
         fit = JudgedFit.from_fit(_fit_of(robot, entry))
     except (CalibrationError, ValueError, KeyError, TypeError) as error:
         raise ComputationError(f"{where}: this version cannot evaluate the fit ({error}); run the fit again") from None
-    vars(fit)["joint_error"] = entry["joint_error"]  # to find it takes as long as all the rest
+    shown = _undecided_of(entry)
+    vars(fit)["unexplained"] = UnexplainedErrors(entry["joint_error"], shown)  # to find them takes as long as the rest
     return fit
 
 
@@ -215,10 +217,9 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
     )
     validation = None if entry["validation"] is None else _measurements_of(entry["validation"], nominal)
     fit = fit_at(minimum, settings, validation)
-    choice, undecided, folds = entry["choice"], entry["undecided"], entry["folds"]
+    requested, folds = entry["choice"], entry["folds"]
     expected = float("nan") if entry["expected"] is None else float(entry["expected"])
-    if undecided is not None:
-        undecided = UndecidedTerms(stored_terms(undecided["terms"]), tuple(undecided["names"]), undecided["spread"])
+    choice = TermChoice(requested, nominal.description.terms, (), _undecided_of(entry), expected)
     if folds is not None:
         folds = Folds(**_tuples(folds) | {"errors": ErrorSet(data, nominal.instruments, **folds["errors"])})
     return replace(
@@ -229,11 +230,16 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
         seconds=entry["seconds"],
         convergence=Convergence(**_tuples(entry["convergence"])),
         requested_options=RequestedOptions(**_tuples(entry["asked"])),
-        terms=None if choice is None else TermChoice(choice, nominal.description.terms, (), undecided, expected),
+        terms=None if requested is None else choice,
         folds=folds,
         excluded=tuple(Outlier(**outlier) for outlier in entry["excluded"]),
         with_all=None if entry["with_all"] is None else _fit_of(robot, entry["with_all"]),
     )
+
+
+def _undecided_of(entry: Mapping[str, Any]) -> UndecidedTerms | None:
+    own = entry["undecided"]
+    return None if own is None else UndecidedTerms(stored_terms(own["terms"]), tuple(own["names"]), own["spread"])
 
 
 def _tuples(entry: Mapping[str, Any]) -> dict[str, Any]:

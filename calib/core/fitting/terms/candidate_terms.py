@@ -47,6 +47,10 @@ class CandidateTerm:
             term for term in robot.terms if type(term) is TERMS[self.term] and {"all", term.joint} & set(joints)
         )
 
+    def is_curve_in(self, robot: Robot) -> bool:
+        """Whether its coefficients, in a robot that has its terms, are families whose sizes a fit finds."""
+        return any(p.family for term in self.terms_in(robot) for p in term.parameters)
+
     def scaled_sections(self, robot: Robot, factors: Mapping[str, float]) -> tuple[TermSection, ...]:
         """Return its entries for some joints, with coefficients that are so many times as large as is usual.
 

@@ -41,7 +41,7 @@ Reference: breiman1984; kass1995; patterson1971; roberts2017.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -61,24 +61,20 @@ from calib.core.fitting.terms.candidate_terms import (
     candidates,
     missing_terms,
 )
+from calib.core.fitting.terms.kind_model import KindModel
 from calib.core.fitting.validation import stretches
-from calib.core.numerics import linalg
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.mixed_rows import MixedRows
 from calib.core.numerics.size_search import draw_sizes, least_sizes, likeliest_sizes
 from calib.core.robots.terms.term import TermSection
-from calib.core.rows.observed import observe
 from calib.core.rows.prediction import UndecidedTerms
-from calib.core.rows.unknowns import Unknowns
 
 LEAST_POSES = 16
 """Different poses below which no sizes are found."""
 _SMALL = 0.05  # of what is usual: a family so small is fitted only if the rows show it
 _SHOWS = 1.0  # rise of the log likelihood by a family that they show
-_POSES = 500  # that tell the sizes
 _DRAWS = 24
 _SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is nothing beside others
-_LITTLE = 0.01  # of the largest variance that readings feel of undecided terms, below which directions are left out
 _LIMITS = (0.025, 0.975)
 
 
@@ -110,19 +106,6 @@ def size_terms(fit: Fit) -> TermChoice:
     return TermChoice("auto", sections, tuple(tried), model.undecided(sections), model.expected_rms())
 
 
-@dataclass(frozen=True)
-class _Family:
-    """Coefficients of one size.
-
-    Attributes:
-        term: Their kind.
-        joint: Their joint; empty for those of all joints.
-    """
-
-    term: str
-    joint: str = ""
-
-
 class _TermModel:
     """The mixed model of all kinds around a fit.
 
@@ -133,30 +116,10 @@ class _TermModel:
 
     def __init__(self, fit: Fit, kinds: Sequence[CandidateTerm]) -> None:
         self._fit = fit
+        self._kind_model = KindModel(fit, kinds)
+        self._families = self._kind_model.families
         self._sections = tuple(section for candidate in kinds for section in candidate.sections)
-        self.robot = fit.robot.with_terms((*fit.robot.description.terms, *self._sections))
-        self._unknowns = Unknowns.from_robot(self.robot)
-        owner = {
-            p.name: _Family(candidate.term, term.joint if term.differs else "")
-            for candidate in kinds
-            for term in candidate.terms_in(self.robot)
-            for p in term.parameters
-        }
-        own = [self._unknowns.families[k] if k >= 0 else "" for k in self._unknowns.family]
-        labels = [owner.get(name, _Family(label)) for name, label in zip(self._unknowns.names, own, strict=True)]
-        self._families = [family for family in dict.fromkeys(labels) if family.term]
-        numbers = {family: k for k, family in enumerate(self._families)}
-        self._family = np.array([numbers.get(label, -1) for label in labels], dtype=np.intp)
         self._solved = dict[frozenset[str], SolvedModel]()
-        self._requested = np.array([family in owner.values() for family in self._families], dtype=bool)
-
-    @cached_property
-    def _informative_rows(self) -> IntArray:
-        """Rows that tell the sizes."""
-        layout = self._fit.whitening.layout
-        poses = np.unique(layout.pose_of_row)
-        some = poses[:: -(-len(poses) // _POSES)]
-        return np.flatnonzero((layout.group >= 0) & np.isin(layout.pose_of_row, some))
 
     @cached_property
     def _solved_model(self) -> SolvedModel:
@@ -165,27 +128,10 @@ class _TermModel:
 
     @cached_property
     def _rows(self) -> MixedRows:
-        """Rows of the model, over the noise that the fit found."""
-        fit, layout = self._fit, self._fit.whitening.layout
-        data, near = fit.identification.data, fit.configurations.passive
-        observed = observe(
-            self.robot, self.robot.assemble(data.joints, near, data.labels, data.conditions), data.readings
-        )
-        groups, deviations = fit.scales.groups, self._unknowns.deviations(self.robot.values)
-        weighing = fit.whitening.weighing(fit.scales.ratios)
-        rows = (
-            fit.whitening.rows(observed, groups, self._unknowns, deviations)
-            .with_weights(fit.weights)
-            .whiten_shared(weighing)
-        )
-        by_joint = fit.whitening.joint_columns(observed) / fit.whitening.row_scale(groups)[:, None]
-        levers: FloatArray = np.sqrt(fit.weights)[layout.reading, None] * by_joint * fit.robot.mechanism.joint_scale
-        levers = levers if weighing is None else weighing.whiten(levers)
-        read = self._informative_rows
-        found = np.zeros(len(layout.groups), dtype=bool)  # stated noise knows nothing of what the robot does
-        return MixedRows.from_linear_problem(
-            rows.take_rows(read), self._family, found, layout.pose_of_row[read], levers[read]
-        )
+        """Rows of the model, over the noise that the fit found; stated noise knows nothing of what the robot does."""
+        scales, model = self._fit.scales, self._kind_model
+        found = np.zeros(len(scales.groups), dtype=bool)
+        return model.rows(model.informative_rows, scales.groups, scales.ratios, found)
 
     def _without_families(self, families: BoolArray) -> SolvedModel:
         """The model without some families, (n_families,), and with the likeliest sizes of the others."""
@@ -200,7 +146,7 @@ class _TermModel:
         setups = np.zeros(len(data), dtype=np.intp) if data.setups is None else data.setups
         layout, block, start = self._fit.whitening.layout, np.zeros(len(data), dtype=np.intp), 0
         visits = layout.visit[
-            layout.reading[self._informative_rows[[places[0] for places in self._solved_model.model.poses]]]
+            layout.reading[self._kind_model.informative_rows[[places[0] for places in self._solved_model.model.poses]]]
         ]
         each = np.unique(setups[visits])
         for setup in each:
@@ -213,7 +159,7 @@ class _TermModel:
     def _solve_with_kinds(self, kinds: frozenset[str]) -> SolvedModel:
         """The model with some of the requested kinds."""
         if kinds not in self._solved:
-            self._solved[kinds] = self._without_families(self._requested & ~np.isin(self._terms, list(kinds)))
+            self._solved[kinds] = self._without_families(self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds)))
         return self._solved[kinds]
 
     def _squares(self, at: SolvedModel) -> FloatArray:
@@ -236,7 +182,7 @@ class _TermModel:
     @cached_property
     def _requested_kinds(self) -> frozenset[str]:
         """Requested kinds."""
-        return frozenset(map(str, self._terms[self._requested]))
+        return frozenset(map(str, self._terms[self._kind_model.of_kinds]))
 
     @cached_property
     def _chosen_model(self) -> SolvedModel:
@@ -289,14 +235,14 @@ class _TermModel:
     def entries(self, candidate: CandidateTerm) -> tuple[TermSection, ...]:
         """Return the entries of a kind that are fitted, with the sigma that was found."""
         factors = dict[str, float]()
-        terms = candidate.terms_in(self.robot)
+        terms = candidate.terms_in(self._kind_model.robot)
         for k in (k for k in self._members(candidate.term) if self._is_fitted[k]):
             joints = [term.joint for term in terms if self._families[k].joint in ("", term.joint)]
             factors |= dict.fromkeys(joints, float(np.exp(self._chosen_model.logs[k])))
-        if any(p.family for term in terms for p in term.parameters):  # the fit finds its size again
+        if candidate.is_curve_in(self._kind_model.robot):  # the fit finds its size again
             section = candidate.sections[0]
             return tuple(section.model_copy(update={"joint": joint}) for joint in factors)
-        return candidate.scaled_sections(self.robot, factors)
+        return candidate.scaled_sections(self._kind_model.robot, factors)
 
     def outcome(self, candidate: CandidateTerm) -> TermTrial:
         """Return what was found about a kind."""
@@ -322,27 +268,10 @@ class _TermModel:
 
     def undecided(self, fitted_terms: tuple[TermSection, ...]) -> UndecidedTerms | None:
         """Return what the sizes leave uncertain of these terms and of the others; None if that is nothing."""
-        model = MixedModel.from_rows(self._rows, _SHORTEST)
         logs = self._chosen_model.logs.copy()
         logs[: len(self._families)][~self._is_fitted] = self._smallest_logs[: len(self._families)][~self._is_fitted]
-        fitted = model.solve(logs)
-        more, steps = -fitted.covariance, []
-        for draw in self._draws:
-            solved = model.solve(draw)
-            more += solved.covariance / _DRAWS
-            steps.append(solved.scale * solved.v - fitted.scale * fitted.v)
-        more += np.array(steps).T @ np.array(steps) / _DRAWS
-        sizes = np.linalg.norm(model.x, axis=0) + 1e-30
-        values, vectors = linalg.eigh(sizes[:, None] * more * sizes)
-        kept = values > _LITTLE * max(float(values[-1]), 0.0)
-        if not np.any(kept):
-            return None
-        condensed = vectors[:, kept] * np.sqrt(values[kept]) / sizes[:, None]
-        spread = np.stack([model.coefficients(column) for column in condensed.T], axis=1)
-        spread *= self._unknowns.scales[:, None]
-        names = [k for k, row in enumerate(spread) if np.any(row)]
         others = missing_terms(self._fit.robot.with_terms(fitted_terms), self._sections)
-        return UndecidedTerms(others, tuple(self._unknowns.names[k] for k in names), spread[names])
+        return self._kind_model.undecided(MixedModel.from_rows(self._rows, _SHORTEST), logs, self._draws, others)
 
     def expected_rms(self) -> float:
         """Return how far off poses that are left out are expected to be: root mean square of the main part [SI].
@@ -351,12 +280,12 @@ class _TermModel:
         what these share is not known, and that of joints may be far from it.
         """
         fit, layout = self._fit, self._fit.whitening.layout
-        if layout.n_readings > len(np.unique(layout.pose)) or not np.any(self._is_fitted & self._requested):
+        if layout.n_readings > len(np.unique(layout.pose)) or not np.any(self._is_fitted & self._kind_model.of_kinds):
             return float("nan")
         weighing = fit.whitening.weighing(fit.scales.ratios)
         std = np.full(layout.n_rows, np.nan)
         for places, _, covariance in self._chosen_model.left_out_errors():
-            std[self._informative_rows[places]] = np.sqrt(np.diag(covariance))
+            std[self._kind_model.informative_rows[places]] = np.sqrt(np.diag(covariance))
         std *= np.sqrt((1.0 if weighing is None else weighing.variances()) / fit.weights[layout.reading])
         scales = replace(fit.scales, ratios=np.zeros(len(fit.scales.ratios)))
         expected = replace(fit.identification, after=fit.whitening.unwhiten_rows(std, scales))

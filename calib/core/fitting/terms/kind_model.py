@@ -1,0 +1,186 @@
+"""The mixed model of kinds of joint errors around a fit (`calib.core.numerics.mixed_model`).
+
+Around the fit, rows are linear in its free parameters and in the coefficients of joint terms that its robot lacks. Each
+kind of term is a family, or one for each joint where joints differ (`JointTerm.differs`). Beside them, each joint has
+an error that differs from pose to pose, which stands for what no kind describes.
+
+What sizes leave uncertain. With coefficients u and covariance C of several sets of sizes, cov u = mean of C +
+covariance of u around those of the fit. What that is more than the C of the fit stands beside the covariance of the
+fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.terms.candidate_terms import CandidateTerm
+from calib.core.numerics import linalg
+from calib.core.numerics.mixed_model import MixedModel
+from calib.core.numerics.mixed_rows import MixedRows
+from calib.core.robots.configurations import Configurations
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import TermSection
+from calib.core.rows.observed import observe
+from calib.core.rows.prediction import UndecidedTerms
+from calib.core.rows.rows import Rows, Scales
+from calib.core.rows.unknowns import Unknowns
+from calib.core.rows.whitening import Whitening
+
+_POSES = 500  # that tell the sizes
+_LITTLE = 0.01  # of the largest variance that readings feel of undecided terms, below which directions are left out
+
+
+@dataclass(frozen=True)
+class TermFamily:
+    """Coefficients of one size.
+
+    Attributes:
+        term: Their kind.
+        joint: Their joint; empty for those of all joints.
+    """
+
+    term: str
+    joint: str = ""
+
+
+class SolvedProblem(Protocol):
+    """The attributes of a `Fit` that errors beside it are found from."""
+
+    @property
+    def robot(self) -> Robot: ...  # noqa: D102
+
+    @property
+    def identification(self) -> ErrorSet: ...  # noqa: D102
+
+    @property
+    def configurations(self) -> Configurations: ...  # noqa: D102
+
+    @property
+    def unknowns(self) -> Unknowns: ...  # noqa: D102
+
+    @property
+    def whitening(self) -> Whitening: ...  # noqa: D102
+
+    @property
+    def scales(self) -> Scales: ...  # noqa: D102
+
+    @property
+    def weights(self) -> FloatArray: ...  # noqa: D102
+
+    @property
+    def weighted_rows(self) -> Rows: ...  # noqa: D102
+
+
+def with_kinds(robot: Robot, kinds: Sequence[CandidateTerm]) -> Robot:
+    """Return a robot with terms of some kinds beside its own, coefficients zero."""
+    sections = [section for kind in kinds for section in kind.sections]
+    return robot.with_terms((*robot.description.terms, *sections)) if sections else robot
+
+
+class KindModel:
+    """Rows of kinds of joint errors around a fit.
+
+    Args:
+        fit: The fit.
+        kinds: The kinds.
+        scales: Sigma of its free parameters, (n_free,) [SI]: families that it has keep their sizes. They are families
+            of this model, too, if not given.
+
+    Attributes:
+        robot: The robot with terms of all kinds.
+        families: The families of the model.
+        of_kinds: Which of them are of the kinds, (n_families,).
+    """
+
+    def __init__(self, fit: SolvedProblem, kinds: Sequence[CandidateTerm], scales: FloatArray | None = None) -> None:
+        self._fit = fit
+        self.robot = with_kinds(fit.robot, kinds)
+        self._unknowns = Unknowns.from_robot(self.robot)
+        owner = {
+            p.name: TermFamily(kind.term, term.joint if term.differs else "")
+            for kind in kinds
+            for term in kind.terms_in(self.robot)
+            for p in term.parameters
+        }
+        own = [self._unknowns.families[k] if k >= 0 else "" for k in self._unknowns.family]
+        if scales is not None:
+            own, known = [""] * len(own), dict(zip(fit.unknowns.names, scales, strict=True))
+            every = zip(self._unknowns.names, self._unknowns.scales, strict=True)
+            self._unknowns = replace(self._unknowns, scales=np.array([known.get(name, scale) for name, scale in every]))
+        labels = [owner.get(name, TermFamily(label)) for name, label in zip(self._unknowns.names, own, strict=True)]
+        self.families = [family for family in dict.fromkeys(labels) if family.term]
+        numbers = {family: k for k, family in enumerate(self.families)}
+        self._family = np.array([numbers.get(label, -1) for label in labels], dtype=np.intp)
+        self.of_kinds = np.array([family in owner.values() for family in self.families], dtype=bool)
+
+    @cached_property
+    def informative_rows(self) -> IntArray:
+        """Rows that tell the sizes, (n_read,)."""
+        layout = self._fit.whitening.layout
+        poses = np.unique(layout.pose_of_row)
+        some = poses[:: -(-len(poses) // _POSES)]
+        return np.flatnonzero((layout.group >= 0) & np.isin(layout.pose_of_row, some))
+
+    def rows(self, read: IntArray, groups: FloatArray, ratios: FloatArray, stated: BoolArray) -> MixedRows:
+        """Return rows of the model.
+
+        Args:
+            read: Which, (n_read,).
+            groups: Scales of the noise that they are whitened by, (n_groups,).
+            ratios: Of the offsets that they are weighed for, (n_offsets,).
+            stated: Of which groups the noise is not found, (n_groups,).
+        """
+        fit, layout = self._fit, self._fit.whitening.layout
+        data, near = fit.identification.data, fit.configurations.passive
+        same = self.robot is fit.robot
+        poses = fit.configurations if same else self.robot.assemble(data.joints, near, data.labels, data.conditions)
+        observed = observe(self.robot, poses, data.readings, joints=True)
+        weighing, deviations = fit.whitening.weighing(ratios), self._unknowns.deviations(self.robot.values)
+        rows = (
+            fit.whitening.rows(observed, groups, self._unknowns, deviations)
+            .with_weights(fit.weights)
+            .whiten_shared(weighing)
+        )
+        by_joint = fit.whitening.joint_columns(observed) / fit.whitening.row_scale(groups)[:, None]
+        levers: FloatArray = np.sqrt(fit.weights)[layout.reading, None] * by_joint * fit.robot.mechanism.joint_scale
+        levers = levers if weighing is None else weighing.whiten(levers)
+        return MixedRows.from_linear_problem(
+            rows.take_rows(read), self._family, stated, layout.pose_of_row[read], levers[read]
+        )
+
+    def undecided(
+        self, model: MixedModel, fitted: FloatArray, others: Iterable[FloatArray], terms: tuple[TermSection, ...]
+    ) -> UndecidedTerms | None:
+        """Return what the sizes leave uncertain beside the covariance of the fit; None if that is nothing.
+
+        Args:
+            model: Of `rows`.
+            fitted: Logarithms of the sizes that the fit has, (n_sizes,).
+            others: Those of each set of sizes that may be right, (n_sizes,) each.
+            terms: Entries of terms that the fit does not have, and these sets have.
+        """
+        at = model.solve(fitted)
+        more, steps = [], []
+        for logs in others:
+            solved = model.solve(logs)
+            more.append(solved.covariance)
+            steps.append(solved.scale * solved.v - at.scale * at.v)
+        added = sum(more, start=np.zeros_like(at.covariance)) / len(more) - at.covariance
+        added += np.array(steps).T @ np.array(steps) / len(steps)
+        sizes = np.linalg.norm(model.x, axis=0) + 1e-30
+        values, vectors = linalg.eigh(sizes[:, None] * added * sizes)
+        kept = values > _LITTLE * max(float(values[-1]), 0.0)
+        if not np.any(kept):
+            return None
+        condensed = vectors[:, kept] * np.sqrt(values[kept]) / sizes[:, None]
+        spread = np.stack([model.coefficients(column) for column in condensed.T], axis=1)
+        spread *= self._unknowns.scales[:, None]
+        names = [k for k, row in enumerate(spread) if np.any(row)]
+        return UndecidedTerms(terms, tuple(self._unknowns.names[k] for k in names), spread[names])

@@ -46,7 +46,7 @@ _FITTED = 0.25  # part of the poses that judge: offsets need no more
 class ControllerFile(FormatFile):
     """A file for a controller, with what it leaves."""
 
-    left: Remainder | None
+    remainder: Remainder | None
 
 
 def dh_file(robot: Robot, convention: Convention, provenance: Sequence[str] = ()) -> ControllerFile:
@@ -210,7 +210,7 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     if known is None:
         q, where = judging_poses(robot)
         zeros = joint_zeros(robot, q, fitted=_FITTED)
-        left, before = (Remainder.from_distances(distances, where) for distances in (zeros.left, zeros.before))
+        left, before = (Remainder.from_distances(distances, where) for distances in (zeros.errors, zeros.errors_before))
         reached = f"{left.text()}; the nominal model without them has {millimetres(before.rms):.4g} mm RMS"
         signs, offsets = zeros.signs, zeros.offsets
     else:

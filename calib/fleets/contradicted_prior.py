@@ -28,7 +28,7 @@ from calib.core.fitting.settings import Settings
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.robots.fleet_prior import FleetSection
 from calib.core.robots.robot import Robot
-from calib.fleets.hierarchy import likeness
+from calib.fleets.hierarchy import compare_with_fleet
 from calib.fleets.shared_parameters import evidence_of_fit, expectation_of_fleet, shared_parameters, without_fleet
 
 _WIDE = 5.0  # by which a prior is wider that shall decide little
@@ -54,7 +54,7 @@ def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Setti
     while shared:
         evidence = evidence_of_fit(alone.robot, alone.free, alone.statistics.covariance, freedom, shared)
         mean, expected = expectation_of_fleet(fleet, robot, shared)
-        compared = likeness(evidence, mean, expected, np.full(len(shared), fleet.robots + _EXTRA))
+        compared = compare_with_fleet(evidence, mean, expected, np.full(len(shared), fleet.robots + _EXTRA))
         if not compared.p_value() < FALSE_ALARM:
             break
         if len(unlike) + 1 > _MOST * len(fleet.parameters) or not np.any(np.isfinite(compared.distances)):

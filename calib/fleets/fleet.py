@@ -22,7 +22,7 @@ from calib.core.results.result_reading import load_result
 from calib.core.robots.description import description_yaml
 from calib.core.robots.fleet_prior import FleetSection
 from calib.core.robots.robot import Robot
-from calib.fleets.hierarchy import Hierarchy, Likeness, learn_without_odd
+from calib.fleets.hierarchy import FleetComparison, Hierarchy, learn_without_odd
 from calib.fleets.shared_parameters import evidence_of_fit, section_of, shared_parameters, without_fleet
 from calib.fleets.ur_files import is_calibration, result_of_calibration
 
@@ -47,29 +47,29 @@ class Member:
         name: What its folder has that the others' have not.
         folder: Its result, as it was given.
         verdict, n_poses: Of its result.
-        odd: Whether it is unlike the others, which then learned nothing from it.
-        together: Root mean square of how far it is from what the others expect, 1 on average; NaN if not tested.
+        is_unlike: Whether it is unlike the others, which then learned nothing from it.
+        combined_rms: Root mean square of how far it is from what the others expect, 1 on average; NaN if not tested.
         p_value: Chance of a robot so far off in anything, over all tests of this robot; NaN likewise.
-        unlike: Parameters in which an odd robot is further off than chance, the furthest first, with the distance in
-            standard deviations of what is expected.
+        unlike_parameters: Parameters in which such a robot is further off than chance, the furthest first, with the
+            distance in standard deviations of what is expected.
     """
 
     name: str
     folder: str
     verdict: str
     n_poses: int
-    odd: bool
-    together: float
+    is_unlike: bool
+    combined_rms: float
     p_value: float
-    unlike: tuple[tuple[str, float], ...]
+    unlike_parameters: tuple[tuple[str, float], ...]
 
     def sentence(self) -> str:
         """Say whether it is like the others."""
         if np.isnan(self.p_value):
             return "not tested"
-        if not self.odd:
+        if not self.is_unlike:
             return "like the others"
-        words = listing([f"{name} ({away:+.0f} sigma)" for name, away in self.unlike[:_NAMED]])
+        words = listing([f"{name} ({away:+.0f} sigma)" for name, away in self.unlike_parameters[:_NAMED]])
         return f"UNLIKE the others: {words or 'in many parameters a little'}"
 
 
@@ -84,7 +84,7 @@ class Fleet(ReadOnlyArrays):
         nominal: Nominal values, (n,) [SI].
         mean, mean_std: Mean over the robots, and its standard deviation, (n,) [SI].
         spread: Standard deviation from robot to robot, (n,) [SI].
-        shown: How many robots determine each parameter, (n,).
+        n_determined: How many robots determine each parameter, (n,).
         values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of a robot left out, by its
             own fit.
         notes: What to know before using it.
@@ -97,13 +97,13 @@ class Fleet(ReadOnlyArrays):
     mean: FloatArray
     mean_std: FloatArray
     spread: FloatArray
-    shown: FloatArray
+    n_determined: FloatArray
     values: FloatArray
     stds: FloatArray
     notes: tuple[str, ...]
 
     def __repr__(self) -> str:
-        odd = [member.name for member in self.members if member.odd]
+        odd = [member.name for member in self.members if member.is_unlike]
         ending = f"; unlike the others: {listing(odd)}" if odd else ""
         return f"<fleet of {len(self.members)} robots '{self.robot.name}', {len(self.parameters)} parameters{ending}>"
 
@@ -120,11 +120,11 @@ class Fleet(ReadOnlyArrays):
         robots = text_table(
             ("robot", "verdict", "poses", "off", "p", "comparison"), ("robot", "verdict", "comparison"), plain=True
         )
-        some, odd = [*range(len(self.members))], np.array([member.odd for member in self.members])
+        some, odd = [*range(len(self.members))], np.array([member.is_unlike for member in self.members])
         if not verbose:
             some = _first(np.nan_to_num([member.p_value for member in self.members], nan=2.0), odd)
         for member in (self.members[k] for k in some):
-            off = "-" if np.isnan(member.together) else f"{member.together:.2f}"
+            off = "-" if np.isnan(member.combined_rms) else f"{member.combined_rms:.2f}"
             chance = "-" if np.isnan(member.p_value) else f"{member.p_value:.2g}"
             robots.add_row(member.name, member.verdict, str(member.n_poses), off, chance, member.sentence())
         others = _hidden_count_lines(len(self.members) - len(some), "robot", "are more like the others")
@@ -134,14 +134,16 @@ class Fleet(ReadOnlyArrays):
         for k in shown:
             parameter, numbers = self.parameters[k], (away[k], self.mean_std[k], self.spread[k])
             cells = [f"{round(float(number) * parameter.per_si, 4) + 0.0:.4f}" for number in numbers]
-            table.add_row(parameter.name, parameter.unit, f"{parameter.sigma:.4g}", *cells, f"{self.shown[k]:.1f}")
+            table.add_row(
+                parameter.name, parameter.unit, f"{parameter.sigma:.4g}", *cells, f"{self.n_determined[k]:.1f}"
+            )
         less = _hidden_count_lines(len(away) - len(shown), "parameter", "differ less clearly from nominal")
         ending = ("\n" + self.conclusion(), *self.notes)
         return plain_text([robots, *others, "", table, *less, *ending], _WIDTH, wrap=True)
 
     def conclusion(self) -> str:
         """Return in a sentence what was learned."""
-        odd = [member.name for member in self.members if member.odd]
+        odd = [member.name for member in self.members if member.is_unlike]
         spread = np.median(self.spread / np.array([p.sigma_si for p in self.parameters]))
         left = f" Left out as unlike the others: {listing(odd)}." if odd else ""
         return (
@@ -166,12 +168,21 @@ class Fleet(ReadOnlyArrays):
                     "unit": parameter.unit,
                     "sigma": parameter.sigma,
                     **shown,
-                    "shown": self.shown[k],
+                    "shown": self.n_determined[k],
                     **values,
                 }
             )
         members = [
-            {**vars(member), "unlike": [{"parameter": name, "distance": away} for name, away in member.unlike]}
+            {
+                "name": member.name,
+                "folder": member.folder,
+                "verdict": member.verdict,
+                "n_poses": member.n_poses,
+                "odd": member.is_unlike,
+                "together": member.combined_rms,
+                "p_value": member.p_value,
+                "unlike": [{"parameter": name, "distance": away} for name, away in member.unlike_parameters],
+            }
             for member in self.members
         ]
         return as_data({"robots": members, "parameters": rows, "chance": FALSE_ALARM, "notes": self.notes})
@@ -281,7 +292,7 @@ def _fleet(folders: Sequence[Path]) -> Fleet:
         nominal + learned.mean * scales,
         np.sqrt(np.diag(learned.covariance)) * scales,
         np.sqrt(learned.variance) * scales,
-        learned.shown,
+        learned.n_determined,
         values,
         stds,
         tuple(_notes(folders, loaded, odd)),
@@ -371,7 +382,7 @@ def _values_of_each(
 
 
 def _member(
-    name: str, result: LoadedResult, odd: bool, compared: Likeness | None, shared: Sequence[Parameter]
+    name: str, result: LoadedResult, odd: bool, compared: FleetComparison | None, shared: Sequence[Parameter]
 ) -> Member:
     content, folder = result.content, result.path
     grade, n_poses = str(content["verdict"]["grade"]), int(content["n_poses"])
@@ -381,7 +392,7 @@ def _member(
     order = np.argsort(-np.nan_to_num(np.abs(compared.distances)))
     unlike = [(shared[k].name, float(compared.distances[k])) for k in order if n * compared.p_values[k] < FALSE_ALARM]
     named = tuple(unlike) if odd else ()
-    return Member(name, folder, grade, n_poses, odd, compared.together, compared.p_value(), named)
+    return Member(name, folder, grade, n_poses, odd, compared.combined_rms, compared.p_value(), named)
 
 
 def _confirmed_freedom(results: Sequence[LoadedResult]) -> float:

@@ -42,8 +42,9 @@ class Agreement(ReadOnlyArrays):
 
     Attributes:
         ratio: Sum of squares over the largest of all draws: at most 1 where rounding explains them.
-        far: How far each pair is from what the others predict, over the largest of all draws, (n_pairs,).
-        allowed: Distance that rounding moves a printed position, 95 % of the pairs [m].
+        relative_distances: How far each pair is from what the others predict, over the largest of all draws,
+            (n_pairs,).
+        rounding_distance: Distance that rounding moves a printed position, 95 % of the pairs [m].
         claim: Distance between robot and controller at other poses over the joints' ranges, 95 % of them [m].
         turn_claim: The same for orientations [rad].
         left_out: Distance from what the others predict, RMS over the pairs [m].
@@ -51,8 +52,8 @@ class Agreement(ReadOnlyArrays):
     """
 
     ratio: float
-    far: FloatArray
-    allowed: float
+    relative_distances: FloatArray
+    rounding_distance: float
     claim: float
     turn_claim: float
     left_out: float

@@ -34,19 +34,19 @@ class Alignment(ReadOnlyArrays):
     Attributes:
         base: X, (4, 4).
         tool: Y, (4, 4).
-        misses: Distance and, by `ARM`, turn that are left in each row, (n,) [m].
+        distances: Distance and, by `ARM`, turn that are left in each row, (n,) [m].
         kept: Which rows it was made of, (n,).
     """
 
     base: FloatArray
     tool: FloatArray
-    misses: FloatArray
+    distances: FloatArray
     kept: BoolArray
 
     @property
-    def miss(self) -> float:
+    def rms_distance(self) -> float:
         """Root mean square of the misses of the rows that were kept [m]."""
-        return float(np.sqrt(np.mean(self.misses[self.kept] ** 2)))
+        return float(np.sqrt(np.mean(self.distances[self.kept] ** 2)))
 
 
 def align(robot: FloatArray, printed: FloatArray) -> Alignment:

@@ -75,17 +75,17 @@ def match(
     fits = [_first_fit(nominal, read, one, tool, base, seed) for one in candidates(nominal, read)]
     fit = _best_fit(fits, read) if len(fits) > 1 else fits[0]
     remarks += fit.candidate.reading.mistakes(read)
-    if not fit.agreed.to_the_digits and fit.tool is not None:
+    if not fit.agreement.to_the_digits and fit.tool is not None:
         free = replace(fit, tool=None)
-        if free.agreed.left_out < _BETTER * fit.agreed.left_out:
+        if free.agreement.left_out < _BETTER * fit.agreement.left_out:
             remarks += ["the tool is another one than the one stated"] if tool is not None else []
             fit = free
     fit = _without_others(fit)
-    tried = fit.explanation() if terms and not fit.agreed.to_the_digits else None
+    tried = fit.explanation() if terms and not fit.agreement.to_the_digits else None
     away = _stock_misses(fit)
     gone = tuple((read.rows[k], float(away[k])) for k in range(len(away)) if k not in fit.kept)
     places = _places(fit, stated=(base is not None, tool is not None))
-    return Match(fit.fit, fit.candidate, read, fit.agreed, gone, places, tuple(remarks), tried)
+    return Match(fit.fit, fit.candidate, read, fit.agreement, gone, places, tuple(remarks), tried)
 
 
 def _first_fit(
@@ -112,8 +112,8 @@ def _first_fit(
 
 def _best_fit(fits: list[TwinFit], pairs: Pairs) -> TwinFit:
     """The reading that fits best; an error where another one fits alike, and no header says which."""
-    best = min(fit.agreed.left_out for fit in fits)
-    alike = [fit for fit in fits if fit.agreed.left_out <= _ALIKE * best]
+    best = min(fit.agreement.left_out for fit in fits)
+    alike = [fit for fit in fits if fit.agreement.left_out <= _ALIKE * best]
     without_mistakes = [fit for fit in alike if not fit.candidate.reading.mistakes(pairs)]
     if len(alike) > 1 and (len(without_mistakes) != 1 or not pairs.words):
         raise alike_error(pairs, [fit.candidate.reading for fit in alike])
@@ -124,12 +124,12 @@ def _without_others(fit: TwinFit) -> TwinFit:
     """Without pairs that are of another program, where rounding explains all others."""
     less = fit
     for _ in range(int(_WRONG * len(fit.pairs))):
-        far = less.agreed.far
-        if less.agreed.to_the_digits or len(far) <= _LEAST or np.max(far) < _SINGLE * np.median(far):
+        far = less.agreement.relative_distances
+        if less.agreement.to_the_digits or len(far) <= _LEAST or np.max(far) < _SINGLE * np.median(far):
             break
         worst = less.kept[int(np.argmax(far))]
         less = replace(less, kept=tuple(k for k in less.kept if k != worst))
-    return less if less.agreed.to_the_digits else fit
+    return less if less.agreement.to_the_digits else fit
 
 
 def _places(fit: TwinFit, stated: tuple[bool, bool]) -> tuple[str, str]:

@@ -174,19 +174,20 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
         )
     limit = _FIT * spread
     for readings in _single_twists(robot, pairs, usual):
-        if min(tried, key=_miss).aligned.miss <= limit:
+        if min(tried, key=_miss).aligned.rms_distance <= limit:
             break
         tried += [_place(robot, pairs, reading) for reading in readings]
     best = min(tried, key=_miss)
-    if best.aligned.miss > limit:
+    if best.aligned.rms_distance > limit:
         raise DataError(
             f"{pairs.path}: no reading of the columns brings the poses near {robot.path}; the nearest"
-            f" ({best.reading.words()}) leaves {millimetres(best.aligned.miss):.0f} mm; is it this robot, with one"
+            f" ({best.reading.words()}) leaves {millimetres(best.aligned.rms_distance):.0f} mm; is it this robot,"
+            f" with one"
             " tool and one base in all rows, the joint values of one row with its pose?"
         )
     alike: list[PlacedInterpretation] = []
     for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), _miss(one))):
-        near = one.aligned.miss < min(_ALIKE * best.aligned.miss, limit)
+        near = one.aligned.rms_distance < min(_ALIKE * best.aligned.rms_distance, limit)
         if near and not any(_are_same(pairs, one.reading, other.reading) for other in alike):
             alike.append(one)
     if len(alike) > _MOST:
@@ -209,7 +210,7 @@ def nominal_poses(robot: Robot, joints: FloatArray) -> FloatArray:
 
 
 def _miss(candidate: PlacedInterpretation) -> float:
-    return candidate.aligned.miss
+    return candidate.aligned.rms_distance
 
 
 def _are_same(pairs: Pairs, one: Interpretation, other: Interpretation) -> bool:

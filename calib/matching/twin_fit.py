@@ -59,7 +59,7 @@ class TwinFit:
         return self._fit(self._data[0].joints)
 
     @cached_property
-    def agreed(self) -> Agreement:
+    def agreement(self) -> Agreement:
         """Agreement that the fit reaches."""
         return agreement(self.fit, _CONTROLLER, self._data[1], self.seed)
 

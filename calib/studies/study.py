@@ -65,8 +65,8 @@ class _Setting:
         source: Where the data of a draw come from.
         settings: How to fit.
         repeated: Calibrates like the first time.
-        elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad].
-        near: Passive joints there, (n, n_passive) [m or rad].
+        prediction_joints: Joint values of poses to predict, (n, n_actuated) [m or rad].
+        prediction_passive: Passive joints there, (n, n_passive) [m or rad].
         compiled: Whether there is so much to do that loading compiled code is worth it.
         seed: Of the whole study; draws have those spawned from it.
     """
@@ -74,8 +74,8 @@ class _Setting:
     source: SimulatedDraws | ResampledDraws
     settings: Settings
     repeated: RepeatedCalibration
-    elsewhere: FloatArray
-    near: FloatArray
+    prediction_joints: FloatArray
+    prediction_passive: FloatArray
     compiled: bool
     seed: np.random.SeedSequence
 
@@ -223,14 +223,14 @@ def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
     first = setting.first
     true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
     errors = half_width = np.zeros((0, len(truth.target_names), 3))
-    if len(setting.elsewhere):
+    if len(setting.prediction_joints):
         values = first.robot.values.copy()
         values[first.unknowns.index] = estimate.values
         robot = first.robot.with_parameters(values)
-        at = linearise(robot, robot.assemble(setting.elsewhere, setting.near))
+        at = linearise(robot, robot.assemble(setting.prediction_joints, setting.prediction_passive))
         spread = propagate_covariance(at.jacobian[..., first.unknowns.index], estimate.covariance)
         half_width = estimate.coverage_factor * np.sqrt(np.diagonal(spread, axis1=2, axis2=3))
-        errors = at.positions - truth.positions(setting.elsewhere, seed=setting.near)
+        errors = at.positions - truth.positions(setting.prediction_joints, seed=setting.prediction_passive)
     rows = (
         np.array([true.get(name, np.nan) for name in first.free_names]),
         estimate.values,
@@ -249,7 +249,7 @@ def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
 def _draw_without_answer(setting: _Setting) -> Draws:
     """One draw that gave no answer."""
     first = setting.first
-    n_free, at_targets = len(first.unknowns), (len(setting.elsewhere), len(first.nominal.target_names), 3)
+    n_free, at_targets = len(first.unknowns), (len(setting.prediction_joints), len(first.nominal.target_names), 3)
     shapes = ((n_free,),) * 4 + ((len(first.noise),),) + ((),) * 3 + (at_targets,) * 2
     return Draws(*(np.full((1, *shape), np.nan) for shape in shapes))
 

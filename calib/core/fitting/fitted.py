@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays
-from calib.core.base.contributions import Contribution, Contributions, Sureness, contributions_to
+from calib.core.base.contributions import Contribution, Contributions, Uncertainty, contributions_to
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.other_words import HintedObject
 from calib.core.data.in_memory import PosesLike, as_poses
@@ -217,7 +217,7 @@ class Fit(ReadOnlyArrays, HintedObject):
             known = known.with_more(np.sum(self.undecided.sensitivity_of(self.free_names) ** 2, axis=1))
         by_name = estimates(self.nominal.parameters, self.robot.values, self.free, known)
         later = {name: replace(by_name[name], status="placed") for name in self.placed_later}
-        return Estimates({**by_name, **later}, self.contains(Sureness.INTERVAL))
+        return Estimates({**by_name, **later}, self.contains(Uncertainty.INTERVAL))
 
     @cached_property
     def covariance(self) -> Covariance:
@@ -226,7 +226,7 @@ class Fit(ReadOnlyArrays, HintedObject):
         Intervals of parameters also include terms that `--terms auto` left undecided.
         """
         values = self.interval_factor**2 * self.statistics.covariance
-        return Covariance(self.free_names, values, self.contains(Sureness.COVARIANCE))
+        return Covariance(self.free_names, values, self.contains(Uncertainty.COVARIANCE))
 
     @cached_property
     def regions(self) -> Regions | None:
@@ -236,7 +236,7 @@ class Fit(ReadOnlyArrays, HintedObject):
         depths = self.robot.mechanism.depths
         return disagreeing(self.identification.data, depths, self.weighted_rows, self.statistics)
 
-    def contains(self, number: Sureness) -> Contributions:
+    def contains(self, number: Uncertainty) -> Contributions:
         """Return what a number of this fit that says how sure something is contains.
 
         Whether positions are reported in another frame, these say themselves.
@@ -387,7 +387,7 @@ class Fit(ReadOnlyArrays, HintedObject):
     @property
     def uncertainty(self) -> ParameterUncertainty:
         """Uncertainty of the free parameters."""
-        factor, contains = self.statistics.coverage_factor, self.contains(Sureness.POSITION)
+        factor, contains = self.statistics.coverage_factor, self.contains(Uncertainty.POSITION)
         known = self.covariance.values
         return ParameterUncertainty(self.free, known, factor, self.undecided, self.joint_error, contains)
 

@@ -50,7 +50,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.contributions import Contributions, Sureness, contributions_to
+from calib.core.base.contributions import Contributions, Uncertainty, contributions_to
 from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.core.base.words import listing
 from calib.core.data.pose_groups import APART, is_apart
@@ -161,7 +161,7 @@ class Claim:
     @property
     def contains(self) -> Contributions:
         """Contributions that the numbers contain."""
-        return contributions_to(Sureness.CLAIM)
+        return contributions_to(Uncertainty.CLAIM)
 
     @property
     def holds(self) -> bool:

@@ -1,4 +1,4 @@
-"""What users hold: a fit that reports on itself and saves itself. Everything below knows only plain functions."""
+"""The fit that users hold: it reports on itself and saves itself. Everything below knows only plain functions."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Calibration(JudgedFit, CalibratedRobot):
         """Return the result as text.
 
         Args:
-            verbose: Everything; otherwise the answer on one screen.
+            verbose: Whether to return everything; otherwise the answer on one screen.
         """
         return text_report(self, verbose=verbose)
 
@@ -134,8 +134,8 @@ class Calibration(JudgedFit, CalibratedRobot):
             progress: Called with the number of draws done and of all draws.
 
         Returns:
-            How far every parameter scatters, beside the standard deviation that fits claim (`Study.to_dataframe`); see
-            `calib.study`.
+            How far every parameter scatters, compared with the standard deviation that fits claim
+            (`Study.to_dataframe`); see `calib.study`.
 
         Raises:
             InputError: The number of draws is not valid.
@@ -196,7 +196,7 @@ def fit(
         data: Measurements to identify with; a file or a data frame of them, as `read_measurements` reads it; or a list
             of these. Or, with `readings`, joint values (n, n_actuated) [m or rad].
         readings: What was read at these joint values, as in `as_measurements`, such as positions (n, 3) [m].
-        validation: Measurements to validate the result with, likewise; or the part of the poses to hold out for that,
+        validation: Measurements to validate the result with, in the same forms; or the part of the poses to hold out,
             between 0 and 1.
         sigma: Standard deviation of measured positions per axis, in place of what the description states: a number [m],
             text such as `0.04 mm`, or one for each row of `data`, (n,) or (n, 3) [m]. Where neither states it, it is
@@ -209,7 +209,7 @@ def fit(
         seed: Seed of perturbed starts, of folds, and of what is held out.
         terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that
             predict left-out poses better, or a list such as `curve,elbow=backlash` or `["curve", "elbow=backlash"]`.
-        fix: Parameters to leave as they are, beside those that the description holds; `all`: every
+        fix: Parameters to leave as they are, in addition to those that the description holds; `all`: every
             parameter except unknown places of base and targets.
         free: Parameters to fit although the description or `fix="all"` holds them.
         prior: How far off parameters are expected to be, one standard deviation with its unit by name, such as

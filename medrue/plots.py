@@ -147,7 +147,7 @@ def spread_figure(names: tuple[str, ...], errors: FloatArray, floors: FloatArray
     """How the error of every choice of poses scatters over the draws.
 
     Theory bounds the mean square over the draws, not the root of each draw's, whose mean is smaller. So the root of
-    that mean square is drawn too, beside the bound.
+    that mean square is drawn too, with the bound.
 
     Args:
         names: The choices.

@@ -7,7 +7,7 @@ the true position, without noise.
 
 What the paper does not say and one draw cannot: the same over many draws of the noise (paired: every set of poses sees
 the same noise), over many draws of the actual parameters (uniform within +-2 mm and +-1.5 deg, as the paper's), and
-beside what theory allows: with J_v the Jacobian at a validation pose and C = sigma^2 (J^T J)^-1, no unbiased estimate
+with what theory allows: with J_v the Jacobian at a validation pose and C = sigma^2 (J^T J)^-1, no unbiased estimate
 has a smaller mean squared error than trace(J_v C J_v^T) (Cramer-Rao). Least squares reaches it as far as the problem
 is linear.
 

@@ -1,4 +1,4 @@
-"""MedRUE calibrated without a tracker: by touch, and by encoders on its passive joints, beside the tracker.
+"""MedRUE calibrated without a tracker: by touch, and by encoders on its passive joints, compared with the tracker.
 
 The paper's authors later calibrated MedRUE in simulation by touch alone, with a force-torque sensor. Here it is done in
 kind: their way of touching, their noise and their poses are others. All methods (`medrue.touch_methods`) measure 84

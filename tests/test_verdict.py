@@ -82,7 +82,10 @@ def test_a_good_fit_passes_without_reasons(good):
         (Convergence(False, "the limit of evaluations was reached", 0.01, "j1.x", True), "the limit of evaluations"),
         (Convergence(False, "the sum no longer changes", 12.0, "j1.x", True), "j1.x would still move by 12 standard"),
         (Convergence(False, "the sum no longer changes", 0.0, "j1.x", False), "weights of the robust loss"),
-        (Convergence(False, "", 2.0, "j1.x", True, ("j1.y", "j2.x")), "do not determine j1.y, j2.x: the fit would move them without limit"),
+        (
+            Convergence(False, "", 2.0, "j1.x", True, ("j1.y", "j2.x")),
+            "do not determine j1.y, j2.x: the fit would move them without limit",
+        ),
     ],
 )
 def test_not_converged_fails(good, end, words):

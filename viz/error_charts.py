@@ -1,4 +1,4 @@
-"""Plots of errors, of each part of readings: their distribution, where they are, and what they follow."""
+"""Plots of errors, of each part of readings: their distribution, their places, and the quantities that they follow."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PAIRED = 6  # joints whose ranges are drawn in pairs; of more, neighbours only
 
 
 def page_rows(scene: ViewerScene) -> PageRows:
-    """Return what hover says of each row of the page, its pose and its mark."""
+    """Return the text on hover of each row of the page, its pose and its mark."""
     texts, keys, marks = [], [], []
     for rows in rows_of(scene):
         scale, unit = error_scale(rows.part.dimension), ERROR_UNIT[rows.part.dimension]
@@ -97,7 +97,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
 
 
 def corrections(fit: Fit, joints: tuple[ViewerJoint, ...]) -> Chart | None:
-    """Return what the joint terms that were fitted add to each joint, at the poses measured; None without terms."""
+    """Return the errors of each joint by fitted joint terms, at the poses measured; None without terms."""
     if not fit.robot.terms:
         return None
     data = fit.identification.data

@@ -1,4 +1,4 @@
-"""What is known about each measured point: where it was commanded, measured and predicted, and how sure that is."""
+"""The data of each measured point: commanded, measured and predicted positions, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MOST_ROWS = 20_000  # in one page, about 9 MB; more cannot be told apart on a s
 
 @dataclass(frozen=True, eq=False)
 class PredictingRobot:
-    """A calibrated robot and how sure its positions are.
+    """A calibrated robot and the uncertainty of its positions.
 
     Attributes:
         robot: The robot.
@@ -152,7 +152,7 @@ def _evenly_spread(rows: IntArray, count: int) -> IntArray:
 
 
 def average_poses(table: PoseTable) -> PoseTable:
-    """Return one row for each point of a pose: the mean of its readings, which the rows of `table` are.
+    """Return one row for each point of a pose: the mean of its readings, the rows of `table`.
 
     Places are counted anew, so that repeats leave no gaps between the poses.
     """

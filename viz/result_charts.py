@@ -1,4 +1,4 @@
-"""Plots of what a fit found: its parameters, the causes of the error, and what files are worth."""
+"""Plots of the results of a fit: its parameters, the causes of the error, and the errors of files."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def parameters(fit: Fit) -> Chart | None:
 
 
 def waterfall(fit: Fit) -> Chart | None:
-    """Return what each cause took away from the error before calibration, and what is left."""
+    """Return the part of the error before calibration that each cause took away, and the rest."""
     budget = budget_table(fit)
     if budget is None:
         return None
@@ -116,7 +116,7 @@ def waterfall(fit: Fit) -> Chart | None:
 
 
 def file_worth_chart(fit: Fit) -> Chart | None:
-    """Return how far off each kind of file is: RMS and 95 % limit."""
+    """Return the errors of each kind of file: RMS and 95 % limit."""
     grid = files_grid(fit)
     if grid is None:
         return None

@@ -1,4 +1,4 @@
-"""What every simulator format is written from: the calibrated URDF, one assembled configuration, and the ties.
+"""The source of every simulator format: the calibrated URDF, one assembled configuration, and the ties.
 
 A tie says that two links meet: in a point, or as whole frames. Everything is computed from the numbers in the text of
 the calibrated URDF, so a robot that was exported and loaded again gives the same model to the last bit.

@@ -1,4 +1,4 @@
-"""What controllers and ROS hold: Denavit-Hartenberg tables, joint zeros, Universal Robots' kinematics, xacro origins.
+"""Files for controllers and ROS: Denavit-Hartenberg tables, joint zeros, Universal Robots' kinematics, xacro origins.
 
 Most of them hold less than the calibrated robot. Each file says, in its comment, what it holds and which error is left
 at the target, judged by the robot itself with all that it has: loops, joint terms, tool.
@@ -44,7 +44,7 @@ _FITTED = 0.25  # part of the poses that judge: offsets need no more
 
 @dataclass(frozen=True)
 class ControllerFile(FormatFile):
-    """A file for a controller, with what it leaves."""
+    """A file for a controller, and the error that it leaves."""
 
     remainder: Remainder | None
 
@@ -201,7 +201,7 @@ def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:
 
 
 def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
-    """Return a sign and a zero correction for each joint with a motor, and what they alone reach.
+    """Return a sign and a zero correction for each joint with a motor, and the error that they leave.
 
     Of a fit, those that fit its measurements best; else those of `joint_zeros`, over the joint ranges.
     """

@@ -7,9 +7,9 @@ little further, so that the way back (which command gives a wanted value) holds 
 is known.
 
 Only errors that depend on the joint's own command fit into a table. What else the model has (backlash, compliance,
-bending, drift) is left out, and said with its size. The tables, and the joint origins that go with them, are then those
-that a fit found to be best without it (`calib.core.robots.accuracy_of_files`); the URDF with these origins lies beside
-the tables. Tables and the origins of another file do not go together.
+bending, drift) is left out; the file states its size. The tables, and the joint origins that go with them, are then
+those that a fit found to be best without it (`calib.core.robots.accuracy_of_files`); the URDF with these origins lies
+beside the tables. Tables and the origins of another file do not go together.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from calib.core.robots.robot_files import without_terms
 from calib.core.robots.terms.term import Context, JointTerm
 
 TOLERANCE = 4e-7
-"""What interpolation may be off [rad or m]."""
+"""Largest error of the interpolation [rad or m]."""
 _TURNS = 2.0 * np.pi  # range to either side of a joint that turns without limits [rad]
 _MOST_STEPS = 200_000
 _SI: dict[Dimension, str] = {"length": "m", "angle": "rad"}
@@ -80,7 +80,7 @@ def require_own_terms(robot: Robot) -> None:
 
 
 def lost_by_tables(robot: Robot) -> list[str]:
-    """Return what of a robot no table can hold, with its size, one line each."""
+    """Return the errors of a robot that no table can hold, with their sizes, one line each."""
     left, start = [], robot.coefficients.start
     for term in robot.terms:
         indices = slice(start, start := start + len(term.parameters))
@@ -115,7 +115,7 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
 
 
 def _remark_on_rest(robot: Robot, indices: slice, term: JointTerm) -> str:
-    """Say what of a joint's error is not in its table."""
+    """Say which part of a joint's error is not in its table."""
     dimension = robot.mechanism.dimensions[term.joint]
     size = quantity_text(float(np.max(np.abs(robot.values[indices]))), dimension)
     depends_on = listing([condition.words for condition in term.depends_on])

@@ -38,9 +38,9 @@ TIE_SOFTNESS = {"solref": "-1000000 -1000", "solimp": "0.999 0.999 0.001 0.5 2"}
 WORLD = "world_link"
 """Name of the body for a root link called `world`, which MuJoCo keeps for itself."""
 _LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
-"""What a moving link without mass gets [kg], [kg m^2]: MuJoCo refuses massless ones."""
+"""Mass and inertia that a moving link without mass gets [kg], [kg m^2]: MuJoCo refuses massless ones."""
 _NO_MASS, _NO_INERTIA = 1e-9, 1e-12
-"""What a massless link with shapes gets [kg], [kg m^2]: MuJoCo before 3.4 takes its mass from the shapes otherwise."""
+"""Mass and inertia of a massless link with shapes [kg], [kg m^2]: MuJoCo before 3.4 takes its mass from the shapes."""
 _TYPES = {"prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
 
 

@@ -57,7 +57,7 @@ FORMATS = (
         text.motive_lines,
     ),
     OtherFormat(
-        "a report of measured beside nominal values, as PolyWorks and FARO write it",
+        "a report of measured and nominal values, as PolyWorks and FARO write it",
         "`Name` with `Meas X`, `Actual X`, ...; or with `Meas` and a column of X, Y, Z below each other",
         "columns pose (the name), X, Y, Z as measured, with the unit that the header or a line above names",
         reports.is_report,

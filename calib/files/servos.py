@@ -1,4 +1,4 @@
-"""Calibrations of LeRobot's servos: no measurements, but they say what the numbers of a log of joints are."""
+"""Calibrations of LeRobot's servos: no measurements, but the meaning of numbers in a log of joints."""
 
 from __future__ import annotations
 

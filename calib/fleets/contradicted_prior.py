@@ -1,4 +1,4 @@
-"""Whether a robot is like its fleet: what the fleet says is left out where the readings contradict it.
+"""A robot is compared with its fleet: the fleet's prior is left out where the readings contradict it.
 
 A robot that was repaired, that fell, or that is of another make would be pulled towards the others, and its noise would
 seem larger than it is, which hides that. So it is fitted first as if there were no fleet, and what its readings tell is
@@ -37,13 +37,13 @@ _EXTRA = 3.0  # degrees of freedom of spreads beyond one for each robot: what pa
 
 
 def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Settings, fleet: FleetSection) -> Robot:
-    """Return the robot without what its fleet says that the readings contradict.
+    """Return the robot without those parts of its fleet's prior that the readings contradict.
 
     Args:
         robot: The nominal robot.
         data: What it is fitted to.
-        settings: How.
-        fleet: What it says, of the robot's description.
+        settings: Options of the fit.
+        fleet: The fleet's section of the robot's description.
     """
     alone = _with_little_of_it(robot, fleet, data, replace(settings, starts=1))
     if alone is None:
@@ -70,7 +70,7 @@ def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Setti
 
 
 def _with_little_of_it(robot: Robot, fleet: FleetSection, data: Measurements, settings: Settings) -> Fit | None:
-    """The fit without the fleet, or with little of what it says; None where neither is possible."""
+    """The fit without the fleet, or with a wide prior of it; None where neither is possible."""
     wide = robot.description.model_copy(update={"fleet": fleet.widen(_WIDE, robot.parameters)})
     for tried in (without_fleet(robot), replace(robot, description=wide)):
         with suppress(CalibrationError):

@@ -44,12 +44,12 @@ class Member:
     """One robot of a fleet.
 
     Attributes:
-        name: What its folder has that the others' have not.
+        name: The part of its folder's name that the others do not have.
         folder: Its result, as it was given.
         verdict, n_poses: Of its result.
         is_unlike: Whether it is unlike the others, which then learned nothing from it.
         combined_rms: Root mean square of how far it is from what the others expect, 1 on average; NaN if not tested.
-        p_value: Chance of a robot so far off in anything, over all tests of this robot; NaN likewise.
+        p_value: Chance of a robot so far off in anything, over all tests of this robot; NaN if not tested.
         unlike_parameters: Parameters in which such a robot is further off than chance, the furthest first, with the
             distance in standard deviations of what is expected.
     """

@@ -1,6 +1,6 @@
 """Mean and spread of a model's parameters from the results of several robots, and robots that are unlike the others.
 
-Result i has a likelihood of its own n scaled parameters u_i, with precision H_i and pull h_i,
+Result i has a likelihood of its own n scaled parameters u_i, with precision H_i and information vector h_i,
 
     log p(data_i | u_i) = -u_i^T H_i u_i / 2 + h_i^T u_i + const,
 

@@ -1,4 +1,4 @@
-"""Whether a fitted robot agrees with a controller as far as the digits of a file go, and how far elsewhere.
+"""Agreement of a fitted robot with a controller: within the digits of a file, and at other poses.
 
 The only noise of printed pairs is rounding, of joint values and of poses: every number is off by a uniform part of its
 last digit. With L_v what these parts do to the whitened rows of pair v, and rows and priors linear,
@@ -9,7 +9,7 @@ last digit. With L_v what these parts do to the whitened rows of pair v, and row
     r'_v = (1 - J_v C J_v^T)^-1 r_v                    the same at pair v, predicted by a fit of the others
 
 Many draws of w are the distribution of sum r^2, sum r'^2 and of errors elsewhere, without approximations of a normal
-noise. Real residuals far above all draws say that the controller computes with something that the model has not.
+noise. Real residuals far above all draws say that the controller computes with something that the model lacks.
 
 When it fails. Something that the controller knows and that is smaller than what rounding hides; the claim has an
 allowance for that (`_ALLOWANCE`).
@@ -73,7 +73,7 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
         name: Of the instrument that stands for the controller.
         rounding: L before whitening, (n_pairs, 6, k) [m, rad].
         seed: Of the draws.
-        more: What else may move the whitened rows, in proportion, (6 n_pairs, c); the fit is not made again.
+        more: Further columns by which the whitened rows may move, (6 n_pairs, c); the fit is not repeated.
     """
     rng = np.random.default_rng(seed)
     whitening, n, k = fit.whitening, len(rounding), rounding.shape[2]

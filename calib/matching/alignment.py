@@ -21,7 +21,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.rigid import nearest_rotation
 
 ARM = 0.3
-"""Length by which a turn counts beside a distance [m]."""
+"""Length of the lever by which a turn counts as a distance [m]."""
 _ROUNDS = 5
 _FAR = 6.0  # times the median miss, beyond which a row is left out
 _LEAST = 1e-4  # miss that is never left out [m]

@@ -1,4 +1,4 @@
-"""What the numbers of pairs mean: units, form of the rotations, which frame is seen from which, signs and order.
+"""Meaning of the numbers of pairs: units, form of the rotations, which frame is seen from which, signs and order.
 
 Every reading is tried on the nominal robot, base and tool placed as well as possible (`calib.matching.alignment`). The
 right one leaves what the robot's origins are off, some millimetres; a wrong one leaves a part of the workspace. Tried
@@ -54,7 +54,7 @@ class Twist:
     """A deviation from the usual meaning of a file.
 
     Attributes:
-        words: It; empty for nothing.
+        words: The deviation in words; empty: none.
         joints: A of joint values A q + b, q as they stand, (n_joints, n_joints); None for one.
         zeros: b, (n_joints,) [m or rad].
         shift: By how many rows the joint values stand below their poses.
@@ -80,7 +80,7 @@ class Interpretation:
         joint_unit, length_unit, angle_unit: Of joints that turn, of lengths, and of the rotations' angles.
         joint_scales: What makes numbers of the file joint values, (n_joints,) [m or rad per 1].
         direction: Key of `_DIRECTIONS`.
-        twist: What else is not as in most files.
+        twist: A further deviation from most files.
     """
 
     convention: Convention
@@ -131,7 +131,7 @@ class Interpretation:
         return f"{text}; {_DIRECTIONS[self.direction]}"
 
     def mistakes(self, pairs: Pairs) -> list[str]:
-        """Return in what the file is not as its header, or as most files are."""
+        """Return the differences of the file from its header, or from most files."""
         columns = zip(("joint values", "positions", "rotations"), pairs.units,
                    (self.joint_unit, self.length_unit, self.angle_unit), strict=True)  # fmt: skip
         found = [

@@ -18,7 +18,7 @@ from calib.matching.pairs import Pairs
 from calib.matching.readings import PlacedInterpretation
 
 FILES = {"dh": "dh.csv", "mdh": "mdh.csv", "xacro": "origins.xacro", "ur-kinematics": "default_kinematics.yaml"}
-"""What is written beside the URDF, by the format."""
+"""What is written next to the URDF, by the format."""
 _WIDTH = 118
 _OF_DIGITS = 2.0  # claim over what rounding does to a printed position, up to which it is of its size
 
@@ -34,7 +34,7 @@ class Match:
         agreement: What the result is worth.
         left_out: Names of pairs that are of another program, and how far they are off [m].
         places: Where base and tool are, in words.
-        remarks: What is not as its header, or the user, says.
+        remarks: Contradictions to the file's header or to what the user stated.
         terms: Joint terms with which the controller would agree better, and what these leave; None if not tried.
     """
 

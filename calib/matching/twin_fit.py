@@ -64,7 +64,7 @@ class TwinFit:
         return agreement(self.fit, _CONTROLLER, self._data[1], self.seed)
 
     def explanation(self) -> tuple[str, Agreement]:
-        """Return what the controller knows beside joint origins, in words, and what that leaves."""
+        """Return the joint terms that the controller knows, in words, and what that leaves."""
         data, rounding = self._data
         return explanation(self.fit, self._fit, data.joints, _CONTROLLER, rounding, self.seed)
 

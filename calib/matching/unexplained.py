@@ -1,4 +1,4 @@
-"""Errors of joints that a controller computes with beside joint origins, found from the residuals of a fit.
+"""Errors of joints that a controller computes with in addition to joint origins, found from the residuals of a fit.
 
 Each hypothesis moves joints, dq = phi(q) c, and so the whitened rows by G c:
 

@@ -24,7 +24,7 @@ from calib.motion.route import Route, Stop
 _DEGREES, _MM = PER_SI["angle"]["deg"], PER_SI["length"]["mm"]
 _ROBOT_AXES = 6
 THIRD_JOINT = ("j3", "j2+j3")
-"""What the third joint of a robot file is on a FANUC controller, which counts J3 from the horizontal."""
+"""The third joint of a robot file on a FANUC controller, which counts J3 from the horizontal."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Motion:
 
     Attributes:
         name: Of the program; letters, digits and underscores.
-        speed: Part of what the controller lets joints do, 0 to 1.
+        speed: Part of the speed that the controller allows, 0 to 1.
         joint_speed: Of the joint that moves fastest, where the program states it [rad/s or m/s].
         dwell: At each stop before the instrument reads [s].
         reading: How long the output is on [s].
@@ -67,7 +67,7 @@ class Language:
 
 @dataclass(frozen=True)
 class _Words:
-    """How a controller's language says the steps of a route.
+    """The words of a controller's language for the steps of a route.
 
     Attributes:
         begin, end: Lines before and behind the stops, with {name}, {question} and {percent}.
@@ -75,7 +75,7 @@ class _Words:
         joint: Of one joint, with {k}, from 1, and {value}.
         remark: A comment.
         wait: With a time [s].
-        output: With the number of an output, and what it is set to.
+        output: With the number of an output, and its value.
         states: An output on, and off.
         scale: What one radian is in joint values.
     """

@@ -1,4 +1,4 @@
-"""The route: in which order a robot visits poses, on which free ways, and which poses it cannot visit.
+"""The route: the order in which a robot visits poses, free ways between them, and poses that it cannot visit.
 
 Order of work. Poses that are not free, or outside the joint limits, are left out. The others are put in an order of
 little travel, and ways are found one after the other. What is touched is approached, and left, along its normal. Poses
@@ -41,7 +41,7 @@ class Stop(ReadOnlyArrays):
         joints: (n_actuated,) [m or rad].
         corners: Of the way from the stop before, without both ends, (n, n_actuated).
         clearance: Smallest distance of any pair at the stop [m].
-        pair: Which pair that is.
+        pair: Name of that pair.
         poses_passed: Smallest distance on the way there [m].
     """
 
@@ -63,7 +63,7 @@ class Route:
         stops: The stops.
         left_out: Names of poses that are not visited, and why.
         replaced: Names of those that stand in for them.
-        remarks: What was not checked.
+        remarks: Notes on shapes that were not checked.
     """
 
     robot: Robot
@@ -238,7 +238,7 @@ def _stop(planner: Planner, name: str, points: FloatArray) -> Stop:
 
 
 def _next_best(robot: Robot, candidates: Poses, tried: set[str], stops: Sequence[Stop], count: int) -> Poses:
-    """The candidates that help most beside the stops, by O1, of those that are free and were not tried."""
+    """The candidates that add most to the stops, by O1, of those that are free and were not tried."""
     hits = _why_blocked(robot, candidates.joints)
     usable = [k for k, name in enumerate(candidates.names) if name not in tried and not hits[k]]
     rest = candidates.subset(np.array(usable, dtype=np.intp))

@@ -1,4 +1,4 @@
-"""What collides: shapes of links, tools and obstacles, each fixed to a link.
+"""Shapes for collisions: of links, tools and obstacles, each fixed to a link.
 
 Collision shapes of the URDF; where the file has none, its visuals; where it has none of these either, capsules from the
 origin of each link to those of its children.
@@ -72,7 +72,7 @@ class _Solid:
 
 
 def bodies_of(robot: RobotData) -> tuple[tuple[Body, ...], tuple[str, ...]]:
-    """Return the shapes of a robot and its surroundings, and what to say about them.
+    """Return the shapes of a robot and its surroundings, and remarks on them.
 
     Raises:
         DescriptionError: A mesh that is missing or cannot be read, an obstacle on a link that there is not, or a plane
@@ -92,7 +92,7 @@ def missing_meshes(robot: RobotData) -> tuple[str, ...]:
 
 
 def has_collision_shapes(robot: RobotData) -> bool:
-    """Whether the URDF says what shapes its links have, for collisions."""
+    """Whether the URDF has collision shapes of links."""
     return b"<collision" in robot.urdf.source and any(link.collisions for link in read_links(robot.urdf).values())
 
 
@@ -144,7 +144,7 @@ def _solid_of_link(shape: LinkShape, link: str, robot: RobotData, *, exact: bool
 
 
 def _described_bodies(robot: RobotData) -> list[Body]:
-    """Obstacles, parts of the tool, and what stands at targets."""
+    """Obstacles, parts of the tool, and shapes at targets."""
     description, mechanism, where = robot.description, robot.mechanism, robot.path
     bodies = []
     for name, section in described_obstacles(robot).items():
@@ -263,7 +263,7 @@ def _capsules(robot: RobotData, link: str) -> list[Body]:
 
 
 def _stretches(robot: RobotData, link: str) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Both ends of what a link is made of, (3,) [m]: from its origin to its joints and targets, and rods of slides.
+    """Both ends of the rods of a link, (3,) [m]: from its origin to its joints and targets, and rods of slides.
 
     Where a motor slides, a rod as long as that is out at home lies on each side: they cover up to twice that.
     """

@@ -66,7 +66,7 @@ class Sight:
     ignored: frozenset[tuple[str, str]] = frozenset()
 
     def hidden_targets(self, joints: FloatArray) -> list[str]:
-        """Return what hides a target in configurations (n, n_joints) [m or rad], "" where nothing does."""
+        """Return the shape that hides a target in configurations (n, n_joints) [m or rad], "" for none."""
         return [next(self._hiding_shapes(q), "") for q in joints]
 
     def _hiding_shapes(self, q: FloatArray) -> Iterator[str]:
@@ -114,7 +114,7 @@ class Sight:
                 yield body.name
 
     def without_ends(self, joints: FloatArray) -> tuple[Sight, tuple[str, ...]]:
-        """Return the lines without what hides them in nearly all configurations (n, n_joints), and what to say."""
+        """Return the lines without shapes that hide them in nearly all configurations (n, n_joints), and remarks."""
         count: dict[tuple[str, str], int] = {}
         for q in joints:
             for line, ends, _ in list(self._lines_in_root(q)):

@@ -81,7 +81,7 @@ def solve(
         start: Where to begin.
         free: Which intrinsics are sought.
         noise: Sizes of the errors.
-        prior: Of the intrinsics that are sought.
+        prior: Prior of the intrinsics that are sought.
         scaled: Whether the size of the board is sought.
         steps: At most so many.
     """

@@ -51,7 +51,7 @@ class HandEyeJudgement:
 
 
 def judge(result: HandEye) -> HandEyeJudgement:
-    """Return what a calibration is worth.
+    """Return the judgement of a calibration.
 
     FAIL: a mistake of the whole. CHECK: another mistake, images set aside, or too few of them, or too little turned to
     tell. PASS: nothing of that, so that the error of new images is as stated.

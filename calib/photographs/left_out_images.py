@@ -61,7 +61,7 @@ def predict_left_out_images(
     *,
     scaled: bool = False,
 ) -> LeftOutImages:
-    """Return how far each image is from where the others put it; see `solve_without_each_image`."""
+    """Return the errors of each image predicted by the others; see `solve_without_each_image`."""
     pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
     for i, without in enumerate(solve_without_each_image(scene, placed, free, weights, prior, scaled=scaled)):
         in_image = scene.image == i

@@ -1,4 +1,4 @@
-"""Mistakes that would explain what a hand-eye calibration leaves: each is tried, and named where it explains it.
+"""Mistakes that would explain the residuals of a hand-eye calibration: each is tried, and named where it explains them.
 
     other readings         pairs shifted, poses inverted, rotations in another order, other units
                            (`calib.photographs.other_readings`)
@@ -65,7 +65,7 @@ class Mistake:
 
     Attributes:
         code: Such as `pairs_shifted`.
-        text: In words: what, by how much, what to do.
+        text: The mistake, its size, and what to do, in words.
         whole: Whether nothing of the result can be used.
     """
 
@@ -84,13 +84,13 @@ def find_mistakes(
     better: HandEyeEstimate,
     mounts: tuple[Mount, ...],
 ) -> tuple[Mistake, ...]:
-    """Return mistakes that would explain what is left, those of the whole first.
+    """Return mistakes that would explain the residuals, those of the whole first.
 
     Args:
         every: All images.
         used: Those that were used.
-        fitted: What they say.
-        prior: What was expected of the lens.
+        fitted: The estimate from these.
+        prior: Prior of the lens.
         given: Intrinsics as given, (9,); None without.
         first: The same, or those to begin with, (9,).
         better: With the lens found, where that tells images left out better; else `fitted`.
@@ -303,7 +303,7 @@ def _explains(scene: BoardScene, fitted: HandEyeEstimate, k: int, which: str) ->
 def _mistakes_of_lens(
     scene: BoardScene, fitted: HandEyeEstimate, better: HandEyeEstimate, given: FloatArray | None
 ) -> list[Mistake]:
-    """Mistakes in given intrinsics, (9,): by themselves, and beside those that the photographs show."""
+    """Mistakes in given intrinsics, (9,): alone, and together with those that the photographs show."""
     if given is None:
         return []
     swap = _swapped_numbers(given, better) if better.free else ""

@@ -1,4 +1,4 @@
-"""Other ways to read poses and board of a hand-eye calibration, each a mistake that people make when they write files.
+"""Other meanings of poses and board of a hand-eye calibration, each a usual mistake in files.
 
     pairs shifted     images belong to the poses one or two rows further on
     mirrored          the camera mirrors its images (a chessboard does not show it)
@@ -28,11 +28,11 @@ _UNITS = (10.0, 0.1, 1000.0, 0.001)
 
 @dataclass(frozen=True, eq=False)
 class SceneInterpretation:
-    """A scene as another reading has it.
+    """A scene with another meaning of its numbers.
 
     Attributes:
         code: Of the mistake, such as `pairs_shifted`.
-        text: In words: what, what to do.
+        text: The mistake, and what to do, in words.
         scene: The images.
         mounts: Where the camera may be.
     """
@@ -44,7 +44,7 @@ class SceneInterpretation:
 
 
 def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[SceneInterpretation]:
-    """Yield a scene as other readings have it.
+    """Yield a scene with other meanings of its numbers.
 
     Args:
         scene: The images.

@@ -67,7 +67,7 @@ class FoundPose(ReadOnlyArrays):
     """Where camera or marker is.
 
     Attributes:
-        pose: In the frame that it is fixed to, (4, 4) [m]; what is not determined is as `open` says.
+        pose: In the frame that it is fixed to, (4, 4) [m]; `open` names components that are not determined.
         half: Half widths of 95 % intervals: along x, y, z of that frame, and about the own x, y, z, (6,) [m, rad].
         open: Which of these are not determined, (6,).
     """
@@ -87,7 +87,7 @@ class PosePairs(ReadOnlyArrays):
         camera, marker: Where they are.
         unseen: Changes that no pair shows, in words.
         errors: Predicted minus read: position and rotation of the marker in the camera, (n, 6) [m, rad].
-        reasons: What speaks against the result, each with its grade.
+        reasons: Reasons against the result, each with its grade.
         distance: Mean distance from camera to marker [m].
     """
 
@@ -231,7 +231,7 @@ def _change_in_words(change: FloatArray) -> str:
 
 
 def _found_pose(fitted: JudgedFit, null: FloatArray, place: str) -> tuple[FoundPose, FloatArray]:
-    """Where one of them is, with what the parameters' intervals mean there; and how unseen changes move it, (6, k)."""
+    """Place of one of them with its intervals; and its motion by unseen changes, (6, k)."""
     pose = _place(fitted.robot, place)
     steps = []
     for k in range(len(fitted.robot.parameters)):

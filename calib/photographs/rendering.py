@@ -2,7 +2,7 @@
 
 Every pixel is a few rays (`calib.core.instruments.camera.rays`, lens distortion included), each cut with the plane of
 the board, where it is exactly known what is black (`calib.photographs.printing.Paper`): a raster would put every corner
-of the board beside its place. Then come blur, noise and rounding to grey values, as in a camera. There is no light but
+of the board around its place. Then come blur, noise and rounding to grey values, as in a camera. There is no light but
 a slope of brightness, and nothing stands in the way.
 """
 
@@ -166,7 +166,7 @@ def _pose(xyz: tuple[float, ...], degrees: tuple[float, ...]) -> FloatArray:
 
 
 def photographs(robot: Robot, camera: Pixel, data: Measurements, rng: np.random.Generator) -> dict[str, bytes]:
-    """Return what a robot's camera photographs at each visit, by the name of the file: `calib simulate --photographs`.
+    """Return the photographs of a robot's camera at each visit, by file name: `calib simulate --photographs`.
 
     Raises:
         InputError: Two visits have one name.

@@ -85,7 +85,7 @@ def normal_equations(
     Args:
         linear: Sums over images.
         noise: Sizes of the errors.
-        prior: Of the intrinsics that are sought.
+        prior: Prior of the intrinsics that are sought.
         now: These, as they are.
     """
     gain, square = gains(linear, noise), noise.pixel**2
@@ -140,7 +140,7 @@ def find_noise(
 
     Args:
         linear: Sums over images; with errors of the arm, their size is found too.
-        prior: Of the intrinsics that are sought.
+        prior: Prior of the intrinsics that are sought.
         now: These, as they are.
         near: Sizes of a similar problem, to begin with.
     """

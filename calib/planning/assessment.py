@@ -1,4 +1,4 @@
-"""What a set of poses determines, and how well: everything that `calib check` tells.
+"""Parameters that a set of poses determines, and their uncertainty: everything that `calib check` prints.
 
 Matrices from the floors below are put together for one robot and one set of poses: rank and gap of all parameters and
 of the free ones, groups that move together unseen, which parameters to hold, observability, and, with priors and
@@ -56,7 +56,7 @@ _SAMPLED = 100
 CORRELATION_LIMIT = 0.95
 """Correlations above this are reported: the two values trade against each other."""
 HARDLY = 0.5
-"""A parameter whose standard deviation stays above this part of its prior sigma is hardly better known than before."""
+"""A parameter whose standard deviation stays above this part of its prior sigma is hardly improved."""
 _DIGITS = 9  # of a part that is left, beyond which it is rounding
 _COUNTS = 8  # numbers of poses up to all of them
 _MOST_CHOSEN, _MOST_CANDIDATES = 400, 2000  # for more, the search for the best poses would take long
@@ -79,7 +79,7 @@ class Assessment(ReadOnlyArrays):
         posterior_information: Uncertainty of the free parameters from poses and priors; in units of
             `determination.lengths`.
         groups: Groups of parameters whose common change no pose shows, of all parameters, from the poses alone.
-        open_groups: The same of the free ones, priors included: what stays undetermined.
+        open_groups: The same of the free ones, priors included: groups that stay undetermined.
         elimination: Parameters to hold so that the poses determine the rest.
         scaled: O1 to O5 of the free parameters, on columns scaled by sigma [m]; if no lengths are measured, in units of
             the noise of a reading.
@@ -200,7 +200,7 @@ class Assessment(ReadOnlyArrays):
 def check(
     robot: RobotLike, poses: PosesLike | None = None, *, task: PosesLike | None = None, sigma: float | str | None = None
 ) -> Assessment:
-    """Say what poses determine, at the robot's present values.
+    """Return the parameters that poses determine, at the robot's present values.
 
     Args:
         robot: The robot.
@@ -270,7 +270,7 @@ def check(
 def _columns(
     robot: Robot, poses: Poses, configurations: Configurations, sigma: float | None, everything: Unknowns
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Whitened rows of what is or could be read, those of each pose, and how many rows a visit gives."""
+    """Whitened rows of actual or possible readings, those of each pose, and the number of rows of a visit."""
     if not isinstance(poses, Measurements):
         pose_rows = rows_of_poses(robot, configurations, sigma, everything, planned_readings(robot, poses))
         flat = pose_rows.rows[pose_rows.read]
@@ -304,7 +304,7 @@ def _require_rows(robot: Robot, poses: Poses, per_pose: int) -> None:
 
 
 def _spoken_for(free: BoolArray, elimination: Elimination) -> tuple[int, ...]:
-    """Parameters to tell groups by: the held ones if there are any, else those that the elimination drops."""
+    """Parameters by which groups are described: the held ones if any, else those that the elimination drops."""
     held = tuple(int(k) for k in np.flatnonzero(~free))
     return held or elimination.dropped
 

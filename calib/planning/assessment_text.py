@@ -24,11 +24,11 @@ _MOSTLY_COMMON = 0.5  # the error beside a common motion is printed if it is bel
 
 
 def text_report(assessment: Assessment, source: str, width: int = 120, *, verbose: bool = False) -> str:
-    """Return as text what the poses determine.
+    """Return an assessment as text.
 
     Args:
-        assessment: What was found.
-        source: Where the poses came from.
+        assessment: The assessment.
+        source: Origin of the poses, in words.
         width: Of the text, in characters.
         verbose: All groups, and a table of all parameters; otherwise the answer on at most 40 lines.
     """

@@ -32,10 +32,10 @@ _MAX_PASSES = 20
 
 @dataclass(frozen=True, eq=False)
 class Spacing:
-    """Which candidates may be chosen next.
+    """Rules on which candidates may be chosen next.
 
     Attributes:
-        points: Where each candidate puts the targets, (n_candidates, n) [m].
+        points: Positions of the targets at each candidate, (n_candidates, n) [m].
         distance: Least distance between chosen poses [m]; 0 for none.
         usable: Candidates that may be chosen at all, (n_candidates,).
         pose: Pose of each candidate; those of one pose need no distance, (n_candidates,). None: each has its own.
@@ -97,7 +97,7 @@ class Spacing:
 
 @dataclass(frozen=True, eq=False)
 class Exchange:
-    """A choice and how it came about.
+    """A choice and the exchanges that led to it.
 
     Attributes:
         chosen: Which candidates are in it, (n_candidates,).

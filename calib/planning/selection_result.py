@@ -1,4 +1,4 @@
-"""What a selection returns: the poses, their indices, how good they can be at most, and how they were found."""
+"""The result of a selection: the poses, their indices, a bound on these, and the exchanges."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class Selection(ReadOnlyArrays):
     Attributes:
         index: What was optimised: O1 to O5 or `task`.
         chosen: Indices of the chosen candidates, (count,).
-        instruments: What reads at each, several joined by `+`, (count,); empty if all instruments read at all poses.
+        instruments: Instruments that read at each, joined by `+`, (count,); empty if all read at all poses.
         groups: Instruments to choose from; empty if all read at all poses. Exchanges number the poses with the first,
             then those with the next.
         joints: Poses to measure, (count, n_actuated) [m or rad].
-        positions: Where they put the targets, (count, n_targets, 3) [m].
+        positions: Positions of the targets there, (count, n_targets, 3) [m].
         before: All indices of the uniform choice; the task index in m.
         after: All indices of these poses.
         raw: O1 to O5 of these poses alone, without priors, on raw columns: mm per unit of table, or
@@ -50,8 +50,8 @@ class Selection(ReadOnlyArrays):
         distance: Distance that the targets of any two poses keep [m]; 0 where none was requested.
         runs: The runs of the exchange.
         travel: Length of the path in the candidates' order and in this one [joint ranges].
-        rank: What all candidates, measured poses and priors determine.
-        rank_of_poses: What all candidates and measured poses determine; the indices are about that.
+        rank: Rank of all candidates, measured poses and priors.
+        rank_of_poses: Rank of all candidates and measured poses; the indices are about these directions.
         sigma: Noise of one reading per axis that was used [m].
         sigma_assumed: Whether it was not stated.
         skipped: Candidates that could not be used, and why.

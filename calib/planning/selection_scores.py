@@ -1,4 +1,4 @@
-"""How good a choice of poses is, and which pose to add or remove next, for every index.
+"""Scores of a choice of poses, and the best pose to add or remove next, for every index.
 
 Scores are frozen; a move gives new ones. Larger is better for each of them: log det K for O1, minus the square of the
 task index, O2 to O5 themselves. Each kind knows how to find its best next move among many candidates without trying

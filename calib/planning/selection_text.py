@@ -1,4 +1,4 @@
-"""What `calib select` prints and writes: a table for people, data for programs, and the poses as CSV."""
+"""The output of `calib select`: a table for people, data for programs, and the poses as CSV."""
 
 from __future__ import annotations
 

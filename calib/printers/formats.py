@@ -1,4 +1,4 @@
-"""What firmwares of delta printers hold, as lines to paste: Klipper's sections, `M665` and `M666` of Marlin and Duet.
+"""Settings of delta printers, as lines to paste: Klipper's sections, `M665` and `M666` of Marlin and Duet.
 
 What each means is in `calib.printers.files` and `calib.printers.linear_delta`.
 """

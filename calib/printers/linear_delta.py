@@ -45,7 +45,7 @@ NAME = "linear_delta"
 ARM, ANGLE = 0.3e-3, math.radians(0.3)
 """How far an arm [m] and a tower's angle [rad] may be off."""
 RADIUS, ENDSTOP = 2e-3, 10e-3
-"""The same of the radius and of endstops [m]."""
+"""How far the radius [m] and endstops [m] may be off."""
 HEIGHT, DISTANCE = 0.05e-3, 0.1e-3
 """Noise of a probed height and of a distance [m]."""
 

@@ -1,7 +1,7 @@
 """Uncertainty budget of a calibrated robot by the GUM, in the words of the GUM and of the VIM.
 
 Measurand: one coordinate of the tool's position, as the calibrated robot gives it, root mean square over the poses
-measured and the three axes. Where the base is unknown, positions count beside what moves all of them as one body.
+measured and the three axes. Where the base is unknown, a motion of all positions as one body does not count.
 
 Readings y reach the parameters through the fit's linear model. With the whitened rows J at the solution, W what whitens
 readings, T T^T = (J^T J + P^T P)^-1 (`calib.core.numerics.statistics`) and s the scales, a common change dy of the
@@ -115,7 +115,7 @@ class BudgetRow:
 
     @staticmethod
     def direct(quantity: str, contribution: float, freedom: float, note: str) -> BudgetRow:
-        """Return one of type A that is a length of the measurand itself."""
+        """Return a row of type A whose quantity is a length of the measurand itself."""
         return BudgetRow(quantity, contribution, "m", 1.0, contribution, freedom, "A", True, note)
 
 
@@ -172,7 +172,7 @@ class ErrorPropagation:
         positions: Of the targets at the poses measured, (n, n_targets, 3) [m].
         derivative: B s, by the scaled free parameters, (n n_targets 3, n_free) [m].
         noise: Covariance of T^T J^T e, e the noise of the whitened readings, (rank, rank).
-        sizes: What sizes of joint terms that were found add to it, (rank, rank); 0 where none were.
+        sizes: Addition to it by sizes of joint terms that were found, (rank, rank); 0 where none were.
         systematic: Change of the whitened readings by what `SYSTEMATIC` lists, (n_rows, 10) [per 1, m, rad or px].
     """
 
@@ -185,7 +185,7 @@ class ErrorPropagation:
 
     @staticmethod
     def from_fit(fit: JudgedFit) -> ErrorPropagation:
-        """Return that of a fit."""
+        """Return the propagation of a fit."""
         data, passive = fit.identification.data, fit.identification.passive
         linear = fit.uncertainty.linearise(fit.robot, data.joints, data.conditions, passive, turns=False)
         kept = np.setdiff1d(np.arange(linear.positions.shape[1]), list(fit.robot.unreported_targets.values()))
@@ -207,7 +207,7 @@ class ErrorPropagation:
 
     @property
     def parameter_response(self) -> FloatArray:
-        """Change of the scaled parameters by that of the whitened readings, (n_free, n_rows)."""
+        """Derivative of the scaled parameters by the whitened readings, (n_free, n_rows)."""
         root = self.fit.root
         return np.asarray(root @ (self.fit.weighted_rows.jacobian @ root).T)
 
@@ -219,7 +219,7 @@ class ErrorPropagation:
         return (self.positions - base).ravel()
 
     def coordinate_rms(self, core: FloatArray) -> float:
-        """Return what a covariance of T^-1 u, (rank, rank), is of a coordinate (root mean square) [m]."""
+        """Return the uncertainty of a coordinate (root mean square) [m] by a covariance of T^-1 u, (rank, rank)."""
         carried = self.derivative @ self.fit.root
         return float(np.sqrt(max(np.mean(np.einsum("ij,jk,ik->i", carried, core, carried)), 0.0)))
 

@@ -86,7 +86,7 @@ class _Setting:
 
     @property
     def states_noise(self) -> bool:
-        """Whether chi-square means something: what is drawn twice scatters less than noise does."""
+        """Whether chi-square means something; not where a pose is drawn twice, which scatters less than noise does."""
         return self.first.chi_square is not None and isinstance(self.source, SimulatedDraws)
 
 

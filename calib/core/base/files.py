@@ -1,4 +1,4 @@
-"""Files: read up to a size that memory holds; written beside and then renamed, so that none is half overwritten."""
+"""Files: read up to a size that memory holds; written elsewhere and then renamed, so that none is half written."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def read_bytes(path: Path | str, expected: str, error: type[CalibrationError]) -
 
 
 def read_text(path: Path | str, expected: str, error: type[CalibrationError], *, growing: bool = False) -> str:
-    """Return the text of a file without the mark that some editors put first, and with one kind of line ends.
+    """Return the text of a file without byte order mark and with one kind of line ends.
 
     Args:
         path: The file.
@@ -201,7 +201,7 @@ def write_folder(
 ) -> None:
     """Write a folder of files in one go; files of other names that were in it stay.
 
-    The new folder is completed beside the old one and takes its place in one step; see `calib.core.base.replacing`. A
+    The new folder is completed next to the old one and takes its place in one step; see `calib.core.base.replacing`. A
     manifest in it says what was written (`calib.core.base.own_files`).
 
     Args:
@@ -231,7 +231,7 @@ def write_folder(
 
 
 def _check_replaceable(path: Path) -> None:
-    """Raise `OSError` for files, and for folders that cannot be exchanged for another one behind their users' backs."""
+    """Raise `OSError` for files, and for folders that must not be exchanged: the current folder and mount points."""
     if path.is_file():
         raise NotADirectoryError(errno.ENOTDIR, "is a file, not a folder")
     if path.suffix.lower() in _FILE_ENDINGS and not path.exists():

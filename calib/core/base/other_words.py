@@ -1,7 +1,7 @@
 """Words of other packages, and what to write here: the table `other_words.txt`, behind errors and a page of the docs.
 
-There is one word for each thing in this package. Who asks a fit, a robot, measurements or a verdict for the word of
-another one, or types it as a command or an option, is told this one.
+There is one word for each thing in this package. A user who types the word of another
+package, as an attribute, a command or an option, gets a hint at the word here.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class UnknownNameError(InputError, AttributeError):
 
 
 class UnknownOptionError(InputError, TypeError):
-    """Something is used in another way than it is meant."""
+    """Something is used in an unintended way."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Words:
 
 @functools.cache
 def tables() -> dict[str, tuple[Words, ...]]:
-    """Return all words, by where they are looked for; read when the first is."""
+    """Return all words by place; the table is read at the first use."""
     result: dict[str, tuple[Words, ...]] = {}
     place = ""
     for line in Path(__file__).with_suffix(".txt").read_text(encoding="utf-8").splitlines():
@@ -82,7 +82,7 @@ def _plain(word: str) -> str:
 
 
 class HintedObject:
-    """Base of what users hold: a name that it does not have is answered with the one that is meant.
+    """Base of objects that users hold: the error for an unknown attribute names the right one.
 
     Attributes:
         _other_words: Section of the table with what other packages call its attributes (class attribute).

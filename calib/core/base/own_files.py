@@ -114,7 +114,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def manifest_of(folder: Path, files: Mapping[str, bytes], obsolete: Collection[str]) -> bytes:
-    """Return the manifest of a folder once these files are in it, beside what else this program wrote there."""
+    """Return the manifest of a folder once these files are in it, with what else this program wrote there."""
     others = {name: digest for name, digest in read_manifest(folder).items() if (folder / name).is_file()}
     digests = {name: digest for name, digest in others.items() if name not in obsolete}
     digests |= {name: _digest(content) for name, content in files.items()}
@@ -130,7 +130,7 @@ def require_replaceable(
     Args:
         path: The file, which may be missing.
         content: What shall be in it, if that is known.
-        inputs: Files that what is written was made from, beside those that the present command has read.
+        inputs: Further files from which the output was made, which the present command has not read.
         force: Replace it all the same.
     """
     if force or not path.is_file():

@@ -29,7 +29,7 @@ from typing import Any, TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _Work = tuple[Callable[..., Any], object, tuple[Any, ...], dict[str, Any]]
-"""A function, what stands for it where processes hold it (or None), and its arguments."""
+"""A function, the key under which processes hold it (or None), and its arguments."""
 
 
 class Processes(Executor):
@@ -62,7 +62,7 @@ class Processes(Executor):
         return self._submit((function, None, arguments, named))
 
     def holding(self, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:
-        """Return what submits calls of a function that is sent to each process once."""
+        """Return a submitter of calls of a function that is sent to each process once."""
         held = object()
         return lambda item: self._submit((function, held, (item,), {}))
 
@@ -172,7 +172,7 @@ def _without_interrupts() -> Iterator[None]:
 
 
 def _work(line: Connection) -> None:
-    """Do what is asked, until no more can be asked."""
+    """Do the work that comes through the pipe, until the pipe ends."""
     _end_with_parent()
     held: Any = None
     while True:

@@ -40,7 +40,7 @@ def _find_entry_points(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, .
 
 
 def brought(group: str, name: str) -> Any:
-    """Return what is installed under a name of a group.
+    """Return the object installed under a name of a group.
 
     Raises:
         KeyError: Nothing is.
@@ -146,7 +146,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
 
 
 def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
-    """Return what reads an entry by the section of the class that its key names: metadata of `Annotated`.
+    """Return a validator that reads an entry by the section class that its key names: metadata of `Annotated`.
 
     Reading raises `ValueError` where the key names none.
     """

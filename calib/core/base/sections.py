@@ -1,7 +1,7 @@
-"""What the sections of a robot description are made of: components of an origin, quantities with units.
+"""Parts of the sections of a robot description: components of an origin, quantities with units.
 
-Own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown. And how the YAML
-is read, so that a mistake is an error with its line, and a key given twice is a mistake.
+Own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown. And the reader of
+YAML: a mistake is an error with its line, and so is a key given twice.
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ def _positive(length: OwnLength) -> OwnLength:
 
 
 PositiveLengthOrUnknown = Annotated[LengthOrUnknown, AfterValidator(_positive)]
-"""The same of what begins at a positive length."""
+"""The same for a positive length."""
 
 
 class _Loader(yaml.SafeLoader):

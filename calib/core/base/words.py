@@ -1,4 +1,4 @@
-"""What people read: numbers and lists in sentences, tables as plain text, for notebooks (HTML) and for pandas."""
+"""Text for people: numbers and lists in sentences, tables as plain text, for notebooks (HTML) and for pandas."""
 
 from __future__ import annotations
 

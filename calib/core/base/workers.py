@@ -145,7 +145,7 @@ def _is_lost(future: _Sent) -> bool:
 
 
 class Steps:
-    """Tells how many steps of a long call are done, and of how many: of those known by now.
+    """Counts the steps of a long call: how many are done, of how many that are known so far.
 
     Args:
         progress: Called after each step; no call if not given.

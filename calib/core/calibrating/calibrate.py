@@ -63,7 +63,7 @@ def calibrate(
         robot: The nominal robot.
         data: Measurements to identify with.
         validation: Measurements to judge the result with, or None.
-        settings: How.
+        settings: Options of the fit.
         executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
         progress: Told after each step how many are done, and of how many that are known by then. Steps are: base and

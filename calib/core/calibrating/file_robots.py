@@ -70,7 +70,7 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
 
 
 def start_of(fit: Fit, holds: Holds) -> Robot:
-    """Return the robot that a fit began with, without the joint terms that files lose which hold so much.
+    """Return the robot that a fit began with, without the joint terms that such files lose.
 
     The nominal one, where its values belong to these terms, as those of an earlier result.
     """
@@ -201,7 +201,7 @@ def with_zeros(nominal: Robot) -> Robot:
 
 
 def file_robot(fit: Fit) -> FileRobot:
-    """Return the robot of a fit as files get it that hold all of that.
+    """Return the robot of a fit for files that hold all of this.
 
     If only places were sought, it is the nominal robot, and no worse than that.
     """

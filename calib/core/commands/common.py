@@ -99,7 +99,7 @@ class Output:
         """Raise `InputError` now if something could not be written later. All that is read has been read by then.
 
         Args:
-            files: Files to write, beside that of --json.
+            files: Files to write, other than that of --json.
             folders: Folders to write.
             names: What will be in them, as far as it is known.
         """
@@ -117,7 +117,7 @@ class Output:
 
     @contextmanager
     def working(self, what: str) -> Iterator[Progress]:
-        """Show a spinner on a terminal while something takes its time; tell what is given how far it is.
+        """Show a spinner on a terminal during long work; yields a function that takes the progress.
 
         Where standard error is a file, it gets a line a minute.
         """
@@ -208,7 +208,7 @@ def shared_options(
 
 
 class _ToStandardError(logging.Handler):
-    """Prints what the library warns of, in one line, as other notes."""
+    """Prints warnings of the library as notes, one line each."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print it."""

@@ -134,7 +134,7 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
 
     Raises:
         DataError: Not one for each row, or not positive.
-        InputError: Nothing measures positions, or what is read beside them states no noise.
+        InputError: Nothing measures positions, or other readings state no noise.
     """
     values = np.asarray(sigma, dtype=float)
     if values.shape not in ((len(data),), (len(data), 3)):

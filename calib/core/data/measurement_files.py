@@ -141,7 +141,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     Args:
         table: The table.
         robot: Whose joints they are.
-        used: Columns that something is read from, beside joints and what is known of a visit.
+        used: Columns that something is read from, other than joints and conditions of a visit.
         first: Visits before the first row.
 
     Raises:

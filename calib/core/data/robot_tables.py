@@ -3,7 +3,7 @@
 Columns are taken for joints where no joint has a column of its name, and there is one for each: of the same letters and
 figures (`Joint 1` for `joint_1`), or numbered from 1. Columns X, Y, Z are the position that is read, where one
 instrument reads positions and has no columns; so are NAME_x, NAME_y, NAME_z of the only NAME. U95 X, U95 Y, U95 Z
-beside them are twice the standard deviations of a reading. A column needs its unit for that, because it is not known
+next to them are twice the standard deviations of a reading. A column needs its unit for that, because it is not known
 whether a robot's program writes degrees. What was guessed is told, as a warning of the logger `calib`; under `columns`
 a robot description says what files call their columns, and then nothing is guessed.
 """

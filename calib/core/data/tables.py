@@ -105,7 +105,8 @@ class Table:
             gaps: Whether cells may be empty; these are NaN.
 
         Raises:
-            DataError: No such column, wrong unit, a cell that is not a finite number, or decimal commas beside points.
+            DataError: No such column, wrong unit, a cell that is not a finite number, or decimal commas mixed with
+                points.
         """
         if name not in self.names:
             raise DataError(f"{self.path}: no column '{name}'{nearest_column(name, self.names)}")

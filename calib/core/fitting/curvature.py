@@ -1,4 +1,4 @@
-"""How far parameters are off because readings are no linear function of what only priors hold.
+"""Errors of parameters by the curvature of readings along directions that only priors hold.
 
 Along a direction that readings do not see, an origin and the base turned against each other, say, the values that read
 the same lie on a curve. The linear model follows its tangent. Readings know a parameter to micrometres at one place of

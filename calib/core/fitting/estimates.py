@@ -1,4 +1,4 @@
-"""What a fit found, by the names of parameters."""
+"""The parameters found by a fit, by name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from calib.core.base.words import data_frame, pandas, table_html
 from calib.core.numerics.statistics import Statistics, status
 
 NUMBERS = ("nominal", "value", "std", "low95", "high95")
-"""What tables tell of a parameter, in its unit."""
+"""Columns of tables of parameters, in the parameter's unit."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Estimate:
         nominal_si: Value before [m or rad].
         value_si: Value found.
         std_si: Standard deviation; NaN where it was held.
-        half95_si: Half the 95 % interval; NaN likewise.
+        half95_si: Half the 95 % interval; NaN where it was held.
         status: `identified`, `partly`, `prior`, `placed`, or `held`.
         family: Name of the coefficients that it belongs to, if their common size is found.
         per_si: How many of `unit` make one SI unit.
@@ -200,7 +200,7 @@ class Correlation(Covariance):
 def estimates(
     parameters: tuple[Parameter, ...], values: FloatArray, free: BoolArray, statistics: Statistics
 ) -> Estimates:
-    """Return what was found.
+    """Return the estimates of all parameters.
 
     Args:
         parameters: All parameters.

@@ -72,13 +72,13 @@ class WarmStart:
 
     @staticmethod
     def from_fit(fit: Fit) -> WarmStart:
-        """Return what this fit leaves."""
+        """Return the start values that this fit leaves."""
         known, seen = (fit.free_names, fit.statistics.beyond_linear), fit.identification
         return WarmStart(*known, seen.data.joints, fit.configurations.passive, (fit.placed, seen.before))
 
     @staticmethod
     def without_intervals(robot: Robot, fit: Fit | None = None) -> WarmStart:
-        """Return what a fit of this robot takes over, from another one if given, that needs no intervals."""
+        """Return start values for a fit of this robot without intervals, from another fit if given."""
         names = tuple(parameter.name for parameter in robot.parameters)
         nothing = BeyondLinear(partial(np.zeros, len(names)))
         return replace(WarmStart() if fit is None else WarmStart.from_fit(fit), names=names, beyond_linear=nothing)
@@ -102,7 +102,7 @@ class WarmStart:
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Where a fit ends, before anything is said about it.
+    """The end of the iteration of a fit, before its statistics.
 
     Attributes:
         robot: The nominal robot.
@@ -156,7 +156,7 @@ def minimum_of(
     steps: Steps | None = None,
     nearby: WarmStart | None = None,
 ) -> Minimum:
-    """Return where `fit_data` ends, which says what is given."""
+    """Return the minimum of a fit; arguments as in `fit_data`."""
     steps = steps or Steps()
     later = unseen(robot, data, validation)
     seen = robot.fix(*later) if later else robot
@@ -226,11 +226,11 @@ def fit_at(
 
 
 def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements], Fit]:
-    """Return what fits a part of the measurements of a fit and predicts the rest; from one start.
+    """Return a function that fits a part of the measurements of a fit and predicts the rest; from one start.
 
     Args:
         fit: The fit of all of them.
-        settings: How it was done.
+        settings: Its options.
     """
     nearby = replace(
         WarmStart.without_intervals(fit.nominal, fit), placed=None

@@ -1,4 +1,4 @@
-"""A finished fit: what was found, and what follows from that alone. What it is worth, `calib.core.judging` says."""
+"""A finished fit: its results, and what follows from them alone. `calib.core.judging` judges it."""
 
 from __future__ import annotations
 
@@ -237,7 +237,7 @@ class Fit(ReadOnlyArrays, HintedObject):
         return disagreeing(self.identification.data, depths, self.weighted_rows, self.statistics)
 
     def contains(self, number: Uncertainty) -> Contributions:
-        """Return what a number of this fit that says how sure something is contains.
+        """Return the contributions that a measure of uncertainty of this fit contains.
 
         Whether positions are reported in another frame, these say themselves.
         """
@@ -393,7 +393,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @cached_property
     def joint_error(self) -> float:
-        """Error of each joint that residuals show beside noise, another one at each pose.
+        """Error of each joint that residuals show in addition to noise, another one at each pose.
 
         In rad, of a joint that slides in characteristic lengths; 0 where there is none.
         """

@@ -1,4 +1,4 @@
-"""What may be wrong with measurements that nothing fits.
+"""Likely mistakes in measurements that no robot fits.
 
 Each usual mistake is undone in turn, and the nominal robot compared.
 
@@ -75,7 +75,7 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
     Args:
         robot: The nominal robot.
         data: Measurements that do not fit it.
-        noise: What a fit to them leaves, per axis [m]; infinite where there is none.
+        noise: Noise that a fit to them finds, per axis [m]; infinite where there is none.
         gross: Whether nothing fits; if not, only the scales of joints are looked at.
     """
     copied = equal_columns(data, robot)
@@ -230,7 +230,7 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
 
 
 def _shifted_trials(measured: Measurements) -> Iterator[Trial]:
-    """Joint values beside other rows, as they were measured: rows between may be held out, or left out."""
+    """Joint values shifted to other rows, in the order measured: rows between may be held out, or left out."""
     places = measured.places
     for rows, sign in product(range(1, _SHIFTS + 1), (1, -1)):
         _, of_joints, of_points = np.intersect1d(places + sign * rows, places, return_indices=True)
@@ -257,7 +257,7 @@ def _rescaled_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
 
 
 def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
-    """Which units the size of what was measured speaks for, and what makes lengths right."""
+    """The units that fit the size of the measured positions, and the factor that corrects lengths."""
     closed = robot.close(data.joints, thorough=False)
     if not _closes(closed.ok):
         return
@@ -307,7 +307,7 @@ def zero_visits(data: Measurements, robot: Robot) -> IntArray:
 
 
 def zeros_in_words(data: Measurements, robot: Robot) -> str:
-    """Return what to do about readings of 0, 0, 0 (`zero_visits`); empty if there are none."""
+    """Return the advice on readings of 0, 0, 0 (`zero_visits`); empty if there are none."""
     zeros = zero_visits(data, robot)
     if len(zeros) == 0:
         return ""

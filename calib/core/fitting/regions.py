@@ -33,7 +33,7 @@ class Regions:
     """How parameters move where regions are left out in turn.
 
     Attributes:
-        where: On what the parameters depend, in words.
+        where: Region on which the parameters depend, in words.
         ratio: How many times as much as noise explains they move.
         surely: Whether chance does not explain it.
     """

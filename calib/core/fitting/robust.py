@@ -46,7 +46,7 @@ _TOO_FEW_LEFT = (
 
 @dataclass(frozen=True, eq=False)
 class RobustSolution:
-    """A minimum, and what weighed its rows.
+    """A minimum, and the weights of its rows.
 
     Attributes:
         problem: As it was solved: with the noise and the sizes of families that were found.
@@ -144,7 +144,7 @@ def _levels(rows: Rows) -> FloatArray:
 
 
 def _median_scales(rows: Rows, groups: FloatArray, noise_found: BoolArray) -> FloatArray:
-    """Bring the scale of each group whose noise is found, beside the first, to where its median reading says."""
+    """Set the scale of each group whose noise is found, other than the first, by its median reading."""
     if len(groups) == 1 or not np.any(noise_found):
         return groups
     return groups * np.where(noise_found, np.maximum(_levels(rows), EXACT), 1.0)

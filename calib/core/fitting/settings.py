@@ -1,4 +1,4 @@
-"""How to fit: what users choose, checked where it is chosen."""
+"""The options of a fit, checked where they are chosen."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def place(problem: Problem) -> Evaluation:
 
 
 def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, FloatArray]) -> Evaluation | None:
-    """Return what `place` does, from another robot that was placed by the same readings; None if it moves otherwise.
+    """Return the result of `place` from another robot placed by the same readings; None if it moves otherwise.
 
     Args:
         problem: The problem.
@@ -123,7 +123,7 @@ def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, Floa
 
 
 def reset_unseen(problem: Problem, placed: Evaluation) -> Evaluation:
-    """Return a placed robot with what no reading sees from just there put back to where the description has it.
+    """Return a placed robot with places that no reading sees put back to where the description has them.
 
     The nominal robot's own errors may place a point where its instrument is blind, such as the end of a draw wire in
     the very plane in which a planar robot moves. A solver would not leave it, and its rank would not be that of the
@@ -172,7 +172,7 @@ def solve_from(
     Args:
         problem: The problem.
         placed: Where to begin.
-        settings: How.
+        settings: Options of the fit.
         workers: Who does the other starts; this process if not given.
         progress: Told after each of them.
 

@@ -1,4 +1,4 @@
-"""Errors of joints that residuals show beside noise, and that no parameter describes.
+"""Errors of joints that residuals show in addition to noise, and that no parameter describes.
 
 Residuals larger than the noise say that something is left out: gears, play, a bending link. Where the robot will be off
 by it at another pose is not known; how much, is. It is told as an error of each joint that is another one at each pose,

@@ -290,7 +290,7 @@ class Instrument(ABC):
         return len(self.parts) == 1 and self.parts[0].is_position and len(self.columns()) == 3
 
     def places(self) -> tuple[Place, ...]:
-        """Return places of its own, beside the measurement frame and the targets."""
+        """Return its own places, other than the measurement frame and the targets."""
         return ()
 
     def pairs(self, base: str) -> tuple[tuple[str, str], ...]:

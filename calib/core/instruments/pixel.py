@@ -1,6 +1,7 @@
 """Pixels: where a camera sees points of a body in its image.
 
-The camera (frame a: an own place, fixed to a link beside the robot or on it) looks at points X of the target frame (b):
+The camera (frame a: an own place, fixed to a link of the robot or next to it) looks at points X of the target frame
+(b):
 
     p = R_ab X + p_ab          (u, v) = image of p (`calib.core.instruments.camera`)          dp = dp_ab - [R_ab X]x dw
 

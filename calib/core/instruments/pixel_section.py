@@ -1,4 +1,4 @@
-"""What a robot description says of a camera and of the points that it sees.
+"""The entry of a camera in a robot description, and the points that it sees.
 
 Points of a body come by name from a CSV file: columns `point`, `x`, `y`, `z`, with units in the header.
 """
@@ -25,7 +25,7 @@ _COLUMNS = ("point", "x", "y", "z")
 
 
 def _folder(info: ValidationInfo) -> Path:
-    """Folder of the description, beside which the files are that it names."""
+    """Folder of the description; files that it names are relative to it."""
     folder: Path = (info.context or {}).get("folder", Path())
     return folder
 

@@ -68,7 +68,7 @@ class Relation(FrameInstrument):
 
     @abstractmethod
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return what it reads, (n, n_values); of a kind that touches, how far it is from that."""
+        """Return what it reads, (n, n_values); for a touch, the distance from contact."""
 
     def misses(self, view: View, unknowns: FloatArray, readings: Readings) -> FloatArray:
         """Return f, (n, n_rows) [SI]: prediction minus reading, unless a kind says more."""

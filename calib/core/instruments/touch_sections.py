@@ -1,4 +1,4 @@
-"""What a robot description says of touches: the places that are touched, one by one or as an artefact."""
+"""The entry of touches in a robot description: the places that are touched, one by one or as an artefact."""
 
 from __future__ import annotations
 

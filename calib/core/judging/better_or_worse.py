@@ -1,4 +1,4 @@
-"""Whether a calibration makes poses that were not used better or worse, against chance.
+"""Whether a calibration makes errors at unused poses smaller or larger, beyond chance.
 
 For the same readings k, whitened by the noise that was found, the errors before b_k and after a_k:
 

@@ -1,4 +1,4 @@
-"""What a model may leave out, as columns: what each effect would add to the whitened rows of a fit.
+"""Effects that a model may leave out, as columns: their parts of the whitened rows of a fit.
 
 All are displacements of the targets through the robot, d(position)/d(joint) with loops closed, or motions of the
 frames that positions are measured in:
@@ -55,7 +55,7 @@ _VISITS_LOOKED_AT = 256
 
 @dataclass(frozen=True, eq=False)
 class EffectSetting:
-    """A fit, as what effects are made of."""
+    """The data of a fit that effects are made of."""
 
     fit: Fit
 
@@ -65,7 +65,7 @@ class EffectSetting:
         return self.fit.identification.data
 
     def whiten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
-        """Return what effects do to the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
+        """Return effects on the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
         rows: FloatArray = (
             self.fit.whitening.flatten(arrays) / self.fit.whitening.row_scale(self.fit.scales.groups)[:, None]
         )
@@ -222,12 +222,12 @@ def effects(setting: EffectSetting) -> Iterator[Effects]:
 
 
 def scale(setting: EffectSetting) -> FloatArray:
-    """Return what the rows gain if every length is read too long, (n_rows, 1) for a part of 1."""
+    """Return the change of the rows if every length is read too long, (n_rows, 1) for a part of 1."""
     return setting.whiten({name: -lengths for name, lengths in _lengths(setting).items()})
 
 
 def gains(setting: EffectSetting) -> FloatArray:
-    """Return what the rows gain if a joint turns too far by a part of 1 of its way, (n_rows, n_actuated)."""
+    """Return the change of the rows if a joint turns too far by a part of 1 of its way, (n_rows, n_actuated)."""
     return setting.joint_columns * (setting.data.joints - np.mean(setting.data.joints, axis=0))[setting.visit]
 
 

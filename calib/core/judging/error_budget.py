@@ -1,4 +1,4 @@
-"""The error budget: of the error before calibration, how much each cause made, and what is left.
+"""The error budget: the parts of the error before calibration by cause, and the rest after it.
 
 Between the robot before (values p_0) and after (p_1), let e(t) be the errors of the readings at p_0 + t (p_1 - p_0),
 J(t) their derivative, and d_k the change of the parameters of cause k. By the chain rule
@@ -74,7 +74,7 @@ class ErrorBudget:
     """Causes of the error before calibration.
 
     Attributes:
-        used: Whether of the readings that were used, corrected for that; else of those that were not.
+        used: Whether it is about the readings used by the fit, corrected for that; else about the others.
         part: The part of the readings that it is about.
         n_readings, n_poses: How many.
         before, after: Mean square error of a reading before, and what is left of it [SI, squared].
@@ -96,7 +96,7 @@ class ErrorBudget:
 
 @dataclass(frozen=True, eq=False)
 class _ErrorPath:
-    """Readings on the way: sums over the rows of each reading, and what the covariance needs.
+    """Integrals over the way from before to after: sums over the rows of each reading, and gradients.
 
     Attributes:
         before: |e(0)|^2 of each reading, (n_readings,).

@@ -1,4 +1,4 @@
-"""What a calibration promises of new readings: the least-squares problem of `calib.core.judging.acceptance`.
+"""The promise of a calibration on new readings: the least-squares problem of `calib.core.judging.acceptance`.
 
 Symbols are those of that module: r residuals, J L what is known only so well, P base and targets, Q = |e|^2.
 """
@@ -67,7 +67,7 @@ class Promise:
 
     @staticmethod
     def from_calibration(calibrated: Fit | Promise | HasPromise) -> Promise:
-        """Return what a fit or a loaded result promises.
+        """Return the promise of a fit or a loaded result.
 
         Raises:
             InputError: It promises nothing, such as a robot alone, or the path of a result's folder.
@@ -89,7 +89,7 @@ class Promise:
         )
 
     def with_common_error(self, n_rows: int) -> Promise:
-        """Return what it promises where errors that it left unexplained may be one error of n rows, though no larger.
+        """Return the promise where errors left unexplained may be one error of n rows, though no larger.
 
         In a region of its own, such errors move parameters as if only as few rows as parameters had decided them; and
         the rows tell as much as so few. The equations are in `calib.core.judging.acceptance`.
@@ -157,7 +157,7 @@ class PossibleChanges:
 
 
 def candidates(robot: Robot) -> list[PossibleChanges]:
-    """Return what can change: parameters of the robot's origins, and zeros of its joints."""
+    """Return the possible changes: parameters of the robot's origins, and zeros of its joints."""
     free = np.flatnonzero(robot.is_free)
     parameters = [
         PossibleChanges(p.name, p.dimension, k, False, p.sigma_si)
@@ -186,7 +186,7 @@ class ExpectedDistances:
     freedom: float
 
     def limit(self, chance: float, noise_freedom: float) -> float:
-        """Return what their root mean square exceeds with a chance [m].
+        """Return the limit that their root mean square exceeds with a chance [m].
 
         Args:
             chance: The chance.
@@ -251,7 +251,7 @@ class System:
         return numbers_by_instrument(np.setdiff1d(np.arange(self.rows.layout.n_readings), readings), self.rows.layout)
 
     def require_readings(self, data: Measurements) -> System:
-        """Return it; with nothing left to judge by, raise `DataError`."""
+        """Return the system itself; a `DataError` if nothing is left to judge by."""
         if self.promise.freedom < 1:
             raise DataError(
                 f"{self.promise.robot.path}: its calibration left {self.promise.freedom:.2g} degrees of freedom, too"
@@ -290,7 +290,7 @@ class System:
 
     @property
     def placement_rank(self) -> int:
-        """Rank of the columns of the places beside the known unknowns."""
+        """Rank of the columns of the places, in addition to the known unknowns."""
         return self.rows.posterior_information.root.shape[1] - int(np.sum(self.rows.prior.has))
 
     @cached_property
@@ -314,7 +314,7 @@ class System:
         return len(self.promise.joints) > 0 and not are_drawn_alike(self.errors.data.joints, self.promise.joints)
 
     def with_common_error(self, data: Measurements, same_setup: bool) -> System:
-        """Return it as it is where what the calibration left unexplained may be one error of all readings.
+        """Return the system where errors left unexplained may be one error of all readings.
 
         Args:
             data, same_setup: Of which it was made.
@@ -363,7 +363,7 @@ def _candidate_columns(robot: Robot, columns: FloatArray, n_free: int) -> FloatA
 
 
 def six_digits(value: float) -> float:
-    """So much of a number that rounding decides about no order."""
+    """Return a number to six digits, so that rounding decides about no order."""
     return float(f"{value:.6g}")
 
 

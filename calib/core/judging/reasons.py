@@ -1,4 +1,4 @@
-"""What a verdict is made of: a grade, and reasons in words that say what to do.
+"""The parts of a verdict: a grade, and reasons in words that say what to do.
 
 `Code` is the table of all reasons. What makes a reason true, its limit and its sentence stand together, in one function
 of `calib.core.judging.rules_...`; `calib.core.judging.verdict` asks these functions in order.
@@ -32,7 +32,7 @@ class Answer(Enum):
 
 @dataclass(frozen=True)
 class Reason:
-    """One thing to know.
+    """A finding about a fit, and what to do about it.
 
     Attributes:
         grade: CHECK or FAIL; PASS where it is good to know and no doubt.
@@ -160,7 +160,7 @@ class Verdict(HintedObject):
     claim: Claim | None = None
 
     def __eq__(self, other: object) -> bool:
-        """Whether two verdicts are the same; a verdict beside a text is a mistake that would go unseen."""
+        """Whether two verdicts are the same; comparing a verdict with a text is a mistake that would go unseen."""
         if isinstance(other, str):
             raise UnknownOptionError(f"Verdict: is not text; here: fit.verdict.grade == {other!r}")
         return isinstance(other, Verdict) and vars(self) == vars(other)

@@ -1,4 +1,4 @@
-"""What repeated readings of a pose say: the figures of ISO 9283.
+"""The figures of ISO 9283 from repeated readings of a pose.
 
 ISO 9283 asks for 30 readings of five poses, approached anew each time, and takes the commanded position where this
 takes the one that the model predicts for the reading's own joint values; what the joints say that they moved between
@@ -146,7 +146,7 @@ def repeatability(errors: ErrorSet) -> tuple[float, int]:
 
 
 def pose_error_over_repeatability(errors: ErrorSet, n_effective: float) -> tuple[float, float]:
-    """Return what pose means are off, as noise of one reading, over the scatter of repeats, and the chance of that.
+    """Return the error of pose means, as noise of one reading, over the scatter of repeats, and the chance of that.
 
     If the model leaves nothing out, the mean of n readings is off by what one reading scatters over the root of n. NaN
     and 1 where there are no repeats, or where they do not scatter at all.
@@ -166,7 +166,7 @@ def pose_error_over_repeatability(errors: ErrorSet, n_effective: float) -> tuple
 
 
 def conditions(comments: Sequence[str], keys: Sequence[str] = CONDITIONS) -> dict[str, str]:
-    """Return what comment lines `key: value` of a file say of the test, by key."""
+    """Return the conditions of the test in comment lines `key: value` of a file, by key."""
     stated = {}
     for line in comments:
         key, _, value = line.partition(":")
@@ -265,7 +265,7 @@ def _drifts(
 def _missing(
     errors: ErrorSet, several: list[PoseScatter], turned: list[PoseScatter], figures: list[IsoFigure]
 ) -> list[str]:
-    """Say what the standard asks for and the data do not have."""
+    """Return the figures of the standard for which data are missing, in words."""
     cycles = [len(scatter.after) for scatter in several]
     result = []
     if not several:

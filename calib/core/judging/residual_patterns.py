@@ -1,4 +1,4 @@
-"""Systematic residuals: patterns that noise does not make.
+"""Systematic residuals: patterns that are no noise.
 
 Question. Would the model explain the data significantly better with one more effect? For an effect with columns Z (what
 it would add to the measured rows) the linear model r = J du + Z c is compared with the fit:
@@ -150,7 +150,7 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
 
 
 def _kept(tested: Iterable[_EffectTests]) -> list[tuple[_EffectTests, int]]:
-    """Of the kinds that are tried by the dozen, keep the most significant of each name; of the others, all."""
+    """Keep the most significant effect of each name of kinds that are tried by the dozen, and all of the others."""
     kept: dict[tuple[Kind, str, int], tuple[_EffectTests, int]] = {}
     for tests in tested:
         kind, name = tests.effects.kind, tests.effects.name

@@ -72,7 +72,7 @@ def noise(fit: Fit) -> Iterator[Reason]:
 
 
 def misread(fit: Fit) -> Iterator[Reason]:
-    """Look for noise that no such instrument has, whatever robot it reads, and for what the numbers mean then."""
+    """Look for noise that no such instrument has, whatever robot it reads, and for another meaning of its numbers."""
     for estimate in fit.noise:
         if not estimate.sigma > DOUBTFUL * estimate.group.part.largest:
             continue
@@ -148,7 +148,7 @@ def _check_usual_noise(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
 
 
 def _proven_by_another(fit: Fit) -> bool:
-    """Whether poses get better that an instrument judged with which nothing was fitted."""
+    """Whether errors get smaller at poses read by an instrument that was not used for the fit."""
     used = fit.identification.data.readings.keys()
     another = fit.validation is not None and bool(fit.validation.data.readings.keys() - used)
     return another and any(comparison.better for comparison in comparisons(fit))

@@ -88,10 +88,11 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     """See whether one scale of all lengths explains why parameters are far from nominal: then the unit is off.
 
     In the linear model around the solution, with deviations u over the sigmas of all that are no places, a scale s of
-    everything that was measured is tried beside the parameters: |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. Noise is
-    scaled as well: else a robot whose lengths are all free is explained best by lengths of nothing. Residuals are over
-    the noise found, so that without a scale the squares add up to about the rows less the places. Joints that turn too
-    far draw larger arcs, which look like longer links: no scale is the cause where gains of all joints explain as much.
+    everything that was measured is tried together with the parameters: |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2.
+    Noise is scaled as well: else a robot whose lengths are all free is explained best by lengths of nothing. Residuals
+    are over the noise found, so that without a scale the squares add up to about the rows less the places. Joints that
+    turn too far draw larger arcs, which look like longer links: no scale is the cause where gains of all joints explain
+    as much.
     """
     if fit.computed:
         return
@@ -120,7 +121,7 @@ def _residuals_of_scales(fit: Fit) -> tuple[FloatArray, int]:
 
 
 def _scale_sentence(part: float) -> str:
-    """Say how long measured lengths are beside those of the description, which fit once they are scaled by 1 + part."""
+    """Return a clause on the ratio of measured to described lengths, which fit once scaled by 1 + part."""
     if abs(part) > MANIFOLD:
         return f"{1.0 / max(1.0 + part, _NOTHING):.3g} times as long as"
     return f"{100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than"
@@ -152,7 +153,7 @@ def _residuals_beside_parameters(fit: Fit, columns: FloatArray) -> tuple[FloatAr
 def _cost_with(
     columns: FloatArray, right: FloatArray, n_measured: int, *, is_scale: bool = False
 ) -> tuple[float, float]:
-    """Return the least cost with some of these columns (n, k) beside the residuals (n,), and the first's size.
+    """Return the least cost of the residuals (n,) with some of these columns (n, k) fitted, and the first's size.
 
     Args:
         columns, right: What the parameters leave of them.
@@ -171,7 +172,7 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
     """Look for joints that move by another factor than their values say, by joint terms or by what the model leaves.
 
     Joint origins hide most of it: a robot may fit to a tenth of a millimetre although a motor turns three percent too
-    far. What is left still tells the factors of all joints, each beside all others.
+    far. What is left still tells the factors of all joints, each with all others fitted.
     """
     if fit.computed:
         return
@@ -229,7 +230,7 @@ def large_terms(fit: Fit) -> Iterator[Reason]:
 
 
 def unlike_fleet(fit: Fit) -> Iterator[Reason]:
-    """Say in what a robot is unlike the others of its model, so that these said nothing of it."""
+    """Say which parameters are unlike those of the fleet, so that the fleet's prior was not used for them."""
     fleet = fit.nominal.description.fleet
     if fleet is not None and fleet.unlike:
         whole = len(fleet.unlike) == len(fleet.parameters)

@@ -1,5 +1,5 @@
-"""Rules of the verdict about what a calibration reaches: where it holds, by how far joints moved and where it was
-validated, and a stated tolerance.
+"""Rules of the verdict about the region where a calibration holds, by the motion of joints and by validation, and about
+a stated tolerance.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def check_curve_ranges(fit: Fit) -> Iterator[Reason]:
 
 
 def blocks_disagree(fit: Fit) -> Iterator[Reason]:
-    """See whether the parameters stand where boxes of joint space, or whole setups, are left out in turn."""
+    """See whether the parameters stay where boxes of joint space, or whole setups, are left out in turn."""
     apart = fit.regions
     if apart is not None and apart.surely:
         yield Code.BLOCKS_DISAGREE.says(
@@ -213,7 +213,7 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
 
 
 def _widening_sentence(fit: Fit, q: FloatArray) -> str:
-    """How sure positions at q (n, n_actuated) are beside those at the poses used, where joint terms widen them so much.
+    """The uncertainty of positions at q (n, n_actuated) against that at the poses used, if joint terms widen it.
 
     Base and tool placed anew: where they stand is no matter of the terms.
     """
@@ -232,7 +232,7 @@ def _widening_sentence(fit: Fit, q: FloatArray) -> str:
 
 
 def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
-    """How positions move with the unknowns beside what moves all of them as one body, (3 n, n_unknowns)."""
+    """How positions move with the unknowns, without the motion of all of them as one body, (3 n, n_unknowns)."""
     linear, targets = linearise(fit.robot, configurations), fit.robot.reported_targets
     rows = without_common_motion(linear.positions[:, targets], linear.jacobian[:, targets])
     return rows.reshape(-1, rows.shape[-1])[:, fit.unknowns.index]

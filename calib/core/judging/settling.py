@@ -1,9 +1,9 @@
 """Poses of a calibration that settle whether a robot has changed, if they are measured again.
 
 At a pose that was used the model is off now as it was then: what differs there is the robot, whatever the model leaves
-out. Of all poses used, those are chosen one by one that make the information on the change beside base and targets,
-which are placed anew, grow most (its determinant: `calib.core.numerics.observability`, O1); and so many of them that
-the change shows with the chance `POWER`.
+out. Of all poses used, those are chosen one by one that make the information on the change, base and targets
+eliminated, which are placed anew, grow most (its determinant: `calib.core.numerics.observability`, O1); and so many of
+them that the change shows with the chance `POWER`.
 
 When it fails. Of more poses than `MOST`, evenly chosen ones are looked at. The change is taken as large as it was
 found: a smaller one takes more poses.

@@ -173,7 +173,7 @@ class JudgedFit(Fit):
 
     @classmethod
     def from_fit(cls, fit: Fit) -> Self:
-        """Return a fit with what it is worth."""
+        """Return a fit with its findings and its verdict."""
         values = {field.name: getattr(fit, field.name) for field in fields(fit)}
         if fit.with_all is not None:
             values["with_all"] = JudgedFit.from_fit(fit.with_all)
@@ -234,6 +234,6 @@ class JudgedFit(Fit):
 
     @property
     def known(self) -> KnownRobot:
-        """The calibrated robot, with how well it is known and where it was measured."""
+        """The calibrated robot, with its uncertainty and the poses measured."""
         joints, needless = self.identification.data.joints, self.verdict.nothing_to_correct
         return KnownRobot(self.robot, self.uncertainty, joints, needless)

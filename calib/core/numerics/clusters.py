@@ -66,7 +66,7 @@ class Scatter(ReadOnlyArrays):
     total_freedom: float
 
     def ratio_to(self, finer: Scatter) -> tuple[float, float]:
-        """Return the ratio beside that of the smaller blocks within, and the chance of it.
+        """Return the ratio over that of the smaller blocks within, and the chance of it.
 
         Args:
             finer: Of blocks, several of which make one of these.

@@ -5,7 +5,7 @@ Minimise |r(x)|^2. With J = dr/dx the gradient is 2 J^T r and the Hessian is
     2 (G + S)      G = J^T J      S = sum of r_i d^2 r_i / dx^2
 
 Gauss and Newton's step f = -G^-1 J^T r leaves S out. Near a minimum each such step multiplies the error by -G^-1 S: it
-converges fast only where S is small beside G, that is where residuals are small or directions are well seen. In
+converges fast only where S is small compared with G, that is where residuals are small or directions are well seen. In
 directions that priors alone hold, G is 1 whatever the noise. Residuals that hold what the model leaves out, divided by
 the small noise of a good instrument, bring S to 1 there; then plain steps converge slowly or not at all.
 
@@ -121,7 +121,7 @@ _LIMIT, _RECEDES, _COST_STANDS, _STEP_VANISHES = (
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresSolution:
-    """Where the iteration ended.
+    """The end of the iteration.
 
     Attributes:
         x: The unknowns, (n,).
@@ -196,7 +196,7 @@ def _cost(values: FloatArray) -> float:
 
 
 class _Iteration:
-    """Where the iteration is, and what it remembers.
+    """The state of the iteration, and its memory.
 
     Args:
         start: Where it begins.
@@ -247,7 +247,7 @@ class _Iteration:
 
     @property
     def recedes(self) -> bool:
-        """Whether what is left, which promises little, is absurdly long and becomes ever longer."""
+        """Whether the remaining step, which promises little, is absurdly long and becomes ever longer."""
         current = self.current
         if self._by_columns or self._left is not None or self._receded < _RECEDED:
             return False
@@ -263,7 +263,7 @@ class _Iteration:
         return self.current if self._left is None else self._left[0]
 
     def stopping_rule(self) -> str:
-        """Return which stopping rule is met; nothing if none is."""
+        """Return the stopping rule that is met; empty if none is."""
         if self._left is not None:
             return ""
         allowed = (_ROUNDING if self._undone else 1.0) * self._tolerance
@@ -273,7 +273,7 @@ class _Iteration:
         return _STEP_VANISHES if min(self._length(self.current.newton), self._radius) <= _SMALL_STEP * size else ""
 
     def trial(self) -> FloatArray:
-        """Return where to look next, (n,)."""
+        """Return the next trial point, (n,)."""
         current = self.current
         curvature = current.curvature(self._past) if 2.0 * current.decrease <= current.cost else None
         self._step, self._promised = current.step(curvature, self._radius, self._scale)
@@ -282,7 +282,7 @@ class _Iteration:
         return np.asarray(current.x + self._taken)
 
     def _extrapolated_curvature(self) -> FloatArray:
-        """Return how the rows bend along the next step if they bend as along the last one, (m,)."""
+        """Return the curvature of the rows along the next step if it is that along the last one, (m,)."""
         before = self._past[-1]
         last = self.current.x - before.x
         along = float(last @ self._step) / float(last @ last)
@@ -290,11 +290,11 @@ class _Iteration:
         return self.current.jacobian.times(way) - before.jacobian.times(way)
 
     def _back(self, bend: FloatArray) -> FloatArray | None:
-        """Return what takes a bend away, (n,)."""
+        """Return the step that takes a bend away, (n,)."""
         return self.current.correct_curvature(bend, _BEND * self._length(self._step), self._scale)
 
     def curved_trial(self, values: FloatArray) -> FloatArray | None:
-        """Return where to look as well, (n,), after a trial point with these residuals (m,); None for nowhere."""
+        """Return a second trial point, (n,), after one with these residuals (m,); None for none."""
         reached, promised = _cost(values), self.current.cost - self._promised
         if self._left is not None or (np.isfinite(self._radius) and not self._stays) or self._promises_little:
             return None

@@ -1,4 +1,4 @@
-"""The linear model of a fit: residuals r + J d of whitened rows around a point, and what is known of d before them.
+"""The linear model of a fit: residuals r + J d of whitened rows around a point, and the prior of d.
 
 Unknowns are scaled, u = (p - p_expected) / s; d is their change from where they are. The rows are those of all readings
 (`calib.core.rows.rows`), or a few that have the same products. Its use:
@@ -27,7 +27,7 @@ from calib.core.numerics.tall import Span
 
 @dataclass(frozen=True, eq=False)
 class RowGroups(ReadOnlyArrays):
-    """Which rows have noise of one scale.
+    """The groups of rows whose noise has one scale.
 
     Attributes:
         group: Group of each row; -1 for one that was not read, (n_rows,).
@@ -39,7 +39,7 @@ class RowGroups(ReadOnlyArrays):
 
     @staticmethod
     def from_groups(group: IntArray, n_groups: int) -> RowGroups:
-        """Return that of rows (n_rows,) which stand for themselves."""
+        """Return the groups of rows (n_rows,) which stand for themselves."""
         return RowGroups(group, np.bincount(group[group >= 0], minlength=n_groups))
 
 

@@ -1,6 +1,6 @@
 """The linear model of residuals at a point of an iteration, and steps to its minimum.
 
-r(x + d) is taken as r + J d, with J = Q R; what is known of the curvature of r stands beside it as K. Symbols and
+r(x + d) is taken as r + J d, with J = Q R; what is known of the curvature of r is K. Symbols and
 derivation are those of `calib.core.numerics.least_squares`, which goes from point to point.
 
 R is that of rotations, which lose nothing. Of many columns it is the Cholesky factor of J^T J, in a third of the time.
@@ -50,7 +50,7 @@ class RowStack:
 
     @staticmethod
     def from_matrix(matrix: FloatArray | RowStack) -> RowStack:
-        """Return a matrix (m, n) as such a one without a prior."""
+        """Return a stack of a matrix (m, n) without a prior."""
         if isinstance(matrix, RowStack):
             return matrix
         return RowStack(matrix, Prior(np.zeros(matrix.shape[1], dtype=bool)))

@@ -1,4 +1,4 @@
-"""Robust losses: how much a measured point counts, given how far it is from where the fit puts it.
+"""Robust losses: the weight of a reading by its distance from the fit.
 
 A reading is k whitened rows of one instrument at one visit. With d = |r| / scale the length of its residual over a
 scale found from the data, its squares count with the weight
@@ -172,7 +172,7 @@ def robust_factors(loss: Loss, distances: FloatArray, widths: IntArray, scale: f
         loss: The loss that weighed them.
         distances: Lengths of whitened residuals, (n_readings,).
         widths: Rows of each reading, (n_readings,).
-        scale: What they were divided by for the weights.
+        scale: Divisor of the lengths in the weights.
         n_effective: Effective parameters.
 
     Raises:

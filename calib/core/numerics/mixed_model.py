@@ -1,7 +1,7 @@
 """One linear model with coefficients whose sizes are found: all kinds of columns at once, in place of a choice of them.
 
 Problem. Rows y of a linear problem have columns of many kinds: some of them are surely there (origins, places), others
-may be (gears, bending), and beside them is what no column describes. Which kinds are there, and how large, is to be
+may be (gears, bending), and the rest is what no column describes. Which kinds are there, and how large, is to be
 found from the same rows, and what is not known of it is to be counted.
 
 Model. With u the coefficients of all columns X,
@@ -73,7 +73,7 @@ class MixedModel(ReadOnlyArrays):
 
     Attributes:
         rows: As they were given.
-        parts: What columns are made of, in their order.
+        parts: Groups of columns and their components, in their order.
         x: Columns of all parts, rows rotated, (n_rows, n).
         y: Values, rotated, (n_rows,).
         spread: l of the module docstring, (n_rows,).
@@ -140,7 +140,7 @@ class MixedModel(ReadOnlyArrays):
         return np.exp(logs[: self.n_families]), noise, float(np.exp(logs[-1])) if self.scatters else 0.0
 
     def coefficients(self, condensed: FloatArray) -> FloatArray:
-        """Return those of all columns (n_columns,), from those of the condensed ones (n,)."""
+        """Return the coefficients of all columns (n_columns,), from those of the condensed ones (n,)."""
         result, start = np.zeros(self.rows.columns.shape[1]), 0
         for part in self.parts:
             end = start + part.kept.shape[1]

@@ -78,7 +78,7 @@ class FamilyPart(ReadOnlyArrays):
 
     @staticmethod
     def from_columns(members: IntArray, columns: FloatArray, family: int, least: float = 0.0) -> FamilyPart:
-        """Return that of the columns of a family, (n_rows, n); without components shorter than `least`."""
+        """Return the part of the columns of a family, (n_rows, n); without components shorter than `least`."""
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
             lengths[lengths == 0.0] = 1.0

@@ -40,7 +40,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
 from calib.core.numerics.identifiability import rank_of, reduce_rows
 
-_SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter by which a group is told
+_SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter by which a group is described
 ZERO = 1e-6
 """Entries of a vector below this part of its largest are zero."""
 _DEPENDENT = 1e-9  # smallest singular value of rows of an orthonormal basis that counts as none
@@ -85,7 +85,7 @@ def null_groups(
 
 
 def describe_group(group: UnseenGroup, parameters: Sequence[Parameter]) -> str:
-    """Return in words which changes look alike, such as `d41 + dq1 from d42 + xt`, or `1 deg of dq2 from 3 mm of yb`.
+    """Return the changes that look alike in words: `d41 + dq1 from d42 + xt`, or `1 deg of dq2 from 3 mm of yb`.
 
     Args:
         group: Of `null_groups`.

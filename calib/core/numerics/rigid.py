@@ -1,4 +1,4 @@
-"""Points carried to where they were seen, and a point from its distances.
+"""The best rigid transform between two sets of points, and a point from its distances.
 
 The best rigid transform: R, t that make
 

@@ -82,7 +82,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: Bo
 
 
 def scatter_beside_noise(at: SolvedModel) -> float:
-    """Return the scatter, with what rows cannot tell of it from noise; 0 where they show neither.
+    """Return the scatter, including what rows cannot tell from noise; 0 where they show neither.
 
     Of d^2, rows say that it is normal about the likeliest one, with a standard deviation t, and not negative; if noise
     was known, with t_0. With p and F the normal density and distribution, its mean is d^2 + e(t), e(t) = t p(d^2 / t) /

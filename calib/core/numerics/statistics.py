@@ -1,4 +1,4 @@
-"""How sure the parameters are: covariance, intervals and the found noise of a least-squares fit with priors.
+"""The uncertainty of parameters: covariance, intervals and the found noise of a least-squares fit with priors.
 
 Unknowns u = (p - p_expected) / s with scales s (the parameters' sigma). Whitened data rows J u ~ N(r, f^2), each with
 the noise that the fit assumed, f being by how much that was off (1 where it was found from the residuals, about 1 where
@@ -62,7 +62,7 @@ from calib.core.numerics.variance_components import require_freedom
 DECIDED_BY_DATA = 0.9
 """Share of a parameter's expected variance that the data must remove for `identified`; up to 1 - this, `prior`."""
 Status = Literal["identified", "partly", "prior", "weak", "placed", "held"]
-"""What a parameter's value rests on; see `status`."""
+"""The source of a parameter's value; see `status`."""
 _BY_PRIOR = 1.0 - DECIDED_BY_DATA
 _ENOUGH = 0.5  # degrees of freedom of a group below which its own rows say nothing about its noise
 
@@ -91,7 +91,7 @@ class Factors(ReadOnlyArrays):
 
 
 class BeyondLinear:
-    """Mean square of what parameters are off beyond the linear model, computed at first use.
+    """Mean square error of parameters beyond the linear model, computed at first use.
 
     Args:
         compute: Returns it, (n_free,) [m^2, rad^2].
@@ -127,8 +127,8 @@ class Statistics(ReadOnlyArrays):
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
         effective_parameters: How many parameters the data decide, n_eff of the module docstring.
         poses: How the readings of each pose scatter together; None: independently.
-        beyond_linear: What they are off beyond the linear model, part of `half_width` alone; None for nothing.
-        wider: Factor by which standard deviations and intervals are wider than all of this says, (n_free,).
+        beyond_linear: Their errors beyond the linear model, part of `half_width` alone; None for none.
+        wider: Further factor on standard deviations and intervals, (n_free,).
     """
 
     factors: Factors
@@ -165,11 +165,11 @@ class Statistics(ReadOnlyArrays):
         return float(scipy.special.stdtrit(self.interval_freedom, 0.975))
 
     def widen(self, factor: float) -> Statistics:
-        """Return them with deviations and intervals so many times as wide; see `calib.core.fitting.regions`."""
+        """Return the statistics, deviations and intervals multiplied by a factor; see `calib.core.fitting.regions`."""
         return replace(self, std=factor * self.std, wider=factor * self.wider)
 
     def with_more(self, variances: FloatArray) -> Statistics:
-        """Return them with standard deviations and intervals that include further variances, (n_free,)."""
+        """Return the statistics with standard deviations and intervals that include further variances, (n_free,)."""
         std = np.sqrt(self.std**2 + variances)
         wider = np.divide(std, self.std, out=np.ones_like(std), where=self.std > 0)
         return replace(self, std=std, wider=wider * self.wider)
@@ -186,7 +186,7 @@ def _scatter_beyond_chance(poses: Scatter | None) -> Scatter | None:
 
 
 def status(data_share: float, relative_std: float, *, prior: bool, placement: bool) -> Status:
-    """Return what a free parameter's value rests on.
+    """Return the source of a free parameter's value.
 
     With a prior: `identified`, `partly` or `prior`, by the share of the prior's variance that the data removed. Without
     one the measurements alone decide, so that only their precision can be judged: `identified` where the same share of
@@ -212,7 +212,7 @@ class ChiSquare:
 
     Attributes:
         value: |r|^2 of whitened residuals.
-        freedom: What it is on average if the statement is right.
+        freedom: Its mean if the statement is right.
         p_larger, p_smaller: Chance of a value at least as large, or as small, if the statement is right.
     """
 
@@ -266,7 +266,7 @@ def find_factors(
     n_groups: int,
     confirmed: FloatArray | None = None,
 ) -> Factors:
-    """Return by how much the assumed noise of each group of rows is off.
+    """Return the factors by which the assumed noise of each group of rows is off.
 
     Args:
         residuals: Whitened, (n_rows,).

@@ -1,4 +1,4 @@
-"""The product of a matrix of very many rows with a small one, of which no more is ever there than is looked at."""
+"""The product of a matrix of very many rows with a small one, computed a part at a time."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Span:
 
 
 def slices(n_rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
-    """Yield which rows to look at together, one part after another; none of no rows."""
+    """Yield slices of rows to be computed together; none of no rows."""
     return (slice(start, min(start + at_once, n_rows)) for start in range(0, n_rows, at_once))
 
 

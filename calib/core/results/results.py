@@ -52,7 +52,7 @@ _PAGES = ("report.html", "viewer.html")
 _VERSION_1 = ("undecided_terms.csv", *(f"{name}{end}.csv" for name in ("without_terms", "with_tables", "to_last_axis")
               for end in ("", "_covariance")))  # fmt: skip
 _NOT_ALWAYS = (_URDF, *_PAGES, *_VERSION_1)
-"""Files that must not stay beside a new result that has none."""
+"""Files that a new result replaces or removes."""
 _ALWAYS = ("result.json", SAVED, "parameters.csv", "covariance.csv", "residuals.csv", NOMINAL_YAML, NOMINAL_URDF)
 RESULT_FILES = (*_ALWAYS, *_NOT_ALWAYS)
 """What a result folder may hold of a fit."""

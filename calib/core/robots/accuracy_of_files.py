@@ -1,9 +1,10 @@
-"""What files of a robot hold, and the robot that each kind of file gets.
+"""How much of a robot a file holds, and the robot that each kind of file gets.
 
 A calibrated robot may have more than a file has room for: terms of its joints' errors, origins behind the last axis,
-all but the zeros of its joints. Its other values belong to those that are lost: joint origins that were found beside a
-joint's curve are wrong without it. So a file never gets a part of the robot. It gets the robot that is best among those
-that it can hold whole, fitted to the same measurements; and how good that one is, at poses that it has not seen.
+all but the zeros of its joints. Its other values belong to those that are lost: joint origins that were found together
+with a joint's curve are wrong without it. So a file never gets a part of the robot. It gets the robot that is best
+among those that it can hold whole, fitted to the same measurements; and how good that one is, at poses that it has not
+seen.
 """
 
 from __future__ import annotations
@@ -52,14 +53,14 @@ class Accuracy:
     Attributes:
         poses: At which poses.
         n_poses: How many.
-        part: What was read there, such as `position`.
-        dimension: What that measures.
+        part: Part of the readings there, such as `position`.
+        dimension: Its dimension.
         before: Root mean square error of the nominal robot, base and targets placed alone [SI].
         rms: Root mean square error of the robot [SI].
-        limit95: What the error at one more such pose stays below with a chance of 95 % or more [SI]; NaN where the
+        limit95: Limit that the error at one more such pose keeps with a chance of 95 % or more [SI]; NaN where the
             poses are too few to say.
         is_position: Whether positions were read (`calib.core.instruments.kind.Part`).
-        readings: What was read there in a sentence, such as `distances`.
+        readings: Name of the readings there in a sentence, such as `distances`.
     """
 
     poses: PoseUse
@@ -86,14 +87,14 @@ class Accuracy:
 
     @property
     def words(self) -> str:
-        """One clause: its error, what nearly all errors stay below, and where."""
+        """One clause: its error, the limit of nearly all errors, and where."""
         limit = f", 95 % within {self.in_unit(self.limit95)}" if np.isfinite(self.limit95) else ""
         return f"{self.in_unit(self.rms)} RMS{limit} ({self.pose_words})"
 
 
 @dataclass(frozen=True, eq=False)
 class FileRobot(ReadOnlyArrays):
-    """The robot that files get which hold so much of one.
+    """The robot for files that hold so much of one.
 
     Attributes:
         values: Of all its parameters, by name [SI]; none where it is the nominal robot with joint zeros.

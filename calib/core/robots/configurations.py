@@ -24,7 +24,7 @@ class Configurations(ReadOnlyArrays):
     """Assembled configurations of a robot.
 
     Attributes:
-        actuated: What the driven joints really are, (n, n_driven) [m or rad]: commands and the joints' errors, then
+        actuated: Actual values of the driven joints, (n, n_driven) [m or rad]: commands and the joints' errors, then
             how links are tilted (`calib.core.robots.mechanism`).
         passive: (n, n_passive) [m or rad].
         slope: Derivative of the closures by the passive joints, (n, n_passive, n_passive), where it is known.

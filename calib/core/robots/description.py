@@ -246,7 +246,7 @@ def validate_description(content: Mapping[str, Any], where: Path | str) -> Descr
 
     Args:
         content: Its keys and values.
-        where: Its file, for messages; files that it names are beside this one.
+        where: Its file, for messages; files that it names are relative to this one.
 
     Raises:
         DescriptionError: Unknown key, wrong value; the message names the place.

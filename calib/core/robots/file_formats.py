@@ -26,7 +26,7 @@ class FormatFile:
 
     Attributes:
         content: Its bytes.
-        statement: What it holds, and what it leaves.
+        statement: Its content, and the error that it leaves, in words.
     """
 
     content: bytes
@@ -73,7 +73,7 @@ def held_of(robot: Robot, file_format: str) -> Holds:
 
 
 def robot_for(robot: Robot, file_format: str, *, force: bool = False) -> Robot:
-    """Return the robot that a file of a format gets; of joint zeros, the robot itself, which knows them.
+    """Return the robot for a file of a format; for joint zeros, the robot itself, which knows them.
 
     Args:
         robot: The robot; one of a fit knows which robot is best in each kind of file.
@@ -101,13 +101,13 @@ def robot_for(robot: Robot, file_format: str, *, force: bool = False) -> Robot:
 
 
 def loses(robot: Robot, holds: Holds) -> bool:
-    """Whether a file that holds so much has something to say of what it is not: what it loses, or that it is forced."""
+    """Whether a file that holds so much must state a limit: what it loses, or that it was forced."""
     known = robot.files.get(holds)
     return bool(lost_by(robot, holds)) or (known is not None and bool(known.withheld))
 
 
 def remarks_on_file(robot: Robot, holds: Holds) -> list[str]:
-    """Return what a file that holds so much of a robot says: what it loses, and how good it is, as far as known."""
+    """Return the remarks in a file that holds so much of a robot: what it loses, and its error, as far as known."""
     lost, known = lost_by(robot, holds), robot.files.get(holds)
     if known is None:
         without = f"joint terms of {listing(lost)}, which are not in this file"
@@ -124,7 +124,7 @@ def remarks_on_file(robot: Robot, holds: Holds) -> list[str]:
 
 
 def error_comparison(robot: Robot, holds: Holds) -> str:
-    """Return the error of the robot that a file gets, beside the nominal one and the whole model; one clause."""
+    """Return the error of the robot in a file, of the nominal one and of the whole model, as one clause."""
     accuracy, whole = robot.files[holds].accuracy, robot.files.get(Holds.EVERYTHING)
     others = f"; the nominal robot has {accuracy.in_unit(accuracy.before)}"
     if whole is not None and whole.accuracy != accuracy:

@@ -1,4 +1,4 @@
-"""What other robots of a model are like: the key `fleet` of a robot description, which `calib fleet` writes.
+"""The prior from other robots of a model: the key `fleet` of a robot description, which `calib fleet` writes.
 
 Robots of a fleet differ in every parameter by its spread s_k, each by itself, from a mean that is itself known only so
 well. In units of the spreads, the mean is unsure by G z with z ~ N(0, I): a column of G is one combination of
@@ -83,7 +83,7 @@ class FleetSection(Section):
                 )
 
     def expected(self, parameters: Iterable[Parameter], where: str) -> tuple[Parameter, ...]:
-        """Return parameters with what is expected of them, those that the fleet does not know as they are.
+        """Return parameters with their priors from the fleet; those that the fleet does not know stay as they are.
 
         Args:
             parameters: Of the robot.
@@ -107,7 +107,7 @@ class FleetSection(Section):
         return replace(parameter, sigma_si=sigma, prior=True, mean_si=parameter.nominal_si + offset)
 
     def widen(self, factor: float, parameters: Iterable[Parameter]) -> FleetSection:
-        """Return it with all that it says so many times as uncertain.
+        """Return it with all uncertainties multiplied by a factor.
 
         Args:
             factor: How many times.

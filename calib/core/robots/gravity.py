@@ -39,7 +39,7 @@ _SAME_AXIS = 1e-3  # of two axes, seen across gravity, that turn a link alike
 
 @dataclass(frozen=True)
 class GravityTurn(JointTerm):
-    """Two turns of gravity's direction. They move every joint that gives way under it, by what it gives way.
+    """Two turns of gravity's direction. They move every joint that yields under gravity, by its compliance.
 
     Attributes:
         driven: Names of the driven joints that give way.
@@ -119,7 +119,7 @@ def check_inclinometers(description: Description, mechanism: Mechanism, where: s
 def turned_joints(
     mechanism: Mechanism, section: InclinometerSection, q: FloatArray, read: FloatArray, down: FloatArray
 ) -> FloatArray:
-    """Return how far two joints are turned if a sensor sees gravity as it read it, (n, 2) [rad]; NaN if they cannot.
+    """Return the angles of two joints at which a sensor would read gravity as it did, (n, 2) [rad]; NaN if none.
 
     Newton's method from where they are: with g as read, R of the sensor's link and axes e of the joints in the root
     link, R g = d, and its derivative by a joint is e x R g. Of three equations, two count: all vectors have length 1.

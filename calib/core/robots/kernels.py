@@ -88,12 +88,12 @@ class Loops(NamedTuple):
 
 
 def tree(mechanism: Mechanism, reduced: JointSubset) -> Tree:
-    """Return what is left of a mechanism as arrays."""
+    """Return the joints that count of a mechanism as arrays."""
     return Tree(reduced.parents, mechanism.placements[reduced.joints], mechanism.axes[reduced.joints])
 
 
 def loops(mechanism: Mechanism, reduced: JointSubset) -> Loops:
-    """Return the loops of a mechanism, none of which constrains directions, in what is left of it."""
+    """Return the loops of a mechanism, none of which constrains directions, by its joints that count."""
     (a, b, axis), select = mechanism.loop_rows.T, mechanism.select_moving[reduced.joints]
     factor, leader = select.sum(axis=1), np.argmax(select != 0.0, axis=1)  # a joint follows one coordinate at most
     signs = np.ascontiguousarray(mechanism.loop_signs[:, reduced.joints])
@@ -329,7 +329,7 @@ def motion(
         places: Frames a and b of each row, which coordinate, and whether it is a turn, not a position, (4, n_rows).
         signs: What each joint moves: +1 only b, -1 only a, else 0; of each row, then of each row of the loops,
             (n_rows + n_passive, n_joints).
-        direct: The derivative of the rows by the passive joints beside that, (n_rows, n_passive).
+        direct: The further derivative of the rows by the passive joints, (n_rows, n_passive).
         entries: Twists of origins along which to differentiate: joint and column of each, (n_entries,), and twist in
             the frame before the origin, (n_entries, 6).
         result: Where to put the derivative, (n, n_rows, width).

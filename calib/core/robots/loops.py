@@ -175,7 +175,7 @@ def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray)
 
 
 def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> str:
-    """Say in words why a pose could not be closed.
+    """Return the reason why a pose could not be closed, in words.
 
     Args:
         mechanism: The robot.

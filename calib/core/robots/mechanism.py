@@ -1,4 +1,4 @@
-"""The robot as Pinocchio sees it: one placement per URDF origin, and which joints each frame depends on.
+"""The robot as a Pinocchio model: one placement per URDF origin, and which joints each frame depends on.
 
 Pinocchio folds fixed joints into their parents, so their origins could not be calibrated. Here every joint of the URDF
 becomes a joint of one degree of freedom, those that do not move being held at zero; joint `i` then has exactly one
@@ -209,7 +209,7 @@ class Mechanism(ReadOnlyArrays):
         return self._with(forgotten=("placements", "_models"), model=model)
 
     def reduced_to(self, pairs: tuple[RelativeFrame, ...]) -> JointSubset:
-        """Return what is left of the model where only these pairs count."""
+        """Return the part of the model that decides these pairs."""
         if pairs not in self._reductions:
             signs = np.array([self.direction_signs(pair) for pair in pairs]).reshape(-1, self.n_joints)
             moving, frames = signs.any(axis=0), self.model.parents.tolist()
@@ -224,7 +224,7 @@ class Mechanism(ReadOnlyArrays):
         return self._reductions[pairs]
 
     def model_around(self, pairs: tuple[RelativeFrame, ...]) -> pin.Model:
-        """Return Pinocchio's model of what is left, with the origins of this mechanism; nobody may change it."""
+        """Return Pinocchio's model of this part, with the origins of this mechanism; nobody may change it."""
         if pairs not in self._models:
             reduced = self.reduced_to(pairs)
             model = reduced.model.copy()

@@ -1,4 +1,4 @@
-"""From a URDF and its description to a `Mechanism`: the tree in Pinocchio, and which joint is what."""
+"""From a URDF and its description to a `Mechanism`: the tree in Pinocchio, and the role of each joint."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def _loop(description: Description, frames: Mapping[str, int], index: int, where
 
 @dataclass(frozen=True)
 class _JointGroups:
-    """Which joint is what: given by the user, decided by the loops, following another one; the others are held.
+    """The role of each joint: given by the user, decided by the loops, following another one; the others are held.
 
     Attributes:
         moving: Joints that can move, by name.

@@ -1,4 +1,4 @@
-"""What a robot is: its description, its mechanism, its parameters and their values, and what follows by name.
+"""The data of a robot: its description, its mechanism, its parameters and their values.
 
 What is done with it are functions: joints from commands (`calib.core.robots.joint_errors`), closed loops
 (`calib.core.robots.configurations`), what files hold of it (`calib.core.robots.robot_files`). Users hold a `Robot`,

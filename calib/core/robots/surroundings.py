@@ -1,6 +1,6 @@
-"""What a robot description says of shapes: what stands around the robot, what it carries, and from where it is seen.
+"""Shapes in a robot description: around the robot, on it, and the line of sight to it.
 
-Only what is written: `calib.motion` makes shapes of it, and says which poses are free.
+Only the entries: `calib.motion` makes shapes of them, and checks which poses are free.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a robot description says of where its measurements come from: the key `traceability`.
+"""The traceability of measurements in a robot description: the key `traceability`.
 
 Nothing of it is needed, and nothing changes a fit: `calib certificate` makes an uncertainty budget of it, and writes it
 down. Free text goes through as it is.

@@ -39,7 +39,7 @@ _MIXING = 0x9E3779B97F4A7C15 - 2**64  # odd, and far from a power of two
 
 @dataclass(frozen=True, eq=False)
 class PoseRows:
-    """Rows that measurements at poses would give, and Jacobians of the positions there.
+    """Rows of planned measurements at poses, and Jacobians of the positions there.
 
     Attributes:
         rows: Whitened rows of all that the instruments are to read at each pose, instrument by instrument, (n,
@@ -180,7 +180,7 @@ class Candidates:
         pose_rows: Rows and positions of all; rows 0 and positions NaN where not usable. Of the rows of positions
             only their R (`calib.core.numerics.identifiability.reduce_rows`), (at most n_parameters, n_parameters) [m].
         usable: Which can be assembled far enough from singularities, (n,).
-        skipped: What to call each pose that is not usable, and why.
+        skipped: Label of each pose that is not usable, and the reason.
     """
 
     joints: FloatArray
@@ -192,7 +192,7 @@ class Candidates:
 def configurations_at(
     robot: Robot, q: FloatArray, closed: LoopSolution, columns: tuple[FloatArray, ...], which: IntArray
 ) -> Configurations:
-    """Return some of the closed poses (k,) of commands q (n, n_actuated), of whose joint terms the columns are."""
+    """Return some of the closed poses (k,) of commands q (n, n_actuated), with the columns of their joint terms."""
     return solve_configurations(robot, q[which], closed.select(which), tuple(phi[which] for phi in columns))
 
 

@@ -1,4 +1,4 @@
-"""What poses and priors determine: one computation, and one wording, for every command that speaks of it.
+"""Ranks of poses and priors: one computation, and one wording, for every command that states them.
 
 Whether a combination of parameters is seen is a fact of the mechanism and the poses. How large an error the description
 expects (sigma) has no say in it, so each column is divided by its own length before ranks are judged
@@ -52,7 +52,7 @@ class Determination(ReadOnlyArrays):
         return self.together.n_columns - self.together.rank
 
     def words(self) -> str:
-        """Return what poses and priors determine of the free parameters, as a clause."""
+        """Return the number of combinations of free parameters that poses and priors determine, as a clause."""
         poses, n_free = self.free.rank, self.free.n_columns
         if poses == n_free:
             return f"all {n_free} free parameters can be found from these poses"

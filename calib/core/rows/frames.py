@@ -1,4 +1,4 @@
-"""The frames in which places are meant, the calibrated robot in them, and how sure its positions are there.
+"""The frames in which places are meant, the calibrated robot in them, and the uncertainty of its positions there.
 
 The frame of a program. Where the base is known, and some instrument looks from a known place, a program is meant in
 the measurement frame: all that the robot's links are off there counts. What cannot be told from the place of a measured
@@ -49,11 +49,11 @@ class CorrectionFrame(ReadOnlyArrays):
     """A calibrated robot and the frame in which places are meant. Both robots are seen from the measurement frame.
 
     Attributes:
-        known: What is known of the calibrated robot.
-        robot: It; its own parameters are as near to nominal as readings allow.
+        known: The calibrated robot with its uncertainty.
+        robot: The calibrated robot; its own parameters are as near to nominal as readings allow.
         meant: The nominal robot, its base and tools where they are in this frame.
         nominal: The robot as its description has it.
-        words: Which frame it is.
+        words: Name of the frame in a sentence.
         counts: Which of the free parameters move positions in this frame, (n_free,).
         motion: The common motion that does not count; None where all counts.
     """
@@ -97,7 +97,7 @@ class CorrectionFrame(ReadOnlyArrays):
         )
 
     def uncorrected_errors(self, q: FloatArray, context: Context) -> FloatArray:
-        """Return by how much positions [m] and turns [rad] are off that the fit found and that are not corrected.
+        """Return the errors of positions [m] and turns [rad] that the fit found and that are not corrected.
 
         Args:
             q: Commands, (n, n_actuated) [m or rad].
@@ -117,7 +117,7 @@ class CorrectionFrame(ReadOnlyArrays):
 
     @cached_property
     def _common(self) -> Callable[[UncertaintyJacobian], FloatArray] | None:
-        """The common motion that follows what is uncertain; None where all counts."""
+        """The common motion that follows errors of uncertain parameters; None where all counts."""
         if self.motion is None or self.known.uncertainty is None:
             return None
         return following_motion(self.motion, self.robot, self.known.uncertainty)
@@ -126,7 +126,7 @@ class CorrectionFrame(ReadOnlyArrays):
 def following_motion(
     motion: CommonMotion, robot: Robot, uncertainty: ParameterUncertainty
 ) -> Callable[[UncertaintyJacobian], FloatArray]:
-    """Return the common motion of each target, (n, n_targets, 6, n_uncertain), that follows what is uncertain."""
+    """Return the common motion of each target by errors of uncertain parameters, (n, n_targets, 6, n_uncertain)."""
     linear = uncertainty.linearise(robot, motion.joints, Context.neutral(*motion.joints.shape))
     following = motion.following(linear.jacobian) * uncertainty.lasting(robot)
     return partial(_common, motion, following)

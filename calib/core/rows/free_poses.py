@@ -1,4 +1,4 @@
-"""Poses without those at which the robot hits something, and what leaving these out costs."""
+"""Poses without those at which the robot hits something, and the loss by leaving these out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from calib.core.rows.candidates import rows_of_measured
 
 
 def free_poses(robot: Robot, poses: Poses) -> tuple[Poses, str]:
-    """Return the poses at which nothing is hit or hidden, and what to say of the others; "" if there are none.
+    """Return the poses at which nothing is hit or hidden, and a sentence on the others; "" if there are none.
 
     Raises:
         DataError: No pose is free.
@@ -29,7 +29,7 @@ def free_poses(robot: Robot, poses: Poses) -> tuple[Poses, str]:
 
 
 def worth_sentence(robot: Robot, kept: Poses, every: Poses) -> str:
-    """Say what poses are worth beside those that there would be with nothing in the way: O1, or what they determine."""
+    """Compare poses with those that there would be with nothing in the way: by O1, or by what they determine."""
     if not np.any(robot.is_free):
         return "nothing is free to be identified"
     ranks = [numerical_rank(rows_of_measured(robot, poses, None)[0]) for poses in (kept, every)]

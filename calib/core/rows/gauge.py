@@ -1,9 +1,9 @@
-"""Parameters that only trade against where the instruments and targets stand: they say nothing of the robot.
+"""Parameters that only compensate places of instruments and targets: they say nothing of the robot.
 
 If the base is unknown, the origin of the first joint can move and the base with it, and no measurement changes; the
 same holds for the last origin and an unknown target. A fit puts such motion where the priors have it cheapest, so that
-a reflector that sits 2 mm off its stated place leaves some hundredths of a millimetre in the last joint's origin. Who
-corrects the robot must not correct that.
+a reflector that sits 2 mm off its stated place leaves some hundredths of a millimetre in the last joint's origin. A
+correction of the robot must not include that.
 
 Let r be what the readings at many poses have changed, J their derivative by the scaled parameters u = (p - p_nominal) /
 s, N the combinations of u that no reading sees (J N = 0), and D what picks the parameters of the robot itself. The

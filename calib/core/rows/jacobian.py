@@ -9,8 +9,8 @@ found first, so that one small solve per pose serves all frames and origins; the
 times the twists that the parametrisation has for each origin, seen in the world. Moving an actuated joint by dq is the
 same as turning its origin by dq about the joint's own axis, so that derivatives by joints are columns of the same kind.
 
-x is the twist [dp; dw] of b seen from a, in the axes of a (`calib.core.instruments.kind`): what every kind of
-measurement is differentiated by. Poses are processed in chunks that stay in the processor's cache.
+x is the twist [dp; dw] of b seen from a, in the axes of a (`calib.core.instruments.kind`): every kind of
+measurement is differentiated by it. Poses are processed in chunks that stay in the processor's cache.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def relative_motion(
         pairs: The frames.
         twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
         angular: Whether dw is wanted too.
-        out: Where to put it, if that is known.
+        out: Array for the result, if there is one.
 
     Returns:
         (n, n_pairs, 3 or 6, 6 n_joints or k).
@@ -239,7 +239,7 @@ def _fill_motion(
         swept: Of the poses.
         mapping: From V_b - V_a to x, (n, n_rows, 6).
         along: The twists, and what they move.
-        direct: What passive joints do to x beside that, (n_rows, n_passive).
+        direct: What passive joints do to x in addition, (n_rows, n_passive).
         result: Where to put it, (n, n_rows, k).
     """
     if not mechanism.loops:

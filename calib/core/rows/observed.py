@@ -1,4 +1,4 @@
-"""What instruments would read of a robot, how that differs from what they read, and how it moves with parameters.
+"""Predicted readings of a robot, compared with the readings, and their derivatives by parameters.
 
 For a reading of kind g at a visit, with x the motion [dp; dw] of the frame that it looks at, seen from the frame that
 it looks from (`calib.core.rows.jacobian`):
@@ -195,7 +195,7 @@ class _Work:
             self._columns[chosen, :, unknowns] += comparison.by_unknown
 
     def result(self, configurations: Configurations) -> Observed:
-        """Return what was filled in."""
+        """Return the filled arrays."""
         visits = as_slice(self.readings.visits)
         phi = tuple(columns[visits] for columns in configurations.term_columns)
         return Observed(self.robot, self._residuals, self._columns, phi)
@@ -248,7 +248,7 @@ def predict_readings(
 def views_of_instruments(
     robot: Robot, configurations: Configurations, looks: Mapping[str, Readings]
 ) -> dict[str, View | FloatArray]:
-    """Return what each instrument has before it at each of its readings, by name: frames, or values of a joint (n,).
+    """Return the input of each instrument at each of its readings, by name: frames, or values of a joint (n,).
 
     Args:
         robot: The robot, at its current values.
@@ -274,7 +274,7 @@ def views_of_instruments(
 
 
 def planned_readings(robot: Robot, poses: Poses) -> dict[str, Readings]:
-    """Return what each instrument is to read at poses, no values: what they say, else all that it can.
+    """Return the planned readings of each instrument at poses, no values: as stated by the poses, else all that it can.
 
     Of measurements: touches that were made. A touch is of the pose, and no pose tells by itself what it touches.
     """

@@ -173,10 +173,10 @@ def _registration(
 
 
 def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed: list[str]) -> Robot:
-    """Return the robot with what an instrument alone can guess.
+    """Return the robot with the first guess of an instrument.
 
-    Of its guesses, that counts which explains best what it and the instruments placed before have read: two cameras may
-    look at one body.
+    Of several guesses, the one is taken that best explains the readings of this instrument and of those placed before:
+    two cameras may look at one body.
     """
     if type(instrument).first_values is FrameInstrument.first_values:  # it guesses nothing
         return robot
@@ -209,7 +209,7 @@ def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed
 
 
 def _guess_joint_numbers(robot: Robot, data: Measurements, instrument: JointInstrument) -> Robot:
-    """Return the robot with what an instrument that reads a joint can guess of its unknown numbers."""
+    """Return the robot with first guesses at the unknown numbers of an instrument that reads a joint."""
     readings, configurations = (
         data.readings[instrument.name],
         robot.assemble(data.joints, labels=data.labels, context=data.conditions),

@@ -154,7 +154,7 @@ def _touches(
 def touching_configurations(
     robot: Robot, poses: Poses, touches: Mapping[str, Readings], off: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Bring the robot to what it touches; see the module docstring.
+    """Move the robot to contact; see the module docstring.
 
     Args:
         robot: The robot.

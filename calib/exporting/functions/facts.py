@@ -1,10 +1,10 @@
-"""A robot as the facts that a function needs which computes its tool poses: trees, joint terms, gravity.
+"""Facts from which a function computes the tool poses of a robot: trees, joint terms, gravity.
 
 Joint errors are sums of two kinds of terms (`calib.core.robots.terms.formula`), with their coefficients multiplied in;
 those that are zero are left out. The torque of gravity that some depend on is that of the nominal robot, whose tree is
 therefore a second one.
 
-Beside them stands what files in every language have alike: what they say of a robot, and the code that is the same for
+The rest is what files in every language share: what they say of a robot, and the code that is the same for
 every robot (the `.txt` files).
 """
 
@@ -38,14 +38,14 @@ CONDITIONS = {
 }
 """The condition of a command that each source needs, by the name that functions give it."""
 NEUTRAL = {"approach": 0.0, "time": 0.0, "temperature": REFERENCE_TEMPERATURE, "load": 0.0}
-"""What each condition is where nothing is said of it."""
+"""Value of each condition that is not given."""
 MEANING = {
     "approach": "direction in which each joint moved last, +1 or -1, 0 where not known, (..., n_joints)",
     "time": "as the measurements counted it [s], (...)",
     "temperature": "[degC], (...)",
-    "load": "mass at the tool, beside what the URDF has [kg], (...)",
+    "load": "mass at the tool that the URDF does not have [kg], (...)",
 }
-"""What each condition is."""
+"""Meaning of each condition."""
 SOURCES = {
     Source.ONE: "one",
     Source.COMMAND: "command",
@@ -54,7 +54,7 @@ SOURCES = {
     Source.WARMTH: "temperature",
     Source.TORQUE: "torque",
 }
-"""What joint errors are proportional to, as the code names it."""
+"""Quantities that joint errors are proportional to, by their names in the code."""
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,7 @@ def template(name: str) -> str:
 
 
 def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str]:
-    """Return what a file says of a robot, line by line.
+    """Return the header of a file on a robot, line by line.
 
     Args:
         facts: Of the robot.

@@ -66,7 +66,8 @@ class Closure:
 
     Attributes:
         a, b: Places among the tree's frames.
-        rows: Which of x, y, z; loops that constrain whole poses are refused (`calib.exporting.functions.languages`).
+        rows: Components that are zero, of x, y, z; loops that constrain whole poses are refused
+            (`calib.exporting.functions.languages`).
     """
 
     a: int
@@ -129,7 +130,7 @@ def tree_of(
     Args:
         mechanism: The mechanism.
         mode: Its assembly mode.
-        frames: Joint indices of frames that are needed beside those of the loops; they come first.
+        frames: Joint indices of frames that are needed in addition to those of the loops; they come first.
         starts: Closed configurations, home first, (n_starts, n_driven + n_passive) [m or rad].
         from_root: Whether the world is the root link.
     """

@@ -1,11 +1,11 @@
-"""Programs of controllers, compensated: what to tell a controller that knows the nominal robot.
+"""Compensated programs of controllers that know the nominal robot.
 
 Poses become joints of the nominal robot (`calib.programs.languages.postures`), in the order in which the program goes
 to them; joints are compensated as every program of joints (`calib.programs.reaching.compensation`); and of a pose the
 nominal kinematics of what was found is written: what the controller makes joints of. So it is a pose that the
 controller can reach, in the tool and frame that it had.
 
-What is written is read back: `rounding` is what the decimals of the file move the target.
+The written file is read back: `rounding` is the motion of the target by the file's decimals.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A table for controllers that can add a correction to a position, and no more.
+"""A table for controllers that can only add a correction to a position.
 
 At the nodes of a grid of positions, all with one orientation, the table has what to add to a nominal pose so that the
 real robot goes there: what `calib.programs.reaching.compensation` tells a nominal controller, minus the pose itself.
@@ -33,7 +33,7 @@ class CorrectionGrid(ReadOnlyArrays):
 
     Attributes:
         nodes: Positions, x slowest and z fastest, (n, 3) [m].
-        shift: What to add to a position, (n, 3) [m].
+        shift: Correction of the position, (n, 3) [m].
         turn: Rotation vector to turn by about the axes of the measurement frame, (n, 3) [rad]; zero where the program
             has no orientations.
         position_errors: How far linear interpolation is off where it was tried, (n_tried,) [m].

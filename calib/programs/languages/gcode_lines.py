@@ -33,11 +33,11 @@ class GcodeLine:
     """A line in parts.
 
     Attributes:
-        where: What to call it in messages.
+        where: Its name in messages.
         counter: Its number with N; empty without.
         name: Its command, if that is a name (`START_PRINT`).
         words: Its letters and numbers.
-        rest: What is no letter and number, or stands behind the name.
+        rest: Other text: no letter with a number, or behind the name.
         comments: Its comments.
     """
 

@@ -32,7 +32,7 @@ class GcodeMove:
         start: Where it begins, in the program's coordinates [m]; None where that is not known.
         end: Where it ends [m].
         known: Whether the move before led to `start`; not so at the beginning, and after homing.
-        unit: What its numbers are in [m].
+        unit: Unit of its numbers [m].
         relative: Whether they count from where the machine stands.
         lead: Its words up to G0 or G1; of a line without a G, its number.
         tail: Its other words, E not among them.

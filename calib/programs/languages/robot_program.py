@@ -44,7 +44,7 @@ class Number:
         file: Which of the program's files it is in.
         start, end: Where it stands in the text.
         value: In SI.
-        unit: What one is in SI.
+        unit: One of its units in SI.
         width: How many characters it has to take with its `decimals` as written; 0: as many as it needs.
         decimals: How many decimals it is written with.
     """
@@ -66,7 +66,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Configuration:
-    """Joint configuration that a program states beside a pose.
+    """Joint configuration that a program states with a pose.
 
     Attributes:
         text: As written.
@@ -207,10 +207,10 @@ class RobotProgram:
     """A program.
 
     Attributes:
-        language: What it is written in.
+        language: Its language.
         sources: Its files, the given one first.
         targets: In the order in which the text first goes to them.
-        left_out: What else it goes to.
+        left_out: Targets that it does not compensate.
     """
 
     language: str

@@ -1,4 +1,4 @@
-"""Straight moves for a controller that knows the nominal robot, cut so that the real one goes straight.
+"""Straight moves for a controller that knows the nominal robot, cut so that the real robot goes straight.
 
 A controller gets positions. For every point on the straight line between two of them, it computes joint values by its
 nominal inverse kinematics, and assumes that the tool is there. With T the position of the tool at given joint values,

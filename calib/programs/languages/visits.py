@@ -14,7 +14,7 @@ from calib.core.base.errors import DataError
 from calib.programs.languages.robot_program import NotCompensated, ProgramSource, ProgramTarget, RobotProgram
 
 Place = tuple[int, int]
-"""Where numbers stand: the file, and their first word."""
+"""The place of numbers: the file, and their first word."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def program_of(language: str, sources: Sequence[ProgramSource], visits: Iterable
     """Return a program with the targets that can be compensated.
 
     Args:
-        language: What it is written in.
+        language: Its language.
         sources: Its files, the given one first.
         visits: In the order in which they stand in the text.
 

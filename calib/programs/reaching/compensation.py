@@ -1,4 +1,4 @@
-"""Programs that were written for the nominal robot, changed so that the calibrated one does what was meant.
+"""Programs that were written for the nominal robot, changed so that the calibrated robot does what they say.
 
 What is meant. Told q, the nominal robot would bring its tool to T(q). The compensated command q' is where the
 calibrated robot stands there:
@@ -69,7 +69,7 @@ class Compensation(ReadOnlyArrays):
         names: Pose name of each row.
         labels: What to call each in messages.
         target: The target that it is about.
-        keep: What was kept, of `KEEP`.
+        keep: The kept components of poses, of `KEEP`.
         program: Joints with which the nominal robot reaches the goals, (n, n_actuated) [m or rad]; NaN where none.
         q: Compensated commands, (n, n_actuated) [m or rad]; NaN where there are none.
         reasons: Why a row has no command; empty if it has one.
@@ -112,7 +112,7 @@ class Compensation(ReadOnlyArrays):
         return np.asarray(np.isfinite(self.q).all(axis=1))
 
     def figures(self) -> dict[tuple[str, str], FloatArray]:
-        """Return errors and their limits by name and unit of files, (n,) each; of what is kept."""
+        """Return errors and their limits by name and unit of files, (n,) each; of the kept components."""
         names = ("before", "expected", "low95", "high95")
         endings = ("",) if self.keep == "position" else ("", "_angle")
         return shown_errors(names, [[getattr(self, f"{name}{ending}") for name in names] for ending in endings])

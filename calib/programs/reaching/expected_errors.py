@@ -1,4 +1,4 @@
-"""How far a target will be from its goals, at commands that were found for them: what is promised of a program.
+"""The expected distance of a target from its goals, at commands that were found for them.
 
 In the frame in which the goals are meant (`calib.core.rows.frames`). An error is normal, its covariance that of the
 predicted position; its mean is what the calibrated robot is off at the command, as far as that was not corrected.
@@ -46,7 +46,7 @@ class ExpectedError(ReadOnlyArrays):
         return f"<expected errors of {len(self.distance)} goals>"
 
     def figures(self) -> dict[tuple[str, str], FloatArray]:
-        """Return errors and their limits by name and unit of files, (n,) each; of what is asked for."""
+        """Return errors and their limits by name and unit of files, (n,) each; of the requested components."""
         names = ("expected", "low95", "high95")
         parts = (self.distance, *self.distance95), (self.angle, *self.angle95)
         return shown_errors(names, [values for values in parts if np.any(np.isfinite(values[0]))])

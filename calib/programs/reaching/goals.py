@@ -1,4 +1,4 @@
-"""Goals of the inverse kinematics: where a target is wanted, and the CSV files that say so.
+"""Goals of the inverse kinematics: places for a target, and their CSV files.
 
 Columns, with units as everywhere: `<target>_x`, `_y`, `_z` (position in the measurement frame). For an orientation also
 `<target>_rx`, `_ry`, `_rz` (roll, pitch, yaw about fixed axes, as URDF's rpy, of the target's link), or for a direction

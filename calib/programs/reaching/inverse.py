@@ -38,7 +38,7 @@ _SETTLED = 1e-14  # change of a tilt [rad]
 
 @dataclass(frozen=True, eq=False)
 class Solution(ReadOnlyArrays):
-    """Joint values found, and how well they reach.
+    """Joint values found, and their errors at the goals.
 
     Attributes:
         q: Actuated joints, (n, n_actuated) [m or rad]; where `ok` is False the nearest that was found.

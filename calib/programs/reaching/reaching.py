@@ -85,7 +85,7 @@ class GoalConfigurations(ConfigurationRows):
 
 @dataclass(frozen=True, eq=False)
 class LinearisedGoals(ConfigurationRows):
-    """How configurations miss their goals, and how that changes, joints scaled to radians.
+    """Errors of configurations at their goals, and their derivatives, joints scaled to radians.
 
     Attributes:
         error: e of the module docstring, (n, n_rows) [m].
@@ -128,14 +128,14 @@ class Reach:
         return self.mechanism.is_tilt | np.isin(self.mechanism.driven, list(self.goals.stands))
 
     def with_uncommanded(self, index: IntArray, commands: FloatArray) -> FloatArray:
-        """Return commands (n, n_actuated) for these goals with what joints are that nobody commands."""
+        """Return commands (n, n_actuated) for these goals with the values of joints that are not commanded."""
         commands = commands.copy()
         for name in self.goals.stands:
             commands[:, self.mechanism.actuated.index(name)] = self.goals.stands_of(name)[index]
         return commands
 
     def as_given(self, index: IntArray, at: GoalConfigurations) -> GoalConfigurations:
-        """Return configurations in which joints that are not commanded are as these goals, (n,), say; loops closed."""
+        """Return configurations with joints that are not commanded as stated by these goals, (n,); loops closed."""
         if not self.goals.stands:
             return at
         n = len(self.mechanism.actuated)
@@ -180,7 +180,7 @@ class Reach:
         )
 
     def misses(self, actuated: FloatArray, passive: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return how far a configuration of every goal is off.
+        """Return the errors of a configuration of every goal.
 
         Returns:
             Positions (n, 3) [m], distances from the wanted ones (n,) [m], angles from what is wanted (n,) [rad].

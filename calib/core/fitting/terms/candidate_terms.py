@@ -72,7 +72,7 @@ class TermTrial:
     Attributes:
         term: Its name.
         added: Whether it is fitted.
-        evidence: By how much the log likelihood is higher with it, beside all other kinds; NaN where it was not tried.
+        evidence: By how much the log likelihood is higher with it, given all other kinds; NaN where it was not tried.
         size: How many times as large as is usual its coefficients are, the largest of its joints.
         size95: The 95 % interval of that.
         joints: For which joints it is fitted, where each has a size of its own.

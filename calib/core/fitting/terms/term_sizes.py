@@ -16,15 +16,15 @@ stays where both are true:
     evidence     the log likelihood is higher with it by odds of 20 to 1 (kass1995), times the number of kinds: of many
                  that are not there, one looks as if it were
 
-A kind that was left out is tried again beside those that stay. One that stays is surely there if the log likelihood is
-higher by odds of 20 to 1 with it beside all other kinds, too: of kinds that look alike, one may stay, none is claimed.
+A kind that was left out is tried again with those that stay. One that stays is surely there if the log likelihood is
+higher by odds of 20 to 1 with it, given all other kinds: of kinds that look alike, one may stay, none is claimed.
 
 What follows:
 
     terms        kinds that stay are fitted, as any robot is, with the sigma that was found
     undecided    the other kinds may be there, too, and sizes are uncertain. With coefficients u and covariance C of
                  sizes of all kinds that are drawn from what the rows leave open, cov u = mean of C + covariance of u:
-                 what that is more than C of the fitted sizes stands beside the covariance of the fit
+                 the part of it beyond C of the fitted sizes is added to the covariance of the fit
     expected     how far off poses are that are left out, each predicted by all others: from the same model
 
 What was measured on real robots (`docs/theory/joint_terms.md`). Weighing the fit itself by the error of joints was no
@@ -299,7 +299,7 @@ class _TermModel:
         return candidate.scaled_sections(self.robot, factors)
 
     def outcome(self, candidate: CandidateTerm) -> TermTrial:
-        """Return what was found about a kind."""
+        """Return the outcome for a kind."""
         members = self._members(candidate.term)
         there = [k for k in members if self._is_fitted[k]]
         most = max(members, key=lambda k: self._chosen_model.logs[k])
@@ -321,7 +321,7 @@ class _TermModel:
         return draw_sizes(self._solved_model, _DRAWS, np.random.default_rng(self._fit.seed))
 
     def undecided(self, fitted_terms: tuple[TermSection, ...]) -> UndecidedTerms | None:
-        """Return what the sizes leave uncertain of these terms and of the others; None if that is nothing."""
+        """Return the uncertainty that the sizes leave of these terms and of the others; None without any."""
         model = MixedModel.from_rows(self._rows, _SHORTEST)
         logs = self._chosen_model.logs.copy()
         logs[: len(self._families)][~self._is_fitted] = self._smallest_logs[: len(self._families)][~self._is_fitted]
@@ -345,7 +345,7 @@ class _TermModel:
         return UndecidedTerms(others, tuple(self._unknowns.names[k] for k in names), spread[names])
 
     def expected_rms(self) -> float:
-        """Return how far off poses that are left out are expected to be: root mean square of the main part [SI].
+        """Return the expected error of poses left out: root mean square of the main part [SI].
 
         NaN where each pose stands alone, where no terms are fitted, and where poses have several readings: the shape of
         what these share is not known, and that of joints may be far from it.

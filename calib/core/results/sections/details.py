@@ -1,4 +1,4 @@
-"""What a reader of a fit must know beside its tables, one line each: for the terminal and for the report page."""
+"""What the tables of a fit do not show, one line each: for the terminal and for the report page."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from calib.core.results.sections.terms import curve_lines, terms_lines, terms_no
 
 
 def details(fit: Fit, *, brief: bool = False) -> list[str]:
-    """Return what a reader must know beside the tables, one line each.
+    """Return what the tables do not show, one line each.
 
     Args:
         fit: The fit.

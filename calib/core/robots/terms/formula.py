@@ -16,7 +16,7 @@ from calib.core.base.arrays import FloatArray
 
 
 class Source(Enum):
-    """Numbers that are known of a command, which terms are proportional to."""
+    """Quantities of a command that terms are proportional to."""
 
     ONE = "one"
     COMMAND = "the command of a joint"

@@ -7,8 +7,8 @@ small leaves the joint somewhere between the sides. It also keeps derivatives fi
 
 Compliance: joints give way in proportion to the torque of gravity that they hold. The torque is that of the URDF's
 masses and of the payload (Pinocchio's generalized gravity at the nominal configuration), through closed loops by
-virtual work. The payload is the mass in the column `load`, beside what the URDF has; it hangs at the first target that
-motors move, or at the frame that the robot description calls `payload`.
+virtual work. The payload is the mass in the column `load`, which the URDF does not have; it hangs at the first target
+that motors move, or at the frame that the robot description calls `payload`.
 
 Bending: bearings and links give way across the axis of a joint, in proportion to the torque that they hold there.
 Joints of a robot arm are about as soft against tilting as about their axis.

@@ -1,4 +1,4 @@
-"""MuJoCo's format (MJCF) read as a URDF: what `urdf: robot.xml` stands for.
+"""MuJoCo's format (MJCF) read as a URDF, for `urdf: robot.xml`.
 
 MuJoCo reads the file, with its includes, defaults and units; what it makes of it is written as a URDF that means the
 same. With p a joint's place in its body and q0 its value in the file (`ref`):

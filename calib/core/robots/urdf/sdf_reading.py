@@ -1,4 +1,4 @@
-"""Gazebo's format (SDF) read as a URDF: what `urdf: robot.sdf` stands for.
+"""Gazebo's format (SDF) read as a URDF, for `urdf: robot.sdf`.
 
 With the poses of links, joints and frames resolved in the model (`relative_to`, `attached_to`):
 

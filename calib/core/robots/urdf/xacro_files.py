@@ -1,4 +1,4 @@
-"""Expanding xacro files of strangers: in a process of its own, with little time and memory, which reads few files.
+"""Expansion of untrusted xacro files: in a process of its own, with little time and memory, which reads few files.
 
 Expressions of xacro are Python, and may compute for ever (`${9**9**9}`), read what they like (`xacro.load_yaml`) and
 say it in an error. So the child process has no variables of the environment but those that say where packages are, it

@@ -341,7 +341,7 @@ def test_none_leaves_out_what_the_description_has(curved):
         ("gian", "no term 'gian'; did you mean 'gain'?"),
         ("", "no term ''"),
         ("gain,", "no term ''"),
-        ("coupling", "'coupling' needs more than a joint"),
+        ("coupling", "'coupling' needs further values"),
         ("nowhere=gain", "no actuated joint 'nowhere'"),
         ("gain,gain", "a parameter name is used twice"),
     ],

@@ -89,8 +89,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     return Chart(
         "coverage",
         "Where the joints were",
-        "Each pair of joints within its limits (or, without near ones, its measured range): what is empty was not"
-        " measured.",
+        "Each pair of joints within its limits or, without near ones, its measured range. Empty: not measured.",
         tuple(panels),
         190,
     )

@@ -88,15 +88,15 @@ def judge(result: HandEye) -> HandEyeJudgement:
     for name, (shift, turn) in result.uncertainty().items():
         if not max(shift / result.distance, turn) < WIDE:
             reasons.append(
-                f"the {name} is known to only ± {_MM * shift:.0f} mm and ± {np.rad2deg(turn):.1f} deg (95 %), where"
-                f" camera and board are {_MM * result.distance:.0f} mm apart: only what the camera will see at poses"
-                " like these is known"
+                f"the place of the {name} is known to only ± {_MM * shift:.0f} mm and ± {np.rad2deg(turn):.1f} deg"
+                f" (95 %). Use this calibration only for what the camera sees at poses like these, about"
+                f" {_MM * result.distance:.0f} mm away"
             )
             advice.append("turn the tool further, about two axes or more, at more poses; or calibrate the kinematics")
     used, left = rms(result.board), rms(result.left.board)
     if not left * _CLAIM_ABOVE < used:
         reasons.append(
-            f"images left out are {left / used:.1f} times as far off as those used: there are too few for what is found"
+            f"errors of images left out are {left / used:.1f} times those of images used: there are too few images"
         )
         advice.append("take more images")
     grade = "FAIL" if failed else "CHECK" if reasons else "PASS"

@@ -32,7 +32,7 @@ class Contribution(Enum):
     )
     OFFSETS = (
         "offsets as weights",
-        "readings of a pose that share an offset weigh less, if that predicts other poses better",
+        "readings of a pose that share an error get less weight, where this predicts other poses better",
         "fitting.solving",
         (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN),
     )

@@ -96,9 +96,9 @@ def _result(
         except Exception as lost:
             if losses == _LOSSES:
                 raise ComputationError(
-                    f"workers were lost {losses} times at the same work ({type(lost).__name__}: {lost}); is there"
-                    " enough memory for each of them, are functions of your own in a module, and does a program that"
-                    " starts processes do so under `if __name__ == '__main__':`?"
+                    f"workers ended {losses} times at the same work ({type(lost).__name__}: {lost}). Give each of them"
+                    " more memory; put functions of your own into a module; start processes under"
+                    " `if __name__ == '__main__':`"
                 ) from lost
             for other, sent in futures.items():
                 if _is_lost(sent):

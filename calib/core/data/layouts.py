@@ -159,8 +159,8 @@ def workbook_lines(path: Path | str) -> list[str]:
     if len(filled) != 1:
         names = ", ".join(f"'{title}'" for title in filled)
         raise DataError(
-            f"{path}: {f'the sheets {names} have cells' if filled else 'has no cells'}; give a workbook with one sheet"
-            " of measurements, or save that sheet as CSV"
+            f"{path}: {f'several sheets have data: {names}' if filled else 'has no data'}; give a workbook with one"
+            " sheet of measurements, or save that sheet as CSV"
         )
     ((title, rows),) = filled.items()
     return _as_lines(f"{path}, sheet '{title}'", rows)

@@ -226,9 +226,9 @@ class Pixel(FrameInstrument):
         away = min(int(np.sum(~is_in_front(seen_points(sightings, places)))) for places in guessed)
         if away > _MOSTLY * len(sightings.view):
             raise DataError(
-                f"camera '{self.name}': {away} of the {len(sightings.view)} points that it saw lie behind it as it is"
-                f" placed; check where camera and target '{self.target}' are said to be, and that z of the camera's"
-                " frame is its viewing direction"
+                f"camera '{self.name}': {away} of the {len(sightings.view)} points that it saw would lie behind it."
+                f" Check the poses of the camera and of target '{self.target}' in the description, and that z of the"
+                " camera's frame points where it looks"
             )
 
     def _body(self, details: FloatArray) -> FloatArray:

@@ -53,7 +53,7 @@ from calib.core.rows.unknowns import Unknowns
 
 PLACES, GEOMETRY = "base, targets and instruments", "geometry (joint origins)"
 NOISE, UNEXPLAINED = "noise", "not explained"
-REST = "noise or not explained: cannot be told apart"
+REST = "noise and unexplained errors, not separable"
 ENOUGH_REPEATS = 10.0
 """Degrees of freedom that repeats need to count as known noise."""
 _AS_LARGE = 1.1  # left over noise (RMS) up to which the rest is as large as the noise

@@ -286,10 +286,12 @@ def _missing(
         result.append("no orientation was read: no AP and RP of angles")
     present = {figure.name for figure in figures}
     if "vAP" not in present:
-        result.append("no vAP: it takes cycles from several directions, told apart by columns approach_<joint>")
+        result.append("no vAP: it needs cycles from several directions, and columns approach_<joint> that state these")
     time = errors.data.context.get("time")
     if "dAP" not in present:
-        result.append(f"no drift: it takes a column time, and {2 * _BLOCK} cycles or more of a pose over {_HOURS:g} h")
+        result.append(
+            f"no drift: it needs a column 'time', and {2 * _BLOCK} or more cycles of a pose over {_HOURS:g} h"
+        )
     elif time is not None and np.ptp(time) < _HOURS * _SECONDS:
         result.append(f"drift over {np.ptp(time) / _SECONDS:.1f} h where ISO 9283 has {_HOURS:g} h")
     stated = conditions(errors.data.comments)

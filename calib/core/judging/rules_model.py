@@ -240,8 +240,8 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
         before, after = (millimetres(errors.rms("after")) for errors in (fit.validation, moved.errors))
         placed = f". Placed anew, its error falls from {before:.3g} to {after:.3g} mm RMS, by which it is judged here"
     yield Code.FRAME_MOVED.says(
-        "the validation poses look as if the tracker, the base or its frame had moved between the two files, by"
-        f" {millimetres(moved.shift):.3g} mm and {np.degrees(moved.angle):.2g} deg: such a motion explains all but"
+        "the tracker, the base or its frame probably moved between the two files, by"
+        f" {millimetres(moved.shift):.3g} mm and {np.degrees(moved.angle):.2g} deg: this explains all but"
         f" {millimetres(moved.left):.3g} mm RMS{placed}. Measure both from one place, or hold out poses of one file"
         " (--validate 0.25)"
     )

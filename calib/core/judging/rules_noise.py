@@ -137,10 +137,8 @@ def _check_usual_noise(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
         none_fits = all(other.stated is None and other.sigma > GROSS * other.group.part.usual for other in fit.noise)
         yield Code.NOISE.says(
             f"noise found{_group_noise_in_words(fit, estimate)} is {noise_in_words(estimate, estimate.sigma)} per"
-            f" axis, more than such an"
-            f" instrument has ({noise_in_words(estimate, usual)} at most): the model does not explain the"
-            f" measurements, and"
-            " what it leaves out may have changed the parameters; look for what is missing or wrong in the"
+            f" axis, more than such an instrument has ({noise_in_words(estimate, usual)} at most): the model does not"
+            " explain the measurements, and the parameters may be wrong. Look for what is missing or wrong in the"
             " description of the instrument, and check the result with another instrument",
             grade="FAIL" if none_fits and not _proven_by_another(fit) else "CHECK",
             counted=False,

@@ -207,9 +207,7 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
     sample = halton(_SAMPLED, len(low))[:, order]
     accuracy = _widening_sentence(fit, low + (high - low) * np.where(signs < 0, 1 - sample, sample))
     if accuracy:
-        yield (
-            f"joint values beyond those measured: over what the joints' limits allow, positions are known to {accuracy}"
-        )
+        yield (f"not all of the joints' range was measured: over all of it, positions are known to {accuracy}")
 
 
 def _widening_sentence(fit: Fit, q: FloatArray) -> str:

@@ -186,7 +186,7 @@ def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> 
     if closes[0]:
         passive = wrap_turns(mechanism, mode, passive)
         if are_within_limits(mechanism, passive)[0]:
-            return "it can be reached alone, but by way of the other poses its loops close beyond the limits of a joint"
+            return "it closes if solved alone, but followed from the other poses it ends beyond the limits of a joint"
         return "its loops close only with " + _joint_beyond_limits(mechanism, passive[0])
     lengths, angles = smallest_gap(mechanism, mode, actuated)
     loop = int(np.argmax(lengths / mechanism.length + angles))

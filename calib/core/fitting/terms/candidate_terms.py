@@ -174,7 +174,7 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> CandidateTerm:
         with_it = robot.with_terms((*robot.description.terms, *sections))
         columns = term_columns(with_it, data.joints, data.conditions)
     except ValidationError:
-        return CandidateTerm(name, refused="it needs more than a joint, which only a description can state")
+        return CandidateTerm(name, refused="it needs further values, which only a description can state")
     except DescriptionError as error:  # no masses, a prismatic joint without limits
         return CandidateTerm(name, refused=str(error).removeprefix(f"{robot.path}: "))
     if kind.needs_torque:
@@ -198,7 +198,7 @@ def why_term_unknown(kind: type[JointTerm], data: Measurements) -> str:
         if condition.column and not by_torque and np.ptp(stated) == 0:
             return f"the data have no column '{condition.column}' that changes"
         if first_unstated_visit(condition, data) is not None:
-            return f"some rows do not say {condition.words}"
+            return f"some rows do not state {condition.words}"
     return ""
 
 

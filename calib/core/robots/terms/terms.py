@@ -104,7 +104,7 @@ def parse_terms(text: str) -> tuple[TermSection, ...]:
             sections.append(TERMS[term].section(joint=joint or "all", term=term))
         except ValidationError:
             raise InputError(
-                f"terms '{text}': '{term}' needs more than a joint; list it in the robot description"
+                f"terms '{text}': '{term}' needs further values; write it into the robot description"
             ) from None
     return tuple(sections)
 

@@ -1,4 +1,4 @@
-"""The experiment again as one would do it today: every pose from both sides, and a model of what was left out.
+"""The experiment with today's methods: every pose from both sides, and a model of what was left out.
 
 The same simulated robots as in `medrue.experiment`, draw by draw, whose rails have the smaller errors of
 `medrue.imperfections.RailErrors` too, two of which no model has. The tracker reads every pose twice: after the rail
@@ -162,7 +162,7 @@ def run_both_sides(
         imperfections: Sizes of what the paper's parameters leave out.
         seeds: Of the experiment's draws.
         executor: Who does the draws.
-        progress: Told how far the work is.
+        progress: Called with the progress of the work.
     """
     sets, rail = [first], RailErrors()
     with progress.stage("choosing poses for the extended model", len(counts)) as advance:

@@ -1,4 +1,5 @@
-"""What the paper's 36 parameters cannot describe and it blames for the error that remains: a simulated robot has it.
+"""Imperfections of a simulated robot that the paper's 36 parameters cannot describe, and that the paper blames for the
+error that remains.
 
 Backlash of the rail
     The carriage stops half the backlash short of where the screw has turned to: q1 is off by -b/2 where it was

@@ -120,7 +120,7 @@ def run_study(
         size: How much to simulate.
         seed: Seed; the same one gives the same numbers, with any workers.
         executor: Who does the draws.
-        progress: Told how far the work is.
+        progress: Called with the progress of the work.
     """
     joints = target_poses(robot).poses.joints
     truth = true_positions(joints, table1().actual)

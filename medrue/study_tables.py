@@ -1,4 +1,4 @@
-"""Tables of the simulation study with the paper's, and what they say."""
+"""Tables of the simulation study with the paper's, and their findings in words."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ def run_touch(
         size: How much to simulate.
         seed: Seed; the same one gives the same numbers, with any workers.
         executor: Who does the draws.
-        progress: Told how far the work is.
+        progress: Called with the progress of the work.
     """
     joints = target_poses(robot).poses.joints
     with progress.stage("choosing poses", len(ARTEFACTS)) as advance:

@@ -1,4 +1,4 @@
-"""Tables of the calibrations without a tracker, with the tracker's and the authors' figures, and what they say."""
+"""Tables of the calibrations without a tracker, with the tracker's and the authors' figures, and findings in words."""
 
 from __future__ import annotations
 

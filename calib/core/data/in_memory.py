@@ -68,7 +68,7 @@ def as_measurements(
     readings: ArrayLike | Mapping[str, ArrayLike | Readings] | None = None,
     names: Sequence[str] | None = None,
 ) -> Measurements:
-    """Return what was read as `Measurements`; rows with the same pose name repeat that pose.
+    """Return readings as `Measurements`; rows with the same pose name repeat that pose.
 
     Args:
         robot: Whose joints and instruments they are.

@@ -1,6 +1,6 @@
 """Where the table begins in files of other programs: lines above the header, a row of units below it, worksheets.
 
-Programs of trackers and coordinate machines write what was measured with what above the table: SpatialAnalyzer behind
+Programs of trackers and coordinate machines write facts about the measurement above the table: SpatialAnalyzer behind
 `//`, others as plain lines. A header is a line without a number, and the lines below it have as many cells, with a
 number in the first few. The first line is the header if it is one, and no other is wider; else the widest, and the
 lines above it are comments. Two that are as wide are refused.
@@ -48,7 +48,7 @@ def cells_of(line: str, separator: str) -> tuple[str, ...]:
 
 
 def separator_of(line: str) -> str:
-    """Return what stands between the cells of a header: comma, semicolon or tab."""
+    """Return the separator of the cells of a header: comma, semicolon or tab."""
     return max(SEPARATORS, key=re.sub('"[^"]*"', "", line).count)
 
 

@@ -70,7 +70,7 @@ class OtherFormat:
     Attributes:
         name: Of the format, as messages have it.
         head: How it is known, in words.
-        taken: What becomes of it, in words; or if it is not read, what to do.
+        taken: How it is read, in words; or if it is not, what to do.
         fits: Whether a file is one.
         read: Returns lines of a table of this program, or its columns by header; None: it is not read.
     """
@@ -88,7 +88,7 @@ def other_formats() -> list[OtherFormat]:
 
 
 def read_other(path: Path | str, renamed: Mapping[str, str]) -> list[str] | dict[str, Sequence[object]] | None:
-    """Return what a file of another format holds, as lines of a table or columns by header; None: it is of none.
+    """Return the content of a file of another format, as lines of a table or columns by header; None: it is of none.
 
     Raises:
         DataError: It is of one that is not read: the message says which, and what to do.

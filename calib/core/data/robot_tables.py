@@ -4,8 +4,8 @@ Columns are taken for joints where no joint has a column of its name, and there 
 figures (`Joint 1` for `joint_1`), or numbered from 1. Columns X, Y, Z are the position that is read, where one
 instrument reads positions and has no columns; so are NAME_x, NAME_y, NAME_z of the only NAME. U95 X, U95 Y, U95 Z
 next to them are twice the standard deviations of a reading. A column needs its unit for that, because it is not known
-whether a robot's program writes degrees. What was guessed is told, as a warning of the logger `calib`; under `columns`
-a robot description says what files call their columns, and then nothing is guessed.
+whether a robot's program writes degrees. Guesses are warnings of the logger `calib`. A robot description may
+name the columns of files under `columns`; then nothing is guessed.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def _check_units(robot: Robot, table: Table) -> None:
 
 
 def odd_unit(table: Table, column: str) -> str | None:
-    """Return what to do about a column that may be the one of this name, or coordinate, if its unit were readable."""
+    """Return advice on a column that would be the one of this name, or coordinate, if its unit were readable."""
     same = {_plain(column), column.rpartition("_")[2]}
     return next((_hint(name, *odd) for name, odd in _odd_units(table).items() if _plain(odd[0]) in same), None)
 

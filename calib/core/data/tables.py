@@ -2,8 +2,8 @@
 
 A column is `name` or `name [unit]`; without a unit the numbers are SI. Lines that start with # or // are comments.
 Commas, semicolons or tabs part the columns, whichever the header has; where it is not the comma, that may be the
-decimal mark. `calib.core.data.layouts` knows what other programs write around a table; what was guessed is told to the
-logger.
+decimal mark. `calib.core.data.layouts` knows what other programs write around a table; guesses are warnings of
+the logger.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from calib.core.data.table_writing import text_of
 _LARGEST = {"length": 1e6, "angle": 1e6, "pixel": 1e6}  # [SI]
 _LARGEST_NUMBER = 1e30  # of anything else: squares and sums of many stay finite
 IN_MEMORY = "table in memory"
-"""What a table that is no file is called in messages."""
+"""Name in messages of a table that is no file."""
 _WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?", re.ASCII)
 _SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
@@ -83,7 +83,7 @@ class Table:
         rows: Cells of each row.
         lines: Line number in the file of each row.
         comments: Comment lines without their #.
-        separator: What stands between the cells.
+        separator: Separator of the cells.
         maps: Columns whose cells are not the values, by name.
     """
 
@@ -101,7 +101,7 @@ class Table:
 
         Args:
             name: The column.
-            dimension: What it measures; None: pure numbers.
+            dimension: Its dimension; None: pure numbers.
             gaps: Whether cells may be empty; these are NaN.
 
         Raises:
@@ -211,7 +211,7 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
 
     Args:
         value: The number [m or rad].
-        dimension: What it measures.
+        dimension: Its dimension.
         where: For the message.
         place: Where the unit should be written, such as `into the header`.
     """

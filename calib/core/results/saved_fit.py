@@ -1,4 +1,4 @@
-"""What a result folder keeps of a fit, and the fit that comes back from it: `fit.npz`.
+"""The saved fit of a result folder, `fit.npz`, and the fit restored from it.
 
 Kept is what cannot be computed: description, measurements, settings, where the fit ended and what it assumed there of
 the noise, what it was judged to be, and the robots that files get. Everything else (residuals, covariance, intervals)
@@ -61,7 +61,7 @@ def saved_bytes(
 
     Args:
         fit: The fit.
-        content: What `result.json` says.
+        content: Content of `result.json`.
         nominal: Files of the nominal robot, by name.
         files: The robots that files of the fit get.
     """
@@ -81,7 +81,7 @@ def saved_bytes(
 
 
 def read_saved(folder: Path | str) -> dict[str, Any] | None:
-    """Return what `saved_bytes` was given of a result folder, as data; None where it has none of it.
+    """Return the content of `fit.npz` of a result folder, as data; None where there is none.
 
     Raises:
         DataError: It is damaged, or of a later version; or a file of the nominal robot was changed.

@@ -1,4 +1,4 @@
-"""What the numbers of a fit that say how sure something is contain (`calib.core.base.contributions`)."""
+"""Contributions to the measures of uncertainty of a fit (`calib.core.base.contributions`)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _contents(fit: Fit) -> dict[Uncertainty, Contributions]:
 
 
 def contents_table(fit: Fit) -> dict[str, list[str]]:
-    """Return the names of what each number contains, for `result.json`."""
+    """Return the names of the contributions to each number, for `result.json`."""
     return {number.name.lower(): names_of(contains) for number, contains in _contents(fit).items()}
 
 

@@ -37,8 +37,8 @@ class GridColumn:
     """A column of a table.
 
     Attributes:
-        head: What stands above it.
-        on_page: That on a page, where it differs.
+        head: Its header.
+        on_page: Its header on a page, where it differs.
         words: Whether its cells are words, which stand on the left.
         only_page: Whether text leaves it out.
     """
@@ -54,8 +54,8 @@ class Grid:
     """A table.
 
     Attributes:
-        title: What stands above it in text.
-        caption: What stands above it on a page.
+        title: Text above it on a terminal.
+        caption: Text above it on a page.
         columns: Its columns; the first names the rows.
         rows: Their cells.
         counting: Which rows count most.

@@ -20,7 +20,7 @@ from calib.core.robots.urdf.writing import quote_attribute
 _MARK = "calib: calibrated origins"
 _MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")
 _ROUNDING = 1e-9
-"""Change of a parameter in its unit [mm, deg], up to which it is not shown: a thousandth of a nanometre or 2e-11 rad."""
+"""Change of a parameter in its unit [mm, deg], up to which it is not shown: 1e-3 nm or 2e-11 rad."""
 _EARLIER = re.compile(rb"\r?\n?<!-- " + _MARK.encode() + rb".*?-->", re.DOTALL)
 
 

@@ -18,7 +18,7 @@ from viz.result_charts import forest
 from viz.viewer_page import ViewerPage
 
 _SHOWN = 24  # changes
-_GRADES = {"agrees": "PASS", "unlike poses": "CHECK"}  # of what new measurements say; all else is FAIL
+_GRADES = {"agrees": "PASS", "unlike poses": "CHECK"}  # grades of verdicts on new measurements; all others are FAIL
 
 
 def answer_page(

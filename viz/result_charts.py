@@ -76,7 +76,7 @@ def parameters(fit: Fit) -> Chart | None:
         "forest",
         "Parameters: change, 95 % interval, and what was expected",
         "Beyond the band, the robot is further from its drawing than expected; an interval that is as wide as the band"
-        " says that the measurements told little.",
+        " says that the measurements determined little.",
         drawn,
         440,
     )

@@ -31,7 +31,7 @@ from calib.core.robots.robot import Robot
 from calib.fleets.hierarchy import compare_with_fleet
 from calib.fleets.shared_parameters import evidence_of_fit, expectation_of_fleet, shared_parameters, without_fleet
 
-_WIDE = 5.0  # by which a prior is wider that shall decide little
+_WIDE = 5.0  # factor that makes a prior so wide that it decides little
 _MOST = 0.25  # part of the parameters that may be unlike before the whole robot is
 _EXTRA = 3.0  # degrees of freedom of spreads beyond one for each robot: what parameters of a kind share
 

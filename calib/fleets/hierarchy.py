@@ -25,7 +25,7 @@ hold.
 Each result is tested against the others. Learned without result i, they predict u_i ~ N(m, D + V), with D the diagonal
 of these variances. The first test is of all parameters together. It takes the K combinations in which the prediction is
 wider than the noise of result i, scales them to variance 1, and tests their mean square. This is a mean of K squares,
-each of Student's t with the typical f_k = f, scaled likewise: its mean is 1 and its variance 2 (f - 1) / (f - 4) / K.
+each of Student's t with the typical f_k = f, so scaled: its mean is 1 and its variance 2 (f - 1) / (f - 4) / K.
 The scaled F of K and f' = 4 + (K + 2) (f - 4) / 3 degrees of freedom has the same mean and variance and takes its
 place: many spreads, each roughly known, are together known well. The second test is of each parameter alone, by
 Student's t, scaled too, as for an added variable: with B = (D + V)^-1 and S = (B + H_i)^-1, B S (h_i - H_i m) is the

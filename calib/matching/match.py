@@ -32,8 +32,8 @@ from calib.matching.twin_fit import TwinFit
 
 _LEAST = 4  # pairs
 _MOST = 500  # that are used
-_NEAR = 0.015, np.radians(1.5)  # of base and tool from frames of the robot, which are then taken for them [m], [rad]
-_ELSEWHERE = 0.02, np.radians(2.0)  # of what is stated from what is found, beyond which it is wrong [m], [rad]
+_NEAR = 0.015, np.radians(1.5)  # distance of base and tool from frames that count as theirs [m], [rad]
+_ELSEWHERE = 0.02, np.radians(2.0)  # difference of stated and found places beyond which a statement is wrong [m], [rad]
 _ALIKE = 2.0  # residuals over those of the best reading, up to which another one fits alike
 _BETTER = 0.5  # residuals with a free tool over those without, below which the tool is another one
 _WRONG = 0.2  # part of the pairs that may be of another program

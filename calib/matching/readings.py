@@ -32,7 +32,7 @@ from calib.matching.alignment import Alignment, align, turns_apart
 from calib.matching.conventions import CONVENTIONS, HEADERS, Convention
 from calib.matching.pairs import Pairs
 
-_SAME = 1e-9  # difference of joint values and poses that is none [m], [rad]
+_SAME = 1e-9  # differences of joint values and poses that count as none [m], [rad]
 _FINEST = 1e-6  # digit of a number below which a controller rounds by itself [m or rad]
 _FIT = 0.08  # miss over the spread of the robot's positions, below which a reading fits
 _STILL = 0.005  # spread of the robot's positions below which pairs tell nothing [m]

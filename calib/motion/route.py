@@ -25,7 +25,7 @@ from calib.motion.planner import Planner
 from calib.motion.poses import surroundings, what_hits
 from calib.motion.scene import CollisionScene
 
-_NODES = 150  # poses of the roadmap beside the stops
+_NODES = 150  # poses of the roadmap in addition to the stops
 _ROUNDS = 4  # in which the next best are tried
 _TURNS = 3  # of the same pose, with joints turned all the way round, that are tried
 _ROUND = 1e-9  # of a turn, by which limits are rounded

@@ -87,7 +87,7 @@ def _other_rotations(tool: FloatArray) -> Iterator[tuple[str, FloatArray]]:
     read = of.from_matrix(tool[:, :3, :3])
     quaternions, angles = read.as_quat(), read.as_euler("xyz")
     ways = {
-        "the rotations are inverted: of the base in the tool, beside positions of the tool in the base": read.inv(),
+        "the rotations are inverted: of the base in the tool, while positions are of the tool in the base": read.inv(),
         "the quaternions have their real part first: name their columns qw, qx, qy, qz": of.from_quat(
             np.roll(quaternions, -1, axis=1)
         ),

@@ -27,7 +27,7 @@ from calib.planning.selection_setting import SelectionSetting
 SCREENED = 20_000
 """More candidates than this are screened, where there is a bound and poses need no distance from each other."""
 _SEARCHED = 4096  # candidates that exchanges look at
-_FOR_EACH = 8  # times as many as are wanted, if that is more
+_FOR_EACH = 8  # times the requested number, if that is more
 
 
 @dataclass(frozen=True, eq=False)

@@ -149,7 +149,7 @@ def _deviation(linear: ErrorPropagation, unknowns: Unknowns, readings: FloatArra
 
     def jacobian(u: FloatArray) -> FloatArray:
         rows = rows_at(u.tobytes())
-        assert rows is not None  # asked for only where the residuals were finite
+        assert rows is not None  # requested only where the residuals were finite
         return np.vstack([weights[:, None] * rows.jacobian, prior.rows])
 
     u = minimise(residuals, jacobian, unknowns.deviations(fit.robot.values), tolerance=_TOLERANCE).x

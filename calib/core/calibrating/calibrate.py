@@ -43,8 +43,8 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.terms import parse_terms
 
 PROVING = 5
-"""Folds if none are asked for, and only poses left out can prove the result."""
-_OF_ONE_FIT = 3  # steps that are told: base and targets placed, the minimum found, the result judged
+"""Folds if none are requested, and only poses left out can prove the result."""
+_OF_ONE_FIT = 3  # steps that are reported: base and targets placed, the minimum found, the result judged
 _EXCLUSION_ROUNDS = 5
 
 

@@ -42,7 +42,7 @@ from calib.core.robots.terms.one_coefficient import Zero
 from calib.core.robots.terms.term import Joint, TermSection
 
 _NOTHING = 1e-12  # of a joint zero, and of how far joints moved, squared [m or rad]
-_SAME = 1.0 + 1e-6  # times the error of the nominal robot, beside `COMPUTED`: where rounding would decide
+_SAME = 1.0 + 1e-6  # times the error of the nominal robot, and `COMPUTED`: where rounding would decide
 
 
 @one_blas_thread
@@ -63,7 +63,7 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
         for holds in kinds:
             robot = start_of(fit, holds)
             if robot.terms or holds is Holds.ORIGINS:
-                with suppress(CalibrationError):  # then there is no such file, and who asks for one is told
+                with suppress(CalibrationError):  # then there is no such file, and asking for one is an error
                     reduced[holds] = _refit(fit, robot, settings, workers)
     fit = replace(fit, reduced=reduced, seconds=fit.seconds + time.perf_counter() - started)
     return JudgedFit.from_fit(replace(fit, robot=replace(fit.robot, files=FitFiles(fit, settings))))

@@ -24,7 +24,7 @@ from calib.core.robots.configurations import near_singularities
 from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 _FURTHER = 1.05
-"""Errors expected at the poses asked for, over those at poses like those measured, from which both are told apart."""
+"""Ratio of errors expected at these poses to those at poses like those measured, from which both are reported."""
 
 
 @click.command("predict")

@@ -1,7 +1,7 @@
 """Errors of joints that residuals show in addition to noise, and that no parameter describes.
 
 Residuals larger than the noise say that something is left out: gears, play, a bending link. Where the robot will be off
-by it at another pose is not known; how much, is. It is told as an error of each joint that is another one at each pose,
+by it at another pose is not known; how much, is. It is stated as an error of each joint that differs at each pose,
 so that a position feels it by its lever, in the directions in which joints move it:
 
     covariance of x(q) = B C B^T + delta^2 sum over joints of (s_j dx/dq_j)(s_j dx/dq_j)^T
@@ -49,7 +49,7 @@ def unexplained_joint_error(rows: Rows, by_joint: FloatArray) -> float:
 
     Args:
         rows: Whitened by the stated noise alone, with the weights of a robust loss.
-        by_joint: Their derivative by the joints, scaled by s_j, whitened likewise, (n_rows, n_joints).
+        by_joint: Their derivative by the joints, scaled by s_j and whitened, (n_rows, n_joints).
     """
     model = _model(rows, by_joint)
     if not np.any(model.spread > 0.0):

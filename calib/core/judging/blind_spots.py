@@ -24,7 +24,7 @@ LARGE_SCALE = 1e-3
 """Error of the scale that would be noticed otherwise."""
 LIKE_SHUFFLED = 0.8
 """Way from row to row, over that between rows far apart, from which rows may have been shuffled."""
-_FEW = 10  # rows from which their order can be told
+_FEW = 10  # rows from which their order shows
 
 
 def not_covered(fit: Fit) -> tuple[str, ...]:

@@ -73,7 +73,7 @@ from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
 
 MORE = 1.25
 """Errors at poses that were not used, over those claimed, up to which a claim holds."""
-_HALF = 0.5  # part of what a joint's limits allow, below which its reach is told
+_HALF = 0.5  # part of a joint's range between its limits below which its motion is reported
 
 
 class Benefit(Enum):

@@ -56,7 +56,7 @@ NOISE, UNEXPLAINED = "noise", "not explained"
 REST = "noise and unexplained errors, not separable"
 ENOUGH_REPEATS = 10.0
 """Degrees of freedom that repeats need to count as known noise."""
-_AS_LARGE = 1.1  # left over noise (RMS) up to which the rest is as large as the noise
+_AS_LARGE = 1.1  # ratio of rest to noise (RMS) up to which the rest counts as noise
 _SURE = 0.5  # mean square not explained over that of noise, below which two standard deviations must end
 
 

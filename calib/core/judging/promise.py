@@ -421,7 +421,7 @@ def _expected_distances(
     spread = slope[:, kept] @ root
     spread -= basis @ (basis.T @ spread)
     left = len(slope) - basis.shape[1]
-    square *= left / len(slope)  # what placing them takes up
+    square *= left / len(slope)  # the part that placing them takes up
     along = spread.T @ spread
     left_open, total = float(np.trace(along)), square + float(np.trace(along))
     # variances of squares: of noise in `left` directions, of what is left open, and of both in one direction

@@ -294,7 +294,7 @@ def _chance_of_gain(fit: Fit) -> float:
 
 def files_hold_less(fit: Fit) -> Iterator[Reason]:
     """State the error of `calibrated.urdf` where it is not the whole model; and if it is not written, why."""
-    if fit.reduced is None:  # no files were asked for
+    if fit.reduced is None:  # no files were requested
         return
     why = why_no_origins(fit)
     if why:

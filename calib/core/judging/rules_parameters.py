@@ -43,7 +43,7 @@ MOST = 0.5
 like it."""
 _NOTHING = 1e-6  # part of its length to which a robot has shrunk to a point
 MANIFOLD = 0.3
-"""Scale of lengths beyond which their ratio is told, and not percent."""
+"""Scale of lengths beyond which their ratio is stated, and not percent."""
 UNUSUAL = 10.0
 """Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
 JOINT_SCALED = 0.01

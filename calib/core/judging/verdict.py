@@ -126,7 +126,7 @@ def judge(fit: Fit) -> Verdict:
         reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
     reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.counted, reason.code != Code.FRAME_MOVED))
     grade = reasons[0].grade if reasons else "PASS"
-    if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
+    if grade == "FAIL":  # other findings say nothing about numbers that must not be used
         return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))
     return Verdict(grade, tuple(reasons), not_covered(fit), claim)
 

@@ -110,7 +110,7 @@ _REACH = 0.5  # how far the steps may then go at first, in the same units
 _LONGER = 2.0  # how far a step away from the bottom of a valley may go, over the length of the last one
 _AWAY = 8  # further steps away from the bottom
 _PATIENCE = 20  # trial points that a minimum that recedes is followed at least
-_RECEDED = 3  # steps in a row that made what is left longer
+_RECEDED = 3  # steps in a row after which the remaining step was longer
 _LIMIT, _RECEDES, _COST_STANDS, _STEP_VANISHES = (
     "the limit of evaluations was reached",
     "the best values recede",
@@ -221,7 +221,7 @@ class _Iteration:
         self._left: tuple[LinearPoint, float] | None = None  # where it left the bottom of a valley, length of that step
         self._away = 0  # steps since then
         self._stays = self._by_columns  # whether it does not leave it any more
-        self._receded = 0  # steps in a row that made what is left longer
+        self._receded = 0  # steps in a row after which the remaining step was longer
         self._step: FloatArray = np.zeros(len(start.x))
         self._taken: FloatArray = self._step
         self._promised = start.cost

@@ -10,7 +10,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 
 ROWS_AT_ONCE = 1 << 13
-_KEPT = 1 << 15  # rows that a product of rows may have to be kept
+_KEPT = 1 << 15  # rows up to which a product is kept
 Places = IntArray | slice
 """Which rows."""
 

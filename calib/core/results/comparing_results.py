@@ -2,7 +2,7 @@
 
 Two fits a and b of robots with the same true parameters x, from measurements of their own, err by
 
-    v_a - x = S_a (J_a^T e_a - L (x - m))        and b likewise,
+    v_a - x = S_a (J_a^T e_a - L (x - m))        and the same for b,
 
 with covariances S, noise e, and the prior of both: mean m and precision L (zero where there is none). Noise of
 different measurements is independent; what the shared prior pulls is not. So their difference has the covariance

@@ -32,7 +32,7 @@ from calib.core.robots.urdf.text import UrdfText
 
 _ROUNDS = 30  # of Newton's method
 _SETTLED = 1e-12  # [rad]
-_MISSED = 1e-9  # how far a direction may end beside what was read
+_MISSED = 1e-9  # how far a direction may end from what was read
 _CONTRADICTS = np.radians(45.0)  # from here on a reading and a statement are not of the same direction [rad]
 _SAME_AXIS = 1e-3  # of two axes, seen across gravity, that turn a link alike
 

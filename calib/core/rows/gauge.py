@@ -33,7 +33,7 @@ from calib.core.rows.observed import Observed, observe, predict_readings
 _POSES = 256
 _ROUNDS = 10
 _STANDS = 1e-6  # change of a scaled parameter; what is left of it shrinks by its square
-_AROUND_HOME = 0.5  # what no pose here sees, no pose sees: motion is analytic [rad, or characteristic lengths]
+_AROUND_HOME = 0.5  # what these poses do not see, none do: motion is analytic [rad, or characteristic lengths]
 
 
 @one_blas_thread
@@ -51,7 +51,7 @@ def nearest_to_nominal(robot: Robot) -> Robot:
     sigma = np.array([parameters[k].sigma_si for k in free])
     expected = np.array([parameters[k].expected_si for k in free])
     q = poses_around_home(robot)
-    predicted = predict_readings(robot, robot.assemble(q))  # NaN beside an image: as if the image went on
+    predicted = predict_readings(robot, robot.assemble(q))  # NaN outside of an image: as if the image went on
     readings = {name: replace(reading, values=np.nan_to_num(reading.values)) for name, reading in predicted.items()}
     before, _ = _stack(observe(robot, robot.assemble(q), readings))
     for _ in range(_ROUNDS):

@@ -105,7 +105,7 @@ def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, 
     if viewer is not None:
         output.note(viewer.url)
     data = _read_changes(file, output)
-    if viewer is not None and data is not None:  # the way here, from the first poses on
+    if viewer is not None and data is not None:  # earlier states, from the first poses on
         earlier = copy.deepcopy(watch)
         for part in _beginnings(data):
             viewer.remember(earlier.update(part))

@@ -24,8 +24,8 @@ _NAME = re.compile(r"[A-Z_]{2}\w*(?=\s|$)", re.ASCII | re.IGNORECASE)
 _COMMAND = re.compile(r"[GM]\s*\d", re.ASCII | re.IGNORECASE)
 _EXPONENT = re.compile(r"[\d.]E\s*[-+.\d]", re.ASCII | re.IGNORECASE)
 _HOMING = parse_words("G28 G29 G30")
-_OWN_WORDS = parse_words("G4 G10 G92")  # X, Y, Z beside these are theirs, and beside an M
-_WITHOUT_WORDS = parse_words("M0-5 M7-9 M30")  # but not beside these
+_OWN_WORDS = parse_words("G4 G10 G92")  # X, Y, Z in a line with these belong to them; also with an M
+_WITHOUT_WORDS = parse_words("M0-5 M7-9 M30")  # but not with these
 
 
 @dataclass(frozen=True)

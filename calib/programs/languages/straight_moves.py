@@ -44,7 +44,7 @@ from calib.programs.reaching.reaching import GoalConfigurations, descend
 from calib.programs.reaching.search import TOLERANCE
 
 _MEASURED_EVERY = 2e-3  # along a piece [m]
-_AT_LEAST = 3  # points of a piece beside its middle
+_AT_LEAST = 3  # points of a piece on each side of its middle
 _GOLDEN = 0.6180339887498949  # its multiples fall into all parts of an interval alike
 _SHORTEST = 5e-5  # a piece [m]
 _RESERVE = 1.1  # times the number of pieces that a parabola would need

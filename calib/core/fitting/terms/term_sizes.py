@@ -77,7 +77,7 @@ _SMALL = 0.05  # of what is usual: a family so small is fitted only if the rows 
 _SHOWS = 1.0  # rise of the log likelihood by a family that they show
 _POSES = 500  # that tell the sizes
 _DRAWS = 24
-_SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is nothing beside others
+_SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is negligible
 _LITTLE = 0.01  # of the largest variance that readings feel of undecided terms, below which directions are left out
 _LIMITS = (0.025, 0.975)
 

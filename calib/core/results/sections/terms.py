@@ -41,7 +41,7 @@ def terms_table(fit: Fit) -> dict[str, object]:
 def terms_lines(fit: Fit) -> list[str]:
     """Return the outcome for each kind of joint term: its size, and whether it is surely there."""
     if fit.terms is None or not fit.terms.automatic:
-        return [] if fit.terms is None else [f"Joint terms asked for: {fit.terms.requested}"]
+        return [] if fit.terms is None else [f"Joint terms requested: {fit.terms.requested}"]
     tried, count = fit.terms.tried, len(fit.terms.tried)
     added = [_size_in_words(trial) for trial in tried if trial.added]
     left = [_size_in_words(trial) for trial in tried if not (trial.added or trial.why)]

@@ -90,11 +90,11 @@ def _dh_row(robot: Robot, name: str) -> DhRow:
 
 
 def _chain_text(robot: Robot, chain: SerialChain) -> str:
-    held = f"holds the {len(chain.joints)} joints from {chain.base} to {chain.tip}"
+    text = f"holds the {len(chain.joints)} joints from {chain.base} to {chain.tip}"
     missing = [name for name in robot.joint_names if name not in [joint.name for joint in chain.joints]]
     if missing:
-        held += f", not {listing(missing)} beside them"
-    return held + _terms_text(robot)
+        text += f", and not {listing(missing)}"
+    return text + _terms_text(robot)
 
 
 def _terms_text(robot: Robot) -> str:
@@ -205,9 +205,9 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
 
     Of a fit, those that fit its measurements best; else those of `joint_zeros`, over the joint ranges.
     """
-    known, placed = robot.files.get(Holds.ZEROS), any(p.placement for p in robot.parameters)
+    file_robot, placed = robot.files.get(Holds.ZEROS), any(p.placement for p in robot.parameters)
     anew = ", base and target placed anew" if placed else ""
-    if known is None:
+    if file_robot is None:
         q, where = judging_poses(robot)
         zeros = joint_zeros(robot, q, fitted=_FITTED)
         left, before = (Remainder.from_distances(distances, where) for distances in (zeros.errors, zeros.errors_before))
@@ -215,12 +215,12 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
         signs, offsets = zeros.signs, zeros.offsets
     else:
         left, reached = None, error_comparison(robot, Holds.ZEROS)
-        signs, offsets = known.signs, known.offsets
+        signs, offsets = file_robot.signs, file_robot.offsets
     statement = f"holds one zero and a sign for each joint{anew}: {reached}"
     lines = [
         f"calib: joint zeros of {robot.name}: a joint is at sign * q + offset where the controller says q",
         statement,
-        *(provenance_lines(robot) if known is None else source_lines(robot)),
+        *(provenance_lines(robot) if file_robot is None else source_lines(robot)),
         *provenance,
     ]
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]

@@ -104,9 +104,9 @@ def joint_ranges(robot: Robot) -> tuple[FloatArray, FloatArray]:
 
 def free_directions(robot: Robot, loop: int) -> tuple[Component, ...]:
     """Directions that a 3D constraint would hold and the closure does not."""
-    held = robot.mechanism.loops[loop].rows
+    constrained = robot.mechanism.loops[loop].rows
     whole = range(6 if robot.mechanism.loops[loop].full_pose else 3)
-    return tuple(COMPONENTS[row] for row in whole if row not in held)
+    return tuple(COMPONENTS[row] for row in whole if row not in constrained)
 
 
 def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:

@@ -217,11 +217,11 @@ class _Writer:
     def _fixed_links(self, name: str) -> set[str]:
         """Links that are fixed to a link, itself included."""
         welded, waiting = {name}, [name]
-        held = [joint for joint in self.model.urdf.joints if joint.type in HELD_TYPES]
+        fixed = [joint for joint in self.model.urdf.joints if joint.type in HELD_TYPES]
         while waiting:
             link = waiting.pop()
-            near = {joint.child for joint in held if joint.parent == link}
-            near |= {joint.parent for joint in held if joint.child == link}
+            near = {joint.child for joint in fixed if joint.parent == link}
+            near |= {joint.parent for joint in fixed if joint.child == link}
             waiting.extend(near - welded)
             welded |= near
         return welded

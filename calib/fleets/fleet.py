@@ -274,8 +274,8 @@ def _fleet(folders: Sequence[Path]) -> Fleet:
     _require_different(loaded)
     evidence = []
     for result in loaded:
-        known, freedom = result.uncertainty, float(result.content["degrees_of_freedom"])
-        evidence.append(evidence_of_fit(result.robot, known.free, known.covariance, freedom, shared))
+        uncertainty, freedom = result.uncertainty, float(result.content["degrees_of_freedom"])
+        evidence.append(evidence_of_fit(result.robot, uncertainty.free, uncertainty.covariance, freedom, shared))
     learned, odd, compared = learn_without_odd(evidence, _kinds(robots[0], shared))
     like = [result for k, result in enumerate(loaded) if k not in odd]
     section = section_of(learned, len(like), shared, _confirmed_freedom(like))
@@ -368,12 +368,12 @@ def _values_of_each(
     values, stds = [], []
     for k, result in enumerate(results):
         if k in odd:
-            known, robot = result.uncertainty, result.robot
-            free = [p.name for p, use in zip(robot.parameters, known.free, strict=True) if use]
+            uncertainty, robot = result.uncertainty, result.robot
+            free = [p.name for p, use in zip(robot.parameters, uncertainty.free, strict=True) if use]
             place = [free.index(name) for name in names]
             by_name = dict(zip((p.name for p in robot.parameters), robot.values, strict=True))
             values.append(np.array([by_name[name] for name in names]))
-            stds.append(np.sqrt(np.diag(known.covariance)[place]))
+            stds.append(np.sqrt(np.diag(uncertainty.covariance)[place]))
         else:
             estimate, deviation = next(estimates)
             values.append(nominal + scales * estimate)

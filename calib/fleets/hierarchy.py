@@ -139,8 +139,8 @@ def evidence_of_data(
     sizes, axes = linalg.eigh((inverse - prior + (inverse - prior).T) / 2)
     kept = axes[:, sizes > _NOTHING]
     shrunk = max(freedom - 2.0, 1.0) / max(freedom, 3.0)
-    pull = kept @ (kept.T @ (inverse @ u - prior @ mean))
-    return FleetEvidence(shrunk * (kept * sizes[sizes > _NOTHING]) @ kept.T, shrunk * pull)
+    vector = kept @ (kept.T @ (inverse @ u - prior @ mean))
+    return FleetEvidence(shrunk * (kept * sizes[sizes > _NOTHING]) @ kept.T, shrunk * vector)
 
 
 def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray | None = None) -> Hierarchy:
@@ -223,12 +223,12 @@ def compare_with_fleet(
         expected: Covariance of the prediction, (n, n).
         freedom: f of the module docstring, (n,).
     """
-    pull = result.information_vector - result.precision @ mean
+    deviation = result.information_vector - result.precision @ mean
     before = np.linalg.inv(expected)
-    score = np.linalg.inv(before + result.precision) @ pull
-    known = np.diag(before - before @ np.linalg.inv(before + result.precision) @ before)
-    shown = known > _SHOWN * np.diag(before)
-    distances = np.where(shown, before @ score / np.sqrt(np.where(shown, known, 1.0)), np.nan)
+    score = np.linalg.inv(before + result.precision) @ deviation
+    determined = np.diag(before - before @ np.linalg.inv(before + result.precision) @ before)
+    shown = determined > _SHOWN * np.diag(before)
+    distances = np.where(shown, before @ score / np.sqrt(np.where(shown, determined, 1.0)), np.nan)
     p_values = 2.0 * scipy.special.stdtr(freedom, -np.abs(distances) * np.sqrt(freedom / (freedom - 2.0)))
     sizes, axes = linalg.eigh(result.precision)
     kept = sizes > _NOTHING
@@ -237,7 +237,7 @@ def compare_with_fleet(
     wide = 1.0 + ratios > _WIDER
     if not np.any(wide) or not np.any(shown):
         return FleetComparison(distances, p_values, np.nan, np.nan)
-    noise = turned.T @ (axes[:, kept].T @ pull / np.sqrt(sizes[kept]))
+    noise = turned.T @ (axes[:, kept].T @ deviation / np.sqrt(sizes[kept]))
     together = float(np.mean(noise[wide] ** 2 / (1.0 + ratios[wide])))
     count = int(np.sum(wide))
     of_mean = 4.0 + (count + 2.0) * (float(np.median(freedom[shown])) - 4.0) / 3.0

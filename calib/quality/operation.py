@@ -80,10 +80,10 @@ def _regression(problem: ReferenceProblem) -> Iterator[Check]:
             )
         n = len(problem.certified)
         jacobian, group = np.asarray(problem.model(found.x, problem.x)[1]), np.zeros(len(problem.y), dtype=np.intp)
-        known = information(jacobian)
-        span = jacobian @ known.root
+        posterior = information(jacobian)
+        span = jacobian @ posterior.root
         factors = find_factors(found.residuals, span, group, 1)
-        std = statistics(span, group, known, factors, np.ones(n), Prior(np.zeros(n, dtype=bool))).std
+        std = statistics(span, group, posterior, factors, np.ones(n), Prior(np.zeros(n, dtype=bool))).std
         digits = min(_common_digits(found.x, problem.certified), _common_digits(std, problem.std))
         subject = f"regression {problem.name}, start {number}"
         expected = f"certified values and standard deviations to {_DIGITS:g} digits (NIST StRD)"
@@ -200,20 +200,20 @@ def _coverage() -> Iterator[Check]:
     """Count how often intervals of 95 % hold the truth, over calibrations of the first arm from simulated readings."""
     with tempfile.TemporaryDirectory() as folder:
         _, robot = next(iter(sample_robots(Path(folder))))
-        held = list[bool]()
+        hits = list[bool]()
         joints = robot.sample(_POSES, seed=5)
         for seed in range(_FITS):
             true = draw_robot(robot, seed)
             fit = calibrate(robot, simulate(true, joints, seed=seed), None, Settings())
             truth = dict(zip([parameter.name for parameter in true.parameters], true.values, strict=True))
-            held += [
+            hits += [
                 estimate.low95_si <= truth[name] <= estimate.high95_si
                 for name, estimate in fit.parameters.items()
                 if estimate.status != "held"
             ]
-    share = float(np.mean(held))
+    share = float(np.mean(hits))
     expected = f"95 % intervals hold the simulated truth in {_LEAST:.0%} to {_MOST:.0%}"
-    found = f"{share:.1%} of {len(held)} intervals"
+    found = f"{share:.1%} of {len(hits)} intervals"
     yield Check.from_values(_PHASE, "coverage of intervals", expected, found, _LEAST <= share <= _MOST)
 
 

@@ -326,14 +326,14 @@ def _thermal(linear: ErrorPropagation, stated: TraceabilitySection) -> list[Budg
     ]
 
 
-def _robot_rows(fit: JudgedFit, known: float, poses: PosesLike | None) -> list[BudgetRow]:
+def _robot_rows(fit: JudgedFit, included: float, poses: PosesLike | None) -> list[BudgetRow]:
     """Rows of the robot itself; `known`: what rows have of the claim's mean square [m^2]."""
     scatter, freedom = repeatability(fit.identification)
     rows, claim = [], fit.verdict.claim
     if freedom:
         note = "repeated poses; holds the noise of a reading"
         rows.append(BudgetRow.direct(REPEATABILITY, scatter, float(freedom), note))
-        known += scatter**2
+        included += scatter**2
     if claim is not None and claim.at_measured_poses.is_position:
         total, n, note = (
             claim.at_measured_poses.rms**2 / 3.0,
@@ -344,7 +344,7 @@ def _robot_rows(fit: JudgedFit, known: float, poses: PosesLike | None) -> list[B
         known_positions = fit.identification_uncertainty
         total, n = float(np.mean(known_positions.reported_distance**2)) / 3.0, fit.identification.data.n_poses
         note = "errors of joints that residuals show"
-    rows.append(BudgetRow.direct(MODEL, math.sqrt(max(total - known, 0.0)), float(n), note))
+    rows.append(BudgetRow.direct(MODEL, math.sqrt(max(total - included, 0.0)), float(n), note))
     elsewhere = None if poses is None else fit.claim_at(poses)
     if elsewhere is not None and claim is not None:
         more = math.sqrt(max(elsewhere.rms**2 - claim.at_measured_poses.rms**2, 0.0) / 3.0)

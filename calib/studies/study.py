@@ -183,13 +183,13 @@ def _prepare(
     if not first.converged:
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
-    known = (
+    drawing = (
         source
         if isinstance(source, SimulatedDraws)
         else ResampledDraws(first.robot, source, first.configurations.passive)
     )
     use_compiled = pays(draws * len(data)) or compilation_requested()
-    setting = _Setting(known, settings, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
+    setting = _Setting(drawing, settings, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
     each = sum(numbers.size for numbers in vars(_draw_without_answer(setting)).values())
     require_memory(2 * draws * each, count_noun(draws, "draw"), "ask for fewer")
     return setting

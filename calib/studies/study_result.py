@@ -141,8 +141,8 @@ class Study(ReadOnlyArrays):
         error = draws.values - draws.truth
         spread = np.std(error, axis=0, ddof=1) if n > 1 else np.full(len(self.free), np.nan)
         claimed = np.sqrt(np.mean(draws.std**2, axis=0))
-        held = np.where(np.isnan(error), np.nan, np.abs(error) <= draws.half_width)
-        columns = (np.mean(error, axis=0), spread / np.sqrt(n), spread, claimed, np.mean(held, axis=0))
+        covered = np.where(np.isnan(error), np.nan, np.abs(error) <= draws.half_width)
+        columns = (np.mean(error, axis=0), spread / np.sqrt(n), spread, claimed, np.mean(covered, axis=0))
         scale = np.array([[parameter.per_si] * 4 + [1.0] for parameter in self.free])  # a coverage has no unit
         return tuple(
             ParameterStudy(parameter.name, parameter.unit, *map(float, numbers))

@@ -45,31 +45,31 @@ class Words:
 def tables() -> dict[str, tuple[Words, ...]]:
     """Return all words by place; the table is read at the first use."""
     result: dict[str, tuple[Words, ...]] = {}
-    place = ""
+    section = ""
     for line in Path(__file__).with_suffix(".txt").read_text(encoding="utf-8").splitlines():
         if line.startswith("["):
-            place = line.strip("[]")
+            section = line.strip("[]")
         elif line and not line.startswith("#"):
             package, words, here = (cell.strip() for cell in line.split(" | "))
-            result[place] = (*result.get(place, ()), Words(package, tuple(words.split()), here))
+            result[section] = (*result.get(section, ()), Words(package, tuple(words.split()), here))
     return result
 
 
-def hint_for(word: str, place: str) -> str:
+def hint_for(word: str, section: str) -> str:
     """Return the hint for a word that another package uses, as the end of a message; empty without one.
 
     Args:
         word: The word.
-        place: Where it is looked for, as the table has it.
+        section: Where it is looked for, as the table has it.
     """
-    row = _row(word, place, str) or _row(word, place, _plain)
+    row = _row(word, section, str) or _row(word, section, _plain)
     return f"; here: {row.here.replace('`', '')}" if row else ""
 
 
-def _row(word: str, place: str, spelling: Callable[[str], str]) -> Words | None:
+def _row(word: str, section: str, spelling: Callable[[str], str]) -> Words | None:
     """The row of the table that has a word, of which spellings count as the same that this function makes the same."""
     spelled = spelling(word)
-    return next((row for row in tables().get(place, ()) if spelled in map(spelling, row.words)), None)
+    return next((row for row in tables().get(section, ()) if spelled in map(spelling, row.words)), None)
 
 
 def _plain(word: str) -> str:

@@ -111,9 +111,9 @@ class Output:
             check_folder(folder, names, force=self.force)
         places = [Path(str(file)).resolve() for file in targets]
         places += [Path(folder, name).resolve() for folder in given for name in names]
-        for place in places:
-            if places.count(place) > 1 and (place.is_file() or not place.exists()):
-                raise InputError(f"{place}: is to be written twice; give each output a place of its own")
+        for path in places:
+            if places.count(path) > 1 and (path.is_file() or not path.exists()):
+                raise InputError(f"{path}: is to be written twice; give each output a place of its own")
 
     @contextmanager
     def working(self, what: str) -> Iterator[Progress]:

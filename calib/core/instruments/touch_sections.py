@@ -94,8 +94,8 @@ class ArtefactSection(PosedSection):
             return ()
         if width[1] > _ON_A_LINE:
             return ANGLE_COMPONENTS
-        held = int(np.argmax(np.abs(directions[0])))
-        return tuple(turn for k, turn in enumerate(ANGLE_COMPONENTS) if k != held)
+        fixed = int(np.argmax(np.abs(directions[0])))
+        return tuple(turn for k, turn in enumerate(ANGLE_COMPONENTS) if k != fixed)
 
 
 class TouchSection(InstrumentSection):

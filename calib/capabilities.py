@@ -11,6 +11,7 @@ BROUGHT = tuple(
     for group, name, value in (
         ("calib.parametrisations", "linear_delta", "calib.printers.linear_delta:LinearDelta"),
         ("calib.formats", "exporting", "calib.exporting.file_formats:FORMATS"),
+        ("calib.kinds", "height", "calib.printers.height:Height"),
         ("calib.formats", "printers", "calib.printers.file_formats:FORMATS"),
         ("calib.formats", "more", "calib.exporting.file_formats:MORE_FORMATS"),
         ("calib.methods", "export", "calib.exporting.formats:export"),

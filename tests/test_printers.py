@@ -51,7 +51,7 @@ def as_firmware(firmware, text):
     return np.concatenate([[float(words["M665"]["R"])], angles, rods, height + ends])
 
 
-def printer_cfg(seed=0, noise=0.01, spans=True, behind=False, true=TRUE):
+def printer_cfg(seed=0, noise=0.01, spans=True, behind=False, true=TRUE, offset=16.0):
     """A printer.cfg as Klipper writes it, of a simulated printer; `behind`: saved by SAVE_CONFIG."""
     rng = np.random.default_rng(seed)
     lines = ["[printer]", "kinematics: delta", f"delta_radius: {true[0]}", ""]
@@ -72,8 +72,8 @@ def printer_cfg(seed=0, noise=0.01, spans=True, behind=False, true=TRUE):
 
     for k in range(13):
         angle, radius = np.radians(90 + 60 * k), 0 if k == 0 else (75 if k < 7 else 45)
-        place = np.array([radius * np.cos(angle), radius * np.sin(angle), 16.0 + noise * rng.standard_normal()])
-        body += [f"height{k}: 16.0", f"height{k}_pos: {steps(place)}"]
+        place = np.array([radius * np.cos(angle), radius * np.sin(angle), offset + noise * rng.standard_normal()])
+        body += [f"height{k}: {offset}", f"height{k}_pos: {steps(place)}"]
     for k in range(12 if spans else 0):
         turns = np.radians([60 * k, 60 * k + (0 if k < 6 else 60)])  # spokes, then the rim of a hexagon
         radii = (5 if k < 6 else 68, 68)
@@ -343,3 +343,15 @@ def test_check_looks_at_what_was_measured_heights_and_distances(folder):
     done = run("check", "p.yaml", "p.csv")
     assert done.exit_code == 0, done.output
     assert done.output.startswith("25 poses (p.csv), 25 measured values")
+
+
+def test_another_probing_verifies_a_fit_whatever_its_offset_and_its_rows(folder):
+    """The fit has distances and heights with an offset of 16 mm; the later probing has heights alone, with 15.5 mm."""
+    assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0
+    assert run("fit", "p.yaml", "p.csv", "--out", "out", "--no-pages").exit_code == 0
+    (folder / "later.cfg").write_text(printer_cfg(spans=False, offset=15.5))
+    done = run("init", "--klipper", "later.cfg", "--out", "later.yaml")
+    assert re.search(r"the settings of later.cfg leave: heights \d+\.\d{4} mm RMS; they were made from", done.output)
+    done = run("verify", "out", "later.csv")
+    assert done.exit_code == 0
+    assert "AGREES" in done.output

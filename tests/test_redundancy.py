@@ -312,6 +312,7 @@ PAIRS = np.zeros(200, dtype=np.intp)
 ENTRIES = {
     "sighting": {"points": {"a": {"frame": "l0"}, "b": {"frame": "l1", "position": "unknown"}}},
     "pointing": {},
+    "height": {"plane": {"frame": "l1", "orientation": "unknown", "position": "unknown"}},
     "cable": {
         "anchor": {"frame": "l0"},
         "length": "unknown",

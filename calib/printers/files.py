@@ -23,7 +23,7 @@ from calib.core.base.errors import DataError, InputError
 from calib.core.base.files import read_text
 from calib.core.base.units import PER_SI, millimetres
 from calib.core.data.table_writing import format_table
-from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, height_name, tower_angles
+from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, tower_angles
 from calib.printers.rows import PrinterFile, PrinterReading, require_plausible, require_steps
 
 _MM, _DEG = 1 / PER_SI["length"]["mm"], 1 / PER_SI["angle"]["deg"]
@@ -303,17 +303,16 @@ def read_printer(path: Path | str, firmware: str) -> PrinterFile:
 
 
 def printer_table(printer: PrinterFile) -> str:
-    """Return its rows as a file of measurements."""
-    twice = any(len(row.places) == 2 for row in printer.rows)
+    """Return its rows as a file of measurements, for printers with distances and for those without."""
     columns: list[tuple[str, list[object]]] = [("pose", [row.name for row in printer.rows])]
-    for copy, suffix in enumerate(("", "2")[: 2 if twice else 1]):
+    for copy, suffix in enumerate(("", "2")):
         for k, tower in enumerate(TOWERS):
             down = [round(millimetres(row.places[min(copy, len(row.places) - 1)][k]), 7) for row in printer.rows]
             columns.append((f"{tower}{suffix} [mm]", [*down]))
-    columns.append(("probe", [height_name(r.value) if len(r.places) == 1 else "" for r in printer.rows]))
-    if twice:
-        read = [round(millimetres(r.value), 7) if len(r.places) == 2 else "" for r in printer.rows]
-        columns.append(("caliper_distance [mm]", [*read]))
+    for n_places, column in enumerate(("probe_height [mm]", "caliper_distance [mm]"), start=1):
+        read = [round(millimetres(r.value), 7) if len(r.places) == n_places else "" for r in printer.rows]
+        if any(cell != "" for cell in read):
+            columns.append((column, [*read]))
     return format_table(
         columns, [f"from {printer.path}: carriages down from their switches, and what was measured there"]
     )

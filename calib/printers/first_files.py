@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from calib.core.base.errors import InputError
 from calib.core.base.files import write_files
 from calib.core.base.units import millimetres, quantity
@@ -14,7 +16,7 @@ from calib.core.commands.common import Output
 from calib.core.commands.first_files import FirstFiles
 from calib.printers.files import printer_table, read_printer
 from calib.printers.linear_delta import linear_delta_description, linear_delta_plan, linear_delta_urdf
-from calib.printers.rows import expected_geometry
+from calib.printers.rows import PrinterFile, expected_geometry, residuals
 
 
 def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Output) -> None:
@@ -32,12 +34,11 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
                 " correct it, with its unit, such as arm=288mm"
             )
     geometry = expected_geometry(printer, arm)
-    heights = sorted({row.value for row in printer.rows if len(row.places) == 1})
     plan = linear_delta_plan(geometry, 2 if any(len(row.places) == 2 for row in printer.rows) else 1)
     urdf, title = out.with_suffix(".urdf"), " ".join(Path(printer.path).name.replace("--", "-").split())
     files = {
         urdf: linear_delta_urdf(plan, f"linear delta, cut open: {title}"),
-        out: linear_delta_description(plan, title, urdf.name, heights, len(printer.rows)),
+        out: linear_delta_description(plan, title, urdf.name, len(printer.rows)),
         **({out.with_suffix(".csv"): printer_table(printer)} if printer.rows else {}),
     }
     output.check(*map(str, files))
@@ -46,7 +47,21 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
     rows = f", with {count_noun(len(printer.rows) - spans, 'height')} and {count_noun(spans, 'distance')}"
     output.say(f"{', '.join(map(str, files))} written{rows if printer.rows else ''}")
     if printer.rows:
+        output.say(_saved_errors(printer))
         output.say(f"next: calib fit {out} {out.with_suffix('.csv')} --out out/{out.stem}")
+
+
+def _saved_errors(printer: PrinterFile) -> str:
+    """Return what the settings in the file leave on its rows."""
+    errors, parts = residuals(printer.geometry, printer.rows), []
+    for noun, n_places in (("heights", 1), ("distances", 2)):
+        of_kind = errors[[len(row.places) == n_places for row in printer.rows]]
+        if of_kind.size:
+            parts.append(f"{noun} {millimetres(float(np.sqrt(np.mean(of_kind**2)))):.4f} mm RMS")
+    return (
+        f"the settings of {Path(printer.path).name} leave: {', '.join(parts)}; they were made from these rows, so a fit"
+        " compares with the printer as designed"
+    )
 
 
 def _files_of_firmware(name: str, help: str) -> FirstFiles:

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -221,21 +221,16 @@ def linear_delta_urdf(plan: Plan, title: str) -> str:
     return robot_text("linear_delta", title, plan.links, plan.joints)
 
 
-def linear_delta_description(plan: Plan, title: str, urdf: str, heights: Sequence[float], n_rows: int = 0) -> str:
+def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int = 0) -> str:
     """Return the text of its description; with no more rows than it has parameters, arms are held.
 
     Args:
         plan: Of `linear_delta_plan`.
         title: What it is, for a comment.
         urdf: How it names the URDF.
-        heights: At which the nozzle is probed [m].
         n_rows: How many rows were measured; 0: not known yet.
     """
     twice = "platform_2" in plan.links
-    planes = "".join(
-        f"      {height_name(height)}: {{frame: {BASE}, xyz: [0, 0, {millimetres(height):.9g} mm]}}\n"
-        for height in heights or (0.0,)
-    )
     sigma = f"{millimetres(DISTANCE):g} mm"
     caliper = f"  caliper: {{kind: distance, target: nozzle, end: {{frame: platform_2}}, sigma: {sigma}}}\n"
     pairs = ", ".join(f"[{frame}, {other}]" for frame, other in plan.loops)
@@ -258,15 +253,10 @@ base: {{frame: {BASE}, pose: known}}
 targets:
   nozzle: {{frame: platform}}
 
-# What is measured: heights over the bed, by a probe whose offset is one number; distances of a printed object.
+# What is measured: heights over the bed, distances of a printed object.
 instruments:
-  probe:
-    kind: touch
-    target: nozzle
-    surface: plane
-    sigma: {millimetres(HEIGHT):g} mm
-    places:
-{planes}{caliper if twice else ""}
+  probe: {{kind: height, target: nozzle, sigma: {millimetres(HEIGHT):g} mm}}
+{caliper if twice else ""}
 # delta_radius, angles of towers, arms and endstops as firmwares have them. Probing hardly shows arms and angles: they
 # are expected to be as designed, within {millimetres(ARM):g} mm and {math.degrees(ANGLE):g} deg.
 parametrisation: {NAME}
@@ -279,8 +269,3 @@ _HELD = """\
 # With so few rows, free arms would leave no degrees of freedom to judge a fit. So the arms are held.
 held: [arm_a, arm_b, arm_c]
 """
-
-
-def height_name(height: float) -> str:
-    """Return what a description calls a height [m] of the nozzle."""
-    return f"at_{millimetres(height):.9g}_mm".replace("-", "minus_")

@@ -160,7 +160,7 @@ def run_both_sides(
         first: The paper's set of poses.
         counts: Numbers of poses.
         imperfections: Sizes of what the paper's parameters leave out.
-        seeds: Of the experiment's draws.
+        seeds: Seeds of the experiment's draws.
         executor: Who does the draws.
         progress: Called with the progress of the work.
     """

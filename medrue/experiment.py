@@ -68,7 +68,7 @@ class ExperimentDraw:
         after: Errors of the robot calibrated from each set, (n_sets, n, 3) [m].
         values: Identified parameters, (n_sets, 36) [m, rad].
         std: Their standard deviations as the fit states them, 0 for held ones, (n_sets, 36) [m, rad].
-        repeatability: Of the tracker's readings, per axis [m].
+        repeatability: Repeatability of the tracker's readings, per axis [m].
         frame_sigma: Largest standard deviation that the world frame's uncertainty gives to a coordinate [m].
         nest_outliers: Names of nests that do not fit.
     """

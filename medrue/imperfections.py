@@ -147,7 +147,7 @@ def approach_in_order(q1: FloatArray, order: IntArray, home: float) -> FloatArra
     """Return in which direction q1 moves to each pose, +1 or -1, (n,).
 
     Args:
-        q1: Of each pose, (n,) [m].
+        q1: q1 of each pose, (n,) [m].
         order: Poses in the order of the visits, (n,).
         home: Where the first visit comes from [m].
     """

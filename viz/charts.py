@@ -66,7 +66,7 @@ def layer(kind: str, label: str = "", colour: str = "", **columns: Any) -> dict[
     Args:
         kind: `points`, `line`, `bars` (left, right, y), `cells` (x, y, width, height, colours) or `band` (left, right).
         label: Its entry in the legend; none if empty.
-        colour: Of all its marks; that of the page's text if empty.
+        colour: Colour of all its marks; that of the page's text if empty.
         columns: Numbers, rows, texts, or colours of its marks.
     """
     return {

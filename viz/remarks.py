@@ -47,7 +47,7 @@ def remarks(*comments: Iterable[str]) -> Remarks:
     """Return the comments of measurement files, each line once, those that speak of simulation first.
 
     Args:
-        comments: Of each file, line by line.
+        comments: Comments of each file, line by line.
     """
     lines = list(dict.fromkeys(text for lines in comments for line in lines if (text := " ".join(line.split()))))
     lines.sort(key=lambda line: re.search(r"\bsimulat", line, re.IGNORECASE) is None)

@@ -28,7 +28,7 @@ def forest(
         names: Names, the first at the top.
         groups: Of each set of marks its label, its colour, values (n,) and half intervals (n,), NaN where there is
             none, and what hover says of each.
-        label: Of the axis along which they are.
+        label: Label of the axis along which they are.
         band: Its entry in the legend, and half the width of a band around zero; None for none.
     """
     reach = max(np.nanmax(np.abs(values) + np.nan_to_num(half), initial=0.0) for _, _, values, half, _ in groups)

@@ -26,7 +26,7 @@ class Shape:
         size: box: edge lengths; cylinder: radius and length along z; sphere: radius; mesh: empty [m].
         T_body_shape: Pose of the shape in its link, (4, 4) [m].
         colour: Red, green, blue, opacity, 0 to 1.
-        vertices, faces: Of a mesh, (n, 3) [m] and (m, 3); empty otherwise.
+        vertices, faces: Corners and triangles of a mesh, (n, 3) [m] and (m, 3); empty otherwise.
     """
 
     name: str

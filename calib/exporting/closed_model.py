@@ -41,7 +41,7 @@ class Tie:
     """Two links that meet.
 
     Attributes:
-        name: Of the closure.
+        name: Name of the closure.
         a, b: Links.
         full_pose: True: `a` is fixed to `b` in its `placement`. False: only the origin of `a` is, as a point.
         placement: Link `a` seen from link `b`, at home.

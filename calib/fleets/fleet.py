@@ -46,7 +46,7 @@ class Member:
     Attributes:
         name: The part of its folder's name that the others do not have.
         folder: Its result, as it was given.
-        verdict, n_poses: Of its result.
+        verdict, n_poses: Verdict and number of poses of its result.
         is_unlike: Whether it is unlike the others, which then learned nothing from it.
         combined_rms: Root mean square of how far it is from what the others expect, 1 on average; NaN if not tested.
         p_value: Chance of a robot so far off in anything, over all tests of this robot; NaN if not tested.

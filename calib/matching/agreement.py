@@ -70,9 +70,9 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
 
     Args:
         fit: To pairs, whose noise is stated as the covariance of rounding.
-        name: Of the instrument that stands for the controller.
+        name: Name of the instrument that stands for the controller.
         rounding: L before whitening, (n_pairs, 6, k) [m, rad].
-        seed: Of the draws.
+        seed: Seed of the draws.
         more: Further columns by which the whitened rows may move, (6 n_pairs, c); the fit is not repeated.
     """
     rng = np.random.default_rng(seed)

@@ -57,7 +57,7 @@ def match(
         tool: Pose of the tool in the robot's last link, as the file writes poses; found if not given.
         base: Pose of the robot's base in the controller's, written as `tool`.
         terms: Whether joint terms are tried where joint origins do not explain the poses.
-        seed: Of the draws of rounding.
+        seed: Seed of the draws of rounding.
 
     Raises:
         DataError: Too few pairs; no reading of the columns fits, or several do alike; a tool or base that was stated is

@@ -76,7 +76,7 @@ class Interpretation:
     """One meaning of the numbers.
 
     Attributes:
-        convention: Of rotations.
+        convention: Convention of rotations.
         joint_unit, length_unit, angle_unit: Of joints that turn, of lengths, and of the rotations' angles.
         joint_scales: What makes numbers of the file joint values, (n_joints,) [m or rad per 1].
         direction: Key of `_DIRECTIONS`.

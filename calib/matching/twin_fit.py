@@ -38,7 +38,7 @@ class TwinFit:
         pairs, candidate: What is fitted, and what its columns mean.
         tool, base: As the fit knows them; None where it finds them, (4, 4) [m].
         kept: Which pairs are used.
-        seed: Of the draws of rounding.
+        seed: Seed of the draws of rounding.
     """
 
     robot: Robot

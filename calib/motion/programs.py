@@ -32,13 +32,13 @@ class Motion:
     """How a program moves.
 
     Attributes:
-        name: Of the program; letters, digits and underscores.
+        name: Name of the program; letters, digits and underscores.
         speed: Part of the speed that the controller allows, 0 to 1.
-        joint_speed: Of the joint that moves fastest, where the program states it [rad/s or m/s].
+        joint_speed: Speed of the joint that moves fastest, where the program states it [rad/s or m/s].
         dwell: At each stop before the instrument reads [s].
         reading: How long the output is on [s].
         output: Number of the digital output; None: none is switched.
-        third_joint: Of `THIRD_JOINT`, for FANUC.
+        third_joint: One of `THIRD_JOINT`, for FANUC.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Language:
     """A language of programs.
 
     Attributes:
-        suffix: Of its files.
+        suffix: Suffix of its files.
         write: Writes a route.
         six_axes: Whether its joint moves have places for six turning joints alone.
     """

@@ -37,7 +37,7 @@ class Stop(ReadOnlyArrays):
     """A pose that is visited.
 
     Attributes:
-        name: Of the pose.
+        name: Name of the pose.
         joints: (n_actuated,) [m or rad].
         corners: Of the way from the stop before, without both ends, (n, n_actuated).
         clearance: Smallest distance of any pair at the stop [m].
@@ -99,7 +99,7 @@ def plan_route(
         poses: Where to measure.
         start: Where it stands first, (n_actuated,) [m or rad]; home if not given.
         candidates: Poses that may stand in for those that cannot be visited.
-        seed: Of everything random.
+        seed: Seed of everything random.
         progress: Called with how many poses were tried.
 
     Raises:

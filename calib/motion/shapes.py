@@ -38,7 +38,7 @@ class Body:
     """A shape on a link.
 
     Attributes:
-        name: Of its link, or of the obstacle.
+        name: Name of its link, or of the obstacle.
         joint: Index of the link's frame in the mechanism.
         placement: In the link's frame.
         hull: Convex shape that holds it.

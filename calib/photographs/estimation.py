@@ -49,7 +49,7 @@ class HandEyeEstimate(ReadOnlyArrays):
         noise: Sizes of the errors.
         weights: What images were weighed by: the same, or of pixels alone for plain least squares.
         arm: Size of errors of lengths [m] and angles [rad] of the arm that intervals count.
-        covariance: Of [camera 6, board 6, intrinsics, (scale)], in their own axes [m, rad, px, 1].
+        covariance: Covariance of [camera 6, board 6, intrinsics, (scale)], in their own axes [m, rad, px, 1].
         freedom: Satterthwaite's degrees of freedom of each of them.
         scaled: Whether the size of the board was sought.
     """
@@ -126,7 +126,7 @@ def estimate(
         scene: The images.
         start: Where to begin.
         free: Which intrinsics are sought.
-        prior: Of these.
+        prior: Prior of these.
         scaled: Whether the size of the board is sought.
         weighed: Whether images are weighed by the errors that their points share; else every point counts the same.
         near: Sizes of the errors of a similar problem, to begin with.
@@ -170,7 +170,7 @@ def plain(
         scene: The images.
         start: Where to begin.
         free: Which intrinsics are sought.
-        prior: Of these.
+        prior: Prior of these.
         scaled: Whether the size of the board is sought.
 
     Raises:

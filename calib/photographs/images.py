@@ -60,7 +60,7 @@ def shots(sources: Sequence[str], topic: str | None = None) -> list[Shot]:
 
     Args:
         sources: As given.
-        topic: Of the images in a bag, where there are several.
+        topic: Topic of the images in a bag, where there are several.
 
     Raises:
         InputError: Nothing there, or two images of one name.

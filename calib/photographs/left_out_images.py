@@ -42,7 +42,7 @@ def solve_without_each_image(
         placed: The solution of all.
         free: Which intrinsics are sought.
         weights: What images are weighed by; they stay as they are.
-        prior: Of the intrinsics.
+        prior: Prior of the intrinsics.
         scaled: Whether the size of the board is sought.
     """
     result = []

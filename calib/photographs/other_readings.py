@@ -31,7 +31,7 @@ class SceneInterpretation:
     """A scene with another meaning of its numbers.
 
     Attributes:
-        code: Of the mistake, such as `pairs_shifted`.
+        code: Code of the mistake, such as `pairs_shifted`.
         text: The mistake, and what to do, in words.
         scene: The images.
         mounts: Where the camera may be.

@@ -82,7 +82,7 @@ class PosePairs(ReadOnlyArrays):
     """A hand-eye calibration from pairs of poses.
 
     Attributes:
-        names: Of the pairs.
+        names: Names of the pairs.
         mount: Where the camera is.
         camera, marker: Where they are.
         unseen: Changes that no pair shows, in words.
@@ -112,7 +112,7 @@ def solve_pairs(
     """Return where camera and marker are.
 
     Args:
-        names: Of the pairs.
+        names: Names of the pairs.
         tool: The tool in the base, (n, 4, 4) [m].
         seen: The marker in the camera, (n, 4, 4) [m].
         mounts: Where the camera may be.

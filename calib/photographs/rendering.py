@@ -41,7 +41,7 @@ class Photographer:
         intrinsics: (9,).
         size: Width and height of images [px].
         blur: Standard deviation [px].
-        noise: Of grey values.
+        noise: Noise of grey values.
     """
 
     board: Board
@@ -63,7 +63,7 @@ class Photographer:
 
         Args:
             T_camera_board: The pose.
-            generator: Of the noise.
+            generator: Generator of the noise.
         """
         paper: Paper = self._paper  # type: ignore[attr-defined]
         board, margin = np.array(self.board.size), _MARGIN * max(self.board.size)
@@ -120,7 +120,7 @@ def example(board: Board, count: int, generator: np.random.Generator) -> dict[st
     Args:
         board: The board.
         count: How many photographs.
-        generator: Of poses, errors and noise.
+        generator: Generator of poses, errors and noise.
     """
     size = (640, 480)
     intrinsics = np.array([610.0, 612.0, 323.0, 236.0, -0.12, 0.06, 0.0, 0.0, 0.0])

@@ -199,7 +199,7 @@ def match_images(seen: Sequence[str], names: Sequence[str], where: str) -> tuple
     Args:
         seen: Names of images with a board.
         names: Image of each row.
-        where: Of the rows, for messages.
+        where: Place of the rows, for messages.
 
     Raises:
         DataError: No image has a row.

@@ -29,7 +29,7 @@ def text_report(assessment: Assessment, source: str, width: int = 120, *, verbos
     Args:
         assessment: The assessment.
         source: Origin of the poses, in words.
-        width: Of the text, in characters.
+        width: Width of the text, in characters.
         verbose: All groups, and a table of all parameters; otherwise the answer on at most 40 lines.
     """
     lines, names = (None, _SHOWN) if verbose else (_LINES, _FEW)

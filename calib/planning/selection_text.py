@@ -30,7 +30,7 @@ def text_report(selection: Selection, poses: Poses, width: int = 120) -> str:
     Args:
         selection: The result.
         poses: The candidates.
-        width: Of the text, in characters.
+        width: Width of the text, in characters.
     """
     return plain_text(
         [*_summary(selection, poses), _indices(selection), *_remarks(selection)], width, wrap=True

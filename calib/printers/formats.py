@@ -43,7 +43,7 @@ def printer_lines(robot: Robot, firmware: str, provenance: Sequence[str] = ()) -
 
     Args:
         robot: The robot.
-        firmware: Of `COMMENTS`.
+        firmware: One of `COMMENTS`.
         provenance: Lines for the comment.
 
     Raises:

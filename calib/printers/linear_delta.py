@@ -56,7 +56,7 @@ class DeltaGeometry:
 
     Attributes:
         radius: R [m].
-        angles: Of towers a, b, c [rad].
+        angles: Angles of towers a, b, c [rad].
         arms: Their arms [m].
         endstops: Height of the nozzle at the centre when their switches trip [m].
     """
@@ -225,7 +225,7 @@ def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int = 0)
     """Return the text of its description; with no more rows than it has parameters, arms are held.
 
     Args:
-        plan: Of `linear_delta_plan`.
+        plan: Result of `linear_delta_plan`.
         title: What it is, for a comment.
         urdf: How it names the URDF.
         n_rows: How many rows were measured; 0: not known yet.

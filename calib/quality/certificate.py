@@ -66,7 +66,7 @@ class Certificate:
         stated: Where the measurements come from.
         linear: Linear model of the fit.
         budget: Uncertainty of the measurand.
-        figures: Of ISO 9283, AP and RP of repeated poses.
+        figures: Figures of ISO 9283, AP and RP of repeated poses.
         identifier: The same for the same result.
     """
 

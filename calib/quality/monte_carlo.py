@@ -81,7 +81,7 @@ def monte_carlo(
         stated: What was stated for the budget.
         known: The budget.
         draws: How many.
-        seed: Of all that is drawn.
+        seed: Seed of all that is drawn.
         progress: Told of each draw.
     """
     rng = np.random.default_rng(seed)
@@ -124,7 +124,7 @@ def _deviation(linear: ErrorPropagation, unknowns: Unknowns, readings: FloatArra
         linear: The linear model.
         unknowns: What is fitted, with the sizes that were drawn.
         readings: Change of the whitened readings, (n_rows,).
-        mean: Of the priors, (n_free,).
+        mean: Mean of the priors, (n_free,).
     """
     fit = linear.fit
     data, prior = fit.identification.data, unknowns.prior

@@ -65,9 +65,9 @@ class Systematic:
 
     Attributes:
         quantity: What it is of.
-        attribute: Of `traceability.instrument`.
+        attribute: Its name in `traceability.instrument`.
         unit: Its unit.
-        axes: Of how many independent numbers.
+        axes: Number of independent numbers.
     """
 
     quantity: str
@@ -93,7 +93,7 @@ class BudgetRow:
 
     Attributes:
         quantity: The input quantity.
-        standard_uncertainty: Of it, in `unit`.
+        standard_uncertainty: Its standard uncertainty, in `unit`.
         unit: Unit of the input quantity.
         sensitivity: Coefficient, m per unit.
         contribution: To the standard uncertainty of the measurand [m].
@@ -169,7 +169,7 @@ class ErrorPropagation:
 
     Attributes:
         fit: The fit.
-        positions: Of the targets at the poses measured, (n, n_targets, 3) [m].
+        positions: Positions of the targets at the poses measured, (n, n_targets, 3) [m].
         derivative: B s, by the scaled free parameters, (n n_targets 3, n_free) [m].
         noise: Covariance of T^T J^T e, e the noise of the whitened readings, (rank, rank).
         sizes: Addition to it by sizes of joint terms that were found, (rank, rank); 0 where none were.

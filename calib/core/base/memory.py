@@ -21,7 +21,7 @@ def zeros_with_room(shape: tuple[int, ...], what: str) -> FloatArray:
     part needs little memory. The file is gone with the array, however the program ends.
 
     Args:
-        shape: Of the array.
+        shape: Shape of the array.
         what: What it holds, for the message.
 
     Returns:

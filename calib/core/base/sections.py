@@ -179,7 +179,7 @@ class OwnLength:
         """Return it as an unknown of an instrument; nothing if it is known.
 
         Args:
-            name: Of the parameter.
+            name: Name of the parameter.
             start: Nominal value where nothing is expected [m].
         """
         if not self.unknown:

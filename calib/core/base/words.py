@@ -52,7 +52,7 @@ def joints_named(*names: str, separator: str = ", ", shown: int = _LISTED) -> st
     """Return joints by their names, after the word `joint` unless their names begin with it.
 
     Args:
-        names: Of the joints.
+        names: Names of the joints.
         separator: What stands between them.
         shown: How many are named.
 
@@ -92,7 +92,7 @@ def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) 
 
     Args:
         parts: In the order of printing.
-        width: Of the tables, in characters.
+        width: Width of the tables, in characters.
         wrap: Whether lines of text are broken at this width too.
     """
     stream = io.StringIO()
@@ -119,7 +119,7 @@ def text_table(
     """Return an empty table for `plain_text`.
 
     Args:
-        headers: Of its columns.
+        headers: Headers of its columns.
         left: Those of them whose cells stand on the left; numbers stand on the right.
         title: What stands above it.
         plain: Whether it has no lines.

@@ -162,7 +162,7 @@ class Measurements(Poses):
     """Visits with their readings.
 
     Attributes:
-        readings: Of each instrument, by its name; visits are indices into the rows.
+        readings: Readings of each instrument, by its name; visits are indices into the rows.
         approach_assumed: Whether `approach` was taken from the order of the rows of a larger file.
         order: Place of each visit in the order of measurement, from 0, (n,). If not given: the order of the rows.
     """

@@ -68,7 +68,7 @@ class OtherFormat:
     """A format of files.
 
     Attributes:
-        name: Of the format, as messages have it.
+        name: Name of the format, as messages have it.
         head: How it is known, in words.
         taken: How it is read, in words; or if it is not, what to do.
         fits: Whether a file is one.

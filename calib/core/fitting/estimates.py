@@ -159,7 +159,7 @@ class Covariance(ReadOnlyArrays):
     """Covariance of the free parameters, by name.
 
     Attributes:
-        names: Of the free parameters, (n_free,).
+        names: Names of the free parameters, (n_free,).
         values: (n_free, n_free) [products of m and rad].
         contains: What it contains; nothing where that is not known.
     """

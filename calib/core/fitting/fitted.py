@@ -441,7 +441,7 @@ class Fit(ReadOnlyArrays, HintedObject):
         """Return whitened residuals before calibration (n_rows,), and the rows after it, by the noise as found.
 
         Args:
-            errors: Of visits that were not used, or that were left out in turn.
+            errors: Errors of visits that were not used, or that were left out in turn.
         """
         data = errors.data
         before, after, whitening, factors = self._whitened(errors)

@@ -59,7 +59,7 @@ class Trial:
         words: The mistake.
         data: Some of the measurements without it.
         changes: How many joints it takes; 0 where it is one mistake.
-        column_map: Of which map of the columns of joint values it is.
+        column_map: Its map of the columns of joint values.
     """
 
     words: str

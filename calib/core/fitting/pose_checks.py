@@ -130,7 +130,7 @@ def tied_joints(robot: Robot, joints: FloatArray) -> list[tuple[tuple[str, ...],
 
     Args:
         robot: The robot.
-        joints: Of all poses, (n_poses, n_actuated) [m, rad].
+        joints: Joints of all poses, (n_poses, n_actuated) [m, rad].
     """
     reach = np.ptp(joints, axis=0)
     moved = np.flatnonzero(reach >= _STILL)

@@ -53,7 +53,7 @@ class RobustSolution:
         evaluation: The parameters there, and what they say of the readings.
         groups: Scale of the noise of each group, (n_groups,).
         solution: Last report of the solver.
-        weights: Of each reading, (n_readings,); None without a robust loss.
+        weights: Weight of each reading, (n_readings,); None without a robust loss.
         factors: What the residuals say about the noise, with a robust loss.
         settled: Whether the weights of a robust loss stand.
         starts: Ends of perturbed starts, if requested.

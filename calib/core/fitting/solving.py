@@ -336,7 +336,7 @@ def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weig
         span: U = J T of them, with T of what they, with the slope of a robust loss, and the priors determine,
             (n_rows, rank).
         factors: What the residuals say about the noise.
-        weights: Of each reading, (n_readings,); None without a robust loss.
+        weights: Weight of each reading, (n_readings,); None without a robust loss.
     """
     layout = rows.layout
     noise = factors.slope * np.where(layout.group >= 0, factors.effective[layout.group], 1.0)

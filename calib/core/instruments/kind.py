@@ -187,7 +187,7 @@ class Scene:
     """Data for a first guess at unknown places, before anything is fitted.
 
     Attributes:
-        readings: Of the instrument, n of them.
+        readings: Readings of the instrument, n of them.
         links: Pose of the link of frame b in the link of frame a for each reading, by the robot as it is, (n, 4, 4).
         pairs: Names of the places (a, b) of each pair.
         places: Where each of these places is in its link now, (4, 4) [m].
@@ -408,7 +408,7 @@ class FrameInstrument(Instrument, ABC):
 
         Args:
             count: How many.
-            generator: Of random numbers.
+            generator: Generator of random numbers.
 
         Returns:
             Of frame b seen from frame a; a rotation of NaN: any.

@@ -50,8 +50,8 @@ class Touch(Relation):
         touched: Names of what is touched, in the order of the detail; `own` has the place of each, or of the artefact.
         points_of_artefact: In the artefact [m]; none without one.
         ball: Radius of the ball [m].
-        radii: Of each sphere; or the one of all spheres of the artefact.
-        tolerance: Of the coordinates of the points of the artefact [m]; None: they are right.
+        radii: Radius of each sphere; or the one of all spheres of the artefact.
+        tolerance: Tolerance of the coordinates of the points of the artefact [m]; None: they are right.
     """
 
     section = TouchSection

@@ -31,7 +31,7 @@ class TouchedSection(PlaceSection):
     Attributes:
         xyz: Socket or centre of a sphere, or a point of a plane, in its link [m].
         rpy: Turns the z axis to where the ball is above a plane [rad].
-        radius: Of a sphere: a length; `{value, sigma}`; or `unknown`.
+        radius: Radius of a sphere: a length; `{value, sigma}`; or `unknown`.
     """
 
     what = "place"
@@ -64,7 +64,7 @@ class ArtefactSection(PosedSection):
         pose: `known`, or `unknown`: found from the measurements, as far as its points tell.
         points: Each socket, or centre of a sphere, in the artefact [m].
         tolerance: How far each coordinate of the points may be off, one standard deviation [m]; they are found then.
-        radius: Of its spheres, all alike: a length; `{value, sigma}`; or `unknown`.
+        radius: Radius of its spheres, all alike: a length; `{value, sigma}`; or `unknown`.
     """
 
     what = "an artefact"
@@ -104,7 +104,7 @@ class TouchSection(InstrumentSection):
     Attributes:
         target: The centre of the ball, or the tip, that touches; the instrument's own name if left out.
         surface: What is touched: `socket`, which holds the centre of the ball in one point; `plane`; `sphere`.
-        radius: Of the ball, for planes and spheres [m].
+        radius: Radius of the ball, for planes and spheres [m].
         places: What is touched, by name.
         artefact: In place of `places`: what is touched is one piece.
         sigma: How well the ball touches, each coordinate or the gap [m].

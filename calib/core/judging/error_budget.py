@@ -101,7 +101,7 @@ class _ErrorPath:
     Attributes:
         before: |e(0)|^2 of each reading, (n_readings,).
         explained_by_cause: s_k of each reading and cause, (n_readings, n_causes).
-        gradient: Of the sum of s_k by the unknowns, (n_causes, n_free).
+        gradient: Gradient of the sum of s_k by the unknowns, (n_causes, n_free).
         pose: Pose of each reading, (n_readings,).
     """
 

@@ -47,13 +47,13 @@ class Promise:
 
     Attributes:
         robot: The calibrated robot.
-        covariance: Of its free parameters, (n_free, n_free) [m, rad].
+        covariance: Covariance of its free parameters, (n_free, n_free) [m, rad].
         freedom: Degrees of freedom that the noise was found with.
         sigma: Noise of one component by group and part of the instruments [SI].
         shared: How many times as much as independent readings those of a pose scatter together (`Scatter.ratio`).
         decided: How many parameters the readings decided.
         joints: At which poses it was measured, (n, n_actuated) [m or rad]; none where that is not stored.
-        names: Of these poses, (n,).
+        names: Names of these poses, (n,).
     """
 
     robot: Robot
@@ -204,7 +204,7 @@ class System:
         rows: The linear model: r by the known unknowns J L, which have a prior, and by the places P, of length 1.
         candidate_columns: Columns of the candidates, (n_rows, n_candidates).
         errors: Errors of the readings after placing base and targets, without outliers.
-        expected: Of the distances between measured and predicted positions.
+        expected: Expectation of the distances between measured and predicted positions.
     """
 
     promise: Promise
@@ -317,7 +317,7 @@ class System:
         """Return the system where errors left unexplained may be one error of all readings.
 
         Args:
-            data, same_setup: Of which it was made.
+            data, same_setup: Arguments that it was made with.
         """
         return System.from_promise(self.promise.with_common_error(self.n_rows), data, same_setup)
 

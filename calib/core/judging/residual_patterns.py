@@ -76,7 +76,7 @@ class _EffectTests:
     """Results of the tests of m effects with k columns each.
 
     Attributes:
-        effects: Of one kind and name.
+        effects: Effects of one kind and name.
         numbers: Which of them, (m,).
         p_values: Chance of such a gain if readings are independent, (m,).
         ratios: F of the module docstring, (m,).
@@ -224,7 +224,7 @@ def _sums_of_visits(base: FloatArray, others: list[FloatArray], firsts: IntArray
 
     Args:
         base: B of rows of visits, one visit after the other, (n, b).
-        others: Of these rows, (n, ...) each, k columns together.
+        others: Arrays of these rows, (n, ...) each, k columns together.
         firsts: First row of each visit, (n_visits,).
     """
     n_visits, length = len(firsts), len(base) // len(firsts)

@@ -42,7 +42,7 @@ class Rounding:
     """Rounding of joint values, by their digits and by the residuals.
 
     Attributes:
-        steps: Of the joints that have any, in words.
+        steps: Steps of the joints that have any, in words.
         part: Part of the noise, squared, that rounding to them makes.
         chance: Chance of residuals that scatter so much along the joints without it.
     """

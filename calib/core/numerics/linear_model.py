@@ -50,7 +50,7 @@ class LinearModel:
     Attributes:
         residuals: r, (n_rows,).
         jacobian: J, by the scaled free parameters, (n_rows, n_free).
-        prior: Of these.
+        prior: Prior of these.
         deviations: u there, (n_free,).
         layout: Which row is of which group.
     """

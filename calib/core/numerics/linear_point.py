@@ -38,7 +38,7 @@ class RowStack:
 
     Attributes:
         rows: J, (n_rows, n).
-        prior: Of the unknowns.
+        prior: Prior of the unknowns.
         factor: Returns the triangular factor of [J r], (n + 1, n + 1) or fewer rows, where that is known.
         products: Returns J^T J (n, n) and J^T r (n,), where these are known.
     """

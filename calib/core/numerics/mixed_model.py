@@ -77,10 +77,10 @@ class MixedModel(ReadOnlyArrays):
         x: Columns of all parts, rows rotated, (n_rows, n).
         y: Values, rotated, (n_rows,).
         spread: l of the module docstring, (n_rows,).
-        family: Of each column, as of `MixedRows`, (n,).
+        family: Family of each column, as of `MixedRows`, (n,).
         n_families: Number of families.
         poses: Rows of each pose, (k,).
-        turns: Of the rows of each pose: rows are Q times the rotated ones, (k, k).
+        turns: Rotations Q of the rows of each pose: rows are Q times the rotated ones, (k, k).
     """
 
     rows: MixedRows
@@ -282,7 +282,7 @@ class SolvedModel(ReadOnlyArrays):
 
         Args:
             block: Block of each pose in the order of `MixedModel.poses`, from 0 on, (n_poses,).
-            weight: Of each group of rows, (n_groups,).
+            weight: Weight of each group of rows, (n_groups,).
         """
         weights, squares = weight[self.model.rows.group], np.zeros(int(np.max(block)) + 1)
         for k in range(len(squares)):

@@ -26,7 +26,7 @@ class MixedRows(ReadOnlyArrays):
         family: Family of each column from 0 on, or `FLAT` or `KNOWN`, (n_columns,).
         group: Group of the noise of each row, (n_rows,).
         has_stated_noise: Whether the noise of each group is 1, (n_groups,).
-        pose: Of each row, (n_rows,).
+        pose: Pose of each row, (n_rows,).
         levers: H: derivatives by what scatters from pose to pose, (n_rows, n_scattering); no columns without scatter.
     """
 

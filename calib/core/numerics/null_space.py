@@ -88,7 +88,7 @@ def describe_group(group: UnseenGroup, parameters: Sequence[Parameter]) -> str:
     """Return the changes that look alike in words: `d41 + dq1 from d42 + xt`, or `1 deg of dq2 from 3 mm of yb`.
 
     Args:
-        group: Of `null_groups`.
+        group: One of `null_groups`.
         parameters: The parameters of the columns.
     """
     first = parameters[group.members[0]]

@@ -170,7 +170,7 @@ def find_noise_with_families(
     that the data do not see keep an interval.
 
     Args:
-        products: Of the rows, whitened by what is stated.
+        products: Products of the rows, whitened by what is stated.
         prior, deviations: Prior of the columns, and u at the rows, (n_free,).
         sought: Which groups' scales are to be found, (n_groups,).
         family: Family of each parameter, -1 for none, (n_free,).

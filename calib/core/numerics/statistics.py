@@ -122,7 +122,7 @@ class Statistics(ReadOnlyArrays):
     Attributes:
         factors: What the residuals say about the assumed noise.
         freedom: Degrees of freedom, rows minus effective parameters.
-        covariance: Of the free parameters, (n_free, n_free) [m, rad].
+        covariance: Covariance of the free parameters, (n_free, n_free) [m, rad].
         std: Their standard deviations, (n_free,) [m, rad].
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
         effective_parameters: How many parameters the data decide, n_eff of the module docstring.
@@ -194,7 +194,7 @@ def status(data_share: float, relative_std: float, *, prior: bool, placement: bo
     or target has neither a prior nor a drawing to compare with: `placed`.
 
     Args:
-        data_share: Of `Statistics`.
+        data_share: The attribute of `Statistics`.
         relative_std: Standard deviation over the sigma of the description.
         prior: Whether the parameter has a prior.
         placement: Whether it is part of an unknown place of base or target.
@@ -235,7 +235,7 @@ def prior_shares(known: Information, prior: Prior) -> FloatArray:
 
     Args:
         known: What rows and priors determine.
-        prior: Of the parameters.
+        prior: Prior of the parameters.
     """
     held = prior.times(known.root)
     return held.T @ held
@@ -254,7 +254,7 @@ def effective_parameters(known: Information, prior: Prior) -> float:
 
     Args:
         known: What rows and priors determine.
-        prior: Of the parameters.
+        prior: Prior of the parameters.
     """
     return float(known.root.shape[1] - np.trace(prior_shares(known, prior)))
 
@@ -308,7 +308,7 @@ def statistics(
         known: What these rows (times the root of `factors.slope`) and the priors determine.
         factors: What the residuals say about the noise.
         scales: s of the module docstring, (n_free,) [m, rad].
-        prior: Of the parameters.
+        prior: Prior of the parameters.
         poses: How the readings of each pose scatter together; None: independently.
         by_sizes: What is added to the covariance of u where sizes of priors were found, (n_free, n_free).
         beyond_linear: What parameters are off beyond the linear model; nothing if not given.

@@ -173,7 +173,7 @@ def difference_covariance(first: FloatArray, second: FloatArray, precision: Floa
 
     Args:
         first, second: Covariances of the two, (n, n).
-        precision: Of the prior that they share, (n,); 0 for none.
+        precision: Precision of the prior that they share, (n,); 0 for none.
     """
     shared = first @ (precision[:, None] * second)
     return first + second - shared - shared.T

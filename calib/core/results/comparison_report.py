@@ -45,7 +45,7 @@ class Pair:
     """Two of the results.
 
     Attributes:
-        names: Of the two.
+        names: Names of the two.
         real: Parameters of the robot that differ.
         moved: The same of places: where base, targets or instruments stand.
         together: p-value of all parameters of the robot together, places left out, corrected for the number of pairs;
@@ -83,8 +83,8 @@ class ResultComparison:
 
     Attributes:
         names: What the folders of the results differ in; `fit 1` of a fit.
-        folders: Of the results, as they were given; None of a fit.
-        verdicts, n_poses: Of each.
+        folders: Folders of the results, as they were given; None of a fit.
+        verdicts, n_poses: Verdict and number of poses of each.
         errors: Root mean square error after calibration of each, on readings not used where there are any.
         unit: Unit of these errors.
         errors_on: On which readings each was found.

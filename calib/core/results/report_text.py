@@ -27,7 +27,7 @@ def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
 
     Args:
         fit: The fit.
-        width: Of the text, in characters.
+        width: Width of the text, in characters.
         verbose: All reasons, tables and remarks; otherwise the answer on at most 40 lines: the verdict, the errors
             before and after, and the parameters that changed most.
     """

@@ -180,7 +180,7 @@ def evaluate_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedFi
 
     Args:
         robot: The nominal robot, with or without its joint terms.
-        entry: Of `fit` in what `read_saved` returns.
+        entry: Entry of `fit` in what `read_saved` returns.
         where: The result folder, for messages.
 
     Raises:

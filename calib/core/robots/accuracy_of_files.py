@@ -97,7 +97,7 @@ class FileRobot(ReadOnlyArrays):
     """The robot for files that hold so much of one.
 
     Attributes:
-        values: Of all its parameters, by name [SI]; none where it is the nominal robot with joint zeros.
+        values: Values of all its parameters, by name [SI]; none where it is the nominal robot with joint zeros.
         accuracy: How good it is.
         withheld: Why it is not to be used without being forced; empty where it may.
         signs, offsets: Joint zeros: joints are at sign * q + offset at command q, (n_actuated,) [m or rad];

@@ -125,7 +125,7 @@ def near_singularities(robot: RobotData, configurations: Configurations, labels:
     There small errors of parameters and joints move the passive joints far.
 
     Args:
-        configurations: Of `assemble`.
+        configurations: Configurations of `assemble`.
         labels: What to call each, n of them.
     """
     limit, values = robot.description.singularity_limit, distances(robot, configurations)

@@ -43,7 +43,7 @@ class FleetSection(Section):
     """Parameters of other robots of the model, as a prior.
 
     Attributes:
-        robots: Of how many robots it was learned.
+        robots: Number of robots from which it was learned.
         noise_freedom: With how many degrees of freedom results of the fleet confirmed the noise that is stated, so that
             few readings need not find it; 0 where they did not.
         parameters: What is known of each parameter, by name.
@@ -86,7 +86,7 @@ class FleetSection(Section):
         """Return parameters with their priors from the fleet; those that the fleet does not know stay as they are.
 
         Args:
-            parameters: Of the robot.
+            parameters: Parameters of the robot.
             where: File of the description, for messages.
 
         Raises:
@@ -111,7 +111,7 @@ class FleetSection(Section):
 
         Args:
             factor: How many times.
-            parameters: Of the robot, whose dimensions tell what spreads mean.
+            parameters: Parameters of the robot, whose dimensions tell what spreads mean.
         """
         dimension = {p.name: p.dimension for p in parameters}
         wide = {

@@ -208,7 +208,7 @@ def contradiction_angles(description: Description, mechanism: Mechanism, q: Floa
     NaN, too, where the sensor's link is in a loop.
 
     Args:
-        description: Of the robot.
+        description: Description of the robot.
         mechanism: The nominal mechanism.
         q: Actuated joints, (n, n_actuated) [m or rad].
         context: What sensors read, and in which setup.

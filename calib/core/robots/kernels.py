@@ -325,7 +325,7 @@ def motion(
     Args:
         tree: The model.
         loops: Its loops.
-        T: Of `poses`.
+        T: Result of `poses`.
         places: Frames a and b of each row, which coordinate, and whether it is a turn, not a position, (4, n_rows).
         signs: What each joint moves: +1 only b, -1 only a, else 0; of each row, then of each row of the loops,
             (n_rows + n_passive, n_joints).

@@ -396,7 +396,7 @@ def motion_map(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool)
     dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
 
     Args:
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         pairs: The frames.
         angular: Whether dw is wanted too.
 
@@ -418,7 +418,7 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
     """Return d(value)/d(coordinates), (n, n_rows, n_coordinates).
 
     Args:
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         mapping: From `twist_map` or `motion_map`.
         coordinates: In the model of the same joints.
     """
@@ -433,7 +433,7 @@ def origin_derivative(
     """Compute map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
 
     Args:
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         mapping: From V_b - V_a to the rows, (n, n_rows, 6).
         loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
         along: The twists, and what they move.

@@ -25,7 +25,7 @@ class NamedComponent:
         origin, component: Which it is.
         sign: +1, or -1 where the trade counts the other way.
         sigma: Expected error [m or rad].
-        unit: Of tables.
+        unit: Unit of tables.
     """
 
     name: str

@@ -158,7 +158,7 @@ class Robot(RobotData, HintedObject):
         Args:
             q: Commanded joints, (n, n_actuated) [m or rad].
             seed: Passive joints to start from, (n, n_passive).
-            columns: Of `term_columns`, if they are known.
+            columns: Columns of `term_columns`, if they are known.
             thorough: Whether to try every way; False is faster, and may miss poses that close.
         """
         return close(self, q, seed, columns, thorough=thorough)

@@ -93,7 +93,7 @@ class ReflectorSection(Section):
     """The target that is read.
 
     Attributes:
-        diameter: Of it [m].
+        diameter: Its diameter [m].
         centring: Standard uncertainty of where its centre is, another one at each reading [m].
     """
 
@@ -128,7 +128,7 @@ class TraceabilitySection(Section):
 
     Attributes:
         date: Day of the measurements, ISO 8601.
-        country: Of the laboratory, two letters of ISO 3166-1.
+        country: Country of the laboratory, two letters of ISO 3166-1.
     """
 
     date: Day | None = None

@@ -163,8 +163,8 @@ class CommonMotion(ReadOnlyArrays):
         """Return A V: how positions and turns of all targets move with z, (n, n_targets, 6, k).
 
         Args:
-            positions: Of the targets, (n, n_targets, 3) [m].
-            rotations: Of the targets, (n, n_targets, 3, 3).
+            positions: Positions of the targets, (n, n_targets, 3) [m].
+            rotations: Rotations of the targets, (n, n_targets, 3, 3).
         """
         (n, n_targets, _), length, loose = positions.shape, self.robot.mechanism.length, self.loose
         columns = np.zeros((n, n_targets, 6, loose.n_motions))

@@ -23,9 +23,9 @@ class Determination(ReadOnlyArrays):
     """Ranks of one set of poses.
 
     Attributes:
-        everything: Of all parameters, poses alone.
-        free: Of the free ones, poses alone.
-        together: Of the free ones, poses and priors.
+        everything: Rank of all parameters, poses alone.
+        free: Rank of the free ones, poses alone.
+        together: Rank of the free ones, poses and priors.
         columns: Unit columns of all parameters, or their triangular factor, (n, n_parameters).
         lengths: What each column was divided by, (n_parameters,) [m per m or rad].
         open_columns: Unit columns of the free ones, and a row for each prior, (n, n_free).

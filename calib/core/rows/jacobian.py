@@ -157,7 +157,7 @@ def relative_motion(
 
     Args:
         mechanism: The mechanism.
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         pairs: The frames.
         twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
         angular: Whether dw is wanted too.
@@ -188,7 +188,7 @@ def passive_motion(
 
     Args:
         mechanism: The mechanism.
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         coordinate: d(q_j)/d(passive joints), (n_passive,); zero throughout for a joint that the user gives.
         twists: Combinations to take the derivative along, (6 n_joints, k).
     """
@@ -214,7 +214,7 @@ def _fill_motion_compiled(
     """Do the same as `_fill_motion`, by compiled code.
 
     Args:
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         rows: Places of frames a and b, coordinate, and whether it is a turn, of each row, (4, n_rows).
         along, direct: Twists, and rows of the passive joints (n_rows, n_passive), of `_fill_motion`.
         result: Where to put it, (n, n_rows, k).
@@ -236,7 +236,7 @@ def _fill_motion(
 
     Args:
         mechanism: The mechanism.
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         mapping: From V_b - V_a to x, (n, n_rows, 6).
         along: The twists, and what they move.
         direct: What passive joints do to x in addition, (n_rows, n_passive).

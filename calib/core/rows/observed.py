@@ -81,7 +81,7 @@ def observe(
     Args:
         robot: The robot, at its current values.
         configurations: Its assembled visits.
-        readings: Of each instrument, by name; visits are indices into the configurations.
+        readings: Readings of each instrument, by name; visits are indices into the configurations.
         joints: Whether derivatives by the actuated joints are wanted too.
         derivatives: Whether derivatives are wanted at all.
         index: By which parameters they are wanted, (k,), if not by all: those by the other ones are left 0.

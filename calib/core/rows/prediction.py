@@ -161,7 +161,7 @@ def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor:
     Args:
         jacobian: B of each position, (n_poses, n_targets, 3, n_free).
         covariance: C, (n_free, n_free).
-        coverage_factor: Of the fit's 95 % intervals.
+        coverage_factor: Coverage factor of the fit's 95 % intervals.
     """
     flat = jacobian.reshape(-1, jacobian.shape[-1])
     product = covariance @ (flat.T @ flat) / (len(flat) / 3)
@@ -305,7 +305,7 @@ class ParameterUncertainty(ReadOnlyArrays):
 
     Attributes:
         free: Which of them were found, (n_parameters,); the others are taken as they are.
-        covariance: Of these, if it has no other joint terms, (n_free, n_free) [m, rad].
+        covariance: Covariance of these, if it has no other joint terms, (n_free, n_free) [m, rad].
         coverage_factor: How many standard deviations make half a 95 % interval.
         undecided: Joint terms that it may have, too; None if a choice left none undecided.
         joint_error: Standard deviation of an error of each joint, another one at each pose [rad; of a joint that slides

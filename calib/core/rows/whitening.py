@@ -161,7 +161,7 @@ class Whitening:
         """Return the offsets that estimates are weighted for; None without any.
 
         Args:
-            ratios: Of the standard deviation of each offset to the scale of its group, (n_offsets,).
+            ratios: Ratio of the standard deviation of each offset to the scale of its group, (n_offsets,).
         """
         weighed = ratios > 0
         if not np.any(weighed):

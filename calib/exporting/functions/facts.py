@@ -64,7 +64,7 @@ class JointShare:
     Attributes:
         driven: Which driven joint.
         source: Which number.
-        place: Of which joint, where there is one for each.
+        place: Index of the joint, where there is a number for each.
         knee: As above; 0: x itself.
         rate: The coefficient, with all constants.
     """
@@ -103,7 +103,7 @@ class Gravity(ReadOnlyArrays):
         masses: Of what each joint carries next, (n_joints,) [kg].
         moments: Mass times centre in the frame behind the joint, (n_joints, 3) [kg m].
         payload: Joint that carries the payload, from 1, and where it hangs behind it, (3,) [m].
-        acceleration: Of gravity, (3,) [m/s^2].
+        acceleration: Acceleration of gravity, (3,) [m/s^2].
     """
 
     tree: FunctionTree
@@ -267,7 +267,7 @@ def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str
     """Return the header of a file on a robot, line by line.
 
     Args:
-        facts: Of the robot.
+        facts: Facts of the robot.
         lines: Where the numbers come from.
         base: What the file calls the pose of the measurement frame.
     """

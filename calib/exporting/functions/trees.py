@@ -34,7 +34,7 @@ class TreeJoint(ReadOnlyArrays):
         slides: Whether it slides along z; else it turns about z.
         coordinate: Which of x it follows.
         factor, offset: Its value is factor x + offset [m or rad].
-        placement: Of its frame behind the joint before, (4, 4) [m].
+        placement: Placement of its frame behind the joint before, (4, 4) [m].
     """
 
     before: int

@@ -55,7 +55,7 @@ def expected_error_sentence(
     Args:
         subject: The thing that it is about, such as `The tool`.
         expected: Its `summary`.
-        unit: Of this.
+        unit: Unit of this.
         before: `summary` of the errors without the correction, with the same uncertainty; None: nothing is corrected.
     """
     now = (

@@ -38,7 +38,7 @@ class CompensatedProgram:
 
     Attributes:
         program: The program.
-        compensation: Of the targets that could be solved, in the program's order.
+        compensation: Compensation of the targets that could be solved, in the program's order.
         rows: Which targets these are, (n,).
         values: Numbers of each target [SI]; None where it stays as it is.
         reasons: Why a target stays; empty where it does not.
@@ -79,7 +79,7 @@ def compensate_program(
         program: The program.
         base: Link of the controller's base; `base` if there is one, else that of the description.
         flange: Link of its flange; `tool0` if there is one, else that of the target.
-        third_joint: Of `COUPLED`, for joint values of FANUC; those are left where it is not given.
+        third_joint: One of `COUPLED`, for joint values of FANUC; those are left where it is not given.
 
     Raises:
         DataError: No target can be solved, or joint values of another robot.

@@ -38,7 +38,7 @@ class CorrectionGrid(ReadOnlyArrays):
             has no orientations.
         position_errors: How far linear interpolation is off where it was tried, (n_tried,) [m].
         angle_errors: The same of the turn, (n_tried,) [rad].
-        compensation: Of the nodes, and then of where interpolation was tried.
+        compensation: Compensation of the nodes, and then of where interpolation was tried.
     """
 
     nodes: FloatArray

@@ -95,7 +95,7 @@ class ProgramTarget:
         path: In which file.
         name: What the program calls it; empty where it has no name.
         cells: Its numbers: joint values; or a position and an orientation as the language writes it.
-        rotation: Of a pose, how it writes that; None: joint values.
+        rotation: Form in which a pose writes it; None: joint values.
         frame: T_base_frame, in which a pose is given.
         tool: T_flange_tool, of what a pose is.
         configuration: What it says of the joints.
@@ -222,7 +222,7 @@ class RobotProgram:
         """Return its files with other numbers.
 
         Args:
-            values: Of each target its numbers [SI]; None where it stays.
+            values: Numbers of each target [SI]; None where it stays.
         """
         texts = []
         for k, source in enumerate(self.sources):

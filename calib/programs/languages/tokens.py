@@ -64,7 +64,7 @@ class ProgramWords:
 
     Attributes:
         tokens: The words; the last one is an end behind the text.
-        partner: Of each word the place of the bracket that closes or opens it; its own of all others.
+        partner: Place of the bracket that closes or opens each word; its own place for all others.
 
     Raises:
         DataError: A character that is none of the language's, or a bracket that is not closed.

@@ -74,7 +74,7 @@ def shown_errors(names: Sequence[str], parts: Sequence[Sequence[FloatArray]]) ->
     """Return errors by name and unit of files.
 
     Args:
-        names: Of the errors.
+        names: Names of the errors.
         parts: These of positions, each (n,) [m]; and those of orientations, if these count, each (n,) [rad].
     """
     kinds: tuple[tuple[str, Dimension], ...] = (("", "length"), ("_angle", "angle"))

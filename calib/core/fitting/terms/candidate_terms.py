@@ -52,7 +52,7 @@ class CandidateTerm:
 
         Args:
             robot: A robot that has its terms.
-            factors: Of each joint.
+            factors: Factors of each joint.
         """
         terms = self.terms_in(robot)
         sigma = {t.joint: float(factors[t.joint] * t.parameters[0].sigma_si) for t in terms if t.joint in factors}

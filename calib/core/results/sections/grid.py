@@ -15,7 +15,7 @@ class GridNumber:
     """A number of a table.
 
     Attributes:
-        value: Of it; NaN where it is not known.
+        value: The number; NaN where it is not known.
         std: Its standard deviation, by which a page rounds; None: a page shows three significant digits.
         decimals: Format in text.
         page_decimals: How many decimals a page shows, where that is fixed.

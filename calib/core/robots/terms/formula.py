@@ -41,8 +41,8 @@ class Proportional:
 
     Attributes:
         source: What x is.
-        place: Of which joint, where there is one for each.
-        factor: Of x.
+        place: Index of the joint, where there is a number for each.
+        factor: Factor of x.
         knee: h, in the unit of x; 0: phi is proportional to x.
     """
 

@@ -131,7 +131,7 @@ def read_mjcf(path: Path | str) -> MjcfRobot:
     """Read an MJCF file by MuJoCo.
 
     Args:
-        path: Of the file; what it includes lies where it says.
+        path: Path of the file; what it includes lies where it says.
 
     Raises:
         UrdfError: MuJoCo is not installed, or cannot read the file; or URDF has no words for what is in it.

@@ -158,7 +158,7 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
 
     Args:
         path: The file.
-        arguments: Of a xacro file, by name.
+        arguments: Arguments of a xacro file, by name.
 
     Raises:
         UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree; or it is a xacro

@@ -102,7 +102,7 @@ class Calibration(JudgedFit, CalibratedRobot):
         Args:
             folds: Number of parts, by pose; `setups`: every setup is one, placed anew.
             seed: Seed of the random choice.
-            executor: What runs the fits; as in `fit`.
+            executor: Executor of the fits; as in `fit`.
             progress: Called after each part with how many are done, and of how many.
 
         Returns:
@@ -110,7 +110,7 @@ class Calibration(JudgedFit, CalibratedRobot):
 
         Raises:
             InputError: The number of folds is not valid.
-            CalibrationError: What `fit` raises, with fewer poses.
+            CalibrationError: As `fit`, with fewer poses.
         """
         data = self.identification.data
         fold = fit_of_a_part(self, Settings(self.sigma_given, self.loss, seed=seed))
@@ -130,7 +130,7 @@ class Calibration(JudgedFit, CalibratedRobot):
         Args:
             draws: How many fits.
             seed: Seed of the random choice.
-            executor: What runs the fits; as in `fit`.
+            executor: Executor of the fits; as in `fit`.
             progress: Called with the number of draws done and of all draws.
 
         Returns:
@@ -139,7 +139,7 @@ class Calibration(JudgedFit, CalibratedRobot):
 
         Raises:
             InputError: The number of draws is not valid.
-            CalibrationError: What `calib.study` raises.
+            CalibrationError: As `calib.study`.
         """
         from calib.studies.study import study  # here: who only fits needs no studies
 
@@ -195,7 +195,7 @@ def fit(
         robot: The nominal robot; or its description or URDF.
         data: Measurements to identify with; a file or a data frame of them, as `read_measurements` reads it; or a list
             of these. Or, with `readings`, joint values (n, n_actuated) [m or rad].
-        readings: What was read at these joint values, as in `as_measurements`, such as positions (n, 3) [m].
+        readings: Readings at these joint values, as in `as_measurements`, such as positions (n, 3) [m].
         validation: Measurements to validate the result with, in the same forms; or the part of the poses to hold out,
             between 0 and 1.
         sigma: Standard deviation of measured positions per axis, in place of what the description states: a number [m],
@@ -214,7 +214,7 @@ def fit(
         free: Parameters to fit although the description or `fix="all"` holds them.
         prior: How far off parameters are expected to be, one standard deviation with its unit by name, such as
             `0.1 mm`.
-        executor: What runs the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
+        executor: Executor of the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
         progress: Called after each step with the number of steps done and of all steps known so far: three in a plain
             fit, one more for each start and each fold.

@@ -51,7 +51,7 @@ class Way:
     """One way to calibrate.
 
     Attributes:
-        name: What to call it.
+        name: Its name.
         extended: Whether with the extended model; else with the paper's.
         sides: Directions from which each pose is approached: both, the positive one, or either at random.
     """
@@ -161,7 +161,7 @@ def run_both_sides(
         counts: Numbers of poses.
         imperfections: Sizes of what the paper's parameters leave out.
         seeds: Seeds of the experiment's draws.
-        executor: Who does the draws.
+        executor: Executor of the draws.
         progress: Called with the progress of the work.
     """
     sets, rail = [first], RailErrors()

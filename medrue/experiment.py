@@ -135,7 +135,7 @@ def run_experiment(
         extended: The extended model with nominal parameters.
         draws: How many experiments to simulate, with all causes and with each alone.
         seed: Seed; the same one gives the same numbers, with any workers.
-        executor: Who does the draws.
+        executor: Executor of the draws.
         progress: Called with the progress of the work.
         imperfections: Sizes of what the parameters leave out.
         counts: Numbers of poses to measure from both sides.

@@ -119,7 +119,7 @@ def run_study(
         robot: MedRUE with nominal parameters.
         size: How much to simulate.
         seed: Seed; the same one gives the same numbers, with any workers.
-        executor: Who does the draws.
+        executor: Executor of the draws.
         progress: Called with the progress of the work.
     """
     joints = target_poses(robot).poses.joints
@@ -165,7 +165,7 @@ def choose_sets(
     Args:
         robot: The nominal robot, which is all that is known before measuring.
         joints: Candidates, (n, 6) [m, rad].
-        executor: Who chooses.
+        executor: Executor of the choices.
         advance: Called with 1 after each index.
     """
     selections, sets = {}, []

@@ -29,9 +29,9 @@ class Chart:
 
     Attributes:
         name: Short name, unique on the page.
-        title: What it shows.
+        title: Title.
         text: How to read it.
-        panels: What `panel` returns, side by side where there is room.
+        panels: Results of `panel`, side by side where there is room.
         wide: Smallest width of a panel [px].
     """
 

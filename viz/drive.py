@@ -57,7 +57,7 @@ class Drive:
         loops: Closures; their frames are bodies.
         passive_range: Limits of passive joints, (2, n_passive) [m or rad]; infinite where there are none.
         turning, sliding: Which passive joints turn, (n_passive,), and which motors slide, (n_actuated,).
-        range: What each motor can be moved through, (2, n_actuated) [m or rad].
+        range: Range of each motor, (2, n_actuated) [m or rad].
         home: Motors at home, (n_actuated,) [m or rad].
         targets: Name and body of each target.
         length: Characteristic length [m].

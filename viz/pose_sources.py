@@ -155,7 +155,7 @@ def from_plan(robot: Robot, poses: Poses, hits: tuple[str, ...]) -> PoseTable:
     Args:
         robot: The robot.
         poses: The poses.
-        hits: What hits at each, "" where nothing does, (n,).
+        hits: Pair that hits at each, "" for none, (n,).
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.

@@ -82,10 +82,10 @@ class PoseTable(RowTable):
         group: `identification`, `validation`, `measured` (not part of a fit) or `left out` (of it, as an outlier);
             `planned`, or `collides` where the robot hits something, of poses where nothing was read.
         outlier: Which rows are outliers, (n,).
-        labels: What to call each pose.
+        labels: Name of each pose.
         targets: Name of the measured point of each row: of the instrument that measured it.
         readings: How many readings each measured position is a mean of, (n,).
-        series: What was measured in one go with each row: a file, or a set of poses.
+        series: Series of each row, measured in one go: a file, or a set of poses.
         place: Place of each row's pose in the order of measurement of its series, (n,).
     """
 

@@ -47,7 +47,7 @@ class ReadingErrors(RowTable):
         residuals_before, residuals_after: Predicted minus read, (n, n_axes) [SI]; NaN where not known.
         group: Group of each row, as in `PoseTable`.
         outlier: Which rows are outliers, (n,).
-        labels: What to call each pose.
+        labels: Name of each pose.
         targets: Name of the instrument of each row, with what it looked at.
     """
 

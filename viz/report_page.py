@@ -134,7 +134,7 @@ def printed_page(
         command: Command line that made it.
         created: Time to print; now if not given.
         frame: The viewer's page, to stand in a frame of this one; none if empty.
-        content: What else the template needs.
+        content: Further variables of the template.
     """
     when = created if created is not None else datetime.now(UTC)
     about = {"program": PROGRAM, "command": command, "created": when.strftime("%Y-%m-%d %H:%M UTC")}

@@ -72,8 +72,8 @@ class ClosedModel:
         home: Value of every moving joint in an assembled configuration [m or rad].
         actuated: Joints with a motor.
         inertia: Inertia that each motor feels at home, loops closed, the other motors at rest [kg or kg m^2].
-        ties: What closes the loops.
-        gaps: What the ties have to absorb; empty with free joints.
+        ties: Ties that close the loops.
+        gaps: Gaps that the ties have to absorb; empty with free joints.
         markers: Targets and measurement frame.
         robot: The robot that it was made from.
     """

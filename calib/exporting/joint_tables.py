@@ -128,7 +128,7 @@ def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, byte
 
     Args:
         robot: The robot.
-        lines: What to say in each file.
+        lines: Comments of each file.
 
     Raises:
         InputError: See `joint_tables`.

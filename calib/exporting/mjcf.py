@@ -51,7 +51,7 @@ class Mjcf:
     Attributes:
         content: The file.
         meshes: Converted mesh files that it names.
-        notes: What cannot be drawn as the URDF asks, and why.
+        notes: Shapes that cannot be drawn as the URDF asks, and why.
     """
 
     content: bytes

@@ -33,7 +33,7 @@ class MjcfShapes:
 
     Attributes:
         asset: The `<asset>` element with the meshes.
-        remarks: What could not be drawn, and why.
+        remarks: Shapes that could not be drawn, and why.
         converted: Contents of the converted mesh files.
     """
 

@@ -41,7 +41,7 @@ def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Setti
 
     Args:
         robot: The nominal robot.
-        data: What it is fitted to.
+        data: Its measurements.
         settings: Options of the fit.
         fleet: The fleet's section of the robot's description.
     """

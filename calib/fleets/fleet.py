@@ -80,14 +80,14 @@ class Fleet(ReadOnlyArrays):
     Attributes:
         robot: The first one, nominal, with the prior of the next robot in its description.
         members: The robots.
-        parameters: What they share, with the sigmas of the description.
+        parameters: Shared parameters, with the sigmas of the description.
         nominal: Nominal values, (n,) [SI].
         mean, mean_std: Mean over the robots, and its standard deviation, (n,) [SI].
         spread: Standard deviation from robot to robot, (n,) [SI].
         n_determined: How many robots determine each parameter, (n,).
         values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of a robot left out, by its
             own fit.
-        notes: What to know before using it.
+        notes: Remarks for users of it.
     """
 
     robot: Robot

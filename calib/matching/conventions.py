@@ -17,7 +17,7 @@ class Convention:
     Attributes:
         form: Its name; three axes as scipy writes them (capitals: moving axes).
         width: Numbers of a rotation.
-        makers: Who writes so.
+        makers: Makers that write so.
     """
 
     form: str

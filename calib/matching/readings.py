@@ -58,7 +58,7 @@ class Twist:
         joints: A of joint values A q + b, q as they stand, (n_joints, n_joints); None for one.
         zeros: b, (n_joints,) [m or rad].
         shift: By how many rows the joint values stand below their poses.
-        positions: What carries columns of positions to x, y, z, (3, 3).
+        positions: Matrix from columns of positions to x, y, z, (3, 3).
     """
 
     words: str = ""
@@ -78,7 +78,7 @@ class Interpretation:
     Attributes:
         convention: Convention of rotations.
         joint_unit, length_unit, angle_unit: Of joints that turn, of lengths, and of the rotations' angles.
-        joint_scales: What makes numbers of the file joint values, (n_joints,) [m or rad per 1].
+        joint_scales: Factors from numbers of the file to joint values, (n_joints,) [m or rad per 1].
         direction: Key of `_DIRECTIONS`.
         twist: A further deviation from most files.
     """

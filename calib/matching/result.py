@@ -29,9 +29,9 @@ class Match:
 
     Attributes:
         fit: Joint origins, and base or tool where these were found.
-        candidate: What the columns mean.
+        candidate: Meaning of the columns.
         pairs: The file.
-        agreement: What the result is worth.
+        agreement: Agreement of robot and pairs.
         left_out: Names of pairs that are of another program, and how far they are off [m].
         places: Where base and tool are, in words.
         remarks: Contradictions to the file's header or to what the user stated.

@@ -35,7 +35,7 @@ class TwinFit:
 
     Attributes:
         robot: Nominal.
-        pairs, candidate: What is fitted, and what its columns mean.
+        pairs, candidate: The pairs, and the meaning of their columns.
         tool, base: As the fit knows them; None where it finds them, (4, 4) [m].
         kept: Which pairs are used.
         seed: Seed of the draws of rounding.

@@ -77,7 +77,7 @@ class _Words:
         wait: With a time [s].
         output: With the number of an output, and its value.
         states: An output on, and off.
-        scale: What one radian is in joint values.
+        scale: One radian in joint values.
     """
 
     begin: str

@@ -47,7 +47,7 @@ class HandEyeEstimate(ReadOnlyArrays):
         placed: Where camera and board are.
         free: Which intrinsics were sought, by their numbers.
         noise: Sizes of the errors.
-        weights: What images were weighed by: the same, or of pixels alone for plain least squares.
+        weights: Weights of the images: the same, or of pixels alone for plain least squares.
         arm: Size of errors of lengths [m] and angles [rad] of the arm that intervals count.
         covariance: Covariance of [camera 6, board 6, intrinsics, (scale)], in their own axes [m, rad, px, 1].
         freedom: Satterthwaite's degrees of freedom of each of them.

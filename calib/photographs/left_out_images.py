@@ -41,7 +41,7 @@ def solve_without_each_image(
         scene: The images.
         placed: The solution of all.
         free: Which intrinsics are sought.
-        weights: What images are weighed by; they stay as they are.
+        weights: Weights of the images; they stay as they are.
         prior: Prior of the intrinsics.
         scaled: Whether the size of the board is sought.
     """

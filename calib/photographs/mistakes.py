@@ -88,7 +88,7 @@ def find_mistakes(
 
     Args:
         every: All images.
-        used: Those that were used.
+        used: The images that were used.
         fitted: The estimate from these.
         prior: Prior of the lens.
         given: Intrinsics as given, (9,); None without.

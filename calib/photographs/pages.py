@@ -23,7 +23,7 @@ class Picture:
     """One image of a page.
 
     Attributes:
-        image: What was detected in it.
+        image: Points detected in it.
         small: Its small copy as JPEG; empty where there is no image.
         caption: Text below it.
         off: Whether it is marked as off.

@@ -54,7 +54,7 @@ def read_tool_poses(
     Args:
         path: A CSV file.
         robot: Whose joint values these are: the tool is then the frame that carries its first target, in its base.
-        angles: What rx, ry, rz are.
+        angles: Meaning of rx, ry, rz.
 
     Raises:
         DataError: A column that is missing, a cell that is not a number, a quaternion that is none.

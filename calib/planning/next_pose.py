@@ -71,7 +71,7 @@ def next_pose(
     Args:
         robot: The robot; its present values are where it is linearised.
         candidates: Poses to choose from; the predicted error counts at them.
-        measured: What is measured already.
+        measured: Measurements so far.
         present: Where the robot stands, (n_actuated,) [m or rad]; home if not given.
         sigma: Noise of one reading per axis [m]; the description's if not given.
         drawn: Draw the pose with these random numbers, to check with.

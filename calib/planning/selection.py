@@ -71,7 +71,7 @@ def select(
         robot: The robot; its present values are where it is linearised.
         candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
         count: How many to choose; or how many with each instrument, by name (several joined by `+` read together).
-        index: What to optimise: O1 to O5, or `task`, the predicted position error over the task poses.
+        index: Index to optimise: O1 to O5, or `task`, the predicted position error over the task poses.
         instruments: `all`: every instrument reads at every chosen pose. `each`: one instrument is chosen with every
             pose. Or a list of those to choose from; `+` joins instruments that read together. A pose may be chosen
             with several.
@@ -85,7 +85,7 @@ def select(
         skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
         checked: Whether candidates at which the robot hits something, or a target is hidden, are left out.
         sigma: Noise of one position reading per axis [m], or text such as `0.04 mm`; the description's if not given.
-        executor: What runs the starts; as in `calib.fit`.
+        executor: Executor of the starts; as in `calib.fit`.
         progress: Called with how many starts are done and of how many.
 
     Raises:

@@ -32,7 +32,7 @@ class Selection(ReadOnlyArrays):
     """Chosen poses, in the order of measurement.
 
     Attributes:
-        index: What was optimised: O1 to O5 or `task`.
+        index: Optimised index: O1 to O5 or `task`.
         chosen: Indices of the chosen candidates, (count,).
         instruments: Instruments that read at each, joined by `+`, (count,); empty if all read at all poses.
         groups: Instruments to choose from; empty if all read at all poses. Exchanges number the poses with the first,
@@ -46,7 +46,7 @@ class Selection(ReadOnlyArrays):
         measured_only: All indices of the poses measured already, if there are any; 0 where they determine too little.
         efficiency: Index of these poses over a proven bound for all such choices; None where
             none is proven.
-        bound: That bound, as a value of the index; None if there is none.
+        bound: The bound, as a value of the index; None if there is none.
         distance: Distance that the targets of any two poses keep [m]; 0 where none was requested.
         runs: The runs of the exchange.
         travel: Length of the path in the candidates' order and in this one [joint ranges].
@@ -59,7 +59,7 @@ class Selection(ReadOnlyArrays):
         seed: Seed of everything random.
         seconds: Duration.
         selecting_seconds: The part after assembly and Jacobians of the candidates.
-        check: What hits at the candidates.
+        check: Check for collisions at the candidates.
         unobstructed: All indices of the best choice from all candidates, free or not; None where all are free.
     """
 

@@ -79,7 +79,7 @@ def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> d
     Args:
         problem: The candidates.
         chosen: Which candidates are in the choice, (n_candidates,).
-        unit: What a row with noise 1 stands for, such as the noise of a position [m].
+        unit: Unit of a row with noise 1, such as the noise of a position [m].
     """
     rows = problem.rows[chosen]
     flat = rows.reshape(-1, rows.shape[2])
@@ -106,7 +106,7 @@ def index_of_score(problem: SelectionProblem, index: str, score: float, count: i
         index: One of `CHOICES`.
         score: `Scores.value`.
         count: Number of chosen poses.
-        unit: What a row with noise 1 stands for, such as the noise of a position [m].
+        unit: Unit of a row with noise 1, such as the noise of a position [m].
     """
     if index == "O1":
         mean_log = 0.5 * score / len(problem.strengths) + float(np.mean(np.log(problem.strengths)))

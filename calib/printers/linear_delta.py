@@ -226,7 +226,7 @@ def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int = 0)
 
     Args:
         plan: Result of `linear_delta_plan`.
-        title: What it is, for a comment.
+        title: Title, for a comment.
         urdf: How it names the URDF.
         n_rows: How many rows were measured; 0: not known yet.
     """

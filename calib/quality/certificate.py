@@ -62,7 +62,7 @@ class Certificate:
     """A certificate.
 
     Attributes:
-        result: What it is about.
+        result: The result.
         stated: Where the measurements come from.
         linear: Linear model of the fit.
         budget: Uncertainty of the measurand.

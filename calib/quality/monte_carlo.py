@@ -78,7 +78,7 @@ def monte_carlo(
 
     Args:
         linear: The linear model of the fit.
-        stated: What was stated for the budget.
+        stated: Statements for the budget.
         known: The budget.
         draws: How many.
         seed: Seed of all that is drawn.
@@ -122,7 +122,7 @@ def _deviation(linear: ErrorPropagation, unknowns: Unknowns, readings: FloatArra
 
     Args:
         linear: The linear model.
-        unknowns: What is fitted, with the sizes that were drawn.
+        unknowns: The fitted unknowns, with the sizes that were drawn.
         readings: Change of the whitened readings, (n_rows,).
         mean: Mean of the priors, (n_free,).
     """

@@ -64,7 +64,7 @@ class Systematic:
     """An error of the instrument that all readings share.
 
     Attributes:
-        quantity: What it is of.
+        quantity: Its quantity.
         attribute: Its name in `traceability.instrument`.
         unit: Its unit.
         axes: Number of independent numbers.
@@ -253,7 +253,7 @@ def budget(linear: ErrorPropagation, stated: TraceabilitySection, poses: PosesLi
 
     Args:
         linear: Its linear model.
-        stated: What is known of instrument, target and temperatures.
+        stated: Statements on instrument, target and temperatures.
         poses: Other poses at which the robot will be used.
     """
     fit = linear.fit

@@ -122,13 +122,13 @@ def study(
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
         elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad]; none if not given.
         seed: Seed of the whole study.
-        executor: What runs the draws; as in `calib.fit`.
+        executor: Executor of the draws; as in `calib.fit`.
         progress: Called with the number of draws done and of all draws, in the order of work.
 
     Raises:
         InputError: A number of draws or processes that makes no sense, unstated noise, nothing to resample.
         NotConvergedError: The first draw did not converge, or none gave an answer.
-        CalibrationError: What `calib.fit` raises, of the first draw.
+        CalibrationError: As `calib.fit`, for the first draw.
     """
     robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
     started = time.perf_counter()

@@ -101,7 +101,7 @@ class Study(ReadOnlyArrays):
         robot: Name of the robot.
         free: The free parameters.
         groups: Names of the groups of rows, in the order of `draws.sigma`.
-        draws: What each draw gave.
+        draws: Results of the draws.
         failures: Reasons why draws gave no answer, one for each such draw.
         n_poses: How many poses were measured.
         seed: Seed of everything random.

@@ -71,7 +71,7 @@ def numbers_in(given: ArrayLike, what: str) -> FloatArray:
 
     Args:
         given: The numbers, (..., n).
-        what: What they are, in the message.
+        what: Their name, in the message.
 
     Returns:
         The numbers, (..., n) as they were given.

@@ -83,8 +83,8 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
     "; of 'elbow' there are: elbow.rz, elbow.x"
 
     Args:
-        name: What was given.
-        valid: What would have been accepted.
+        name: The given name.
+        valid: Accepted names.
         what: The words before the list.
     """
     names = sorted({str(item) for item in valid})
@@ -108,7 +108,7 @@ def nearest_column(name: str, columns: Collection[str], taken: Collection[str] =
 
     Args:
         name: The column.
-        columns: Those of the file.
+        columns: Columns of the file.
         taken: Of these, columns that mean something else and are not offered.
     """
     hint = nearest(name, [column for column in columns if column not in taken], "the file has")

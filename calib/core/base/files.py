@@ -30,8 +30,8 @@ def read_bytes(path: Path | str, expected: str, error: type[CalibrationError]) -
 
     Args:
         path: The file; also a pipe.
-        expected: What it should be, such as `a CSV file`.
-        error: What to raise.
+        expected: Expected kind, such as `a CSV file`.
+        error: Class of the error.
 
     Raises:
         CalibrationError: Of the given type: missing, unreadable, or larger than 256 MB.
@@ -59,7 +59,7 @@ def read_text(path: Path | str, expected: str, error: type[CalibrationError], *,
 
     Args:
         path: The file.
-        expected: What it should hold, for the error.
+        expected: Expected content, for the error.
         error: Class of the error.
         growing: Whether the file is still written: a last line without its end is left out.
     """
@@ -113,7 +113,7 @@ def write_files(
         files: Content by path.
         comment: How comments of these files begin, if not as in tables or XML; see `calib.core.base.own_files.signed`.
             None: they get no line; a manifest in their folder says who wrote them.
-        inputs: What they were made from.
+        inputs: Files that they were made from.
         force: Replace what this program did not write, or has read, all the same.
 
     Raises:
@@ -160,7 +160,7 @@ def check_folder(path: Path | str, names: Collection[str] = (), *, force: bool =
 
     Args:
         path: The folder.
-        names: What will be written, as far as it is known.
+        names: Files that will be written, as far as they are known.
         force: See `write_folder`.
     """
     path = Path(path)
@@ -208,7 +208,7 @@ def write_folder(
         path: The folder.
         files: Content by name.
         obsolete: Names of files that do not stay if they were there.
-        inputs: What the files were made from.
+        inputs: Files that they were made from.
         force: Replace what this program did not write, or has read, all the same.
 
     Raises:

@@ -22,7 +22,7 @@ def zeros_with_room(shape: tuple[int, ...], what: str) -> FloatArray:
 
     Args:
         shape: Shape of the array.
-        what: What it holds, for the message.
+        what: Its content, for the message.
 
     Returns:
         The zeros, (n, ...).

@@ -33,7 +33,7 @@ class Words:
     Attributes:
         package: Whose words they are.
         words: The words.
-        here: What to write here, with what there is to say about it.
+        here: The word here, with remarks.
     """
 
     package: str

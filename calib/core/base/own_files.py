@@ -129,7 +129,7 @@ def require_replaceable(
 
     Args:
         path: The file, which may be missing.
-        content: What shall be in it, if that is known.
+        content: Its new content, if that is known.
         inputs: Further files from which the output was made, which the present command has not read.
         force: Replace it all the same.
     """

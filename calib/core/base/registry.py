@@ -52,9 +52,9 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
     """Classes by name; first this package's in their order, then those that were registered, then other packages'.
 
     Args:
-        what: What such a class is, in words, such as `joint term`.
+        what: Kind of such a class, in words, such as `joint term`.
         group: Group of the entry points.
-        base: What each derives from.
+        base: Base class of each.
         built_in: This package's.
         either: Methods of `base`, of which a class must define one.
     """

@@ -166,7 +166,7 @@ class OwnLength:
     """A length that belongs to an instrument.
 
     Attributes:
-        value: What it is, or is expected to be [m].
+        value: Its actual or expected length [m].
         unknown: Whether the measurements must find it.
         sigma: How far an unknown one may be from `value`, one standard deviation [m]; None: the value says nothing.
     """
@@ -290,7 +290,7 @@ def read_yaml(path: Path | str, what: str = "a robot description (YAML) or a URD
 
     Args:
         path: The file.
-        what: It should be, for messages.
+        what: Expected content, for messages.
 
     Raises:
         DescriptionError: Missing or unreadable file, or broken YAML; the message names the line.

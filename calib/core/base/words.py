@@ -53,7 +53,7 @@ def joints_named(*names: str, separator: str = ", ", shown: int = _LISTED) -> st
 
     Args:
         names: Names of the joints.
-        separator: What stands between them.
+        separator: Text between them.
         shown: How many are named.
 
     Examples:
@@ -121,7 +121,7 @@ def text_table(
     Args:
         headers: Headers of its columns.
         left: Those of them whose cells stand on the left; numbers stand on the right.
-        title: What stands above it.
+        title: Title above it.
         plain: Whether it has no lines.
     """
     style: dict[str, Any] = {"box": None, "pad_edge": False} if plain else {}

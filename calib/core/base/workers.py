@@ -51,8 +51,8 @@ def results_in_order(
 
     Args:
         function: Of a module, so that other processes find it. Neither it nor the caller may change what it works on.
-        items: What to call it with.
-        executor: Who works; this process if not given.
+        items: Its arguments.
+        executor: The executor; this process if not given.
         progress: Told after each item.
 
     Raises:

@@ -64,7 +64,7 @@ def calibrate(
         data: Measurements to identify with.
         validation: Measurements to judge the result with, or None.
         settings: Options of the fit.
-        executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
+        executor: Executor of the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
         progress: Told after each step how many are done, and of how many that are known by then. Steps are: base and
             targets placed, the minimum found, its uncertainty and errors known; the sizes of terms, with a fit of its

@@ -54,7 +54,7 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
     Args:
         fit: The fit.
         settings: How it was done.
-        executor: Who does the fits of other starts and of folds, as in `calib.core.calibrating.calibrate.calibrate`.
+        executor: Executor of the fits of other starts and of folds, as in `calib.core.calibrating.calibrate.calibrate`.
     """
     started, reduced = time.perf_counter(), dict[Holds, Fit]()
     kinds = [holds for holds in (Holds.TABLES, Holds.ORIGINS) if lost_by(fit.robot, holds)]
@@ -93,7 +93,7 @@ def _refit(
         fit: The fit.
         robot: The robot.
         settings: How the fit was done.
-        workers: Who does the fits of other starts and of folds.
+        workers: Workers for the fits of other starts and of folds.
         signs: With which sign joints count, (n_actuated,).
         intervals: Whether anybody reads its intervals.
     """

@@ -101,7 +101,7 @@ class Output:
         Args:
             files: Files to write, other than that of --json.
             folders: Folders to write.
-            names: What will be in them, as far as it is known.
+            names: Their content, as far as it is known.
         """
         targets = [file for file in (*files, self.json_target) if file not in (None, "-")]
         for file in targets:
@@ -152,7 +152,7 @@ def shared_options(
 
     Args:
         json_output: Whether the command prints a table, and so takes --json FILE.
-        forced: What --force does.
+        forced: Effect of --force.
 
     Returns:
         A decorator. The command that it makes raises `OneLineError` for every error, but with --debug the error itself.

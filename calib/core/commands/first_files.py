@@ -18,9 +18,9 @@ class FirstFiles:
 
     Attributes:
         help: Of the option.
-        target: What to tell who names a target, such as `a printer has its nozzle`.
+        target: Message where a target is named, such as `a printer has its nozzle`.
         write: Writes description, URDF and measurements: the file, the texts of `--length`, the description to write.
-        lengths: What to say of `--length` for such files; empty: they take none.
+        lengths: Text on `--length` for such files; empty: they take none.
     """
 
     help: str

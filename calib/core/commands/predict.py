@@ -78,7 +78,7 @@ def _expected_error(claim: dict[str, Any] | None, known: dict[str, Any]) -> tupl
     """Return how far off the tool is at these poses, as data and in words; None, and nothing, where that is not known.
 
     Args:
-        claim: What the fit claims, as in `result.json`.
+        claim: The claim of the fit, as in `result.json`.
         known: Summary of how well positions are known at these poses [mm].
     """
     if not claim or not claim.get("is_position") or None in (claim["limit95"], claim.get("known")):

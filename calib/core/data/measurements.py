@@ -35,7 +35,7 @@ class Poses(ReadOnlyArrays, HintedObject):
 
     Attributes:
         joints: Actuated joints in the robot's order, (n, n_actuated) [m or rad].
-        labels: What to call each in messages: file, line and pose name.
+        labels: Name of each in messages: file, line and pose name.
         names: The pose names of the file, or their running number; rows of one name repeat one pose.
         path: Their file.
         ignored: Columns of the file that were not used.

@@ -29,7 +29,7 @@ class SomeFile:
     Attributes:
         path: The file.
         head: Its first bytes.
-        renamed: What columns stand for, by the robot's description.
+        renamed: Meanings of columns, by the robot's description.
     """
 
     path: Path

@@ -116,7 +116,7 @@ class Estimates(Mapping[str, Estimate]):
 
     Args:
         by_name: The parameters.
-        contains: What their intervals contain; nothing where that is not known.
+        contains: Contributions to their intervals; none where these are not known.
     """
 
     def __init__(self, by_name: Mapping[str, Estimate], contains: Contributions = frozenset()) -> None:
@@ -161,7 +161,7 @@ class Covariance(ReadOnlyArrays):
     Attributes:
         names: Names of the free parameters, (n_free,).
         values: (n_free, n_free) [products of m and rad].
-        contains: What it contains; nothing where that is not known.
+        contains: Contributions to it; none where these are not known.
     """
 
     names: tuple[str, ...]

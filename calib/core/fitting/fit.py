@@ -55,12 +55,13 @@ class WarmStart:
 
     Attributes:
         names: Parameters, (n,).
-        beyond_linear: That of `Statistics`, of these; 0 where no intervals are requested, None where it is not known.
+        beyond_linear: The attribute of `Statistics`, of these; 0 where no intervals are requested, None where it is not
+            known.
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
         placed: The nominal robot with base and targets placed, and residuals of these visits, (n_readings, n_rows) [SI]
             by instrument.
-        whitening: What whitens the readings, where these are the same, too; it takes as much memory as they do.
+        whitening: Whitening of the readings, where these are the same, too; it takes as much memory as they do.
     """
 
     names: tuple[str, ...] = ()
@@ -108,7 +109,7 @@ class Minimum:
         robot: The nominal robot.
         later: Free parameters of places that the measurements do not show, and validation does.
         start: With base and targets placed.
-        determined: What the measurements determine there.
+        determined: Determination by the measurements there.
         solved: The minimum.
     """
 
@@ -135,9 +136,9 @@ def fit_data(
         settings: How; outliers, folds and the choice of terms are the caller's.
         data: Measurements to identify with.
         validation: Measurements to judge the result with, or None.
-        workers: Who does the fits of other starts; this process if not given.
+        workers: Workers for fits from other starts; this process if not given.
         steps: Told of each step that is done; of nothing if not given.
-        nearby: What another fit of these visits leaves to take over.
+        nearby: Start values from another fit of these visits.
 
     Raises:
         UnreachablePoseError, DataError, NotIdentifiableError, NotConvergedError: See

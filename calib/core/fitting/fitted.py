@@ -123,11 +123,11 @@ class Fit(ReadOnlyArrays, HintedObject):
         configurations: The assembled visits of `identification`, at the solution.
         unknowns: The free parameters.
         statistics: Their uncertainty.
-        determination: What poses and priors determine, at `placed`: as `calib check` tells.
+        determination: Ranks of poses and priors at `placed`, as in `calib check`.
         observability: O1 to O5 on scaled columns.
         rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
-        whitening: What whitened them.
-        scales: What was assumed about the noise.
+        whitening: Their whitening.
+        scales: Assumed scales of the noise.
         seconds: Duration of the whole computation.
         convergence: How the iteration ended.
         loss: Robust loss.

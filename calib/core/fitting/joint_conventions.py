@@ -32,7 +32,7 @@ def may_be_wrapped(joints: Sequence[str], wrong: Sequence[str]) -> str:
 
     Args:
         joints: The joints.
-        wrong: What follows them and counts turns.
+        wrong: Terms that follow them and count turns.
     """
     return (
         f"all values of {joints_named(*joints)} lie within one turn, and the URDF"

@@ -105,7 +105,7 @@ def _nominal_fits(
     Args:
         robot: The nominal robot.
         data: The measurements.
-        sound: Those that are no readings of zero.
+        sound: Visits without readings of zero.
         zeros: Visits that are.
     """
     now = min(_misses(robot, [_some_visits(data) if len(zeros) == 0 else data])[0], 1.0)

@@ -50,7 +50,7 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
         data: The visits that were used.
         depths: `Mechanism.depths` of the robot, (n_actuated,).
         rows: Whitened rows at the solution, with the weights of a robust loss.
-        statistics: What is known of the parameters.
+        statistics: Statistics of the parameters.
     """
     block = np.zeros(len(data), dtype=np.intp)
     for k, visits in enumerate(boxes(data.joints, data.pose_numbers, BLOCKS, depths)):

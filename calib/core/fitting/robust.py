@@ -54,7 +54,7 @@ class RobustSolution:
         groups: Scale of the noise of each group, (n_groups,).
         solution: Last report of the solver.
         weights: Weight of each reading, (n_readings,); None without a robust loss.
-        factors: What the residuals say about the noise, with a robust loss.
+        factors: Factors on the noise, by the residuals, with a robust loss.
         settled: Whether the weights of a robust loss stand.
         starts: Ends of perturbed starts, if requested.
     """
@@ -73,7 +73,7 @@ def solve_robust(solved: RobustSolution, loss: Loss) -> RobustSolution:
     """Minimise with a robust loss, from a least-squares solution.
 
     Args:
-        solved: That solution.
+        solved: The least-squares solution.
         loss: Not `none`.
 
     Raises:

@@ -106,7 +106,7 @@ def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, Floa
     Args:
         problem: The problem.
         other: The other robot, base and targets placed.
-        residuals: Those of the other robot, (n_readings, n_rows) [SI] by instrument.
+        residuals: Residuals of the other robot, (n_readings, n_rows) [SI] by instrument.
     """
     unknowns, readings = problem.unknowns, problem.data.readings
     known = dict(zip((parameter.name for parameter in other.parameters), other.values, strict=True))
@@ -173,7 +173,7 @@ def solve_from(
         problem: The problem.
         placed: Where to begin.
         settings: Options of the fit.
-        workers: Who does the other starts; this process if not given.
+        workers: Workers for the other starts; this process if not given.
         progress: Told after each of them.
 
     Raises:
@@ -335,7 +335,7 @@ def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weig
         rows: At the minimum, without the weights of a robust loss.
         span: U = J T of them, with T of what they, with the slope of a robust loss, and the priors determine,
             (n_rows, rank).
-        factors: What the residuals say about the noise.
+        factors: Factors on the noise, by the residuals.
         weights: Weight of each reading, (n_readings,); None without a robust loss.
     """
     layout = rows.layout

@@ -62,7 +62,7 @@ def guesses(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list
     """Return guesses at the places of camera and body, best first.
 
     Args:
-        sightings: What was seen.
+        sightings: The sightings.
         now: The places as they are.
         known: Which of them are known.
     """

@@ -150,7 +150,7 @@ def distances(vectors: FloatArray, what: str) -> tuple[FloatArray, FloatArray]:
 
     Args:
         vectors: From fixed points to a target.
-        what: What to call the target in the message.
+        what: Name of the target in the message.
 
     Raises:
         ComputationError: One has no length.

@@ -35,14 +35,14 @@ class Part:
 
     Attributes:
         name: Such as `position`.
-        axes: What its rows are called.
-        dimension: What they measure.
+        axes: Names of its rows.
+        dimension: Their dimension.
         usual: The largest noise that such instruments have [SI]: more is what the model leaves out.
         largest: Noise beyond which the numbers mean something else, whatever robot they are of [SI].
         is_position: Whether its rows are the coordinates of the target: where they are read, how accurate a robot is
             is told in them, and the noise of positions is theirs.
         is_distance: Whether its row is how far its two frames are apart: pictures show it as a wire.
-        plural: What its readings are called in a sentence; the name with an s if not given.
+        plural: Name of its readings in a sentence; the name with an s if not given.
     """
 
     name: str
@@ -96,7 +96,7 @@ def placed(name: str, section: PlaceSection | PosedSection, unknown: tuple[Compo
 
     Args:
         name: Its name.
-        section: What the description says.
+        section: Its entry in the description.
         unknown: Components that the measurements must find; those that the section calls unknown if not given.
     """
     found = section.unknown if unknown is None else unknown
@@ -239,7 +239,7 @@ class Instrument(ABC):
         may_see_nothing: Whether there are poses at which it reads nothing, such as those at which a camera does not see
             the board; then predictions are NaN (class attribute).
         name: Its name in the description, and the beginning of its columns.
-        noise: What is stated of its noise.
+        noise: Its stated noise.
         unknowns: Unknown numbers of its own.
     """
 
@@ -316,7 +316,7 @@ class Instrument(ABC):
 
         Args:
             texts: Text columns by name, n cells each.
-            where: What to call each row in messages.
+            where: Name of each row in messages.
 
         Returns:
             (n,) whether a row is a reading; pairs (n,); details (n, n_details).
@@ -348,7 +348,7 @@ class Instrument(ABC):
         """Return what it reads, (n, n_values).
 
         Args:
-            seen: What it has before it: the frames, a `View`; or values of its joint, (n,) [m or rad].
+            seen: Its input: the frames, a `View`; or values of its joint, (n,) [m or rad].
             unknowns: Its unknown numbers, (n_unknowns,).
             details: Of `Readings`, (n, n_details).
         """

@@ -46,7 +46,7 @@ class Touch(Relation):
     """Touches of sockets, planes or spheres by one target. The one detail of a reading says which was touched.
 
     Attributes:
-        surface: What is touched.
+        surface: Kind of the touched surface.
         touched: Names of what is touched, in the order of the detail; `own` has the place of each, or of the artefact.
         points_of_artefact: In the artefact [m]; none without one.
         ball: Radius of the ball [m].

@@ -103,9 +103,10 @@ class TouchSection(InstrumentSection):
 
     Attributes:
         target: The centre of the ball, or the tip, that touches; the instrument's own name if left out.
-        surface: What is touched: `socket`, which holds the centre of the ball in one point; `plane`; `sphere`.
+        surface: Kind of the touched surface: `socket`, which holds the centre of the ball in one point; `plane`;
+            `sphere`.
         radius: Radius of the ball, for planes and spheres [m].
-        places: What is touched, by name.
+        places: The touched places, by name.
         artefact: In place of `places`: what is touched is one piece.
         sigma: How well the ball touches, each coordinate or the gap [m].
     """

@@ -141,7 +141,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
         same_setup: Whether unknown base and targets are where the calibration found them; else they are placed anew.
 
     Raises:
-        InputError: What is given is not a calibration.
+        InputError: The argument is not a calibration.
         DataError: Too few readings to judge anything.
         UnreachablePoseError: A pose cannot be assembled.
     """

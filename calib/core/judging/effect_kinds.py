@@ -127,7 +127,7 @@ class Pattern:
         amount: The shift or slip [m], half the backlash or the height of a wave [m or rad], the part by which lengths
             are off, the error for a unit of the neighbour; NaN for a curve.
         significant: Whether it counts as a finding.
-        dimension: What `size` measures.
+        dimension: Dimension of `size`.
         detail: Cycles of a wave, the first visit of a slip, in words; the other joint of a coupling, or before a link.
     """
 

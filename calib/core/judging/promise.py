@@ -115,7 +115,7 @@ class Change:
 
     Attributes:
         name: The parameter, or `zero of JOINT`.
-        dimension: What it measures.
+        dimension: Its dimension.
         value: How far it has changed [m or rad]; NaN where nothing was read.
         std: Standard deviation of that [m or rad].
         z: Their ratio.
@@ -143,7 +143,7 @@ class PossibleChanges:
 
     Attributes:
         name: The parameter, or `zero of JOINT`.
-        dimension: What it measures.
+        dimension: Its dimension.
         index: Its place among the free parameters, or among the actuated joints.
         is_joint: Which of these.
         scale: Unit in which it is looked at [m or rad].
@@ -200,7 +200,7 @@ class System:
     """The least-squares problem.
 
     Attributes:
-        promise: What is judged.
+        promise: The promise that is judged.
         rows: The linear model: r by the known unknowns J L, which have a prior, and by the places P, of length 1.
         candidate_columns: Columns of the candidates, (n_rows, n_candidates).
         errors: Errors of the readings after placing base and targets, without outliers.

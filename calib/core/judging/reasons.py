@@ -37,7 +37,7 @@ class Reason:
     Attributes:
         grade: CHECK or FAIL; PASS where it is good to know and no doubt.
         code: Short name for programs.
-        text: What was found, and what to do.
+        text: The finding, and what to do.
         counted: Whether errors at poses that were not used count what was found: where these are as claimed, and the
             robot gets better, it is no doubt, and its grade becomes PASS.
         answer: What to do about it.
@@ -131,7 +131,7 @@ class Code(StrEnum):
         """Return the reason in words.
 
         Args:
-            text: What was found, and what to do.
+            text: The finding, and what to do.
             grade: Where it is not that of the table; a FAIL is never counted.
             counted: Where it is not that of the table.
             answer: Where it is not that of the table.
@@ -148,7 +148,7 @@ class Verdict(HintedObject):
     Attributes:
         grade: The worst of its reasons; PASS without any.
         reasons: FAIL before CHECK before PASS.
-        not_covered: What could be wrong without any trace in these measurements, in words.
+        not_covered: Errors that would leave no trace in these measurements, in words.
         claim: How far off the robot is where it was measured; None where that is not known, or nothing is to be used.
     """
 

@@ -124,7 +124,7 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
 
     Args:
         residuals: The fit.
-        setting: What effects are made of.
+        setting: Data that effects are made of.
         kinds: Which of them are tested.
     """
     if residuals.factor * setting.metre < EXACT:

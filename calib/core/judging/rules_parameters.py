@@ -132,7 +132,7 @@ def _residuals_beside_parameters(fit: Fit, columns: FloatArray) -> tuple[FloatAr
 
     Args:
         fit: The fit.
-        columns: What is tried, (n_rows, k).
+        columns: Columns to try, (n_rows, k).
 
     Returns:
         Few rows with the same products as all that were measured, above one for each deviation of a parameter,
@@ -156,7 +156,7 @@ def _cost_with(
     """Return the least cost of the residuals (n,) with some of these columns (n, k) fitted, and the first's size.
 
     Args:
-        columns, right: What the parameters leave of them.
+        columns, right: Their remainders after the parameters.
         n_measured: How many of the rows were measured; the others are priors.
         is_scale: Whether the column scales all lengths, and noise with them.
     """

@@ -30,7 +30,7 @@ def poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
     """Return the names of poses of the calibration that show a change, best first; none where none do.
 
     Args:
-        promise: What the calibration promises.
+        promise: The promise of the calibration.
         change: The change, as it was found.
     """
     if not len(promise.joints):

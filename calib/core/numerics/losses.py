@@ -229,7 +229,7 @@ class StudentisedErrors(ReadOnlyArrays):
     Attributes:
         ratio: T over its scale, (n_readings,).
         leverage: Mean over the rows, (n_readings,).
-        largest_leverage: That of the worst direction, (n_readings,).
+        largest_leverage: Leverage along the worst direction, (n_readings,).
         chance: Chance of such a reading where it is the only one, (n_readings,).
         scale: Scale of T.
     """

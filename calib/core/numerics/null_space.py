@@ -70,7 +70,7 @@ def null_groups(
         scaled_jacobian: (n_rows, n_columns).
         dropped: Columns that are held or dropped. Groups are listed with one of them first where one moves enough, and
             with as few others of them as possible.
-        lengths: What each column was divided by after it was scaled by its sigma, (n_columns,); 1 if not given.
+        lengths: Divisor of each column after it was scaled by its sigma, (n_columns,); 1 if not given.
     """
     null = _null_space(scaled_jacobian)
     projector = null @ null.T

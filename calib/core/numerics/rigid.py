@@ -111,7 +111,7 @@ def common_offset(points: FloatArray, distances: FloatArray, near: FloatArray, o
         points: (n, 3) [m].
         distances: (n,) [m].
         near: Where the point may be, (3,) [m].
-        offset: What o may be, where nothing tells [m].
+        offset: Value of o where nothing determines it [m].
     """
     middle = points.mean(axis=0)
     q = points - middle

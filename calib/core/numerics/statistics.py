@@ -120,7 +120,7 @@ class Statistics(ReadOnlyArrays):
     """Uncertainty of the free parameters.
 
     Attributes:
-        factors: What the residuals say about the assumed noise.
+        factors: Factors on the assumed noise, by the residuals.
         freedom: Degrees of freedom, rows minus effective parameters.
         covariance: Covariance of the free parameters, (n_free, n_free) [m, rad].
         std: Their standard deviations, (n_free,) [m, rad].
@@ -234,7 +234,7 @@ def prior_shares(known: Information, prior: Prior) -> FloatArray:
     """Return S of the module docstring, (rank, rank).
 
     Args:
-        known: What rows and priors determine.
+        known: Information of rows and priors.
         prior: Prior of the parameters.
     """
     held = prior.times(known.root)
@@ -253,7 +253,7 @@ def effective_parameters(known: Information, prior: Prior) -> float:
     """Return n_eff of the module docstring: how many parameters the rows decide, not the priors.
 
     Args:
-        known: What rows and priors determine.
+        known: Information of rows and priors.
         prior: Prior of the parameters.
     """
     return float(known.root.shape[1] - np.trace(prior_shares(known, prior)))
@@ -305,13 +305,13 @@ def statistics(
     Args:
         span: J T of the whitened rows, with T of `known`, (n_rows, rank).
         groups: Group of each row, (n_rows,); -1 for rows that were not read.
-        known: What these rows (times the root of `factors.slope`) and the priors determine.
-        factors: What the residuals say about the noise.
+        known: Information of these rows (times the root of `factors.slope`) and of the priors.
+        factors: Factors on the noise, by the residuals.
         scales: s of the module docstring, (n_free,) [m, rad].
         prior: Prior of the parameters.
         poses: How the readings of each pose scatter together; None: independently.
-        by_sizes: What is added to the covariance of u where sizes of priors were found, (n_free, n_free).
-        beyond_linear: What parameters are off beyond the linear model; nothing if not given.
+        by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
+        beyond_linear: Errors of parameters beyond the linear model; nothing if not given.
     """
     root = known.root
     share = prior_shares(known, prior)

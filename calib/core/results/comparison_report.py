@@ -82,7 +82,7 @@ class ResultComparison:
     """Results side by side, compared in pairs.
 
     Attributes:
-        names: What the folders of the results differ in; `fit 1` of a fit.
+        names: Parts of the folders' names that differ; `fit 1` of a fit.
         folders: Folders of the results, as they were given; None of a fit.
         verdicts, n_poses: Verdict and number of poses of each.
         errors: Root mean square error after calibration of each, on readings not used where there are any.
@@ -91,8 +91,8 @@ class ResultComparison:
         sizes: Size of the error of each reading after calibration, in that unit, of each result on the same readings
             that none of them used; empty where there are none.
         differences: One for each parameter.
-        pairs: What the two results of each pair differ in, pairs with the first result first.
-        notes: What to know before using it.
+        pairs: Differences of the two results of each pair, pairs with the first result first.
+        notes: Remarks for users of it.
     """
 
     names: tuple[str, ...]

@@ -126,7 +126,7 @@ def near_singularities(robot: RobotData, configurations: Configurations, labels:
 
     Args:
         configurations: Configurations of `assemble`.
-        labels: What to call each, n of them.
+        labels: Name of each, (n,).
     """
     limit, values = robot.description.singularity_limit, distances(robot, configurations)
     return [near_singularity(labels[k], values[k], limit) for k in map(int, np.flatnonzero(values < limit))]

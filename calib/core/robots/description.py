@@ -60,7 +60,7 @@ class TargetSection(PlaceSection):
     leave the point loosely determined.
 
     Attributes:
-        shape: What stands there, in the target's axes: a nest with its reflector, a board, a camera.
+        shape: Shape there, in the target's axes: a nest with its reflector, a board, a camera.
         acceptance: In which directions it is seen; an angle is about its z axis.
     """
 

@@ -97,7 +97,7 @@ class Measure:
     Attributes:
         text: Base, targets and instruments, as the description has them.
         point: Name of the measured point.
-        comments: What to know while the file is filled, line by line; none of what writes a file of its own.
+        comments: Advice for filling in the file, line by line; none where a program writes it.
         read_apart: Whether readings come in another file, so that this one has the joint values alone.
         column: A column of what is read, as an example.
         between_ends: Whether it reads the end of the robot from its beginning, both at unknown places.
@@ -230,10 +230,10 @@ def description_text(
 
     Args:
         urdf: The URDF.
-        description: What it stands for.
-        remark: What to say about the joints that it leaves out.
+        description: Its description.
+        remark: Remark on the joints that it leaves out.
         measure: How is measured, of `MEASURES`; positions of the target if not given.
-        words: What else the text of this measure has places for, as YAML.
+        words: Further texts of this measure, as YAML.
     """
     target = next(iter(description.targets))
     lengths, angles = default_sections()

@@ -46,8 +46,8 @@ class FleetSection(Section):
         robots: Number of robots from which it was learned.
         noise_freedom: With how many degrees of freedom results of the fleet confirmed the noise that is stated, so that
             few readings need not find it; 0 where they did not.
-        parameters: What is known of each parameter, by name.
-        unlike: Those in which this robot is unlike the others: the fleet says nothing of them.
+        parameters: Prior of each parameter, by name.
+        unlike: Parameters in which this robot is unlike the others: they have no prior of the fleet.
     """
 
     robots: Annotated[int, Field(ge=2)]

@@ -128,7 +128,7 @@ def turned_joints(
         mechanism: The nominal mechanism.
         section: The sensor.
         q: Actuated joints, (n, n_actuated); the two are where to start.
-        read: What it read, (n, 3).
+        read: Its readings, (n, 3).
         down: Direction of gravity in the root link, (n, 3).
     """
     model, index = mechanism.model, mechanism.joint(section.frame)
@@ -166,11 +166,11 @@ def accelerations(
     """Return the acceleration by gravity at each visit in the root link's axes, and its derivative by each turn.
 
     Args:
-        section: What a description says.
+        section: Entry of a description.
         setups: Names of the setups.
         mechanism: The nominal mechanism.
         joints: All joints, (n, n_joints) [m or rad].
-        context: What sensors read, and in which setup.
+        context: Readings of sensors, and their setups.
         turns: As they are found, (2,) [rad], or none, (0,).
 
     Returns:
@@ -211,7 +211,7 @@ def contradiction_angles(description: Description, mechanism: Mechanism, q: Floa
         description: Description of the robot.
         mechanism: The nominal mechanism.
         q: Actuated joints, (n, n_actuated) [m or rad].
-        context: What sensors read, and in which setup.
+        context: Readings of sensors, and their setups.
     """
     section, result = description.gravity, np.full(len(q), np.nan)
     if section is None or context.down is None:
@@ -304,7 +304,7 @@ def gravity_torque(
         load: Mass of the payload, (n,) [kg].
         payload: Frame at whose origin it hangs; None: that of the first target that motors move.
         acceleration: By gravity in the root link's axes, (n, 3) [m/s^2].
-        where: What to call the robot in messages.
+        where: Name of the robot in messages.
 
     Raises:
         DescriptionError: The URDF has no masses, and it is not stated that a payload alone loads the joints.

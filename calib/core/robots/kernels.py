@@ -74,7 +74,7 @@ class Loops(NamedTuple):
     Attributes:
         a, b: Frames of the loop that each row belongs to, (n_rows,).
         axis: Which coordinate, in the axes of a, (n_rows,).
-        signs: What each joint moves: +1 only b, -1 only a, else 0, (n_rows, n_joints).
+        signs: Effect of each joint: +1 moves only b, -1 only a, else 0, (n_rows, n_joints).
         leader: Which coordinate each joint follows, or -1, (n_joints,).
         factor: And by what factor, (n_joints,).
     """
@@ -238,7 +238,7 @@ def close(
 
     Args:
         tree: The model.
-        loops: What must be zero.
+        loops: The loops, whose gaps must be zero.
         blocks, signs: `places` and `signs` of the assembly mode.
         rest: Joint values without the passive ones, (n, n_joints).
         passive: Where to start; where it ends, (n, n_passive).
@@ -327,7 +327,7 @@ def motion(
         loops: Its loops.
         T: Result of `poses`.
         places: Frames a and b of each row, which coordinate, and whether it is a turn, not a position, (4, n_rows).
-        signs: What each joint moves: +1 only b, -1 only a, else 0; of each row, then of each row of the loops,
+        signs: Effect of each joint: +1 moves only b, -1 only a, else 0; of each row, then of each row of the loops,
             (n_rows + n_passive, n_joints).
         direct: The further derivative of the rows by the passive joints, (n_rows, n_passive).
         entries: Twists of origins along which to differentiate: joint and column of each, (n_entries,), and twist in

@@ -161,7 +161,7 @@ class Coordinates:
 
         Args:
             reduced: The joints that count.
-            signs: What each joint that counts moves: +1 only b, -1 only a, else 0, (n_rows or 1, n_reduced).
+            signs: Effect of each joint that counts: +1 moves only b, -1 only a, else 0, (n_rows or 1, n_reduced).
             select: E of the coordinates, (n_joints, n_coordinates).
         """
         left = select[reduced.joints]
@@ -216,7 +216,7 @@ class SweepCache:
 
         Args:
             twists: (6 n_joints, k), or None for every origin twist.
-            signs: What each joint moves in each row, (n_rows, n_joints).
+            signs: Effect of each joint on each row, (n_rows, n_joints).
         """
         last, counts, n_rows = self._along, self.reduced.joints, len(signs)
         signs = np.concatenate([signs, self.mechanism.loop_signs])[:, counts]
@@ -231,7 +231,7 @@ class Sweep:
     """Kinematics of `n` configurations.
 
     Attributes:
-        shared: What it shares with the sweeps of other poses.
+        shared: Data shared with the sweeps of other poses.
         poses: `flat_poses` of the world, then of each frame of a joint that counts, (n, n_reduced + 1, 12).
         jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced); None where it is not needed, as by
             compiled code.
@@ -295,7 +295,7 @@ def sweep(
         mechanism: The robot.
         joints: Configurations.
         pairs: Frames that are needed.
-        shared: What other sweeps for these pairs have computed.
+        shared: Data that other sweeps for these pairs have computed.
         poses_only: Whether the Jacobian is not needed.
     """
     shared = SweepCache(mechanism, pairs) if shared is None else shared

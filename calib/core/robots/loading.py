@@ -231,7 +231,7 @@ def build(description: Description, urdf: UrdfText, where: str) -> Robot:
     Args:
         description: The description.
         urdf: The URDF that it names.
-        where: What messages call it.
+        where: Its name in messages.
 
     Raises:
         DescriptionError: They do not fit each other.

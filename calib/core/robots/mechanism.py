@@ -61,7 +61,7 @@ class JointSubset:
         joints: Which origins stay, parents first, (n_reduced,).
         places: Where each frame is among them, 1 and up, or 0: it does not move, (n_joints + 1,).
         parents: `places` of the frame before each origin that stays, (n_reduced,).
-        model: Them alone, all origins at nought.
+        model: The model of these alone, all origins at zero.
     """
 
     joints: IntArray
@@ -136,7 +136,7 @@ class Mechanism(ReadOnlyArrays):
         loops: Closures, in the order of the description.
         targets: Each target seen from the measurement frame.
         places: Joint index of every place that instruments look from or at, by name.
-        views: What instruments look along.
+        views: Pairs of frames that instruments look along.
         support: `support[i, j]` is 1.0 where joint j + 1 moves frame i, (n_joints + 1, n_joints).
         axes: Motion of each joint per unit of its value, [linear; angular] in its own frame, (n_joints, 6).
         length: Characteristic length that makes metres and radians comparable [m].

@@ -35,8 +35,8 @@ def build_mechanism(
 
     Args:
         urdf: The URDF.
-        description: What the URDF cannot say.
-        instruments: What is measured.
+        description: The robot description.
+        instruments: Its instruments.
         where: File of the description, for messages.
 
     Raises:

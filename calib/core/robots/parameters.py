@@ -69,8 +69,8 @@ class ResultUse:
     """How robots of a parametrisation are used, once calibrated; its attribute `result_use`, if it has one.
 
     Attributes:
-        aim: What to do, in words that begin with a verb.
-        command: What to type; `DIR` stands for the result folder.
+        aim: The aim, in words that begin with a verb.
+        command: Command to type; `DIR` stands for the result folder.
         held_by_controller: Message to users who compensate programs, where the controller has the result itself.
     """
 

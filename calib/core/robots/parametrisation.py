@@ -40,7 +40,7 @@ def build_parametrisation(
         description: The robot description.
         urdf: The URDF, whose numbers the nominal origins are.
         mechanism: The nominal mechanism.
-        places: What instruments look from and at.
+        places: Places that instruments look from and at.
         where: File of the description, for messages.
 
     Raises:

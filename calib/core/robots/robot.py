@@ -176,7 +176,7 @@ class Robot(RobotData, HintedObject):
             q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
             seed: Passive joints of the same poses under slightly different parameters, to start from,
                 (n, n_passive) [m or rad].
-            labels: What to call each pose in messages, n of them.
+            labels: Name of each pose in messages, (n,).
             context: Conditions of the commands, on which joint terms may depend.
 
         Raises:

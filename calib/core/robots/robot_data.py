@@ -42,7 +42,7 @@ class RobotData(ReadOnlyArrays):
         nominal: Mechanism with nominal origins.
         mechanism: Mechanism with the origins that `values` give.
         parametrisation: Its parameters.
-        instruments: What is measured.
+        instruments: Its instruments.
         terms: Terms of the joints' errors.
         values: Current parameter values, (n_parameters,) [m or rad]: of the parametrisation, then unknown numbers of
             the instruments, then coefficients of the terms.

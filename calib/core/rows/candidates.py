@@ -112,8 +112,8 @@ def rows_of_poses(
         configurations: The poses.
         sigma: Noise of positions per axis in place of what is stated [m], or None.
         unknowns: The parameters of the columns; the free ones if not given.
-        looks: What each instrument is to read, of `calib.core.rows.observed.planned_readings`; all that it can in the
-            first setup, if not given.
+        looks: Planned readings of each instrument, of `calib.core.rows.observed.planned_readings`; all that it can in
+            the first setup, if not given.
         blocks: Where the rows of each instrument shall be; as needed, if not given.
     """
     chosen = Unknowns.chosen_by_poses(robot) if unknowns is None else unknowns

@@ -102,7 +102,7 @@ class CommonMotion(ReadOnlyArrays):
     """A robot aligned with another one; symbols as in the module docstring.
 
     Attributes:
-        robot: It, with base and tools moved.
+        robot: The robot, with base and tools moved.
         loose: The places that were moved.
         joints: The poses, (n, n_actuated) [m or rad].
         centre: c, (3,) [m].
@@ -122,7 +122,7 @@ class CommonMotion(ReadOnlyArrays):
         Args:
             robot: The robot.
             onto: The other one.
-            loose: What of the robot's places is moved, from where the other one has it.
+            loose: The places of the robot that are moved, from where the other one has them.
             joints: Poses that both can assemble, (n, n_actuated) [m or rad].
         """
         motion = CommonMotion(robot, loose, joints, np.zeros(3), np.zeros((loose.n_motions, 0)))

@@ -27,7 +27,7 @@ class Determination(ReadOnlyArrays):
         free: Rank of the free ones, poses alone.
         together: Rank of the free ones, poses and priors.
         columns: Unit columns of all parameters, or their triangular factor, (n, n_parameters).
-        lengths: What each column was divided by, (n_parameters,) [m per m or rad].
+        lengths: Divisor of each column, (n_parameters,) [m per m or rad].
         open_columns: Unit columns of the free ones, and a row for each prior, (n, n_free).
     """
 

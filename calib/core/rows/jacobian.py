@@ -239,7 +239,7 @@ def _fill_motion(
         swept: Kinematics of the poses.
         mapping: From V_b - V_a to x, (n, n_rows, 6).
         along: The twists, and what they move.
-        direct: What passive joints do to x in addition, (n_rows, n_passive).
+        direct: Further derivative of x by the passive joints, (n_rows, n_passive).
         result: Where to put it, (n, n_rows, k).
     """
     if not mechanism.loops:

@@ -108,7 +108,7 @@ def noisy_readings(
 
     Args:
         robot: Knows the noise of its instruments.
-        exact: What they would read without noise; not of touches, whose noise is in the joints.
+        exact: Readings without noise; not of touches, whose noise is in the joints.
         sigma: As in `simulate`.
         rng: Where the noise comes from.
     """
@@ -159,8 +159,8 @@ def touching_configurations(
     Args:
         robot: The robot.
         poses: Poses to start from; those that touch nothing stay, or go with a touch that repeats the same pose.
-        touches: What each instrument that touches is to touch, and by how much it shall miss.
-        off: What the joints are off, in their commands unseen, (n, n_actuated) [m or rad]; nothing if not given.
+        touches: Planned touches of each instrument that touches, and by how much it shall miss.
+        off: Errors of the joints, which their commands do not show, (n, n_actuated) [m or rad]; nothing if not given.
 
     Returns:
         Commands, (n, n_actuated) [m or rad]; how far each is from contact, (n,) [m]: less than `MET` where it is there.

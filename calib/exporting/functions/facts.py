@@ -269,7 +269,7 @@ def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str
     Args:
         facts: Facts of the robot.
         lines: Where the numbers come from.
-        base: What the file calls the pose of the measurement frame.
+        base: Name in the file of the pose of the measurement frame.
     """
     joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.joints, facts.units, strict=True))
     text = [f"The robot {facts.name}: poses of its tools from the commands of its joints.", "", *lines]

@@ -84,7 +84,7 @@ class FunctionTree(ReadOnlyArrays):
         frames: Frames of interest.
         closures: The loops.
         n_driven, n_passive: Sizes of the two parts of x.
-        scale: What one radian of each of x is compared with, (n_driven + n_passive,).
+        scale: Scale of each of x: 1 rad, or a length, (n_driven + n_passive,).
         starts: Closed configurations, home first, (n_starts, n_driven + n_passive).
         blocks: Rows and columns of each block of C_p whose determinant tells the assembly mode.
         signs: Sign of each of these determinants, (n_blocks,).

@@ -113,10 +113,10 @@ class Job:
         Args:
             compensated: The thing that was compensated.
             figures: `before_mm`, `expected_mm`, the same of angles where they count, and others for --json.
-            content: What else --json has.
+            content: Further content of --json.
             what: Parts of the program; what was done with them; what was done where nothing is to be corrected.
             more: Further sentences.
-            subjects: What is off by a length, and by an angle.
+            subjects: The things whose length, and whose angle, is off.
         """
         kept = compensated.nothing_to_correct
         common = {"frame": compensated.frame, "counted": COUNTED, "nothing_to_correct": kept}

@@ -100,7 +100,7 @@ class NominalCell:
         Args:
             flange: T_base_flange.
             before: Joints of the pose before.
-            says: What the program says of the joints.
+            says: The configuration that the program states.
             sides: The sides of the reference pose.
         """
         goal = self._base_pose * flange * self._target

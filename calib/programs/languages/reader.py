@@ -32,7 +32,7 @@ class Data:
     """Data of a program, written out or declared.
 
     Attributes:
-        name: What the program calls it; empty where it is written out.
+        name: Name in the program; empty where it is written out.
         file: Which of the program's files it is in.
         span: Its words.
         kind: Its type, in capitals.
@@ -204,7 +204,7 @@ class Reader(Statements):
 
         Args:
             span: Its words.
-            state: What holds there; None: the program never comes there.
+            state: Settings there; None: the program never comes there.
             find: Returns its numbers; raises `LeftOutError` where they are not in the program.
             target: Returns the target, or raises `LeftOutError`.
         """

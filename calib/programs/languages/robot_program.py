@@ -93,12 +93,12 @@ class ProgramTarget:
     Attributes:
         line: Where it stands, from 1.
         path: In which file.
-        name: What the program calls it; empty where it has no name.
+        name: Name in the program; empty where it has no name.
         cells: Its numbers: joint values; or a position and an orientation as the language writes it.
         rotation: Form in which a pose writes it; None: joint values.
         frame: T_base_frame, in which a pose is given.
         tool: T_flange_tool, of what a pose is.
-        configuration: What it says of the joints.
+        configuration: Its statement on the joints.
         near: Joint values that it says a pose is near to [m or rad]; empty if it does not.
     """
 
@@ -141,7 +141,7 @@ class NotCompensated:
 
     Attributes:
         path, line: Where.
-        text: What stands there.
+        text: The text there.
         why: The reason.
     """
 
@@ -160,7 +160,7 @@ class ProgramSource:
 
     Attributes:
         path: Where it came from.
-        text: What is in it.
+        text: Its text.
     """
 
     path: str
@@ -255,7 +255,7 @@ def cells_at(
         source: The text.
         file: Its number in the program.
         spans: Where they stand.
-        units: What one of each is in SI; 0 of a quaternion's.
+        units: One unit of each in SI; 0 for a quaternion's.
 
     Raises:
         DataError: A number that no machine reads.

@@ -234,7 +234,7 @@ def _driven_positions(robot: Robot, nominal: Robot, sent: Goals, near: FloatArra
 
     Args:
         robot: The robot.
-        nominal: What the controller knows.
+        nominal: The robot that the controller knows.
         sent: The positions.
         near: Joints from which the controller comes, (n, 3) [m or rad].
     """

@@ -23,7 +23,7 @@ class Visit:
 
     Attributes:
         where: The file and the line that goes there.
-        text: What stands there.
+        text: The text there.
         place: Where its numbers stand; None: nowhere.
         target: The target; None: it cannot be compensated.
         why: Why it cannot.

@@ -67,7 +67,7 @@ class Compensation(ReadOnlyArrays):
 
     Attributes:
         names: Pose name of each row.
-        labels: What to call each in messages.
+        labels: Name of each in messages.
         target: The target that it is about.
         keep: The kept components of poses, of `KEEP`.
         program: Joints with which the nominal robot reaches the goals, (n, n_actuated) [m or rad]; NaN where none.
@@ -80,7 +80,7 @@ class Compensation(ReadOnlyArrays):
         low95, high95: The distance lies between them in 95 of 100 cases, (n,) [m].
         before_angle, expected_angle, low95_angle, high95_angle: The same for the orientation if the pose is kept,
             for the z axis if only that is kept, (n,) [rad]; NaN if only the position is kept.
-        scale: What one radian of each joint is compared with, (n_actuated,).
+        scale: Scale of each joint: 1 rad, or its length, (n_actuated,).
         frame: The frame of the goals and errors, in words.
         nothing_to_correct: Whether the program was left as it is, because the verdict is that nothing is to be
             corrected; `expected` is then the error of the calibrated robot.
@@ -164,7 +164,7 @@ def compensate(
             brings a target, in the measurement frame as the nominal description has it; or poses as `robot.forward`
             gives them of the nominal robot for that target, (n, 4, 4) or (4, 4), but (4, 4) of a robot with four joints
             are joint values.
-        keep: What to keep of a program of joints, one of `KEEP`; if not given, the pose if the joints can reach any.
+        keep: Kept components of a program of joints, one of `KEEP`; if not given, the pose if the joints can reach any.
 
     Raises:
         InputError: `keep` is not one of `KEEP`, or is given with goals, which state it themselves.
@@ -189,7 +189,7 @@ def compensate_in(frame: CorrectionFrame, program: Poses | Goals, keep: str | No
     Args:
         frame: In which it is meant.
         program: Joints of the nominal robot, or goals.
-        keep: What of a program of joints is kept.
+        keep: Kept components of a program of joints.
     """
     with compile_for(_CLOSINGS * len(program) if frame.nominal.mechanism.loops else 0):
         if isinstance(program, Goals):

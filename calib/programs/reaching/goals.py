@@ -36,7 +36,7 @@ class Goals:
         rotations: Orientation of the target's link, (n, 3, 3), or None.
         directions: Direction of the z axis of the target's link, (n, 3), or None; made unit vectors.
         names: Pose name of each; a running number if not given.
-        labels: What to call each one in messages.
+        labels: Name of each in messages.
         target: Name of the measured point; the robot's first if empty.
         context: Conditions, as of `Poses`, (n,) [SI] by name.
         approach: Direction from which each joint comes, +1 or -1, (n, n_actuated); None: not known.

@@ -46,7 +46,7 @@ class Solution(ReadOnlyArrays):
         miss_position: Distance from the goal, (n,) [m].
         miss_angle: Angle from the orientation or direction of the goal, (n,) [rad]; 0 where there is no goal.
         positions: Where the target is at `q`, (n, 3) [m].
-        labels: What to call each goal in messages.
+        labels: Name of each goal in messages.
         expected: How far the real robot is expected to be off. Where the verdict is that nothing is to be corrected, it
             is the nominal robot that reaches the goals, and this is the error of the calibrated one.
     """
@@ -213,7 +213,7 @@ def with_tilts(
         robot: The robot.
         reach: The problem.
         index: Which goals, (n,).
-        solution: What was found for them.
+        solution: Their solution.
         context: The conditions of each.
     """
     for _ in range(_ROUNDS if np.any(reach.fixed_joints) and robot.terms else 0):

@@ -40,7 +40,7 @@ class Proportional:
     """phi = factor x, one column; with a knee h, phi = factor x / sqrt(x^2 + h^2): the sign of x, but smooth.
 
     Attributes:
-        source: What x is.
+        source: The quantity x.
         place: Index of the joint, where there is a number for each.
         factor: Factor of x.
         knee: h, in the unit of x; 0: phi is proportional to x.

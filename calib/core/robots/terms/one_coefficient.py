@@ -33,7 +33,8 @@ class OneCoefficient(JointTerm):
     """A term with one coefficient, dq = c phi, named after its joint and the term.
 
     Attributes:
-        source: What phi is proportional to, of the term's own joint if there is one for each (class attribute).
+        source: Quantity that phi is proportional to, for the term's own joint if there is one for each (class
+            attribute).
         factor: By which factor (class attribute).
         word: Last part of the coefficient's name (class attribute).
         expected_angle: Expected size of the coefficient of a joint that turns, where nothing is stated [rad] (class

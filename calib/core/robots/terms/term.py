@@ -57,7 +57,7 @@ class Condition:
     Attributes:
         words: Its name in words.
         column: Column of a file with its values; empty: no column, or one for each joint.
-        dimension: What the column measures; None: it is a pure number.
+        dimension: Dimension of the column; None: a pure number.
     """
 
     words: str

@@ -82,7 +82,7 @@ class MjcfRobot:
         loops: Cut open in the URDF.
         springs: Joints with a spring and no actuator.
         home: Value of each joint in the file [m or rad].
-        remarks: What the URDF does not hold.
+        remarks: Features that the URDF does not hold.
     """
 
     source: bytes

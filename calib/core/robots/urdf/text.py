@@ -66,7 +66,7 @@ class UrdfText:
         joints: Joints in file order.
         root_span: Bytes of the `<robot>` start tag.
         end: Byte at which `</robot>` starts.
-        mjcf: What else was said where the file is MuJoCo's or Gazebo's: motors, loops.
+        mjcf: Motors and loops where the file is MuJoCo's or Gazebo's.
     """
 
     source: bytes
@@ -181,7 +181,7 @@ def require_supported(joints: Iterable[UrdfJoint], where: str) -> None:
     """Raise `DescriptionError` for a floating or planar joint: it moves, and no joint value says where it is.
 
     Args:
-        joints: Those that lie between what is measured and where it is measured from.
+        joints: Joints between the frames of the instruments.
         where: For the message.
     """
     for joint in joints:

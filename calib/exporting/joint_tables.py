@@ -1,7 +1,7 @@
 """Joint correction tables: where each joint is at each command, for controllers without a model.
 
 A table has equal steps, with linear interpolation between them. That is off by at most h^2 / 8 times the largest second
-derivative of the joint's error, of which every term knows a bound; the step h is chosen so that this stays below
+derivative of the joint's error, whose bound every term knows; the step h is chosen so that this stays below
 `TOLERANCE`. A table reaches over the joint's limits in the URDF (two turns about zero where there are none), and a
 little further, so that the way back (which command gives a wanted value) holds at the limits too. Outside, nothing
 is known.

@@ -87,7 +87,7 @@ FORMATS = (
     OtherFormat(
         "numbers without names, as np.savetxt writes them",
         "every line has numbers alone",
-        "columns are 1, 2, 3, ..., of which `columns` says what they stand for",
+        "columns are named 1, 2, 3, ...; `columns` says what they stand for",
         lambda file: text.has_only_numbers(file) and "1" in file.renamed,
         text.numbered_lines,
     ),

@@ -3,8 +3,8 @@
 A robot that was repaired, that fell, or that is of another make would be pulled towards the others, and its noise would
 seem larger than it is, which hides that. So it is fitted first as if there were no fleet, and what its readings tell is
 compared with what the fleet leads to expect, as results of a fleet are compared with each other
-(`calib.fleets.hierarchy`). The parameter that is least likely loses what the fleet says of it, and is expected where
-the description has it, until the rest is likely; beyond a quarter of the parameters the whole fleet is left out.
+(`calib.fleets.hierarchy`). The least likely parameter loses the fleet's prior and keeps the description's,
+until the rest is likely; beyond a quarter of the parameters the whole fleet is left out.
 
 Where few readings leave that fit no degree of freedom, it has the fleet's prior, but several times as wide; either way
 what a prior says is taken out of the comparison.

@@ -22,7 +22,7 @@ _ROBOT_SHARE = 0.5
 _MM = 1e3
 WIDE = 0.05
 """Half width of a 95 % interval of camera or board, over the distance between them, or in radians, from which nobody
-knows where it is: a turn by so much moves what the camera sees by as much as such a shift. Good photographs give
+knows where it is: such a turn moves what the camera sees by as much as such a shift. Good photographs give
 less than a third of that."""
 _CLAIM_ABOVE = 0.5  # images left out over those used: where they differ more, the images are too few
 

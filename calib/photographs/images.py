@@ -181,7 +181,7 @@ def _raw_image(message: Any) -> GreyImage:
 
 
 def with_joints(photographs: Sequence[Shot]) -> list[Shot]:
-    """Return images of which all have joint values or none: those without come as words where others have some.
+    """Return images that all have joint values, or none: where some have them, the others come as words.
 
     Raises:
         DataError: Bags of different robots.

@@ -222,7 +222,7 @@ def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:
 
 
 def _change_in_words(change: FloatArray) -> str:
-    """A change of camera and marker, (12,) [m, rad], of which the largest part is 1 mm or 1 deg."""
+    """A change of camera and marker, (12,) [m, rad]; its largest part is 1 mm or 1 deg."""
     names = [f"{name} {part}" for name in ("camera", "marker") for part in COMPONENTS]
     units = np.tile(np.repeat([1e3, np.rad2deg(1.0)], 3), 2)
     sizes = change * units / np.max(np.abs(change * units))

@@ -50,7 +50,7 @@ class CandidateSubset:
         return self.setting is not self.all_candidates
 
     def numbers_of(self, candidates: IntArray) -> IntArray:
-        """Return the numbers in here of candidates of the whole, none of which is left out, (n,)."""
+        """Return the numbers in here of candidates of the whole, (n,); none of these may be left out."""
         result: IntArray = np.searchsorted(self.index, candidates)
         return result
 

@@ -47,7 +47,7 @@ TASK = "task"
 """Name of the task index where an index is chosen."""
 _PART = 8192  # candidates at once
 DETERMINED = 1e-10
-"""A direction of which a choice has less than this part of the information of all candidates is not determined."""
+"""A direction is not determined if a choice has less than this part of the information of all candidates."""
 
 
 @dataclass(frozen=True, eq=False)

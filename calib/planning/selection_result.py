@@ -34,8 +34,8 @@ class Selection(ReadOnlyArrays):
     Attributes:
         index: Optimised index: O1 to O5 or `task`.
         chosen: Indices of the chosen candidates, (count,).
-        instruments: Instruments that read at each, joined by `+`, (count,); empty if all read at all poses.
-        groups: Instruments to choose from; empty if all read at all poses. Exchanges number the poses with the first,
+        instruments: Instruments that read at each, joined by `+`, (count,); empty if all read at every pose.
+        groups: Instruments to choose from; empty if all read at every pose. Exchanges number the poses with the first,
             then those with the next.
         joints: Poses to measure, (count, n_actuated) [m or rad].
         positions: Positions of the targets there, (count, n_targets, 3) [m].

@@ -67,7 +67,7 @@ class _Setting:
         repeated: Calibrates like the first time.
         prediction_joints: Joint values of poses to predict, (n, n_actuated) [m or rad].
         prediction_passive: Passive joints there, (n, n_passive) [m or rad].
-        compiled: Whether there is so much to do that loading compiled code is worth it.
+        compiled: Whether there is enough to do that loading compiled code is worth it.
         seed: Seed of the whole study; draws have those spawned from it.
     """
 

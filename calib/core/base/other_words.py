@@ -67,7 +67,7 @@ def hint_for(word: str, section: str) -> str:
 
 
 def _row(word: str, section: str, spelling: Callable[[str], str]) -> Words | None:
-    """The row of the table that has a word, of which spellings count as the same that this function makes the same."""
+    """The row of the table that has a word. Spellings count as the same if this function makes them the same."""
     spelled = spelling(word)
     return next((row for row in tables().get(section, ()) if spelled in map(spelling, row.words)), None)
 

@@ -71,7 +71,7 @@ class Parameter:
 
 
 class Parameters(tuple[Parameter, ...]):
-    """Parameters in their order, one of which is taken by its number or its name."""
+    """Parameters in their order; each is found by its number or its name."""
 
     def _own_parameters(self) -> list[str]:
         return [parameter.name for parameter in self]

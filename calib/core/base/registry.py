@@ -56,7 +56,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         group: Group of the entry points.
         base: Base class of each.
         built_in: This package's.
-        either: Methods of `base`, of which a class must define one.
+        either: Methods of `base`; a class must define one of them.
     """
 
     def __init__(

@@ -105,7 +105,7 @@ class FrameSection(Section):
 
 
 class PlaceSection(FrameSection):
-    """A frame on a link, of which position and orientation are known or not.
+    """A frame on a link; position and orientation are each known or not.
 
     Attributes:
         position: `known`: it is right there; `unknown`: found from the measurements, starting from `xyz`.
@@ -136,7 +136,7 @@ class PlaceSection(FrameSection):
 
 
 class PosedSection(FrameSection):
-    """A frame on a link, of which the whole pose is known or not.
+    """A frame on a link whose pose is known or not.
 
     Attributes:
         pose: `known`: it is right there; `unknown`: found from the measurements, starting from there.
@@ -231,7 +231,7 @@ PositiveLengthOrUnknown = Annotated[LengthOrUnknown, AfterValidator(_positive)]
 
 
 class _Loader(yaml.SafeLoader):
-    """The YAML that is read here: no key twice, of which YAML silently keeps the last, and no boundless aliases."""
+    """The YAML that is read here: without boundless aliases, and without a key twice (YAML silently keeps the last)."""
 
     def compose_document(self) -> yaml.Node | None:
         """Return the nodes of a document; aliases that make much more of it, or contain themselves, are an error."""

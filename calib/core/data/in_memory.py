@@ -125,7 +125,7 @@ def _as_measurements(robot: Robot, given: object) -> Measurements:
 
 
 def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measurements:
-    """Return measurements of which every row states the noise of its positions.
+    """Return measurements whose rows all state the noise of their positions.
 
     Args:
         robot: Its instruments say what else is read, and how well that is known.

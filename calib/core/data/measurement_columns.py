@@ -59,7 +59,7 @@ def condition_columns(
 
 
 def approach_columns(robot: Robot, approach: FloatArray | None) -> dict[str, list[object]]:
-    """Return directions of approach (n, n_actuated) where they are given, of the joints of which any is known.
+    """Return directions of approach (n, n_actuated), for joints with at least one known direction.
 
     A column says that they are given, also where none is known.
     """

@@ -24,7 +24,7 @@ _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (code
 
 @dataclass(frozen=True)
 class SomeFile:
-    """A file, of which the head is read first.
+    """A file whose head is read first.
 
     Attributes:
         path: The file.

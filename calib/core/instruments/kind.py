@@ -92,7 +92,7 @@ class Place:
 
 
 def placed(name: str, section: PlaceSection | PosedSection, unknown: tuple[Component, ...] | None = None) -> Place:
-    """Return what a description says of a place, as a place of this name.
+    """Return a place of this name as the description states it.
 
     Args:
         name: Its name.
@@ -416,7 +416,7 @@ class FrameInstrument(Instrument, ABC):
         return None
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
-        """Return first guesses at what is unknown, the best of which is kept; none where there is nothing to guess.
+        """Return first guesses at what is unknown; the best is kept. None if there is nothing to guess.
 
         Measurement frame and targets that points show are placed before (`calib.core.rows.registration`).
         """

@@ -123,7 +123,7 @@ def has_time(data: Poses) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Effects:
-    """Effects of one kind on one thing, of which each adds B (x) F: every column of B times every factor of F.
+    """Effects of one kind on one thing; each adds B (x) F: every column of B times every factor of F.
 
     Attributes:
         kind: Which one.
@@ -198,9 +198,9 @@ def powers(turned: NDArray[np.complex128], count: int) -> NDArray[np.complex128]
 def wave_orders(phase: FloatArray) -> range:
     """Return the numbers of cycles that count of a joint with these phases of one cycle, (n_visits,) [rad].
 
-    Only orders of which the joint went through half a cycle count: the height of less is not known. Of joint values on
-    a grid (every 5 degrees), an order is at all poses the same as a lower one beyond half the cycles of the grid in a
-    turn (36): only the lower one counts.
+    An order counts only if the joint went through half a cycle of it: otherwise its height is not known. If joint
+    values lie on a grid (every 5 degrees), an order above half the grid's cycles in a turn (36) is the same at all
+    poses as a lower one: only the lower one counts.
     """
     reach = float(np.ptp(phase))
     if reach == 0:

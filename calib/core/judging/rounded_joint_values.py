@@ -44,7 +44,7 @@ class Rounding:
     Attributes:
         steps: Steps of the joints that have any, in words.
         part: Part of the noise, squared, that rounding to them makes.
-        chance: Chance of residuals that scatter so much along the joints without it.
+        chance: Chance that residuals scatter as much along the joints without rounding.
     """
 
     steps: str

@@ -31,7 +31,7 @@ ELSEWHERE = 0.2
 """Errors of the nominal robot with base or targets placed by the data, over those where they are stated, if they are
 elsewhere."""
 NEAR = 0.1
-"""The same errors, over the spread of the measured positions, up to which the robot fits at all."""
+"""The largest of the same errors, over the spread of the measured positions, of a robot that fits."""
 BELIEVED = 0.5
 """Weight of a robust loss from which a reading counts."""
 AT_END = 0.55

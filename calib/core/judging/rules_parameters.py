@@ -59,7 +59,7 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
     Where priors share an error between parameters that the data cannot tell apart, each moves by less than the error: a
     deviation u scatters by the root of the share that the data decide, so that is what it is compared with. Without a
     prior, noise alone moves a parameter too: two standard deviations of that are allowed for. The place of a target is
-    never impossible: what the description says of it may be no more than a guess.
+    never impossible: its place in the description may be no more than a guess.
     """
     far, impossible = [], []
     for parameter, away in _deviations(fit):

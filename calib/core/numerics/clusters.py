@@ -69,7 +69,7 @@ class Scatter(ReadOnlyArrays):
         """Return the ratio over that of the smaller blocks within, and the chance of it.
 
         Args:
-            finer: Of blocks, several of which make one of these.
+            finer: Scatter of smaller blocks; several make one of these.
         """
         ratio = self.ratio / finer.ratio
         return ratio, float(scipy.special.fdtrc(self.total_freedom, finer.total_freedom, ratio**2))

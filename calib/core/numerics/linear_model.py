@@ -5,7 +5,7 @@ Unknowns are scaled, u = (p - p_expected) / s; d is their change from where they
 
     factor       the triangular factor of [J r], from which all sums over rows follow
     known        what rows and priors determine, with T T^T = (J^T J + P^T P)^-1
-    span         U = J T, of which leverages are the squares
+    span         U = J T; leverages are sums of its squares
     left_out     the model with blocks of rows left out in turn (`calib.core.numerics.clusters`)
 """
 
@@ -52,7 +52,7 @@ class LinearModel:
         jacobian: J, by the scaled free parameters, (n_rows, n_free).
         prior: Prior of these.
         deviations: u there, (n_free,).
-        layout: Which row is of which group.
+        layout: Group of each row.
     """
 
     residuals: FloatArray

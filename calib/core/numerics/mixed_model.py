@@ -43,8 +43,8 @@ Another row, of derivatives b by the components, has the variance  b S A^-1 S b^
 predicted by all others: with Q_kk the block of its rows, the error of that is Q_kk^-1 (Q y)_k, and its covariance
 Q_kk^-1, the noise of the pose included.
 
-When it fails. What is far from linear, and families of which the sizes are as large as the rows are (`size_search` has
-priors for them). A family of a size says: its coefficients are about as large as each other.
+When it fails. Far from the linear model, and where the sizes of families are as large as the rows (`size_search` has
+priors for them). A family with one size has coefficients that are about as large as each other.
 
 Reference: patterson1971; harville1977; mackay1992.
 """

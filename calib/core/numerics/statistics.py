@@ -223,7 +223,7 @@ class ChiSquare:
 
 
 def chi_square(factor: float, freedom: float) -> ChiSquare:
-    """Compare a found noise with the stated one, of which it is `factor`."""
+    """Compare a found noise with the stated one; `factor` is their ratio."""
     value = freedom * factor**2
     return ChiSquare(
         value, freedom, float(scipy.special.chdtrc(freedom, value)), float(scipy.special.chdtr(freedom, value))

@@ -94,7 +94,7 @@ class Accuracy:
 
 @dataclass(frozen=True, eq=False)
 class FileRobot(ReadOnlyArrays):
-    """The robot for files that hold so much of one.
+    """The robot for files of one kind (`Holds`).
 
     Attributes:
         values: Values of all its parameters, by name [SI]; none where it is the nominal robot with joint zeros.

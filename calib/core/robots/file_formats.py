@@ -40,7 +40,7 @@ class Format:
     Attributes:
         name: As `calib export --format` has it.
         holds: How much of a robot it holds.
-        fits: Whether it can hold a robot with its loops and terms at all.
+        fits: Whether it can hold a robot with its loops and terms.
         write: The robot with its current values and lines for the comment in, the file out; raises `InputError` where
             it does not fit. None: the format is one of `calib.exporting.formats`.
         comment: How comments of its files begin, if not as in tables or XML.
@@ -59,7 +59,7 @@ def formats() -> dict[str, Format]:
 
 
 def formats_that_hold(holds: Holds, robot: Robot) -> list[str]:
-    """Return the formats that hold so much of a robot, and can hold one with its loops and terms at all."""
+    """Return the formats of this kind that can hold a robot with its loops and terms."""
     return [name for name, each in formats().items() if each.holds is holds and each.fits(robot)]
 
 
@@ -101,13 +101,13 @@ def robot_for(robot: Robot, file_format: str, *, force: bool = False) -> Robot:
 
 
 def loses(robot: Robot, holds: Holds) -> bool:
-    """Whether a file that holds so much must state a limit: what it loses, or that it was forced."""
+    """Whether such a file must state a limit: what it loses, or that it was forced."""
     known = robot.files.get(holds)
     return bool(lost_by(robot, holds)) or (known is not None and bool(known.withheld))
 
 
 def remarks_on_file(robot: Robot, holds: Holds) -> list[str]:
-    """Return the remarks in a file that holds so much of a robot: what it loses, and its error, as far as known."""
+    """Return the remarks in such a file of a robot: what it loses, and its error, as far as known."""
     lost, known = lost_by(robot, holds), robot.files.get(holds)
     if known is None:
         without = f"joint terms of {listing(lost)}, which are not in this file"

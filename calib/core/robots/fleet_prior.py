@@ -2,7 +2,7 @@
 
 Robots of a fleet differ in every parameter by its spread s_k, each by itself, from a mean that is itself known only so
 well. In units of the spreads, the mean is unsure by G z with z ~ N(0, I): a column of G is one combination of
-parameters that the fleet leaves open, a row is what `unsure` says of one parameter. So one more robot of the model is
+parameters that the fleet leaves open, a row is `unsure` of one parameter. So one more robot of the model is
 
     p_k = nominal_k + offset_k + s_k u_k,        u ~ N(0, I + G G^T)
 

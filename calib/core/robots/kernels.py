@@ -93,7 +93,7 @@ def tree(mechanism: Mechanism, reduced: JointSubset) -> Tree:
 
 
 def loops(mechanism: Mechanism, reduced: JointSubset) -> Loops:
-    """Return the loops of a mechanism, none of which constrains directions, by its joints that count."""
+    """Return the loops of a mechanism by its joints that count; no loop constrains directions."""
     (a, b, axis), select = mechanism.loop_rows.T, mechanism.select_moving[reduced.joints]
     factor, leader = select.sum(axis=1), np.argmax(select != 0.0, axis=1)  # a joint follows one coordinate at most
     signs = np.ascontiguousarray(mechanism.loop_signs[:, reduced.joints])
@@ -154,7 +154,7 @@ def _dot(row: FloatArray, V: FloatArray) -> float:
 def _add_slopes(
     tree: Tree, loops: Loops, T: FloatArray, rows: FloatArray, signs: FloatArray, V: FloatArray, C: FloatArray
 ) -> None:
-    """Add the derivative of rows, of which joints move what signs say, by the first coordinates to C (n_rows, n)."""
+    """Add the derivative of rows by the first coordinates to C (n_rows, n); signs say which rows a joint moves."""
     for j in range(len(loops.leader)):
         c = loops.leader[j]
         if c < 0 or c >= C.shape[1]:

@@ -10,8 +10,8 @@ to its minimum it does: a limit would be a wall there, behind which the minimum 
 The home configuration itself must close and be regular; it decides the assembly mode (`check_home`).
 
 When it fails. A pose without a solution, or one that no way reaches without passing a singularity, is not closed, and
-it is said why: a loop stays open, a passive joint passes its limit, or the assembly mode differs. Closures must be as
-many as passive joints and independent at home.
+the error says why: a loop stays open, a passive joint passes its limit, or the assembly mode differs. Closures must be
+as many as passive joints and independent at home.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ def build_mechanism(
 
 
 def tilted_joints(description: Description) -> tuple[str, ...]:
-    """Return the actuated joints of which a term tilts the link behind."""
+    """Return the actuated joints with a term that tilts the link behind them."""
     named = {section.joint for section in description.terms if TERMS[section.term].tilts}
     return tuple(name for name in description.name_mot if named & {name, "all"})
 

@@ -63,7 +63,7 @@ def build_parametrisation(
 def _without_names(
     description: Description, urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...], where: str
 ) -> Parametrisation:
-    """The parametrisation before what `prior` says of single parameters."""
+    """The parametrisation without the `prior` of single parameters."""
     origins = _nominal_origins(urdf, mechanism, places)
     unknown = [entry for place in places for entry in _unknown_components(place, mechanism.origin(place.name))]
     inverted = frozenset(mechanism.origin(place.name) for place in places if place.inverted)

@@ -1,4 +1,4 @@
-"""The frames in which places are meant, the calibrated robot in them, and the uncertainty of its positions there.
+"""The frames of places, the calibrated robot in them, and the uncertainty of its positions there.
 
 The frame of a program. Where the base is known, and some instrument looks from a known place, a program is meant in
 the measurement frame: all that the robot's links are off there counts. What cannot be told from the place of a measured
@@ -10,11 +10,11 @@ robot agree best over the poses that were measured (`calib.core.rows.common_moti
 point whose place on its link is unknown is laid on the nominal robot's link. So no error is corrected that base or tool
 may as well have, and none is counted.
 
-The measurement frame. Goals that are meant where the instruments see them are places of the measured point itself, in
+The measurement frame. Goals in the measurement frame are places of the measured point itself, in
 the frame in which it was measured, wherever the calibration found base and target.
 
 What a fit gave an error of the robot, and readings would as well have where the measured point is on its link, is not
-corrected. Where a program is meant in the measurement frame, it is counted: the robot is most likely off by it.
+corrected. If a program is in the measurement frame, it is counted: the robot is most likely off by it.
 
 With d the error of the parameters and J' the derivative of positions by them, these are off by J' d: in the measurement
 frame with all parameters; of a program there with those of the robot itself; and in its own base frame beside the
@@ -46,7 +46,7 @@ _MOST = 400  # poses over which robots agree
 
 @dataclass(frozen=True, eq=False)
 class CorrectionFrame(ReadOnlyArrays):
-    """A calibrated robot and the frame in which places are meant. Both robots are seen from the measurement frame.
+    """A calibrated robot and the frame of its places. Both robots are seen from the measurement frame.
 
     Attributes:
         known: The calibrated robot with its uncertainty.

@@ -83,7 +83,7 @@ def observe(
         configurations: Its assembled visits.
         readings: Readings of each instrument, by name; visits are indices into the configurations.
         joints: Whether derivatives by the actuated joints are wanted too.
-        derivatives: Whether derivatives are wanted at all.
+        derivatives: Whether derivatives are wanted.
         index: By which parameters they are wanted, (k,), if not by all: those by the other ones are left 0.
     """
     mechanism = robot.mechanism
@@ -282,7 +282,7 @@ def planned_readings(robot: Robot, poses: Poses) -> dict[str, Readings]:
 
 
 def touches_without_target(robot: Robot, poses: Poses) -> list[Instrument]:
-    """Return the instruments that touch, and of which poses do not say what."""
+    """Return the touching instruments whose poses do not say what they touch."""
     planned = poses.planned.keys() | (poses.readings.keys() if isinstance(poses, Measurements) else set())
     return [instrument for instrument in robot.instruments if instrument.touches and instrument.name not in planned]
 

@@ -149,7 +149,7 @@ class RobotFacts(ReadOnlyArrays):
 
 
 def facts_of(robot: Robot) -> RobotFacts:
-    """Return the facts of a robot with its current values, of which functions can be written.
+    """Return the facts of a robot with its current values, for functions that can be written.
 
     Raises:
         ComputationError: No configuration is known at which the loops close.

@@ -154,7 +154,7 @@ def find_dialect(path: Path | str, lines: Iterable[str], name: str | None = None
 
     Args:
         path: The file; `.nc` and `.ngc` are programs of milling machines.
-        lines: Its lines, some of which may say so: the flavour that slicers note, or a command that only Klipper has.
+        lines: Its lines: they may name the flavour that slicers note, or have a command that only Klipper has.
         name: The firmware, if it is known.
 
     Raises:

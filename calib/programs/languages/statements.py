@@ -176,7 +176,7 @@ class Statements(ABC):
         return stop
 
     def branch(self, at: int, behind: int) -> int:
-        """Begin branches, the first of which may be passed over."""
+        """Begin branches; the first may be passed over."""
         self.flow.open_choice(self.code.tokens[at].text, self.code.line(at))
         return self.pass_over(at, behind)
 

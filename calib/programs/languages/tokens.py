@@ -57,7 +57,7 @@ class ProgramWords:
         source: The text.
         words: Pattern of its words.
         fold_case: Whether case does not count.
-        lines: What ends of lines are: `blank`; or ends of statements, `outside` of brackets, or of which brackets hold
+        lines: Meaning of an end of line: `blank`; or end of a statement, `outside` of brackets, or where brackets hold
             none (`all`).
         ends: Marks that end a statement outside of brackets.
         part: Which part of the text to read.

@@ -101,6 +101,6 @@ def _differs(first: Visit, visit: Visit) -> bool:
 
 
 def _join_visits(group: Sequence[Visit]) -> ProgramTarget:
-    """The target of visits that are alike; what one of them says of joints to be near to counts."""
+    """The target of equal visits, near the joints that the first of them states."""
     targets = [visit.target for visit in group if visit.target is not None]
     return replace(targets[0], near=next((target.near for target in targets if target.near), ()))

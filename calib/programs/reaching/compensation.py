@@ -187,7 +187,7 @@ def compensate_in(frame: CorrectionFrame, program: Poses | Goals, keep: str | No
     """Compensate a program in a frame; see `compensate`.
 
     Args:
-        frame: In which it is meant.
+        frame: Its frame.
         program: Joints of the nominal robot, or goals.
         keep: Kept components of a program of joints.
     """

@@ -1,6 +1,6 @@
 """The expected distance of a target from its goals, at commands that were found for them.
 
-In the frame in which the goals are meant (`calib.core.rows.frames`). An error is normal, its covariance that of the
+In the frame of the goals (`calib.core.rows.frames`). An error is normal, its covariance that of the
 predicted position; its mean is what the calibrated robot is off at the command, as far as that was not corrected.
 """
 
@@ -30,7 +30,7 @@ class ExpectedError(ReadOnlyArrays):
         distance95: The distance lies between them in 95 of 100 cases, (2, n) [m].
         angle: Root mean square angle from the orientation or z axis of the goal, (n,) [rad]; NaN where none is.
         angle95: The same limits, (2, n) [rad].
-        frame: In which frame the goals are meant, in words.
+        frame: Frame of the goals, in words.
         nothing_to_correct: Whether commands are those of the nominal robot, because the verdict is that nothing is to
             be corrected.
     """
@@ -58,7 +58,7 @@ class ExpectedError(ReadOnlyArrays):
         """Return them.
 
         Args:
-            frame: In which the goals are meant.
+            frame: Frame of the goals.
             goals: The goals, n of them.
             commands: Joints for some of them, (n_rows, n_actuated) [m or rad].
             rows: Which ones, (n_rows,).

@@ -118,7 +118,7 @@ def solve(
 
     Raises:
         InputError: `calibrated` is not a robot, or the goals are joint values.
-        DataError: Unknown target, `near` of the wrong shape, or positions of which only some have a NaN.
+        DataError: Unknown target, `near` of the wrong shape, or a position with NaN in some of its coordinates.
     """
     frame = measurement_frame(known_robot(calibrated))
     robot, goals = frame.meant if frame.nothing_to_correct else frame.robot, _goals(goals)
@@ -138,7 +138,7 @@ def solve(
 
 
 def _goals(goals: Goals | ArrayLike) -> Goals:
-    """Goals as such, of which positions alone all ask for the same coordinates."""
+    """Goals without a program; goals that are positions all ask for the same coordinates."""
     if isinstance(goals, Poses):
         raise InputError("goals: are joint values; give positions (n, 3) [m], or calib.Goals")
     if isinstance(goals, Goals):

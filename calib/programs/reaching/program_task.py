@@ -53,7 +53,7 @@ def task_of_joints(meant: Robot, program: Poses, keep: str | None) -> ProgramTas
     """Return the task of a program that gives joint values of the nominal robot.
 
     Args:
-        meant: The nominal robot, in the frame in which the program is meant.
+        meant: The nominal robot, in the frame of the program.
         program: The joint values.
         keep: One of `KEEP`; None: the pose if the joints can move the target in all directions, else the position.
 
@@ -112,7 +112,7 @@ def task_of_goals(nominal: Robot, meant: Robot, program: Goals) -> ProgramTask:
 
     Args:
         nominal: The robot of the description, which the controller assumes.
-        meant: The nominal robot, in the frame in which the program is meant.
+        meant: The nominal robot, in the frame of the program.
         program: The goals, in the frames of the description.
 
     Raises:

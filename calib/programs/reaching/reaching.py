@@ -79,7 +79,7 @@ class GoalConfigurations(ConfigurationRows):
 
     @classmethod
     def unknown(cls, actuated: FloatArray, passive: FloatArray) -> GoalConfigurations:
-        """Return configurations, (n, n_driven) and (n, n_passive), of which no distance is known yet."""
+        """Return configurations, (n, n_driven) and (n, n_passive), whose distances are not known yet."""
         return cls(actuated, passive, np.full(len(actuated), np.inf))
 
 

@@ -15,7 +15,7 @@ from calib.core.robots.robot_files import lost_by
 
 
 def files_of(fit: Fit) -> dict[Holds, FileRobot]:
-    """Return the robots that files of a fit get, as far as there are such files of this robot."""
+    """Return the robot for each kind of file that this robot has."""
     nowhere = () if formats_that_hold(Holds.TO_LAST_AXIS, fit.nominal) else (Holds.TO_LAST_AXIS,)
     known = {holds: fit.robot.files.get(holds) for holds in Holds if holds not in nowhere}
     return {holds: file_robot for holds, file_robot in known.items() if file_robot is not None}

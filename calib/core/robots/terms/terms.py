@@ -60,7 +60,7 @@ def condition_columns(terms: Iterable[JointTerm] = ()) -> dict[str, Dimension | 
     Those of a term that cannot be loaded are left out: whoever names the term gets the reason.
 
     Args:
-        terms: A robot's, some of which read columns of their own.
+        terms: A robot's joint terms; some read columns of their own.
     """
     columns = dict(CONTEXT) | dict.fromkeys(column for term in terms for column in term.reads())
     for name in TERMS:

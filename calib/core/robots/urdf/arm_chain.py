@@ -1,7 +1,7 @@
 """The chain of a URDF that is the arm, if the link that carries the measured point is not named.
 
 The arm is the chain with the most motors, without the fingers of a gripper. Where several are as long, the first in the
-file is taken. Fingers are known by structure first: two or more joints on one link of which the longest two reach about
+file is taken. Fingers are known by structure first: two or more joints on one link whose longest two reach about
 as far, and all reach less than a third of the way from the arm's first joint to there. (In the robots that Pinocchio's
 example-robot-data has, hands reach up to a quarter of that way, the arms of a torso more than twice as far.) A gripper
 of which one joint alone moves looks like a last axis; there names decide: the last joint and its link are both called

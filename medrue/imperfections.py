@@ -121,7 +121,7 @@ class ImperfectRobot:
     rail: RailErrors = STRAIGHT
 
     def positions(self, joints: FloatArray, approach: FloatArray) -> FloatArray:
-        """Where the tool really is, in the world, (n, 3) [m].
+        """True positions of the tool in the world, (n, 3) [m].
 
         Args:
             joints: Commands, (n, 6) [m, rad].

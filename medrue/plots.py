@@ -144,7 +144,7 @@ def _error_axes(axes: Axes, legend: str | None = None) -> None:
 
 @with_style
 def spread_figure(names: tuple[str, ...], errors: FloatArray, floors: FloatArray, title: str) -> Figure:
-    """How the error of every choice of poses scatters over the draws.
+    """Scatter over the draws of the error of every choice of poses.
 
     Theory bounds the mean square over the draws, not the root of each draw's, whose mean is smaller. So the root of
     that mean square is drawn too, with the bound.

@@ -180,7 +180,7 @@ def _check_ur(robot: Robot, chain: SerialChain) -> None:
 
 
 def _mount(robot: Robot, nominal: SerialChain) -> pin.SE3:
-    """Where the link that the shoulder stands on is in the base, nominal."""
+    """Nominal pose in the base of the link that the shoulder stands on."""
     shoulder = nominal.joints[0]
     return nominal.links[0] * robot.nominal.placement(shoulder.name).inverse()
 

@@ -40,7 +40,7 @@ _UNLIMITED = {"length": 1.0, "angle": np.pi}  # taken as a joint's limit where i
 
 @dataclass(frozen=True)
 class Gap:
-    """How far the two frames of a closure are apart in one direction that it leaves free.
+    """Distance of the two frames of a closure in one direction that it leaves free.
 
     Attributes:
         name: Name of the closure.

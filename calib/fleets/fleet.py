@@ -204,7 +204,7 @@ class Fleet(ReadOnlyArrays):
 
 
 def _first(order: FloatArray, always: BoolArray | Literal[False] = False) -> list[int]:
-    """Which to show on a screen: the smallest of `order` and those that are shown always, in their own order."""
+    """Numbers of the items for a screen: the smallest of `order` and those always shown, in their own order."""
     rank = np.argsort(np.argsort(order, kind="stable"))
     return [int(k) for k in np.flatnonzero((rank < _SCREEN) | always)]
 
@@ -396,7 +396,7 @@ def _member(
 
 
 def _confirmed_freedom(results: Sequence[LoadedResult]) -> float:
-    """With how many degrees of freedom results confirm the noise that is stated; 0 where they contradict it."""
+    """Degrees of freedom with which results confirm the stated noise; 0 where they contradict it."""
     contents = [result.content for result in results]
     stated = [content for content in contents if content.get("sigma_stated") and content["sigma"] is not None]
     freedom = np.array([float(content["degrees_of_freedom"]) for content in stated])

@@ -133,7 +133,7 @@ def _without_others(fit: TwinFit) -> TwinFit:
 
 
 def _places(fit: TwinFit, stated: tuple[bool, bool]) -> tuple[str, str]:
-    """Where base and tool are, in words."""
+    """Places of base and tool, in words."""
     description, name = fit.robot.description, fit.robot.target_names[0]
     texts = []
     for what, frame, known, given, place in (
@@ -152,7 +152,7 @@ def _places(fit: TwinFit, stated: tuple[bool, bool]) -> tuple[str, str]:
 
 
 def _stock_misses(fit: TwinFit) -> FloatArray:
-    """How far all pairs are from the nominal robot with base and tool, (n,) [m]."""
+    """Distances of all pairs from the nominal robot with base and tool, (n,) [m]."""
     reading, aligned = fit.candidate.reading, fit.candidate.aligned
     joints, positions, rotations = reading.select_pairs(fit.pairs)
     robot = aligned.base @ nominal_poses(fit.robot, reading.joints(joints)) @ aligned.tool

@@ -1,4 +1,4 @@
-"""How a touch is approached, and left: straight out from what is touched, along its normal.
+"""Approach and retreat of a touch: straight out from what is touched, along its normal.
 
 That is z of a plane's or socket's own axes, and of a sphere the line from its centre. The target is moved along it, as
 far as the joints allow with the smallest change.

@@ -88,7 +88,7 @@ class _Pieces:
         return result
 
     def excursions(self, middles: FloatArray, scene: CollisionScene) -> FloatArray:
-        """How far joints move on a piece from its middle at most, (n, n_joints) [m or rad]."""
+        """Largest motion of joints on a piece, from its middle, (n, n_joints) [m or rad]."""
         moved: FloatArray = np.maximum(np.abs(self.at_first - middles), np.abs(self.at_last - middles))
         passive = np.any(scene.robot.mechanism.select_passive != 0, axis=1)
         return np.where(passive, _BENDS, 1.0) * moved

@@ -29,7 +29,7 @@ THIRD_JOINT = ("j3", "j2+j3")
 
 @dataclass(frozen=True)
 class Motion:
-    """How a program moves.
+    """Motion of a program.
 
     Attributes:
         name: Name of the program; letters, digits and underscores.

@@ -97,7 +97,7 @@ def has_collision_shapes(robot: RobotData) -> bool:
 
 
 def is_moved_frame(robot: RobotData) -> BoolArray:
-    """Which frames move in the root link, (n_joints + 1,)."""
+    """Mask of the frames that move in the root link, (n_joints + 1,)."""
     mechanism = robot.mechanism
     result: BoolArray = mechanism.support @ np.any(mechanism.select_moving != 0, axis=1) > 0
     return result

@@ -501,7 +501,7 @@ def points_on_one_plane(board: Board, points: dict[str, FloatArray]) -> dict[str
 
 
 def _are_on_plane(on_board: FloatArray, pixels: FloatArray, *, robust: bool = True) -> BoolArray:
-    """Which points (n, 2) [m] agree with their pixels (n, 2) by one homography; none if there is no homography.
+    """Mask of the points (n, 2) [m] that agree with their pixels (n, 2) by one homography; none if there is none.
 
     The homography fits most points; if not `robust`, which is faster, it is fitted to all.
     """

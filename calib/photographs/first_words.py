@@ -75,7 +75,7 @@ def _yaml(values: Mapping[str, float]) -> str:
 
 
 def _about_seen(robot: Robot, middle: FloatArray, away: float) -> tuple[FloatArray, FloatArray]:
-    """Where a board is seen from most poses, by a camera that looks along z of the target: xyz [m], rpy [rad]."""
+    """Pose of a board that most poses see, by a camera that looks along z of the target: xyz [m], rpy [rad]."""
     poses = robot.forward(robot.sample(_TRIED, 0))
     boards = poses[:_PLACES].copy()
     boards[:, :3, 3] += away * boards[:, :3, 2]

@@ -334,7 +334,7 @@ def _mistakes_of_lens(
 
 
 def _swapped_numbers(given: FloatArray, better: HandEyeEstimate) -> str:
-    """Which numbers of the intrinsics given, (9,), are exchanged; nothing where no exchange explains those found."""
+    """Names of given intrinsics, (9,), that are exchanged; empty where no exchange explains those found."""
     real = better.placed.intrinsics[:4]
     off = {words: float(np.max(np.abs(given[list(swap)] - real))) / real[0] for words, swap in _SWAPS.items()}
     words = min(off, key=lambda swap: off[swap])

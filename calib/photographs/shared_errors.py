@@ -1,4 +1,4 @@
-"""How large the errors are that the points of an image share, and what weighs images by them.
+"""Sizes of the errors that the points of an image share, and weights of images by them.
 
 Problem. Residuals of image i, to first order, are r_i = J_i x + G_i e_i + noise: x is what is sought, e_i an error of
 the robot's tool there (6 components), and the noise of pixels is independent. With S = diag(s_t s_t s_t s_r s_r s_r),
@@ -64,7 +64,7 @@ class ErrorSizes:
 
 @dataclass(frozen=True, eq=False)
 class IntrinsicsPrior(ReadOnlyArrays):
-    """How far intrinsics are expected from values: both (k,), of those that are sought; infinite sigma for nothing."""
+    """Expected values and sigmas of the sought intrinsics, (k,) each; infinite sigma: nothing is expected."""
 
     values: FloatArray
     sigma: FloatArray

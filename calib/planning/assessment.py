@@ -368,7 +368,7 @@ def accuracy_by_count(
 
 
 def _directions_of_a_pose(rows: FloatArray) -> int:
-    """How many directions a pose determines at most; its rows, (n, n_rows, n_parameters), may repeat each other."""
+    """Largest number of directions that a pose determines, by its rows, (n, n_rows, n_parameters)."""
     strengths = linalg.singular_values(rows)
     return max(1, int(np.max(np.sum(strengths > _NOTHING_NEW * strengths[:, :1], axis=1))))
 

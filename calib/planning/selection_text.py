@@ -154,7 +154,7 @@ def _summary(s: Selection, poses: Poses) -> list[str]:
 
 
 def _count_sentence(s: Selection, poses: Poses) -> str:
-    """How many poses were chosen, and with what."""
+    """Number of chosen poses, and their instruments, in words."""
     if not s.groups:
         return f"{len(s)} of {len(poses)} poses ({poses.path})"
     with_each = ", ".join(f"{s.instruments.count(group)} with {group}" for group in s.groups)

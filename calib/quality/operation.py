@@ -167,7 +167,7 @@ def _attribute(joint: ElementTree.Element, tag: str, key: str, default: str) -> 
 
 
 def _largest_difference(robot: Robot, joints: FloatArray) -> float:
-    """How far positions and loops are from products of single transforms [m]."""
+    """Distance of positions and loops from products of single transforms [m]."""
     poses, description = _chain(robot, joints), robot.description
     base = description.base.frame
     tools = {section.frame for section in description.targets.values()}
@@ -190,7 +190,7 @@ def _slopes(robot: Robot, joints: FloatArray) -> float:
 
 
 def _recovery_error(robot: Robot, true: Robot, joints: FloatArray, seed: int) -> float:
-    """How far a robot that was calibrated by readings without noise is from the truth at other poses [m]."""
+    """Error at other poses of a robot that was calibrated by readings without noise [m]."""
     fit = calibrate(robot, simulate(true, joints, sigma=0.0), None, Settings(sigma=_QUIET))
     elsewhere = _common_poses(fit.robot, true, _ELSEWHERE, seed=seed + 1000)
     return float(np.max(np.linalg.norm(fit.robot.positions(elsewhere) - true.positions(elsewhere), axis=-1)))

@@ -62,7 +62,7 @@ class Draws(ReadOnlyArrays):
 
     @property
     def has_answer(self) -> BoolArray:
-        """Which draws gave an answer, (n,)."""
+        """Mask of the draws that gave an answer, (n,)."""
         return np.isfinite(self.values[:, 0])
 
 

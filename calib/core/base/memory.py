@@ -1,4 +1,4 @@
-"""How much memory is free, and arrays that may be larger than that."""
+"""Free memory, and arrays that may be larger than that."""
 
 from __future__ import annotations
 

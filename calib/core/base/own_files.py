@@ -1,4 +1,4 @@
-"""Which files may be replaced: those that this program wrote and that are unchanged since, but none that it has read.
+"""Files that may be replaced: those that this program wrote and that are unchanged since, but none that it has read.
 
 What is written alone ends in a line that names the program and the beginning of the digest of all other lines, in the
 comments of its format, or as the last entry of JSON. What is written as a folder has a file beside it with the digest

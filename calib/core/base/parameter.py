@@ -46,7 +46,7 @@ class Parameter:
 
     @property
     def per_si(self) -> float:
-        """How many of `unit` make one SI unit."""
+        """Number of `unit` in one SI unit."""
         return PER_SI[self.dimension][self.unit]
 
     @property

@@ -111,7 +111,7 @@ def _result(
 
 
 def _sender(executor: Executor, function: Callable[[Item], Result]) -> _Send[Item]:
-    """How an item is sent: without the function, where the workers hold it."""
+    """An item as it is sent: without the function, where the workers hold it."""
     if isinstance(executor, Processes):
         return executor.holding(partial(_answer, function))
     client = getattr(executor, "_client", None)  # of Dask
@@ -167,7 +167,7 @@ class Steps:
 
 
 class Workers:
-    """Who works inside a `with` block, which gives the executor; None where this process does the work.
+    """Workers for a `with` block, which gives the executor; None where this process does the work.
 
     Processes of its own live as long as the block. They start at once, so that they are ready when the work is.
     Programs that start some need the usual `if __name__ == "__main__"`, because each process imports them again.

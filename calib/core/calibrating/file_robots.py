@@ -180,7 +180,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
         return replace(file_robot(fitted), values={}, signs=signs, offsets=offsets)
 
     def _signs(self) -> FloatArray:
-        """With which sign joints count, (n_actuated,): -1 where one moves against its commands."""
+        """Signs of the joints, (n_actuated,): -1 where one moves against its commands."""
         fit, commands = self._fit, self._fit.identification.data.joints
         actual = actual_joints(fit.robot, commands, fit.configurations.term_columns)[:, : commands.shape[1]]
         moved, errors = commands - commands.mean(axis=0), actual - commands

@@ -1,4 +1,4 @@
-"""What all commands share: options, one-line errors with exit codes, JSON output, progress, files of poses."""
+"""Options, one-line errors with exit codes, JSON output, progress and files of poses, for all commands."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _LINE_EVERY = 60.0  # [s] between lines on how far long work is, where no termin
 
 @dataclass(frozen=True)
 class Output:
-    """Where a command prints, and what it may write.
+    """Output of a command: its stream, and the files that it may write.
 
     Attributes:
         quiet: Print nothing but errors.

@@ -1,4 +1,4 @@
-"""Where a robot comes from that is no URDF: what a capability or another package brings to `calib init`.
+"""Sources of robots other than URDFs: the plug-ins of capabilities and other packages for `calib init`.
 
 An entry of the group `calib.first_descriptions` is a `FirstFiles`, called like its option.
 """

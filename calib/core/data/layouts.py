@@ -1,4 +1,4 @@
-"""Where the table begins in files of other programs: lines above the header, a row of units below it, worksheets.
+"""Begin of the table in files of other programs: lines above the header, a row of units below it, worksheets.
 
 Programs of trackers and coordinate machines write facts about the measurement above the table: SpatialAnalyzer behind
 `//`, others as plain lines. A header is a line without a number, and the lines below it have as many cells, with a
@@ -94,7 +94,7 @@ def _unit(cell: str) -> str | None:
 
 
 def _header_width(lines: Sequence[str], line_numbers: Sequence[int]) -> int:
-    """How many columns a line has if it is a header, 0 if it is none; of it and the lines below it."""
+    """Number of columns of a header; 0 if the first of these lines is none."""
     separator = separator_of(lines[line_numbers[0]])
     names, *below = [_split_cells(lines[k], separator) for k in line_numbers]
     filled = [name.strip() for name in names if name.strip()]

@@ -38,7 +38,7 @@ class SomeFile:
 
     @cached_property
     def encoding(self) -> str:
-        """How its text is written: by its mark, else UTF-8 if it is that, else Latin-1."""
+        """Encoding of its text: by its mark, else UTF-8 if it is that, else Latin-1."""
         marked = next((name for mark, name in _MARKS if self.head.startswith(mark)), None)
         if marked is not None:
             return marked

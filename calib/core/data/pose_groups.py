@@ -1,4 +1,4 @@
-"""Which rows repeat one pose (one name, or joint values that agree), and which poses lie apart from others."""
+"""Rows that repeat one pose (one name, or joint values that agree), and poses that lie apart from others."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ COMPUTED = 1e-7
 
 @dataclass(frozen=True)
 class Convergence:
-    """How the iteration ended.
+    """End of the iteration.
 
     Attributes:
         converged: Whether the solver met a stopping rule, robust weights stand, and no step is left.
@@ -191,7 +191,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @property
     def message(self) -> str:
-        """How the iteration ended."""
+        """End of the iteration."""
         return self.convergence.message
 
     @property
@@ -206,7 +206,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @property
     def free(self) -> BoolArray:
-        """Which parameters were free, (n_parameters,)."""
+        """Mask of the free parameters, (n_parameters,)."""
         return np.isin(np.arange(len(self.nominal.parameters)), self.unknowns.index)
 
     @cached_property

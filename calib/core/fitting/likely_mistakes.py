@@ -175,7 +175,7 @@ def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> 
 
 
 def _closed_poses(robot: Robot, joints: list[FloatArray]) -> list[tuple[BoolArray, FloatArray]]:
-    """Which poses of each list close, and how."""
+    """Mask of the poses of each list that close, and their passive joints."""
     if not joints:
         return []
     closed = robot.close(np.vstack(joints), thorough=False)

@@ -33,7 +33,7 @@ EXPLAINED = 0.3
 
 @dataclass(frozen=True, eq=False)
 class MovedFrame:
-    """How the frame of validation poses moved.
+    """Motion of the frame of the validation poses.
 
     Attributes:
         shift: How far, at the centre of their points [m].

@@ -1,4 +1,4 @@
-"""By how much parameters disagree from region to region: boxes of joint space, and setups, left out in turn.
+"""Differences of parameters from region to region: boxes of joint space, and setups, left out in turn.
 
 A model that leaves something out is pulled one way here and another way there. The fit of all poses then stands between
 them, and the scatter of single poses does not show it: `calib.core.numerics.clusters` compares what parameters move by
@@ -30,7 +30,7 @@ BLOCKS = 8
 
 @dataclass(frozen=True)
 class Regions:
-    """How parameters move where regions are left out in turn.
+    """Changes of parameters where regions are left out in turn.
 
     Attributes:
         where: Region on which the parameters depend, in words.

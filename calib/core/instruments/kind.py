@@ -1,4 +1,4 @@
-"""What a kind of measurement is.
+"""Base class of a kind of measurement.
 
 An instrument looks from one frame a at another frame b (`FrameInstrument`); a reading is a few numbers about T_ab, b
 seen from a. Or it reads the value of a joint (`JointInstrument`). All that the engine needs of a kind is here: which

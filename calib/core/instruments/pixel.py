@@ -232,7 +232,7 @@ class Pixel(FrameInstrument):
             )
 
     def _body(self, details: FloatArray) -> FloatArray:
-        """Where the points of readings are in the target frame, (n, 3) [m]."""
+        """Positions of the points of readings in the target frame, (n, 3) [m]."""
         body_points = np.array(list(self.points_of_body.values()))
         return body_points[details[:, 0].astype(np.intp)]
 

@@ -43,7 +43,7 @@ def _board(given: Any, info: ValidationInfo) -> Any:
 
 
 class CameraSection(PosedSection):
-    """Where a camera stands: its optical frame, z along the optical axis, x to the right and y down in the image."""
+    """Pose of a camera: its optical frame, z along the optical axis, x to the right and y down in the image."""
 
     what = "a camera"
     pose: Literal["known", "unknown"] = "unknown"
@@ -64,7 +64,7 @@ class IntrinsicsSection(Section):
 
 
 class UnknownIntrinsicsSection(Section):
-    """How far intrinsics may be off; those that are left out are right."""
+    """Expected errors of intrinsics; those that are left out are right."""
 
     fx: _Positive | None = None
     fy: _Positive | None = None

@@ -169,7 +169,7 @@ class Relation(FrameInstrument):
         return tuple(guess for _, guess in best)
 
     def _starts(self, scene: Scene, names: list[str]) -> Iterator[Guess]:
-        """Where places are said to be, and turned as a cube may be where no orientation is expected."""
+        """Places as described; without an expected orientation, turned in each of a cube's ways."""
         places = {name: scene.places[name] for name in names}
         yield Guess(places, scene.unknowns)
         sigmas = {place.name: place.sigma_angle for place in self.own}

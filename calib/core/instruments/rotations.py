@@ -1,4 +1,4 @@
-"""How files write rotations, and the rows that a measured orientation gives.
+"""Rotations in files, and the rows of a measured orientation.
 
 Rows are the rotation error as a rotation vector in the axes of the measurement frame,
 

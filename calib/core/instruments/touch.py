@@ -136,13 +136,13 @@ class Touch(Relation):
         return gap, by_motion, by_unknown
 
     def _point_unknown(self, which: IntArray) -> IntArray:
-        """Which unknown is the error of each coordinate of the point touched, (n, 3); -1: it has none."""
+        """Number of the unknown that is the error of each coordinate of the point touched, (n, 3); -1: none."""
         if self.tolerance is None:
             return np.full((len(which), 3), -1)
         return 3 * which[:, None] + np.arange(3)
 
     def radius_unknown(self, which: IntArray) -> IntArray:
-        """Which unknown is the radius of the sphere touched, (n,); -1: it is known."""
+        """Number of the unknown that is the radius of the sphere touched, (n,); -1: it is known."""
         first = 3 * len(self.points_of_artefact) if self.tolerance is not None else 0
         unknown = np.array([radius.unknown for radius in self.radii], dtype=bool)
         number = np.where(unknown, first + np.cumsum(unknown) - 1, -1)

@@ -166,7 +166,7 @@ def _moved_places(scene: Scene, names: list[str], positions: FloatArray) -> dict
 
 
 def _open(scene: Scene, names: list[str]) -> BoolArray:
-    """Which coordinates of places are unknown, (m, 3)."""
+    """Mask of the unknown coordinates of places, (m, 3)."""
     return np.array([[axis in scene.unknown[name] for axis in LENGTH_COMPONENTS] for name in names], dtype=bool)
 
 

@@ -86,7 +86,7 @@ class Benefit(Enum):
 
 @dataclass(frozen=True)
 class ErrorElsewhere:
-    """How far off a robot is expected to be at other poses than those measured.
+    """Expected error of a robot at other poses than those measured.
 
     Attributes:
         rms, limit95: Root mean square and 95 % limit of the error, in the unit of the claim.
@@ -112,7 +112,7 @@ class ErrorElsewhere:
 
 @dataclass(frozen=True)
 class SeenUnused:
-    """How far off the robot is at poses that had no part in the fit.
+    """Errors of the robot at poses that had no part in the fit.
 
     Attributes:
         accuracy: At all of them.

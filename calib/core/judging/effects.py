@@ -97,7 +97,7 @@ class EffectSetting:
 
     @cached_property
     def course(self) -> FloatArray:
-        """When each visit was made, (n_visits,): by the time [s], where all have it, else by the order of the rows."""
+        """Time of each visit, (n_visits,): its time [s], where all have it, else the order of the rows."""
         return np.asarray(self.data.context["time"] if has_time(self.data) else self.data.places, dtype=float)
 
     @property

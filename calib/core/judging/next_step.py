@@ -120,7 +120,7 @@ def _repeat_fit(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stan
 
 
 def _use(fit: Fit) -> NextStep:
-    """How to use a result that nothing speaks against, by what its robot is and what files can hold of it."""
+    """The use of a result that nothing speaks against: by its robot, and by what files can hold of it."""
     if judge(fit).nothing_to_correct:
         return NextStep("keep the nominal robot, and test it again later", f"calib verify {FOLDER} measured.csv")
     if own := result_use(fit.nominal.description):

@@ -280,7 +280,7 @@ class System:
 
     @property
     def n_rows(self) -> int:
-        """How many rows count."""
+        """Number of rows that count."""
         return int(np.sum(self.rows.layout.group >= 0))
 
     @property

@@ -194,7 +194,7 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
 
 
 def _gain_errors(fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """By which part each joint moves too far by the terms of its own error, and its standard deviation, (n_actuated,).
+    """Part by which each joint moves too far, by the terms of its own error, and its std, (n_actuated,).
 
     That is the slope of the straight line through its errors at the poses used.
     """

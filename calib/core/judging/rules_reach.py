@@ -230,7 +230,7 @@ def _widening_sentence(fit: Fit, q: FloatArray) -> str:
 
 
 def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
-    """How positions move with the unknowns, without the motion of all of them as one body, (3 n, n_unknowns)."""
+    """Derivative of positions by the unknowns, without the motion of all as one body, (3 n, n_unknowns)."""
     linear, targets = linearise(fit.robot, configurations), fit.robot.reported_targets
     rows = without_common_motion(linear.positions[:, targets], linear.jacobian[:, targets])
     return rows.reshape(-1, rows.shape[-1])[:, fit.unknowns.index]

@@ -49,7 +49,7 @@ _NONE = 1e-150  # noise of data that were computed, not measured
 
 @dataclass(frozen=True, eq=False)
 class Scatter(ReadOnlyArrays):
-    """How the rows of blocks scatter together.
+    """Scatter of the rows of blocks.
 
     Attributes:
         core: Covariance of U^T e of the module docstring, (k, k).

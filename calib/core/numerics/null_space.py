@@ -1,4 +1,4 @@
-"""Which parameters move together without moving any measured position, in the smallest groups.
+"""The smallest groups of parameters that move together without moving any measured position.
 
 The null space of the scaled Jacobian says which changes of parameters no measurement sees. Any basis of it from an SVD
 mixes everything with everything. What a reader wants are its vectors with the fewest non-zero entries: "xb with dq1",

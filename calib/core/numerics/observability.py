@@ -186,7 +186,7 @@ class Information(ReadOnlyArrays):
 
     @cached_property
     def undetermined(self) -> BoolArray:
-        """Which parameters depend on a direction that nothing determines, (n_parameters,)."""
+        """Mask of the parameters that depend on a direction that nothing determines, (n_parameters,)."""
         return np.sqrt(np.maximum(0.0, 1.0 - np.sum(self.directions**2, axis=1))) > OUTSIDE
 
     def standard_deviations(self) -> FloatArray:

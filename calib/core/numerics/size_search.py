@@ -109,7 +109,7 @@ def _mean_beyond(value: float, variance: float) -> float:
 def _try_step(
     at: SolvedModel, gradient: FloatArray, information: FloatArray, free: BoolArray, bounds: _Bounds, damping: float
 ) -> tuple[SolvedModel | None, float]:
-    """Where a step leads that lowers the cost, and its damping; None if none does."""
+    """End of a step that lowers the cost, and its damping; None if no step does."""
     inner = information[np.ix_(free, free)]
     while damping <= _HOPELESS:
         step = np.zeros(len(gradient))
@@ -177,7 +177,7 @@ class _Bounds(ReadOnlyArrays):
 
     @property
     def first(self) -> FloatArray:
-        """Where a search begins."""
+        """Start of a search."""
         return np.where(self.most == _MOST, np.log(0.5), self.most - 1.0)
 
 

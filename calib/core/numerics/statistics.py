@@ -151,7 +151,7 @@ class Statistics(ReadOnlyArrays):
 
     @property
     def shared_scatter(self) -> Scatter | None:
-        """How poses scatter, where that is by more than independent readings would; else None."""
+        """Scatter of poses, where it is larger than that of independent readings; else None."""
         return _scatter_beyond_chance(self.poses)
 
     @property
@@ -161,7 +161,7 @@ class Statistics(ReadOnlyArrays):
 
     @property
     def coverage_factor(self) -> float:
-        """How many standard deviations make half a 95 % interval."""
+        """Half a 95 % interval, in standard deviations."""
         return float(scipy.special.stdtrit(self.interval_freedom, 0.975))
 
     def widen(self, factor: float) -> Statistics:

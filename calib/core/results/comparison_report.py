@@ -1,4 +1,4 @@
-"""What a comparison of results says: parameters with their intervals, errors, and which differences are real.
+"""The page of a comparison of results: parameters with their intervals, errors, and the real differences.
 
 `calib.core.results.comparing_results` makes it, and derives its tests.
 """

@@ -1,4 +1,4 @@
-"""How much of a robot a file holds, and the robot that each kind of file gets.
+"""The part of a robot that a file holds, and the robot that each kind of file gets.
 
 A calibrated robot may have more than a file has room for: terms of its joints' errors, origins behind the last axis,
 all but the zeros of its joints. Its other values belong to those that are lost: joint origins that were found together
@@ -22,7 +22,7 @@ from calib.core.robots.terms.term import JointTerm
 
 
 class Holds(Enum):
-    """How much of a calibrated robot a file holds, in words."""
+    """The part of a calibrated robot that a file holds, in words."""
 
     EVERYTHING = "the whole model"
     TABLES = "joint origins, and a table of each joint's own error"
@@ -36,7 +36,7 @@ class Holds(Enum):
 
 
 class PoseUse(Enum):
-    """At which poses errors were seen, in words."""
+    """The poses of the errors, in words."""
 
     VALIDATION = "validation"
     FOLDS = "left out in turn"
@@ -46,7 +46,7 @@ class PoseUse(Enum):
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How far off a robot is at a set of poses, and the nominal one there.
+    """Error of a robot at a set of poses, and of the nominal one there.
 
     `calib.core.fitting.unseen_errors` has the definitions.
 

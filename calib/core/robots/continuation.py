@@ -226,7 +226,7 @@ def carry(
     solutions = _Solutions(len(actuated), passive.shape[1])
 
     def go(index: IntArray, at: FloatArray, low: float, high: float) -> tuple[IntArray, FloatArray]:
-        """From the part `low` of the change to `high`; return who arrived, and their passive joints."""
+        """Go from the part `low` of the change to `high`; return which poses arrived, and their passive joints."""
         partway = mechanism if high == 1 else mode.mechanism.interpolated(mechanism, high)
         solved, slope, _, ok = newton(partway, mode, actuated[index], at)
         ok &= np.max(np.abs(scaled_passive(partway, solved - at)), axis=1, initial=0.0) < 4 * LARGEST_STEP

@@ -241,7 +241,7 @@ def _turn(axis: int, angle: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _rotations(mechanism: Mechanism, frame: str, joints: FloatArray) -> FloatArray:
-    """How a link is turned in the root link, (n, 3, 3)."""
+    """Orientation of a link in the root link, (n, 3, 3)."""
     pair = RelativeFrame(frame, 0, mechanism.joint(frame), True, ())
     return kinematics.seen_frame(kinematics.sweep(mechanism, joints, (pair,), poses_only=True), pair)[0]
 

@@ -130,13 +130,13 @@ class TwistMap:
 
     @cached_property
     def signs_of_entries(self) -> tuple[FloatArray, FloatArray]:
-        """By which sign each entry moves each row, (n_rows, n_entries), and each row of the loops."""
+        """Sign by which each entry moves each row, (n_rows, n_entries), and each row of the loops."""
         signs = self.signs[:, self.entries[0]]
         return signs[: self.n_rows], signs[self.n_rows :]
 
     @cached_property
     def sums(self) -> FloatArray | None:
-        """Which column each entry belongs to, as ones, (n_entries, k); None: no two to the same."""
+        """Column of each entry, as ones, (n_entries, k); None: no two share one."""
         columns, every = self.entries[1], np.arange(self.before.shape[2])
         return None if len(np.unique(columns)) == len(columns) else (columns[:, None] == every).astype(float)
 
@@ -264,7 +264,7 @@ class Sweep:
 
     @cached_property
     def loop_frames(self) -> tuple[FloatArray, FloatArray]:
-        """Of each row of the loops, its axis and where its frame b is, in the world, (n, n_loop_rows, 3)."""
+        """Axis of each row of the loops, and position of its frame b, in the world, (n, n_loop_rows, 3)."""
         a, b, axis = self.shared.loop_rows
         return self.rotation.transpose(0, 1, 3, 2)[:, a, axis], self.translation[:, b]
 

@@ -80,7 +80,7 @@ def flat_poses(poses: Any) -> FloatArray:
 
 
 def _bytes_of_pose() -> int:
-    """How far apart poses in a vector of Pinocchio are [byte], checked."""
+    """Distance of poses in a vector of Pinocchio [byte], checked."""
     poses = pin.StdVec_SE3()
     poses.extend([pin.SE3.Identity()] * 2)
     first, position, second = (
@@ -174,12 +174,12 @@ class Mechanism(ReadOnlyArrays):
 
     @cached_property
     def is_tilt(self) -> BoolArray:
-        """Which of the driven joints tilt links, (n_driven,)."""
+        """Mask of the driven joints that tilt links, (n_driven,)."""
         return np.arange(len(self.driven)) >= len(self.actuated)
 
     @cached_property
     def depths(self) -> IntArray:
-        """How many actuated joints move the link behind each of them, itself included, (n_actuated,)."""
+        """Number of actuated joints that move the link behind each of them, itself included, (n_actuated,)."""
         moving = np.any(self.select_actuated[:, : len(self.actuated)] != 0.0, axis=1)
         return np.rint(self.support[[self.frames[name] for name in self.actuated]] @ moving).astype(np.intp)
 
@@ -301,7 +301,7 @@ class Mechanism(ReadOnlyArrays):
 
     @cached_property
     def is_seen(self) -> BoolArray:
-        """Which joints move a target, a view or a loop, (n_joints,)."""
+        """Mask of the joints that move a target, a view or a loop, (n_joints,)."""
         pairs = self.targets + self.views + self.loops
         return np.any([self.direction_signs(pair) != 0 for pair in pairs], axis=0)
 
@@ -318,10 +318,10 @@ class Mechanism(ReadOnlyArrays):
 
     @cached_property
     def is_metre_row(self) -> BoolArray:
-        """Which closure rows are lengths, (n_rows,)."""
+        """Mask of the closure rows that are lengths, (n_rows,)."""
         return np.array([row < 3 for loop in self.loops for row in loop.rows], dtype=bool)
 
     @cached_property
     def is_metre_column(self) -> BoolArray:
-        """Which passive joints slide, (n_passive,)."""
+        """Mask of the passive joints that slide, (n_passive,)."""
         return np.array([self.dimensions[name] == "length" for name in self.passive], dtype=bool)

@@ -118,7 +118,7 @@ def home_values(urdf: UrdfText, description: Description, where: str) -> dict[st
 
 
 def _entry(place: Place, description: Description) -> str:
-    """Where the description speaks of a place."""
+    """The place in the description, in words."""
     if place.name in description.targets:
         return f"targets.{place.name}"
     return "base" if place.inverted else f"place '{place.name}'"
@@ -224,7 +224,7 @@ class _JointGroups:
 
 
 def _moves_one_side(support: FloatArray, loops: Loops) -> list[bool]:
-    """Which joints move one side of a closure and not the other."""
+    """Joints that move one side of a closure and not the other."""
     inside = [support[loop.b] != support[loop.a] for loop in loops]
     return [bool(moves) for moves in np.any(inside, axis=0)] if inside else [False] * support.shape[1]
 

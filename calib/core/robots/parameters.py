@@ -66,7 +66,7 @@ class Parametrisation(Protocol):
 
 @dataclass(frozen=True)
 class ResultUse:
-    """How robots of a parametrisation are used, once calibrated; its attribute `result_use`, if it has one.
+    """Use of calibrated robots of a parametrisation, in words: its attribute `result_use`, if it has one.
 
     Attributes:
         aim: The aim, in words that begin with a verb.

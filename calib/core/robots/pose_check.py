@@ -35,12 +35,12 @@ class PoseCheck:
 
     @property
     def is_free(self) -> BoolArray:
-        """Which poses are free, (n,)."""
+        """Mask of the free poses, (n,)."""
         return np.array([not hit for hit in self.hits], dtype=bool)
 
     @property
     def n_blocked(self) -> int:
-        """How many poses are not free."""
+        """Number of poses that are not free."""
         return sum(map(bool, self.hits))
 
     def summary(self) -> str:

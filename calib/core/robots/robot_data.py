@@ -146,17 +146,17 @@ class RobotData(ReadOnlyArrays):
 
     @property
     def is_free(self) -> BoolArray:
-        """Which parameters a fit may change: all but the held ones, (n_parameters,)."""
+        """Mask of the parameters that a fit may change: all but the held ones, (n_parameters,)."""
         return np.array([parameter.name not in self.description.held for parameter in self.parameters])
 
     @cached_property
     def n_origin_parameters(self) -> int:
-        """How many of the parameters move origins; they come first."""
+        """Number of parameters that move origins; they come first."""
         return len(self.parametrisation.parameters)
 
     @cached_property
     def coefficients(self) -> slice:
-        """Which parameters are coefficients of joint terms; they come last."""
+        """Mask of the coefficients of joint terms; they come last."""
         n = len(self.parameters)
         return slice(n - sum(len(term.parameters) for term in self.terms), n)
 

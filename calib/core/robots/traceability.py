@@ -119,7 +119,7 @@ class TemperatureSection(Section):
 
     @property
     def difference(self) -> float:
-        """Of use, less calibration [K]; 0 where either is not stated."""
+        """Temperature of use less that of calibration [K]; 0 where either is not stated."""
         return 0.0 if self.use is None or self.calibration is None else self.use - self.calibration
 
 

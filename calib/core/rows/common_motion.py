@@ -205,7 +205,7 @@ class CommonMotion(ReadOnlyArrays):
 
     @staticmethod
     def _places(targets: tuple[int, ...], first: int) -> dict[int, slice]:
-        """Which components of m belong to each target, from `first` on."""
+        """Components of m that belong to each target, from `first` on."""
         return {t: slice(first + 3 * k, first + 3 * k + 3) for k, t in enumerate(targets)}
 
     def _origins(self) -> list[str]:

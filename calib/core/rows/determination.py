@@ -48,7 +48,7 @@ class Determination(ReadOnlyArrays):
 
     @property
     def missing(self) -> int:
-        """How many combinations of the free parameters neither poses nor priors determine."""
+        """Number of combinations of the free parameters that neither poses nor priors determine."""
         return self.together.n_columns - self.together.rank
 
     def words(self) -> str:

@@ -133,7 +133,7 @@ def following_motion(
 
 
 def _common(motion: CommonMotion, following: FloatArray, linear: UncertaintyJacobian) -> FloatArray:
-    """How all moves together as common motion (k, n_uncertain) follows what is uncertain."""
+    """Derivative of the common motion by what is uncertain, (k, n_uncertain)."""
     return motion.columns(*target_poses(linear.robot, linear.configurations)) @ following
 
 
@@ -182,7 +182,7 @@ def measurement_frame(known: KnownRobot) -> CorrectionFrame:
 
 
 def _is_of_robot(known: KnownRobot) -> BoolArray:
-    """Which of the free parameters belong to the robot itself, and are no mere places, (n_free,)."""
+    """Mask of the free parameters of the robot itself, without those of places, (n_free,)."""
     of_robot = np.array([not parameter.placement for parameter in known.robot.parameters])
     return of_robot[:0] if known.uncertainty is None else of_robot[known.uncertainty.free]
 

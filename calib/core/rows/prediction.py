@@ -306,7 +306,7 @@ class ParameterUncertainty(ReadOnlyArrays):
     Attributes:
         free: Which of them were found, (n_parameters,); the others are taken as they are.
         covariance: Covariance of these, if it has no other joint terms, (n_free, n_free) [m, rad].
-        coverage_factor: How many standard deviations make half a 95 % interval.
+        coverage_factor: Half a 95 % interval, in standard deviations.
         undecided: Joint terms that it may have, too; None if a choice left none undecided.
         joint_error: Standard deviation of an error of each joint, another one at each pose [rad; of a joint that slides
             in characteristic lengths].

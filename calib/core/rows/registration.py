@@ -269,7 +269,7 @@ def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Fr
 
 
 def _expected_place(robot: Robot, target: str, origin: str, *, known: bool) -> tuple[FloatArray, FloatArray]:
-    """Where a target is expected in its link, and how sure that is, (3,) each [m]; see `MovingPoint`."""
+    """Expected position of a target in its link, and its sigma, (3,) each [m]; see `MovingPoint`."""
     point, sigma = robot.mechanism.placement(origin).translation.copy(), np.zeros(3)
     if robot.description.targets[target].position == "known":
         return point, sigma if known else np.full(3, np.inf)

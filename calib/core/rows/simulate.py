@@ -223,7 +223,7 @@ def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held
 
 
 def _limits(robot: Robot, poses: Poses) -> tuple[FloatArray, FloatArray]:
-    """Where the joints may go, (n, n_actuated) each: within the URDF's limits, or where they stand already."""
+    """Limits of the joints, (n, n_actuated) each: those of the URDF, extended to these poses."""
     lower, upper = robot.urdf.limits(robot.joint_names)
     return np.minimum(lower, poses.joints), np.maximum(upper, poses.joints)
 

@@ -254,7 +254,7 @@ def _are_whole(data: Measurements) -> bool:
 
 
 def _absent(instrument: Instrument, readings: Readings) -> BoolArray:
-    """Which components were not read, (n, n_rows)."""
+    """Mask of the components that were not read, (n, n_rows)."""
     nothing: BoolArray = np.isnan(readings.values)
     if not nothing.any():
         return np.zeros((len(readings), instrument.n_rows), dtype=bool)

@@ -114,7 +114,7 @@ class FunctionTree(ReadOnlyArrays):
 
     @property
     def behind(self) -> BoolArray:
-        """Which joints hang behind each joint, itself included, (n_joints, n_joints)."""
+        """Mask of the joints behind each joint, itself included, (n_joints, n_joints)."""
         result = np.eye(len(self.joints), dtype=bool)
         for k, joint in enumerate(self.joints):
             if joint.before:
@@ -167,7 +167,7 @@ def tree_of(
 
 @dataclass(frozen=True)
 class _FramePlace:
-    """Where a frame of the mechanism is: behind which joint, at which constant place, and whether that joint's own."""
+    """A frame of the mechanism: its joint, its constant place behind it, and whether it is that joint's own."""
 
     after: int
     place: pin.SE3

@@ -193,7 +193,7 @@ def _solve_targets(program: RobotProgram, cell: NominalCell, joints: _Joints) ->
 def _rounding_shift(
     cell: NominalCell, joints: _Joints, target: ProgramTarget, command: FloatArray, held: tuple[float, ...]
 ) -> float:
-    """How far the file's decimals move the description's target [m]."""
+    """Distance by which the file's decimals move the description's target [m]."""
     exact = cell.flange_poses(command[None])[0]
     if target.rotation is None:
         rounded = cell.flange_poses(joints.to_joints(held)[None])[0]

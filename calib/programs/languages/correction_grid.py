@@ -50,7 +50,7 @@ class CorrectionGrid(ReadOnlyArrays):
 
     @property
     def error_before(self) -> FloatArray:
-        """How far the calibrated robot is off at the nodes without corrections, (n,) [m]."""
+        """Errors of the calibrated robot at the nodes without corrections, (n,) [m]."""
         return self.compensation.before[: len(self.nodes)]
 
     @property

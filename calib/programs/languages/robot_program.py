@@ -186,7 +186,7 @@ class ProgramSource:
 
     @cached_property
     def _ends(self) -> list[int]:
-        """Where lines end."""
+        """Ends of lines."""
         return [match.start() for match in re.finditer("\n", self.text)]
 
     def line(self, at: int) -> int:

@@ -108,7 +108,7 @@ class Compensation(ReadOnlyArrays):
 
     @cached_property
     def ok(self) -> BoolArray:
-        """Which rows have a command, (n,)."""
+        """Mask of the rows that have a command, (n,)."""
         return np.asarray(np.isfinite(self.q).all(axis=1))
 
     def figures(self) -> dict[tuple[str, str], FloatArray]:

@@ -124,7 +124,7 @@ class Reach:
 
     @cached_property
     def fixed_joints(self) -> BoolArray:
-        """Which driven joints stay: those that tilt links, and those that are not commanded, (n_driven,)."""
+        """Mask of the driven joints that stay: those that tilt links or are not commanded, (n_driven,)."""
         return self.mechanism.is_tilt | np.isin(self.mechanism.driven, list(self.goals.stands))
 
     def with_uncommanded(self, index: IntArray, commands: FloatArray) -> FloatArray:

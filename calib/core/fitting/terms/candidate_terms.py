@@ -1,4 +1,4 @@
-"""Which joint terms measurements can show."""
+"""Joint terms that measurements can show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How large each kind of joint error is: all kinds at once in one model, in place of a choice of them.
+"""Sizes of all kinds of joint errors, in one model, in place of a choice of them.
 
 Around the fit of the origins, the rows are linear in the coefficients of all kinds of terms that the measurements can
 show (`calib.core.fitting.terms.candidate_terms`). Each kind is a family of the mixed model
@@ -268,7 +268,7 @@ class _TermModel:
 
     @cached_property
     def _is_fitted(self) -> BoolArray:
-        """Which families are fitted, (n_families,)."""
+        """Mask of the families that are fitted, (n_families,)."""
         large = np.exp(self._chosen_model.logs[: len(self._families)]) > _SMALL
         return np.array([some or self._is_shown(k) for k, some in enumerate(large)], dtype=bool)
 

@@ -1,4 +1,4 @@
-"""What the tables of a fit do not show, one line each: for the terminal and for the report page."""
+"""Details of a fit that its tables do not show, one line each: for the terminal and for the report page."""
 
 from __future__ import annotations
 

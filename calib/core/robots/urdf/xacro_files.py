@@ -168,7 +168,7 @@ class _OutsideError(Exception):
 
 
 class _Packages:
-    """Where packages are: the one around a file, and others at first use.
+    """Folders of packages: the one around a file, and others at first use.
 
     Attributes:
         own: Folder of the package around the file.

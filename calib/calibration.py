@@ -128,7 +128,7 @@ class Calibration(JudgedFit, CalibratedRobot):
         """Fit poses that are drawn with replacement, as many as there are, `draws` times.
 
         Args:
-            draws: How many fits.
+            draws: Number of fits.
             seed: Seed of the random choice.
             executor: Executor of the fits; as in `fit`.
             progress: Called with the number of draws done and of all draws.
@@ -161,7 +161,7 @@ class Calibration(JudgedFit, CalibratedRobot):
         """Write the result to a folder, report and viewer with it; see `calib.core.results.results.save`.
 
         Args:
-            folder: Where to.
+            folder: Folder to write.
             force: Export a failed fit all the same, and replace files that this program did not write.
             pages: Whether to write report.html and viewer.html.
             logo: PNG, JPEG or SVG file to put into the report.
@@ -212,7 +212,7 @@ def fit(
         fix: Parameters to leave as they are, in addition to those that the description holds; `all`: every
             parameter except unknown places of base and targets.
         free: Parameters to fit although the description or `fix="all"` holds them.
-        prior: How far off parameters are expected to be, one standard deviation with its unit by name, such as
+        prior: Expected errors of parameters, one standard deviation with its unit by name, such as
             `0.1 mm`.
         executor: Executor of the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.

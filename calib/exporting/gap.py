@@ -47,7 +47,7 @@ class Gap:
         direction: Free direction, in the axes of the closure's first frame.
         at_home: Gap in the home configuration [m or rad].
         change: Largest difference from `at_home` over the poses [m or rad].
-        n_poses: How many assembled poses were looked at.
+        n_poses: Number of assembled poses looked at.
         where: Region of these poses, for messages; empty for poses that the caller gave.
     """
 
@@ -82,7 +82,7 @@ def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
 
     Args:
         robot: The robot.
-        count: How many to try.
+        count: Number to try.
     """
     lower, upper = joint_ranges(robot)
     spread = 2 * joint_samples(robot.mode, count + 1)[1:, : len(lower)] - 1  # its first point is a corner

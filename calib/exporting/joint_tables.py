@@ -46,7 +46,7 @@ class JointTable(ReadOnlyArrays):
         joint: The joint.
         dimension: Whether it slides or turns.
         commands: With equal steps, (n,) [rad or m].
-        actual: Where it then is, (n,) [rad or m].
+        actual: True value there, (n,) [rad or m].
     """
 
     joint: str

@@ -64,7 +64,7 @@ def mjcf(model: ClosedModel, path: Path | str = "robot.xml", provenance: Sequenc
 
     Args:
         model: The closed robot.
-        path: Where the file will lie; mesh files are named relative to its folder.
+        path: Path of the file; mesh files are named relative to its folder.
         provenance: Further lines for the comment that says where the numbers come from.
 
     Raises:

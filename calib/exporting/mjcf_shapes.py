@@ -28,7 +28,7 @@ class MjcfShapes:
     """Writes geoms and collects the mesh files that they need.
 
     Args:
-        urdf_path: Where mesh files are looked for.
+        urdf_path: Path of the URDF; mesh files are looked for from there.
         path: The MJCF file; mesh files are named relative to its folder, and converted ones lie in a folder beside it.
 
     Attributes:
@@ -171,7 +171,7 @@ def add_surroundings(world: Element, points: FloatArray) -> None:
 
     Args:
         world: The world.
-        points: Where the links' frames are at home, (n, 3) [m].
+        points: Origins of the links' frames at home, (n, 3) [m].
     """
     size = round(max(float(np.max(np.abs(points))), 0.1), 3)  # millimetres: more digits would only be rounding
     low, high = (round(float(end), 3) for end in (np.min(points[:, 2]), np.max(points[:, 2])))

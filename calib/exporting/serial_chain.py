@@ -101,7 +101,7 @@ class Remainder:
     Attributes:
         rms, largest: Distance of the target [m].
         angle: Largest angle between the tip's frames [rad]; NaN where only positions were compared.
-        n_poses: How many poses were looked at.
+        n_poses: Number of poses looked at.
         where: Where these lie.
     """
 

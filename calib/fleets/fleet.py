@@ -84,7 +84,7 @@ class Fleet(ReadOnlyArrays):
         nominal: Nominal values, (n,) [SI].
         mean, mean_std: Mean over the robots, and its standard deviation, (n,) [SI].
         spread: Standard deviation from robot to robot, (n,) [SI].
-        n_determined: How many robots determine each parameter, (n,).
+        n_determined: Number of robots that determine each parameter, (n,).
         values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of a robot left out, by its
             own fit.
         notes: Remarks for users of it.

@@ -50,7 +50,7 @@ def evidence_of_fit(
 
     Args:
         robot: Calibrated, with the prior that it was fitted with.
-        free: Which of its parameters were free, (n_parameters,).
+        free: Mask of its free parameters, (n_parameters,).
         covariance: Covariance of the free ones, (n_free, n_free) [SI].
         freedom: Degrees of freedom of the noise.
         shared: Which parameters.

@@ -42,7 +42,7 @@ class Agreement(ReadOnlyArrays):
 
     Attributes:
         ratio: Sum of squares over the largest of all draws: at most 1 where rounding explains them.
-        relative_distances: How far each pair is from what the others predict, over the largest of all draws,
+        relative_distances: Distance of each pair from the prediction of the others, over the largest of all draws,
             (n_pairs,).
         rounding_distance: Distance that rounding moves a printed position, 95 % of the pairs [m].
         claim: Distance between robot and controller at other poses over the joints' ranges, 95 % of them [m].

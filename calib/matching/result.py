@@ -33,7 +33,7 @@ class Match:
         pairs: The file.
         agreement: Agreement of robot and pairs.
         left_out: Names of pairs that are of another program, and how far they are off [m].
-        places: Where base and tool are, in words.
+        places: Places of base and tool, in words.
         remarks: Contradictions to the file's header or to what the user stated.
         terms: Joint terms with which the controller would agree better, and what these leave; None if not tried.
     """
@@ -126,7 +126,7 @@ class Match:
         """Write the result folder of the fit, and the robot in the formats that controllers and ROS hold.
 
         Args:
-            folder: Where to.
+            folder: Folder to write.
             force: Whether files are replaced that this program did not write.
 
         Returns:

@@ -37,7 +37,7 @@ class TwinFit:
         robot: Nominal.
         pairs, candidate: The pairs, and the meaning of their columns.
         tool, base: As the fit knows them; None where it finds them, (4, 4) [m].
-        kept: Which pairs are used.
+        kept: Mask of the pairs that are used.
         seed: Seed of the draws of rounding.
     """
 

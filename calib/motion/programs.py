@@ -36,7 +36,7 @@ class Motion:
         speed: Part of the speed that the controller allows, 0 to 1.
         joint_speed: Speed of the joint that moves fastest, where the program states it [rad/s or m/s].
         dwell: At each stop before the instrument reads [s].
-        reading: How long the output is on [s].
+        reading: Time that the output is on [s].
         output: Number of the digital output; None: none is switched.
         third_joint: One of `THIRD_JOINT`, for FANUC.
     """
@@ -72,7 +72,7 @@ class _Words:
     Attributes:
         begin, end: Lines before and behind the stops, with {name}, {question} and {percent}.
         move: With {joints}; {k}, which move it is, from 1; {speed} [rad/s], {along} [mm/s] or {percent}.
-        joint: Of one joint, with {k}, from 1, and {value}.
+        joint: Text of one joint, with {k}, from 1, and {value}.
         remark: A comment.
         wait: With a time [s].
         output: With the number of an output, and its value.
@@ -138,7 +138,7 @@ def _question(route: Route, start: FloatArray | None = None) -> str:
 
     Args:
         route: The route.
-        start: Where it starts as the controller counts joints, if not as the robot file does [rad].
+        start: Its start as the controller counts joints, if not as the robot file does [rad].
     """
     values = ", ".join(f"{value:.1f}" for value in _DEGREES * (route.start if start is None else start))
     return (

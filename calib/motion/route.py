@@ -39,7 +39,7 @@ class Stop(ReadOnlyArrays):
     Attributes:
         name: Name of the pose.
         joints: (n_actuated,) [m or rad].
-        corners: Of the way from the stop before, without both ends, (n, n_actuated).
+        corners: Corners of the way from the stop before, without both ends, (n, n_actuated).
         clearance: Smallest distance of any pair at the stop [m].
         pair: Name of that pair.
         poses_passed: Smallest distance on the way there [m].
@@ -59,7 +59,7 @@ class Route:
 
     Attributes:
         robot: The robot.
-        start: Where it stands first, (n_actuated,) [m or rad].
+        start: Its first joint values, (n_actuated,) [m or rad].
         stops: The stops.
         left_out: Names of poses that are not visited, and why.
         replaced: Names of those that stand in for them.
@@ -96,8 +96,8 @@ def plan_route(
 
     Args:
         robot: The robot at its present values.
-        poses: Where to measure.
-        start: Where it stands first, (n_actuated,) [m or rad]; home if not given.
+        poses: Poses to measure.
+        start: Its first joint values, (n_actuated,) [m or rad]; home if not given.
         candidates: Poses that may stand in for those that cannot be visited.
         seed: Seed of everything random.
         progress: Called with how many poses were tried.

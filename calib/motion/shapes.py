@@ -43,7 +43,7 @@ class Body:
         placement: In the link's frame.
         hull: Convex shape that holds it.
         mesh: Its triangles where it is not convex, else None.
-        corners: Of these triangles, (n, 3, 3) [m]; empty where it is convex.
+        corners: Corners of these triangles, (n, 3, 3) [m]; empty where it is convex.
         radius: Distance of its farthest point from the link's origin [m].
         clearance: Distance that others keep from it [m].
         is_described: Whether the description brings it: an obstacle, or a part of the tool.

@@ -39,8 +39,8 @@ class SightLine:
         ends: Joint indices of the two frames.
         points: The ends in these frames, (2, 3) [m].
         width: [m].
-        target: Which shape the line goes to, by its name; it does not hide itself.
-        acceptance: In which directions the target is seen from the first end, if that counts.
+        target: Name of the shape that the line goes to; it does not hide itself.
+        acceptance: Directions in which the target is seen from the first end, if that counts.
     """
 
     name: str

@@ -44,8 +44,8 @@ class HandEyeEstimate(ReadOnlyArrays):
     """A solution.
 
     Attributes:
-        placed: Where camera and board are.
-        free: Which intrinsics were sought, by their numbers.
+        placed: Poses of camera and board.
+        free: Numbers of the intrinsics that were sought.
         noise: Sizes of the errors.
         weights: Weights of the images: the same, or of pixels alone for plain least squares.
         arm: Size of errors of lengths [m] and angles [rad] of the arm that intervals count.
@@ -78,8 +78,8 @@ def solve(
 
     Args:
         scene: The images.
-        start: Where to begin.
-        free: Which intrinsics are sought.
+        start: Start.
+        free: Intrinsics that are sought.
         noise: Sizes of the errors.
         prior: Prior of the intrinsics that are sought.
         scaled: Whether the size of the board is sought.
@@ -124,8 +124,8 @@ def estimate(
 
     Args:
         scene: The images.
-        start: Where to begin.
-        free: Which intrinsics are sought.
+        start: Start.
+        free: Intrinsics that are sought.
         prior: Prior of these.
         scaled: Whether the size of the board is sought.
         weighed: Whether images are weighed by the errors that their points share; else every point counts the same.
@@ -168,8 +168,8 @@ def plain(
 
     Args:
         scene: The images.
-        start: Where to begin.
-        free: Which intrinsics are sought.
+        start: Start.
+        free: Intrinsics that are sought.
         prior: Prior of these.
         scaled: Whether the size of the board is sought.
 

@@ -33,7 +33,7 @@ def camera_words(
     Args:
         robot: As a plain description has it.
         board, camera: As the user gave them, or None.
-        to_print: Where the board is to be written, or None.
+        to_print: File for the board, or None.
         out: The description.
     """
     described = read_board_option(_BOARD if board is None else board)

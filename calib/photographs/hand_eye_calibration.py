@@ -47,7 +47,7 @@ def calibrate(
         scene: The images, in the order in which they were taken; its mount does not count.
         intrinsics: As given, (9,); None if unknown.
         lens: `given`: as they are; `found`: from the images; `auto`: whichever predicts images left out better.
-        mounts: Where the camera may be.
+        mounts: Possible mounts of the camera.
         progress: Told after each of five steps.
 
     Raises:

@@ -40,7 +40,7 @@ def solve_without_each_image(
     Args:
         scene: The images.
         placed: The solution of all.
-        free: Which intrinsics are sought.
+        free: Intrinsics that are sought.
         weights: Weights of the images; they stay as they are.
         prior: Prior of the intrinsics.
         scaled: Whether the size of the board is sought.

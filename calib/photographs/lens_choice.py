@@ -82,7 +82,7 @@ def lens_choices(
 
     Args:
         scene: The images.
-        begin: Where to begin.
+        begin: Start.
         prior: Prior of the lens.
         intrinsics: As given, (9,); None where none are.
         lens: `found`: not as given.

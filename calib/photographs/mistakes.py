@@ -94,7 +94,7 @@ def find_mistakes(
         given: Intrinsics as given, (9,); None without.
         first: The same, or those to begin with, (9,).
         better: With the lens found, where that tells images left out better; else `fitted`.
-        mounts: Where the camera may be: one, if it is stated.
+        mounts: Possible mounts of the camera: one, if it is stated.
     """
     lens = _mistakes_of_lens(used, fitted, better, given)
     result = [] if any(mistake.whole for mistake in lens) else _mistakes_of_whole(every, fitted, first, mounts)

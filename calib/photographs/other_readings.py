@@ -34,7 +34,7 @@ class SceneInterpretation:
         code: Code of the mistake, such as `pairs_shifted`.
         text: The mistake, and what to do, in words.
         scene: The images.
-        mounts: Where the camera may be.
+        mounts: Possible mounts of the camera.
     """
 
     code: str
@@ -48,7 +48,7 @@ def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[Sce
 
     Args:
         scene: The images.
-        mounts: Where the camera may be.
+        mounts: Possible mounts of the camera.
     """
     n = len(scene)
     for shift in _SHIFTS:

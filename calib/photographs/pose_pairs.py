@@ -69,7 +69,7 @@ class FoundPose(ReadOnlyArrays):
     Attributes:
         pose: In the frame that it is fixed to, (4, 4) [m]; `open` names components that are not determined.
         half: Half widths of 95 % intervals: along x, y, z of that frame, and about the own x, y, z, (6,) [m, rad].
-        open: Which of these are not determined, (6,).
+        open: Mask of those that are not determined, (6,).
     """
 
     pose: FloatArray
@@ -83,7 +83,7 @@ class PosePairs(ReadOnlyArrays):
 
     Attributes:
         names: Names of the pairs.
-        mount: Where the camera is.
+        mount: Mount of the camera.
         camera, marker: Where they are.
         unseen: Changes that no pair shows, in words.
         errors: Predicted minus read: position and rotation of the marker in the camera, (n, 6) [m, rad].
@@ -115,7 +115,7 @@ def solve_pairs(
         names: Names of the pairs.
         tool: The tool in the base, (n, 4, 4) [m].
         seen: The marker in the camera, (n, 4, 4) [m].
-        mounts: Where the camera may be.
+        mounts: Possible mounts of the camera.
 
     Raises:
         DataError: Too few pairs, or poses that the tool never left.

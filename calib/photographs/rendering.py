@@ -119,7 +119,7 @@ def example(board: Board, count: int, generator: np.random.Generator) -> dict[st
 
     Args:
         board: The board.
-        count: How many photographs.
+        count: Number of photographs.
         generator: Generator of poses, errors and noise.
     """
     size = (640, 480)

@@ -48,7 +48,7 @@ class ErrorSizes:
     """Sizes of the errors: of a pixel coordinate [px], and of the robot's tool, per axis [m], [rad].
 
     Attributes:
-        arm: Of each length [m] and angle [rad] of the arm; zero where none are considered.
+        arm: Sigma of each length [m] and angle [rad] of the arm; zero where none are considered.
     """
 
     pixel: float = 1.0

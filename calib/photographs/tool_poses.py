@@ -53,7 +53,7 @@ def read_tool_poses(
 
     Args:
         path: A CSV file.
-        robot: Whose joint values these are: the tool is then the frame that carries its first target, in its base.
+        robot: Robot with these joint values: the tool is then the frame that carries its first target, in its base.
         angles: Meaning of rx, ry, rz.
 
     Raises:
@@ -86,7 +86,7 @@ class PoseColumns:
 
     Attributes:
         position: Three names.
-        form: Which of the forms of rotations.
+        form: Form of rotations.
         rotation: Names of its columns.
     """
 

@@ -71,7 +71,7 @@ class Assessment(ReadOnlyArrays):
 
     Attributes:
         parameters: All parameters.
-        free: Which parameters are free, (n_parameters,).
+        free: Mask of the free parameters, (n_parameters,).
         n_poses, n_rows: Poses, and measured coordinates.
         sigma: Noise of one reading per axis that was used [m].
         sigma_assumed: Whether it was not stated.

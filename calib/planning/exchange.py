@@ -70,7 +70,7 @@ class Spacing:
 
         Args:
             tried: Candidates in the order in which they are tried, (n,).
-            count: How many are needed.
+            count: Number needed.
 
         Returns:
             Indices of candidates, (count,), or fewer where no more were found; `tried` itself where no distance is
@@ -100,7 +100,7 @@ class Exchange:
     """A choice and the exchanges that led to it.
 
     Attributes:
-        chosen: Which candidates are in it, (n_candidates,).
+        chosen: Mask of the candidates in it, (n_candidates,).
         scores: Their scores.
         history: Choices of the start and after each exchange, as (added, removed) pairs; the start is (-1, -1).
         values: Score after each entry of `history`; NaN while a start that determined too little was being mended.
@@ -127,7 +127,7 @@ def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Sp
         problem: The candidates.
         index: Index to raise.
         start: Candidates to start from, (count,).
-        spacing: Which candidates may be added.
+        spacing: Candidates that may be added.
 
     Raises:
         NotIdentifiableError: No choice was found that determines every direction.

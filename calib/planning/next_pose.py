@@ -72,7 +72,7 @@ def next_pose(
         robot: The robot; its present values are where it is linearised.
         candidates: Poses to choose from; the predicted error counts at them.
         measured: Measurements so far.
-        present: Where the robot stands, (n_actuated,) [m or rad]; home if not given.
+        present: Present joint values of the robot, (n_actuated,) [m or rad]; home if not given.
         sigma: Noise of one reading per axis [m]; the description's if not given.
         drawn: Draw the pose with these random numbers, to check with.
 

@@ -36,7 +36,7 @@ class CandidateSubset:
 
     Attributes:
         all_candidates: The setting with all of them.
-        index: Which exchanges look at, ascending, (n,).
+        index: Candidates that exchanges look at, ascending, (n,).
         setting: The same setting with these alone.
     """
 

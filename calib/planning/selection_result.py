@@ -18,7 +18,7 @@ class Run:
         start: `uniform`, `random`, `relaxed`, or `best`: what was found so far, among other candidates.
         exchanges: (added, removed) candidate of each exchange.
         history: Index at the start and after each exchange (Figure 4 of the paper).
-        n_paper: How many of the exchanges are the paper's; single swaps follow.
+        n_paper: Number of exchanges that are the paper's; single swaps follow.
     """
 
     start: str
@@ -55,7 +55,7 @@ class Selection(ReadOnlyArrays):
         sigma: Noise of one reading per axis that was used [m].
         sigma_assumed: Whether it was not stated.
         skipped: Candidates that could not be used, and why.
-        already_measured: How many candidates were left out because they are measured.
+        already_measured: Number of candidates that were left out because they are measured.
         seed: Seed of everything random.
         seconds: Duration.
         selecting_seconds: The part after assembly and Jacobians of the candidates.

@@ -57,7 +57,7 @@ def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: floa
     Args:
         problem: The candidates.
         index: One of `CHOICES`.
-        chosen: Which candidates are in the choice, (n_candidates,).
+        chosen: Mask of the candidates in the choice, (n_candidates,).
         ridge: Added to the diagonal of K, so that a choice that determines too little can be improved at all.
 
     Raises:
@@ -78,7 +78,7 @@ def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> d
 
     Args:
         problem: The candidates.
-        chosen: Which candidates are in the choice, (n_candidates,).
+        chosen: Mask of the candidates in the choice, (n_candidates,).
         unit: Unit of a row with noise 1, such as the noise of a position [m].
     """
     rows = problem.rows[chosen]

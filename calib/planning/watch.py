@@ -197,7 +197,7 @@ class GrowingFile:
 
     Args:
         path: The file; it need not exist yet.
-        robot: Whose joints and instruments it is about.
+        robot: Robot with these joints and instruments.
     """
 
     def __init__(self, path: str, robot: Robot) -> None:

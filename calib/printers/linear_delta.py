@@ -84,7 +84,7 @@ class DeltaGeometry:
         """Return where the nozzle is, (n, 3) [m]: where the three arms meet, the lower of two points.
 
         Args:
-            down: How far the carriages have come down, (n, 3) [m].
+            down: Distances that the carriages have come down, (n, 3) [m].
 
         Returns:
             NaN where they do not meet.
@@ -227,8 +227,8 @@ def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int = 0)
     Args:
         plan: Result of `linear_delta_plan`.
         title: Title, for a comment.
-        urdf: How it names the URDF.
-        n_rows: How many rows were measured; 0: not known yet.
+        urdf: The URDF as it names it.
+        n_rows: Number of measured rows; 0: not known yet.
     """
     twice = "platform_2" in plan.links
     sigma = f"{millimetres(DISTANCE):g} mm"

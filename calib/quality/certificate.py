@@ -63,7 +63,7 @@ class Certificate:
 
     Attributes:
         result: The result.
-        stated: Where the measurements come from.
+        stated: Source of the measurements.
         linear: Linear model of the fit.
         budget: Uncertainty of the measurand.
         figures: Figures of ISO 9283, AP and RP of repeated poses.
@@ -83,7 +83,7 @@ class Certificate:
 
         Args:
             result: The result.
-            stated: Where its measurements come from.
+            stated: Source of its measurements.
             poses: Other poses at which the robot will be used.
         """
         fit, linear = result.fit, ErrorPropagation.from_fit(result.fit)

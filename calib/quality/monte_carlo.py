@@ -42,7 +42,7 @@ class MonteCarlo:
     """Result of a Monte Carlo propagation.
 
     Attributes:
-        draws: How many could be made.
+        draws: Number of draws that could be made.
         fitted: Standard uncertainty of a coordinate by all that goes through the fit, and temperatures [m].
         combined: The same with all that counts [m].
         propagated_fitted, propagated: Both as the budget has them [m].
@@ -80,7 +80,7 @@ def monte_carlo(
         linear: The linear model of the fit.
         stated: Statements for the budget.
         known: The budget.
-        draws: How many.
+        draws: Number of draws.
         seed: Seed of all that is drawn.
         progress: Told of each draw.
     """

@@ -98,9 +98,9 @@ class BudgetRow:
         sensitivity: Coefficient, m per unit.
         contribution: To the standard uncertainty of the measurand [m].
         freedom: Degrees of freedom; infinite where it is taken as known.
-        type: How it was evaluated: A (statistics of observations) or B (other information).
+        type: Kind of its evaluation: A (statistics of observations) or B (other information).
         counts: Whether it is part of the combined one; not where another row has it already.
-        note: Where it is from.
+        note: Its source.
     """
 
     quantity: str

@@ -67,7 +67,7 @@ class RepeatedCalibration(ReadOnlyArrays):
 
     Attributes:
         first: A finished fit of one draw.
-        settings: How to fit.
+        settings: Settings of the fit.
     """
 
     first: Fit

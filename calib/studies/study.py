@@ -62,8 +62,8 @@ class _Setting:
     """Data that all draws share.
 
     Attributes:
-        source: Where the data of a draw come from.
-        settings: How to fit.
+        source: Source of the data of a draw.
+        settings: Settings of the fit.
         repeated: Calibrates like the first time.
         prediction_joints: Joint values of poses to predict, (n, n_actuated) [m or rad].
         prediction_passive: Passive joints there, (n, n_passive) [m or rad].
@@ -109,9 +109,9 @@ def study(
 
     Args:
         robot: The nominal robot, as every fit starts from it.
-        poses: Where to measure: poses with names, or joint values alone, (n, n_actuated) [m or rad]; of measurements,
+        poses: Poses to measure: poses with names, or joint values alone, (n, n_actuated) [m or rad]; of measurements,
             what was read at each.
-        draws: How many calibrations.
+        draws: Number of calibrations.
         truth: The robot that is measured; `robot` itself if not given; `priors` for one whose parameters are drawn anew
             from the priors each time.
         resample: Simulate nothing: in each draw, as many poses of the measurements `poses` as there are, with

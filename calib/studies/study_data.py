@@ -130,7 +130,7 @@ def simulated_draws(
 
     Args:
         robot: The nominal robot.
-        poses: Where to measure, as `Poses` or (n, n_actuated) [m or rad].
+        poses: Poses to measure, as `Poses` or (n, n_actuated) [m or rad].
         truth: The robot that is measured; `priors`: drawn anew from the priors of `robot` each time; None: `robot`.
         sigma: Noise of positions in place of what is stated [m].
         noise: Function that adds noise to exact measurements; None: the noise that the description states.

@@ -103,7 +103,7 @@ class Study(ReadOnlyArrays):
         groups: Names of the groups of rows, in the order of `draws.sigma`.
         draws: Results of the draws.
         failures: Reasons why draws gave no answer, one for each such draw.
-        n_poses: How many poses were measured.
+        n_poses: Number of measured poses.
         seed: Seed of everything random.
         seconds: Duration of the whole computation.
         resampled: Whether poses of real measurements were drawn again; else everything is simulated.

@@ -34,7 +34,7 @@ def as_poses(robot: RobotLike, poses: PosesLike, names: Sequence[str] | None = N
     """Return joint values as `Poses`, named by their row if they have no names.
 
     Args:
-        robot: Whose joints they are; loaded, or its description or URDF.
+        robot: Robot with these joints; loaded, or its description or URDF.
         poses: Poses with names; a file or a data frame, with headers as in files; or actuated joints alone,
             (n_poses, n_actuated) [m or rad].
         names: Pose names of joint values, n_poses of them.
@@ -71,7 +71,7 @@ def as_measurements(
     """Return readings as `Measurements`; rows with the same pose name repeat that pose.
 
     Args:
-        robot: Whose joints and instruments they are.
+        robot: Robot with these joints and instruments.
         poses: Poses with names, or actuated joints alone, (n, n_actuated) [m or rad]. Without `readings`: measurements,
             which are returned as they are; or a file or a data frame of them (`read_measurements`); or several.
         readings: Readings by the instrument's name, a row for each pose, (n, n_values) [SI], NaN where there is none.

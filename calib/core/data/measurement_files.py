@@ -140,7 +140,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
 
     Args:
         table: The table.
-        robot: Whose joints they are.
+        robot: Robot with these joints.
         used: Columns that something is read from, other than joints and conditions of a visit.
         first: Visits before the first row.
 
@@ -193,7 +193,7 @@ def stands_of_table(table: Table, robot: Robot, setups: IntArray | None) -> dict
 
     Args:
         table: The table, with columns of these joints or of their sensors.
-        robot: Whose joints they are.
+        robot: Robot with these joints.
         setups: The setup of each row, (n,); None: the first.
 
     Raises:

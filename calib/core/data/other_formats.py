@@ -69,7 +69,7 @@ class OtherFormat:
 
     Attributes:
         name: Name of the format, as messages have it.
-        head: How it is known, in words.
+        head: Marks by which it is known, in words.
         taken: How it is read, in words; or if it is not, what to do.
         fits: Whether a file is one.
         read: Returns lines of a table of this program, or its columns by header; None: it is not read.

@@ -35,7 +35,7 @@ def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | N
     Args:
         source: The file or the table in memory.
         robot: The robot.
-        growing: Of a file that is still written, its lines so far.
+        growing: Lines so far of a file that is still written.
 
     Raises:
         DataError: What `read_table` raises; a column that would be guessed has no unit, or one that is not written as

@@ -77,7 +77,7 @@ class Table:
     """A CSV file as text.
 
     Attributes:
-        path: Where it came from, for messages.
+        path: Its file, for messages.
         names: Column names without units.
         units: Unit of each column, None where none is written.
         rows: Cells of each row.
@@ -213,7 +213,7 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
         value: The number [m or rad].
         dimension: Its dimension.
         where: For the message.
-        place: Where the unit should be written, such as `into the header`.
+        place: Place for the unit, such as `into the header`.
     """
     if dimension not in _SUSPICIOUS:
         return
@@ -236,7 +236,7 @@ def read_table(
     Args:
         path: The file, or the folder of a bag; or a table in memory.
         renamed: Foreign column names and the `name` or `name [unit]` they stand for.
-        growing: Of a file that is still written, its lines so far.
+        growing: Lines so far of a file that is still written.
 
     Raises:
         DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.

@@ -330,7 +330,7 @@ class Problem(ReadOnlyArrays):
         """Minimise over some parameters, the others staying as in `start`.
 
         Args:
-            start: Where to begin.
+            start: Start.
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: The parameters that may move; the free ones if not given.
             tolerance: See `calib.core.numerics.least_squares`.

@@ -31,7 +31,7 @@ def check_kind(
         instrument: The instrument.
         seen: n views in which it reads something; of a `JointInstrument`, values of the joint (n,) [m or rad].
         unknowns: Its unknown numbers, (n_unknowns,); nominal if not given.
-        details: Of readings, (n, n_details); none if not given.
+        details: Details of readings, (n, n_details); none if not given.
 
     Raises:
         ComputationError: Shapes are wrong, a number is not finite, columns of a file do not lead back to the values, a

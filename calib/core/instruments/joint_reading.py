@@ -34,7 +34,7 @@ class JointReadingSection(InstrumentSection):
         sigma: Noise of a reading.
         offset: Its reading where the joint is at zero.
         zero: Whether that is right, or found from the measurements.
-        sigma_zero: How far an unknown zero may be from `offset`; left out, `offset` says nothing.
+        sigma_zero: Expected distance of an unknown zero from `offset`; left out, `offset` says nothing.
     """
 
     joint: str

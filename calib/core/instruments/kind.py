@@ -122,7 +122,7 @@ class Readings(ReadOnlyArrays):
 
     Attributes:
         visits: To which visit of the robot each reading belongs, (n,).
-        pairs: Which of the instrument's pairs of frames it looked at, (n,).
+        pairs: Number of the pair of frames that it looked at, (n,).
         values: The numbers, (n, n_values); NaN where a component was not read.
         covariance: Their noise where the file states it, (n, n_rows, n_rows) [SI]; None where it does not.
         details: Further numbers of each reading that a kind needs, (n, n_details).
@@ -190,7 +190,7 @@ class Scene:
         readings: Readings of the instrument, n of them.
         links: Pose of the link of frame b in the link of frame a for each reading, by the robot as it is, (n, 4, 4).
         pairs: Names of the places (a, b) of each pair.
-        places: Where each of these places is in its link now, (4, 4) [m].
+        places: Present pose of each of these places in its link, (4, 4) [m].
         unknown: Components of each place that the measurements must find.
         unknowns: Unknown numbers of the instrument now, (n_unknowns,).
     """
@@ -350,7 +350,7 @@ class Instrument(ABC):
         Args:
             seen: Its input: the frames, a `View`; or values of its joint, (n,) [m or rad].
             unknowns: Its unknown numbers, (n_unknowns,).
-            details: Of `Readings`, (n, n_details).
+            details: Details of `Readings`, (n, n_details).
         """
 
     @abstractmethod
@@ -397,7 +397,7 @@ class FrameInstrument(Instrument, ABC):
 
         Args:
             view: The frames.
-            details: Of `Readings`, (n, n_details).
+            details: Details of `Readings`, (n, n_details).
         """
         return view.translation
 
@@ -407,7 +407,7 @@ class FrameInstrument(Instrument, ABC):
         None where it reads something in most views, or cannot say; then poses are tried at random.
 
         Args:
-            count: How many.
+            count: Number of views.
             generator: Generator of random numbers.
 
         Returns:

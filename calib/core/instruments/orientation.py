@@ -64,9 +64,9 @@ class OrientationSection(InstrumentSection):
     """An instrument that measures how a target frame is turned.
 
     Attributes:
-        target: Which one; the instrument's own name if left out.
+        target: Name of its target; the instrument's own name if left out.
         axes: `all`: its rotation in the measurement frame; `gravity`: two tilts against the vertical.
-        rotation: How the file writes rotations; see `calib.core.instruments.pose`.
+        rotation: Form of rotations in the file; see `calib.core.instruments.pose`.
         sigma: Noise: one number, or one for each of three axes.
     """
 

@@ -82,16 +82,16 @@ class PixelSection(InstrumentSection):
 
     Attributes:
         target: The frame of the body that carries the points.
-        camera: Where the camera stands.
+        camera: Place of the camera.
         intrinsics: The camera's model.
-        unknown_intrinsics: How far intrinsics may be off that the measurements must find.
-        points: Where each point is in the target frame, by name [m].
+        unknown_intrinsics: Expected errors of intrinsics that the measurements must find.
+        points: Position of each point in the target frame, by name [m].
         points_file: A CSV file that says so, columns point, x, y, z; its path as seen from the description.
         board: A printed board (`calib.core.instruments.board`), or the YAML file that describes it, in place of points;
             the target frame is then the board's.
         image: Width and height [px]; points outside are not seen. Only predictions need it.
         focus: From which to which distance along its axis the camera sees sharply [m]. Only predictions need it.
-        columns: How the columns begin: `<columns>_u`, `<columns>_v`; the instrument's name if left out.
+        columns: Begin of the columns' names: `<columns>_u`, `<columns>_v`; the instrument's name if left out.
         sigma: Noise of a coordinate [px].
     """
 

@@ -175,8 +175,8 @@ class Points:
     """Points of links.
 
     Attributes:
-        xyz: Where they are, or are believed to be, (m, 3) [m].
-        unknown: Which coordinates are not known, (m, 3).
+        xyz: Their known or believed coordinates, (m, 3) [m].
+        unknown: Mask of the unknown coordinates, (m, 3).
     """
 
     xyz: FloatArray

@@ -63,7 +63,7 @@ class ArtefactSection(PosedSection):
     Attributes:
         pose: `known`, or `unknown`: found from the measurements, as far as its points tell.
         points: Each socket, or centre of a sphere, in the artefact [m].
-        tolerance: How far each coordinate of the points may be off, one standard deviation [m]; they are found then.
+        tolerance: Expected error of each coordinate of the points, one standard deviation [m]; they are found then.
         radius: Radius of its spheres, all alike: a length; `{value, sigma}`; or `unknown`.
     """
 
@@ -108,7 +108,7 @@ class TouchSection(InstrumentSection):
         radius: Radius of the ball, for planes and spheres [m].
         places: The touched places, by name.
         artefact: In place of `places`: what is touched is one piece.
-        sigma: How well the ball touches, each coordinate or the gap [m].
+        sigma: Noise of a touch, each coordinate or the gap [m].
     """
 
     target: str | None = None

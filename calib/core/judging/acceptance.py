@@ -79,7 +79,7 @@ class Acceptance:
         p_drift: Chance of so large a largest change of a single parameter, if the robot is as calibrated.
         p_rest: Chance of so large residuals after that change.
         freedom: Degrees of freedom of the ratio.
-        placed: How many degrees of freedom placing base and targets took.
+        placed: Degrees of freedom of placing base and targets.
         changes: Every candidate, the one with the largest z first.
         like_before: Significant changes that explain the readings as well as the first one, itself included.
         outliers: Labels of readings that were left out.
@@ -87,7 +87,7 @@ class Acceptance:
         promised: Expected root mean square distance of measured from predicted positions [m]; NaN without positions.
         left_open: The part of it from the uncertainty of the calibration, without noise of the readings [m].
         limit: Distance that is exceeded in one of a thousand cases, if the robot is as calibrated [m].
-        coverage_factor: How many standard deviations of a change make half its 95 % interval.
+        coverage_factor: Half the 95 % interval of a change, in standard deviations.
         unlike: Whether the poses are unlike those of the calibration, and that counted.
         repeated_visits: Poses of the calibration that settle it if they are measured again; none if nothing is left to
             settle.
@@ -194,7 +194,7 @@ class _Tests:
 
     Attributes:
         p_value, p_drift, p_rest, changes: Chances and candidates of an `Acceptance`.
-        independent: How many independent squares stand behind the ratio.
+        independent: Number of independent squares behind the ratio.
         far: Whether distances are larger than in one of a thousand cases.
     """
 

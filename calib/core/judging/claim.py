@@ -90,7 +90,7 @@ class ErrorElsewhere:
 
     Attributes:
         rms, limit95: Root mean square and 95 % limit of the error, in the unit of the claim.
-        times: How many times as far as at the poses measured.
+        times: Ratio to the error at the poses measured.
     """
 
     rms: float

@@ -35,7 +35,7 @@ class Kind(StrEnum):
     """A kind of effect.
 
     Attributes:
-        family: Which kinds it shares the chance of a false finding with.
+        family: Name of the kinds with which it shares the chance of a false finding.
         sentence: Text on a pattern of this kind; `describe` fills in the braces.
         traits: Its properties.
     """
@@ -120,7 +120,7 @@ class Pattern:
     """One effect that was tested.
 
     Attributes:
-        kind: Which effect.
+        kind: Kind of the effect.
         name: The axis, joint or target; `xyz` for what all axes do.
         p_value: Chance of such a pattern from noise, over all tests.
         size: Root mean square of what it explains [m]; of readings in another unit where no positions are [SI].

@@ -126,12 +126,12 @@ class Effects:
     """Effects of one kind on one thing; each adds B (x) F: every column of B times every factor of F.
 
     Attributes:
-        kind: Which one.
+        kind: The kind of effect.
         name: Its axis, joint, target or instrument; `xyz` for all axes.
         base: B, what it adds to the whitened rows, (n_rows, b).
         visit: Visit of each row, (n_rows,).
-        details: Of each effect: cycles of a wave or the first visit of a slip in words; the other joint of a coupling,
-            or before a link.
+        details: Details of each effect: cycles of a wave or the first visit of a slip in words; the other joint of a
+            coupling, or before a link.
         by_visit: F of each effect at each visit, (n_visits, n_effects, f); None: one effect, and F is 1.
     """
 

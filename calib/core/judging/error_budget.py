@@ -173,9 +173,9 @@ def _integrate(fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, c
     Args:
         fit: The fit.
         errors: The readings.
-        members: Which parameters belong to which cause, (n_causes, n_free).
-        layout: Which row is what.
-        counted: Which rows count, (n_rows,).
+        members: Mask of the parameters of each cause, (n_causes, n_free).
+        layout: Layout of the rows.
+        counted: Mask of the rows that count, (n_rows,).
     """
     before, after, unknowns = fit.placed, fit.robot, fit.unknowns
     way = after.values - before.values

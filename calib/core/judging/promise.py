@@ -50,8 +50,8 @@ class Promise:
         covariance: Covariance of its free parameters, (n_free, n_free) [m, rad].
         freedom: Degrees of freedom that the noise was found with.
         sigma: Noise of one component by group and part of the instruments [SI].
-        shared: How many times as much as independent readings those of a pose scatter together (`Scatter.ratio`).
-        decided: How many parameters the readings decided.
+        shared: Scatter of the readings of a pose together, over that of independent readings (`Scatter.ratio`).
+        decided: Number of parameters that the readings decided.
         joints: At which poses it was measured, (n, n_actuated) [m or rad]; none where that is not stored.
         names: Names of these poses, (n,).
     """
@@ -116,7 +116,7 @@ class Change:
     Attributes:
         name: The parameter, or `zero of JOINT`.
         dimension: Its dimension.
-        value: How far it has changed [m or rad]; NaN where nothing was read.
+        value: Its change [m or rad]; NaN where nothing was read.
         std: Standard deviation of that [m or rad].
         z: Their ratio.
         visible: Smallest change that is seen with the chance `POWER` [m or rad].
@@ -145,7 +145,7 @@ class PossibleChanges:
         name: The parameter, or `zero of JOINT`.
         dimension: Its dimension.
         index: Its place among the free parameters, or among the actuated joints.
-        is_joint: Which of these.
+        is_joint: Whether `index` counts actuated joints.
         scale: Unit in which it is looked at [m or rad].
     """
 
@@ -399,7 +399,7 @@ def _expected_distances(
         promise: Says noise and shared errors.
         robot: The robot where the readings see it.
         observed: With derivatives by parameters.
-        kept: Which of the free parameters are not placed anew, (n_free,).
+        kept: Mask of the free parameters that are not placed anew, (n_free,).
         root: A root of their covariance, (n_kept, k) [m or rad].
     """
     free, slopes, square, n = np.flatnonzero(robot.is_free), [], 0.0, 0

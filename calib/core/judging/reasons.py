@@ -40,7 +40,7 @@ class Reason:
         text: The finding, and what to do.
         counted: Whether errors at poses that were not used count what was found: where these are as claimed, and the
             robot gets better, it is no doubt, and its grade becomes PASS.
-        answer: What to do about it.
+        answer: What to do.
     """
 
     grade: Grade
@@ -132,9 +132,9 @@ class Code(StrEnum):
 
         Args:
             text: The finding, and what to do.
-            grade: Where it is not that of the table; a FAIL is never counted.
-            counted: Where it is not that of the table.
-            answer: Where it is not that of the table.
+            grade: Grade, where it is not that of the table; a FAIL is never counted.
+            counted: Whether it counts, where that is not as in the table.
+            answer: Answer, where it is not that of the table.
         """
         applied = grade or self.grade
         counts = self.counted if counted is None else counted
@@ -149,7 +149,7 @@ class Verdict(HintedObject):
         grade: The worst of its reasons; PASS without any.
         reasons: FAIL before CHECK before PASS.
         not_covered: Errors that would leave no trace in these measurements, in words.
-        claim: How far off the robot is where it was measured; None where that is not known, or nothing is to be used.
+        claim: Error of the robot where it was measured; None where that is not known, or nothing is to be used.
     """
 
     _other_words = "verdict"

@@ -38,7 +38,7 @@ class IsoFigure:
     Attributes:
         name: `AP`, `RP`, `vAP`, `AD`, `RD`, `dAP` or `dRP`; of orientations with the axis, such as `AP_rx`.
         poses: The pose, or the two poses of a distance.
-        cycles: How many there were, of the pose with fewest.
+        cycles: Number of cycles, of the pose with fewest.
         figure: Value and interval [m or rad].
     """
 
@@ -59,7 +59,7 @@ class Repeats(ReadOnlyArrays):
 
     Attributes:
         poses: Pose of each, (n,).
-        readings: How many readings each has, (n,).
+        readings: Number of readings of each, (n,).
         accuracy_before, accuracy_after: AP, (n,) [m].
         repeatability: RP, (n,) [m].
     """

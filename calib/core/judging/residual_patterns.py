@@ -77,7 +77,7 @@ class _EffectTests:
 
     Attributes:
         effects: Effects of one kind and name.
-        numbers: Which of them, (m,).
+        numbers: Their numbers, (m,).
         p_values: Chance of such a gain if readings are independent, (m,).
         ratios: F of the module docstring, (m,).
         ranks: Columns left after M, (m,).
@@ -125,7 +125,7 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
     Args:
         residuals: The fit.
         setting: Data that effects are made of.
-        kinds: Which of them are tested.
+        kinds: Kinds that are tested.
     """
     if residuals.factor * setting.metre < EXACT:
         return ()

@@ -75,7 +75,7 @@ def joint_steps(robot: Robot, joints: FloatArray) -> FloatArray:
     """Return the step in which all values of each joint stand, (n_actuated,) [m or rad]; 0 for none.
 
     Args:
-        robot: Whose joints they are.
+        robot: Robot with these joints.
         joints: (n, n_actuated) [m or rad].
     """
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]

@@ -157,7 +157,7 @@ def _cost_with(
 
     Args:
         columns, right: Their remainders after the parameters.
-        n_measured: How many of the rows were measured; the others are priors.
+        n_measured: Number of measured rows; the others are priors.
         is_scale: Whether the column scales all lengths, and noise with them.
     """
     unit, size = unit_columns(columns)

@@ -129,8 +129,8 @@ class LeastSquaresSolution:
         jacobian: J(x) as it was given, (m, n).
         cost: |r|^2.
         converged: Whether a stopping rule was met before the evaluations ran out.
-        evaluations: How many points were evaluated.
-        message: Which rule ended it.
+        evaluations: Number of evaluated points.
+        message: The rule that ended it.
         recedes: Whether the minimum was given up because it recedes.
     """
 
@@ -159,7 +159,7 @@ def minimise(
         residuals: x (n,) -> r (m,); NaN where r has no value.
         jacobian: x (n,) -> dr/dx (m, n), as an array or above a prior; computed only where r was finite, and where the
             iteration goes back to.
-        start: Where to begin, (n,).
+        start: Start, (n,).
         scaling: D of the module docstring.
         tolerance: Promised decrease, relative to the cost, that ends the iteration.
         max_evaluations: Number of trial points after which it ends as not converged.
@@ -199,7 +199,7 @@ class _Iteration:
     """The state of the iteration, and its memory.
 
     Args:
-        start: Where it begins.
+        start: Its start.
         scaling: D of the module docstring.
         tolerance: Relative change of the cost that counts as none.
     """

@@ -112,7 +112,7 @@ def weights(loss: Loss, distance: FloatArray, c: FloatArray | float) -> FloatArr
     """Return the weight of readings at these distances, in units of the scale.
 
     Args:
-        loss: Which one.
+        loss: Name of the loss.
         distance: d >= 0, (n_readings,); the weights have its shape.
         c: Constant of each, or of all.
     """

@@ -54,7 +54,7 @@ class UnseenGroup(ReadOnlyArrays):
 
     Attributes:
         members: Column indices; the one that speaks for the group comes first.
-        coefficients: How much each moves when the first moves by one sigma, in sigmas, (n_members,); the first is 1.
+        coefficients: Motion of each when the first moves by one sigma, in sigmas, (n_members,); the first is 1.
     """
 
     members: tuple[int, ...]

@@ -172,7 +172,7 @@ def find_noise_with_families(
     Args:
         products: Products of the rows, whitened by what is stated.
         prior, deviations: Prior of the columns, and u at the rows, (n_free,).
-        sought: Which groups' scales are to be found, (n_groups,).
+        sought: Mask of the groups whose scales are to be found, (n_groups,).
         family: Family of each parameter, -1 for none, (n_free,).
         start: Scales of the groups to start from, (n_groups,).
 

@@ -70,7 +70,7 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
     Args:
         points: (n, 3) [m].
         lengths: (n,) [m].
-        near: Where it may be: decides between mirror images, and stands for what nothing tells, (3,) [m].
+        near: A place near it: decides between mirror images, and stands for what nothing tells, (3,) [m].
     """
     middle = points.mean(axis=0)
     q = points - middle
@@ -110,7 +110,7 @@ def common_offset(points: FloatArray, distances: FloatArray, near: FloatArray, o
     Args:
         points: (n, 3) [m].
         distances: (n,) [m].
-        near: Where the point may be, (3,) [m].
+        near: A place near the point, (3,) [m].
         offset: Value of o where nothing determines it [m].
     """
     middle = points.mean(axis=0)

@@ -128,7 +128,7 @@ def draw_sizes(at: SolvedModel, n: int, rng: np.random.Generator) -> FloatArray:
 
     Args:
         at: The likeliest ones.
-        n: How many.
+        n: Number of draws.
         rng: Generator of the random numbers.
     """
     lower = np.linalg.cholesky(information_by_size(at))
@@ -157,7 +157,7 @@ class _Bounds(ReadOnlyArrays):
     """Logarithms of the sizes that a search keeps to, (n_sizes,) each.
 
     Attributes:
-        least: As good as zero.
+        least: A value that is as good as zero.
         most: Of a family, much more than is expected; of noise and scatter, what explains all that flat columns leave.
     """
 

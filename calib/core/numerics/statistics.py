@@ -76,7 +76,7 @@ class Factors(ReadOnlyArrays):
         freedom: Degrees of freedom of each group, (n_groups,).
         effective: Noise that gives the scatter of the parameters, in place of f in C; `values`, except with a robust
             loss, (n_groups,).
-        slope: How much less the data weigh against priors than without a robust loss; 1 without one.
+        slope: Weight of the data against priors, over that without a robust loss; 1 without one.
     """
 
     values: FloatArray
@@ -125,8 +125,8 @@ class Statistics(ReadOnlyArrays):
         covariance: Covariance of the free parameters, (n_free, n_free) [m, rad].
         std: Their standard deviations, (n_free,) [m, rad].
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
-        effective_parameters: How many parameters the data decide, n_eff of the module docstring.
-        poses: How the readings of each pose scatter together; None: independently.
+        effective_parameters: Number of parameters that the data decide, n_eff of the module docstring.
+        poses: Common scatter of the readings of each pose; None: they are independent.
         beyond_linear: Their errors beyond the linear model, part of `half_width` alone; None for none.
         wider: Further factor on standard deviations and intervals, (n_free,).
     """
@@ -309,7 +309,7 @@ def statistics(
         factors: Factors on the noise, by the residuals.
         scales: s of the module docstring, (n_free,) [m, rad].
         prior: Prior of the parameters.
-        poses: How the readings of each pose scatter together; None: independently.
+        poses: Common scatter of the readings of each pose; None: they are independent.
         by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
         beyond_linear: Errors of parameters beyond the linear model; nothing if not given.
     """

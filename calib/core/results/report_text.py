@@ -59,7 +59,7 @@ def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
 
     Args:
         verdict: The verdict.
-        most: How many reasons at most, and then how many others there are; all if not given.
+        most: Largest number of reasons; a line then counts the others. All if not given.
     """
     claimed = [] if verdict.claim is None else [f"  {verdict.claim.words}"]
     names = {"PASS": "remark"}

@@ -67,7 +67,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
 
     Args:
         fit: The fit.
-        folder: Where to; files of other names in it stay.
+        folder: Folder to write; files of other names in it stay.
         force: Export a failed fit all the same; its files say so. Replace what this program did not write, too.
         pages: Further files for people, name -> content.
 

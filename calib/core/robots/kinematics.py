@@ -437,7 +437,7 @@ def origin_derivative(
         mapping: From V_b - V_a to the rows, (n, n_rows, 6).
         loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
         along: The twists, and what they move.
-        result: Where to put it, (n, n_rows, k).
+        result: Array to fill, (n, n_rows, k).
     """
     n, n_rows = mapping.shape[:2]
     world, (own, in_loops) = along.world.in_world(swept), along.signs_of_entries

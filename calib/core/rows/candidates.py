@@ -44,7 +44,7 @@ class PoseRows:
     Attributes:
         rows: Whitened rows of all that the instruments are to read at each pose, instrument by instrument, (n,
             n_rows_per_pose, n_parameters); 0 where one reads less there than elsewhere.
-        read: Which rows are read, (n, n_rows_per_pose).
+        read: Mask of the rows that are read, (n, n_rows_per_pose).
         blocks: Rows of each instrument, by name.
         positions: Targets at the robot's present values, (n, n_targets, 3) [m].
         position_rows: Derivative by the scaled parameters of those whose accuracy counts
@@ -114,7 +114,7 @@ def rows_of_poses(
         unknowns: The parameters of the columns; the free ones if not given.
         looks: Planned readings of each instrument, of `calib.core.rows.observed.planned_readings`; all that it can in
             the first setup, if not given.
-        blocks: Where the rows of each instrument shall be; as needed, if not given.
+        blocks: Places for the rows of each instrument; as needed, if not given.
     """
     chosen = Unknowns.chosen_by_poses(robot) if unknowns is None else unknowns
     n = len(configurations.actuated)
@@ -179,7 +179,7 @@ class Candidates:
         joints: (n, n_actuated) [m or rad].
         pose_rows: Rows and positions of all; rows 0 and positions NaN where not usable. Of the rows of positions
             only their R (`calib.core.numerics.identifiability.reduce_rows`), (at most n_parameters, n_parameters) [m].
-        usable: Which can be assembled far enough from singularities, (n,).
+        usable: Mask of those that can be assembled far enough from singularities, (n,).
         skipped: Label of each pose that is not usable, and the reason.
     """
 

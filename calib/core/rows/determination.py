@@ -70,7 +70,7 @@ def determination(columns: FloatArray, parameters: Sequence[Parameter], free: Bo
     Args:
         columns: d(coordinates)/d(parameters), not scaled, (n_rows, n_parameters) [m per m or rad].
         parameters: All parameters.
-        free: Which of them are not held, (n_parameters,).
+        free: Mask of those that are not held, (n_parameters,).
     """
     unit, lengths = unit_columns(columns)
     unit = reduce_rows(unit)

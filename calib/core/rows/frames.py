@@ -54,7 +54,7 @@ class CorrectionFrame(ReadOnlyArrays):
         meant: The nominal robot, its base and tools where they are in this frame.
         nominal: The robot as its description has it.
         words: Name of the frame in a sentence.
-        counts: Which of the free parameters move positions in this frame, (n_free,).
+        counts: Mask of the free parameters that move positions in this frame, (n_free,).
         motion: The common motion that does not count; None where all counts.
     """
 

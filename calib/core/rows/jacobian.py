@@ -217,7 +217,7 @@ def _fill_motion_compiled(
         swept: Kinematics of the poses.
         rows: Places of frames a and b, coordinate, and whether it is a turn, of each row, (4, n_rows).
         along, direct: Twists, and rows of the passive joints (n_rows, n_passive), of `_fill_motion`.
-        result: Where to put it, (n, n_rows, k).
+        result: Array to fill, (n, n_rows, k).
     """
     shared = swept.shared
     signs = np.ascontiguousarray(along.signs)
@@ -240,7 +240,7 @@ def _fill_motion(
         mapping: From V_b - V_a to x, (n, n_rows, 6).
         along: The twists, and what they move.
         direct: Further derivative of x by the passive joints, (n_rows, n_passive).
-        result: Where to put it, (n, n_rows, k).
+        result: Array to fill, (n, n_rows, k).
     """
     if not mechanism.loops:
         kinematics.origin_derivative(swept, mapping, None, along, result)
@@ -271,7 +271,7 @@ def derivative_by_parameters(
         robot: Knows the joints of the terms.
         derivative: By the parameters that are no coefficients, then by the driven joints, (n, n_rows, k + n_driven).
         columns: phi of each joint term, (n, n_moved, n_coefficients) each.
-        index: Which parameters, in rising order, (n_index,).
+        index: Numbers of the parameters, in rising order, (n_index,).
     """
     first = k = robot.coefficients.start
     filled = int(np.sum(index < first))

@@ -19,7 +19,7 @@ class KnownRobot(ReadOnlyArrays):
 
     Attributes:
         robot: With the parameters that were found.
-        uncertainty: How well they are known; None where not stated.
+        uncertainty: Their uncertainty; None where not stated.
         joints: Joint values of the visits that the fit used, (n, n_actuated) [m or rad].
         nothing_to_correct: Whether the verdict says that the nominal values are as good as any.
     """

@@ -40,8 +40,8 @@ class Observed:
     Attributes:
         robot: The robot.
         residuals: Predicted minus read, (n, n_rows) [SI]; NaN where a component was not read.
-        derivative: Of these by the parameters that are no coefficients of joint terms, then by the driven joints where
-            these were wanted, (n, n_rows, k + n_driven); (n, n_rows, 0) where no derivatives were wanted.
+        derivative: Derivative of these by the parameters that are no coefficients of joint terms, then by the driven
+            joints where these were wanted, (n, n_rows, k + n_driven); (n, n_rows, 0) where no derivatives were wanted.
         term_columns: phi of each joint term at each reading, (n, n_moved, n_coefficients) each.
     """
 

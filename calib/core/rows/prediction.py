@@ -54,10 +54,11 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
     Attributes:
         positions: (n_poses, n_targets, 3) [m].
         covariance: (n_poses, n_targets, 3, 3) [m^2].
-        coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
-        turn_covariance: Of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not computed.
+        coverage_factor: Half a 95 % interval of one coordinate, in standard deviations.
+        turn_covariance: Covariance of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not
+            computed.
         left_out: Targets that summaries leave out (`RobotData.unreported_targets`), and their places among the targets.
-        frame: In which frame the covariances are, in words; empty for the measurement frame.
+        frame: Frame of the covariances, in words; empty for the measurement frame.
         measured: The same positions with their covariance in the measurement frame, where that is another one.
         contains: Contributions to the covariances; nothing where these are not known.
     """
@@ -205,7 +206,7 @@ def without_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray
     Where base and tool are placed anew, nothing else is seen of an error of the parameters.
 
     Args:
-        positions: Where they are, (n, n_targets, 3) [m].
+        positions: Their positions, (n, n_targets, 3) [m].
         rows: Their derivatives, (..., n_parameters), three rows for each position.
     """
     points = positions.reshape(-1, 3)
@@ -230,7 +231,7 @@ def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | 
 
     Args:
         covariance: C, (..., 3, 3).
-        coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
+        coverage_factor: Half a 95 % interval of one coordinate, in standard deviations.
         mean: m, (..., 3); zero if not given.
     """
     trace, squares = np.trace(covariance, axis1=-2, axis2=-1), np.sum(covariance**2, axis=(-2, -1))
@@ -289,8 +290,8 @@ class UncertaintyJacobian(ReadOnlyArrays):
         robot: The robot, with joint terms that are undecided, coefficients zero.
         configurations: Its poses, loops closed.
         positions: (n_poses, n_targets, 3) [m].
-        jacobian: Of positions and, if wanted, small turns, (n_poses, n_targets, 3 or 6, n_uncertain): by the free
-            parameters, by coefficients of undecided terms, then by the joints that are off.
+        jacobian: Derivative of positions and, if wanted, small turns, (n_poses, n_targets, 3 or 6, n_uncertain): by the
+            free parameters, by coefficients of undecided terms, then by the joints that are off.
     """
 
     robot: Robot
@@ -304,7 +305,7 @@ class ParameterUncertainty(ReadOnlyArrays):
     """The uncertainty of the parameters of a calibrated robot.
 
     Attributes:
-        free: Which of them were found, (n_parameters,); the others are taken as they are.
+        free: Mask of those that were found, (n_parameters,); the others are taken as they are.
         covariance: Covariance of these, if it has no other joint terms, (n_free, n_free) [m, rad].
         coverage_factor: Half a 95 % interval, in standard deviations.
         undecided: Joint terms that it may have, too; None if a choice left none undecided.
@@ -338,7 +339,7 @@ class ParameterUncertainty(ReadOnlyArrays):
 
         Args:
             robot: The calibrated robot.
-            counts: Which of the free parameters do, (n_free,).
+            counts: Mask of the free parameters that do, (n_free,).
         """
         return np.append(counts, np.ones(len(self._undecided_names(robot)) + self._n_errors(robot), dtype=bool))
 
@@ -436,7 +437,7 @@ class ParameterUncertainty(ReadOnlyArrays):
             context: Under which conditions they are given; joint terms may depend on it.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
             turns: Whether the covariance of the orientations is wanted.
-            counts: Which of all that is uncertain counts, (n_uncertain,); all if not given.
+            counts: Mask of what counts of all that is uncertain, (n_uncertain,); all if not given.
             common: Returns how positions and turns move together in a way that does not count, (n, n_targets, 6,
                 n_uncertain); then the covariance with it is `measured`.
 

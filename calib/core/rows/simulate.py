@@ -61,7 +61,7 @@ def simulate(
 
     Args:
         robot: The true robot.
-        poses: Where to measure: poses, or joint values alone, (n, n_actuated) [m or rad].
+        poses: Poses to measure: poses, or joint values alone, (n, n_actuated) [m or rad].
         sigma: Standard deviation of the noise of positions per axis [m]; 0 for no noise at all; None for what the
             description states.
         seed: Seed of the noise, or a generator of random numbers.
@@ -110,7 +110,7 @@ def noisy_readings(
         robot: Knows the noise of its instruments.
         exact: Readings without noise; not of touches, whose noise is in the joints.
         sigma: As in `simulate`.
-        rng: Where the noise comes from.
+        rng: Source of the noise.
     """
     return {name: _noisy(robot.instrument(name), readings, sigma, rng) for name, readings in exact.items()}
 

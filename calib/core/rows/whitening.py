@@ -95,7 +95,7 @@ class Whitening:
         Args:
             name: The instrument.
             array: The array.
-            chosen: Which readings, (n,); all if not given.
+            chosen: Numbers of the readings, (n,); all if not given.
             in_place: Whether the array may be used up.
         """
         inverse = self._inverse[name][chosen]
@@ -109,7 +109,7 @@ class Whitening:
 
         Args:
             whitened: The numbers.
-            scales: By which noise they are whitened.
+            scales: Noise by which they are whitened.
         """
         weighing = self.weighing(scales.ratios)
         numbers = self.row_scale(scales.groups) * (whitened if weighing is None else weighing.unwhiten(whitened))
@@ -139,7 +139,7 @@ class Whitening:
         """Return the whitened rows.
 
         Args:
-            observed: Of each instrument, by name.
+            observed: Observed rows of each instrument, by name.
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: The parameters that count.
             deviations: u of these, (n_free,).

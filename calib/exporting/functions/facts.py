@@ -62,8 +62,8 @@ class JointShare:
     """A driven joint is off by `rate` times a number x that is known of the command, or x / sqrt(x^2 + knee^2).
 
     Attributes:
-        driven: Which driven joint.
-        source: Which number.
+        driven: Number of the driven joint.
+        source: The number that it takes.
         place: Index of the joint, where there is a number for each.
         knee: As above; 0: x itself.
         rate: The coefficient, with all constants.
@@ -81,8 +81,8 @@ class Wave(ReadOnlyArrays):
     """A driven joint is off by sum over k of sine_k sin(k base q) + cosine_k cos(k base q), k = 1, 2, ...
 
     Attributes:
-        driven: Which driven joint.
-        place: Which actuated joint q is the command of.
+        driven: Number of the driven joint.
+        place: Number of the actuated joint whose command is q.
         base: Phase per unit of q [rad/rad or rad/m].
         sine, cosine: The coefficients, (n_orders,) each [m or rad].
     """
@@ -100,7 +100,7 @@ class Gravity(ReadOnlyArrays):
 
     Attributes:
         tree: The nominal robot's; its world is the root link.
-        masses: Of what each joint carries next, (n_joints,) [kg].
+        masses: Mass that each joint carries next, (n_joints,) [kg].
         moments: Mass times centre in the frame behind the joint, (n_joints, 3) [kg m].
         payload: Joint that carries the payload, from 1, and where it hangs behind it, (3,) [m].
         acceleration: Acceleration of gravity, (3,) [m/s^2].
@@ -268,7 +268,7 @@ def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str
 
     Args:
         facts: Facts of the robot.
-        lines: Where the numbers come from.
+        lines: Sources of the numbers.
         base: Name in the file of the pose of the measurement frame.
     """
     joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.joints, facts.units, strict=True))

@@ -32,7 +32,7 @@ class TreeJoint(ReadOnlyArrays):
     Attributes:
         before: Number of the joint that it stands on, from 1; 0 is the world.
         slides: Whether it slides along z; else it turns about z.
-        coordinate: Which of x it follows.
+        coordinate: Coordinate of x that it follows.
         factor, offset: Its value is factor x + offset [m or rad].
         placement: Placement of its frame behind the joint before, (4, 4) [m].
     """
@@ -52,7 +52,7 @@ class TreeFrame(ReadOnlyArrays):
     Attributes:
         after: Number of the joint; 0 is the world.
         placement: Behind it, (4, 4) [m].
-        moved_by: Which joints move it, (n_joints,).
+        moved_by: Mask of the joints that move it, (n_joints,).
     """
 
     after: int

@@ -28,7 +28,7 @@ def frame_sentences(frame: str) -> str:
     """Say where and how errors count, in two sentences.
 
     Args:
-        frame: In which frame, in words.
+        frame: Its frame, in words.
     """
     return f"Errors are {frame}.\n{COUNTED[0].upper()}{COUNTED[1:]}."
 
@@ -85,7 +85,7 @@ class Job:
         program: File of the program.
         result: Folder of the calibration.
         out: File to write.
-        output: Where to print.
+        output: Stream to print to.
     """
 
     nominal: Robot

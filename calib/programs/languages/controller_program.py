@@ -39,12 +39,12 @@ class CompensatedProgram:
     Attributes:
         program: The program.
         compensation: Compensation of the targets that could be solved, in the program's order.
-        rows: Which targets these are, (n,).
+        rows: Numbers of these targets, (n,).
         values: Numbers of each target [SI]; None where it stays as it is.
         reasons: Why a target stays; empty where it does not.
         configurations: A remark on every target whose joints are no longer as its configuration says.
-        rounding: How far the decimals of the file move the target, (n,) [m].
-        lever: How far the program's tools are from the description's target at most [m].
+        rounding: Distances by which the decimals of the file move the target, (n,) [m].
+        lever: Largest distance of the program's tools from the description's target [m].
         base, flange: Links that the controller counts from.
     """
 

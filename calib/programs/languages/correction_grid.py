@@ -36,7 +36,7 @@ class CorrectionGrid(ReadOnlyArrays):
         shift: Correction of the position, (n, 3) [m].
         turn: Rotation vector to turn by about the axes of the measurement frame, (n, 3) [rad]; zero where the program
             has no orientations.
-        position_errors: How far linear interpolation is off where it was tried, (n_tried,) [m].
+        position_errors: Errors of linear interpolation where it was tried, (n_tried,) [m].
         angle_errors: The same of the turn, (n_tried,) [rad].
         compensation: Compensation of the nodes, and then of where interpolation was tried.
     """

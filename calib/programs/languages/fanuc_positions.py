@@ -55,7 +55,7 @@ class FanucPosition:
         code: Words of the section.
         text_start: Its first word.
         groups: Its motion groups.
-        fields: Of its first group the place of the number of each field, from behind the equals sign, and its unit.
+        fields: Place of the number of each field of its first group, from behind the equals sign, and its unit.
         statements: Values behind colons: UF, UT, CONFIG.
     """
 

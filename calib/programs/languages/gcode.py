@@ -45,7 +45,7 @@ def read_gcode(
 
     Args:
         path: The file.
-        start: Where the machine stands at first and after homing of all axes, (3,) [m]; not known if not given.
+        start: Position of the machine at first and after homing of all axes, (3,) [m]; not known if not given.
         dialect: The firmware, of `calib.programs.languages.gcode_dialects.DIALECTS`; found in the file if not given.
         harmless: Further words that leave position, coordinates, modes and tool as they are, such as a macro.
 
@@ -67,9 +67,9 @@ class _GcodeReader:
     """Modes that hold from line to line; None where they are unknown.
 
     Attributes:
-        home: Where the machine stands after homing of all axes.
+        home: Position of the machine after homing of all axes.
         harmless_words: Words that the user calls harmless.
-        at: Where it stands, axis by axis [m].
+        at: Its position, axis by axis [m].
         known: Whether the move before led there.
         selected: Whether G54 was.
         saved: Modes (relative, e_relative, unit) to restore, by name.

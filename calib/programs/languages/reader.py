@@ -33,7 +33,7 @@ class Data:
 
     Attributes:
         name: Name in the program; empty where it is written out.
-        file: Which of the program's files it is in.
+        file: Number of its file among the program's.
         span: Its words.
         kind: Its type, in capitals.
         shared: Whether other modules can set it.

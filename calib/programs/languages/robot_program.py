@@ -41,12 +41,12 @@ class Number:
     """A number of a program.
 
     Attributes:
-        file: Which of the program's files it is in.
-        start, end: Where it stands in the text.
+        file: Number of its file among the program's.
+        start, end: Its span in the text.
         value: In SI.
         unit: One of its units in SI.
-        width: How many characters it has to take with its `decimals` as written; 0: as many as it needs.
-        decimals: How many decimals it is written with.
+        width: Number of characters that it must take with its `decimals` as written; 0: as many as it needs.
+        decimals: Number of decimals as written.
     """
 
     file: int
@@ -91,8 +91,8 @@ class ProgramTarget:
     """A target of a program.
 
     Attributes:
-        line: Where it stands, from 1.
-        path: In which file.
+        line: Number of its line, from 1.
+        path: Path of its file.
         name: Name in the program; empty where it has no name.
         cells: Its numbers: joint values; or a position and an orientation as the language writes it.
         rotation: Form in which a pose writes it; None: joint values.
@@ -159,7 +159,7 @@ class ProgramSource:
     """A file of a program: its bytes as text, each byte a character.
 
     Attributes:
-        path: Where it came from.
+        path: Path of its file.
         text: Its text.
     """
 
@@ -172,7 +172,7 @@ class ProgramSource:
 
         Args:
             path: The file.
-            what: What it should be.
+            what: Expected content, in words.
 
         Raises:
             DataError: It cannot be read, or is not text.
@@ -254,7 +254,7 @@ def cells_at(
     Args:
         source: The text.
         file: Its number in the program.
-        spans: Where they stand.
+        spans: Their places.
         units: One unit of each in SI; 0 for a quaternion's.
 
     Raises:

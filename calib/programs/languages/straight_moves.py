@@ -71,11 +71,11 @@ class CompensatedMoves:
     """Commands for the controller.
 
     Attributes:
-        waypoints: Of each move the points to go through in straight lines, the last its end, (n_pieces, 3) [m].
-        before: How far the tool is off there without compensation, (n,) [m].
+        waypoints: Points of each move, to go through in straight lines; the last is its end, (n_pieces, 3) [m].
+        before: Errors of the tool there without compensation, (n,) [m].
         expected: Root mean square distance that is left there, from the uncertainty of the parameters, (n,) [m]; NaN
             where the uncertainty of the robot is not known.
-        deviations: How far it is off between points at most, where that was measured, as if the machine had been led to
+        deviations: Its largest errors between points, where these were measured, as if the machine had been led to
             the beginning of the move; (n,) [m], NaN where a move has no length or no known beginning.
         n_measured: At how many points it was measured.
         frame: The frame of the goals and errors, in words.
@@ -117,7 +117,7 @@ def compensate_moves(
     Args:
         calibrated: A robot of three motors, as of `calib.programs.reaching.compensation.compensate`.
         moves: Moves of the program.
-        tolerance: How far the tool may be off between points [m].
+        tolerance: Allowed error of the tool between points [m].
 
     Raises:
         DataError: The robot has not three motors.

@@ -60,7 +60,7 @@ class ProgramWords:
         lines: Meaning of an end of line: `blank`; or end of a statement, `outside` of brackets, or where brackets hold
             none (`all`).
         ends: Marks that end a statement outside of brackets.
-        part: Which part of the text to read.
+        part: Part of the text to read.
 
     Attributes:
         tokens: The words; the last one is an end behind the text.

@@ -24,10 +24,10 @@ class Visit:
     Attributes:
         where: The file and the line that goes there.
         text: The text there.
-        place: Where its numbers stand; None: nowhere.
+        place: Place of its numbers; None: nowhere.
         target: The target; None: it cannot be compensated.
         why: Why it cannot.
-        frames: Where data of the program stand that are its frame or tool.
+        frames: Places of the program's data that are its frame or tool.
     """
 
     where: tuple[str, int]

@@ -74,7 +74,7 @@ class Compensation(ReadOnlyArrays):
         q: Compensated commands, (n, n_actuated) [m or rad]; NaN where there are none.
         reasons: Why a row has no command; empty if it has one.
         programmed: The goal of the target in the measurement frame, (n, 3) [m]; NaN where that is not known.
-        before: How far the calibrated robot is off there without compensation, (n,) [m]; NaN where not known.
+        before: Errors of the calibrated robot there without compensation, (n,) [m]; NaN where not known.
         expected: Root mean square distance that is left, from the uncertainty of the parameters, (n,) [m]; NaN where
             there is no command, or the uncertainty of the robot is not known.
         low95, high95: The distance lies between them in 95 of 100 cases, (n,) [m].

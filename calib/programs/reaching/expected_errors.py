@@ -61,7 +61,7 @@ class ExpectedError(ReadOnlyArrays):
             frame: Frame of the goals.
             goals: The goals, n of them.
             commands: Joints for some of them, (n_rows, n_actuated) [m or rad].
-            rows: Which ones, (n_rows,).
+            rows: Numbers of the rows, (n_rows,).
             context: Under which conditions these are given.
         """
         errors = np.full((6, len(goals)), np.nan)

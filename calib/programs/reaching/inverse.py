@@ -42,12 +42,13 @@ class Solution(ReadOnlyArrays):
 
     Attributes:
         q: Actuated joints, (n, n_actuated) [m or rad]; where `ok` is False the nearest that was found.
-        ok: Which goals are reached to `TOLERANCE`, at joint values at which `Robot.assemble` finds the robot, (n,).
+        ok: Mask of the goals that are reached to `TOLERANCE`, at joint values at which `Robot.assemble` finds the
+            robot, (n,).
         miss_position: Distance from the goal, (n,) [m].
         miss_angle: Angle from the orientation or direction of the goal, (n,) [rad]; 0 where there is no goal.
-        positions: Where the target is at `q`, (n, 3) [m].
+        positions: Positions of the target at `q`, (n, 3) [m].
         labels: Name of each goal in messages.
-        expected: How far the real robot is expected to be off. Where the verdict is that nothing is to be corrected, it
+        expected: Expected errors of the real robot. Where the verdict is that nothing is to be corrected, it
             is the nominal robot that reaches the goals, and this is the error of the calibrated one.
     """
 
@@ -212,7 +213,7 @@ def with_tilts(
     Args:
         robot: The robot.
         reach: The problem.
-        index: Which goals, (n,).
+        index: Numbers of the goals, (n,).
         solution: Their solution.
         context: The conditions of each.
     """

@@ -106,7 +106,7 @@ class Reach:
         mechanism: The robot.
         mode: Its assembly mode.
         target: The measured point seen from the measurement frame.
-        goals: Where it is wanted.
+        goals: Goals of the target.
         lower, upper: Limits of the driven joints, (n_driven,) [m or rad].
     """
 
@@ -155,7 +155,7 @@ class Reach:
         """Return e and its derivative at closed configurations.
 
         Args:
-            index: Which goal each configuration is for, (n,).
+            index: Number of each configuration's goal, (n,).
             actuated: Actuated joints, (n, n_actuated) [m or rad].
             passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
             closures: [C_p C_a] there, where it is known, (n, n_passive, n_passive + n_actuated).
@@ -201,7 +201,7 @@ class Reach:
         """Follow the loops from one configuration of each goal to another by the tangent and Newton.
 
         Args:
-            at: Where the loops are closed.
+            at: Configurations with closed loops.
             linear: The derivatives there.
             trial: Actuated joints to go to, (n, n_actuated) [m or rad].
 
@@ -231,7 +231,7 @@ def descend(
 
     Args:
         reach: The problem.
-        index: Which goals, (n,).
+        index: Numbers of the goals, (n,).
         start: A closed configuration for each.
         iterations: Largest number of trial steps.
     """

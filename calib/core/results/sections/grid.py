@@ -18,7 +18,7 @@ class GridNumber:
         value: The number; NaN where it is not known.
         std: Its standard deviation, by which a page rounds; None: a page shows three significant digits.
         decimals: Format in text.
-        page_decimals: How many decimals a page shows, where that is fixed.
+        page_decimals: Number of decimals on a page, where that is fixed.
     """
 
     value: float
@@ -58,7 +58,7 @@ class Grid:
         caption: Text above it on a page.
         columns: Its columns; the first names the rows.
         rows: Their cells.
-        counting: Which rows count most.
+        counting: Rows that count most.
     """
 
     title: str

@@ -71,7 +71,7 @@ class WaveFormula:
     """phi = sin(k base q), cos(k base q) for every order k, two columns each.
 
     Attributes:
-        place: Which actuated joint q is the command of.
+        place: Number of the actuated joint whose command is q.
         base: Phase per unit of q [rad/rad or rad/m].
         orders: Every k.
     """

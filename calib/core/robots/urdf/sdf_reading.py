@@ -42,7 +42,7 @@ def read_sdf(source: bytes, path: str) -> MjcfRobot:
 
     Args:
         source: Its bytes.
-        path: Where it came from.
+        path: Path of its file.
 
     Raises:
         UrdfError: It is not valid, or URDF has no words for what is in it.

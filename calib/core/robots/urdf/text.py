@@ -60,7 +60,7 @@ class UrdfText:
 
     Attributes:
         source: The file's bytes.
-        path: Where it came from, for messages.
+        path: Its file, for messages.
         name: The robot's name.
         links: Link names in file order.
         joints: Joints in file order.

@@ -30,7 +30,7 @@ from calib.exporting.gap import Gap, free_joints, loop_gaps, require_small
 
 _FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6
 """Mass [kg] and moments of inertia [kg m^2] of the links between free joints: small, but what simulators can handle."""
-_SLIDE_LIMIT = 1.0  # of an added slide [m]
+_SLIDE_LIMIT = 1.0  # limit of an added slide [m]
 SERVO_FREQUENCY = 100.0
 """Undamped frequency of the position servos at home, with critical damping [Hz]."""
 _LEAST_INERTIA = 1e-9

@@ -19,7 +19,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.results.urdf import numbers
 from calib.core.robots.urdf.links import Link, LinkShape, find_mesh
 
-_MAX_FACES = 200_000  # of a binary STL file, MuJoCo's limit
+_MAX_FACES = 200_000  # faces of a binary STL file, MuJoCo's limit
 _GREY = (0.6, 0.6, 0.6, 1.0)
 _ROD = 0.06  # radius of a rod over its length
 

@@ -31,7 +31,7 @@ from calib.core.rows.jacobian import linearise
 
 _DRAWS = 600
 _BEYOND = 1.1  # times the largest of all draws, above which residuals are no rounding
-_ALLOWANCE = 1.25  # of the claim, for what rounding may hide
+_ALLOWANCE = 1.25  # times the claim, for what rounding may hide
 _POSES = 300  # other poses that the claim is about
 _SURE = 0.99  # part of the draws in which the claim holds
 

@@ -33,7 +33,7 @@ from calib.matching.agreement import Agreement, agreement
 
 _MOST = 4  # hypotheses that are added
 _HALVED = 0.5  # part of the sum of squares that may remain after one is added
-_ROUNDS = 2  # of fits with the errors found
+_ROUNDS = 2  # fits with the errors found
 _WAVES = (1, 2, 3, 4, 5, 6)
 _SEEN = 1e-6  # least part of a column that joint origins cannot absorb; less counts as nothing
 

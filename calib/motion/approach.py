@@ -20,7 +20,7 @@ from calib.core.rows.candidates import configurations_at
 from calib.core.rows.observed import predict_readings
 from calib.core.rows.simulate import MET, touching_configurations
 
-_OFF = 0.05  # how far from contact a touch is approached straight [m]
+_OFF = 0.05  # distance from contact at which the straight approach begins [m]
 
 
 def approaches(robot: Robot, poses: Poses) -> FloatArray:

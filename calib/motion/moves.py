@@ -19,7 +19,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.motion.scene import CollisionScene
 
-_FINEST = 1e-4  # by which pairs come nearer on a piece that is not cut again [m]
+_FINEST = 1e-4  # a piece is not cut again if pairs come nearer by no more than this [m]
 _FIRST_PIECES = 8  # with loops
 _BENDS = 2.0
 

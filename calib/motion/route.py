@@ -27,8 +27,8 @@ from calib.motion.scene import CollisionScene
 
 _NODES = 150  # poses of the roadmap in addition to the stops
 _ROUNDS = 4  # in which the next best are tried
-_TURNS = 3  # of the same pose, with joints turned all the way round, that are tried
-_ROUND = 1e-9  # of a turn, by which limits are rounded
+_TURNS = 3  # tried variants of a pose with joints turned all the way round
+_ROUND = 1e-9  # rounding of limits, in turns
 _NO_WAY = "no free way leads there"
 
 

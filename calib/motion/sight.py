@@ -24,9 +24,9 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.surroundings import AcceptanceSection
 from calib.motion.scene import CollisionScene
 
-_SHORT = 0.025  # by which a line ends before what it goes to [m]
+_SHORT = 0.025  # distance at which a line ends before its target [m]
 _BEAM = 0.01  # width of a line [m]
-_ALWAYS = 0.95  # of the poses
+_ALWAYS = 0.95  # part of the poses
 _THINNEST = 1e-6
 
 

@@ -36,7 +36,7 @@ _STEPS = 40
 _ENDS = 1e-13  # relative fall of the step below which rounding decides
 _NOISE_ROUNDS = 12
 _NOISE_STANDS = 1e-8
-_SINGULAR = 1e-7  # of scaled columns: a direction that the images do not show
+_SINGULAR = 1e-7  # singular value of scaled columns: a direction that the images do not show
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,7 @@ from calib.photographs.shared_errors import (
     normal_equations,
 )
 
-_STEP = 1e-3  # of logarithms, for differences
+_STEP = 1e-3  # step of logarithms, for differences
 _MANY = 1e6  # degrees of freedom: as good as known
 
 

@@ -25,8 +25,8 @@ from calib.photographs.starts import camera_alone
 LENSES = ("auto", "given", "found")
 LENS_NUMBERS = tuple(NAMES.index(name) for name in ("fx", "fy", "cx", "cy", "k1", "k2"))
 _FOCAL, _MIDDLE, _RADIAL = 0.1, 0.05, 0.5  # how far off: of the focal length, of the width; k1 and k2
-_FROM_MIDDLE = 0.12  # of the width of the image: how far a principal point may be from its middle
-_MOST_ASPECT = 1.25  # of fx and fy
+_FROM_MIDDLE = 0.12  # largest distance of a principal point from the middle of the image, over its width
+_MOST_ASPECT = 1.25  # largest ratio of fx and fy
 
 
 def unlikely(given: FloatArray, size: tuple[int, int]) -> list[tuple[str, str]]:

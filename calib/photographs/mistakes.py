@@ -36,18 +36,18 @@ from calib.photographs.starts import Start, camera_alone, image_rms, start
 _UNKNOWN = "not_explained"
 _FAR_PIXELS = 4.0
 _HALVES = 0.5
-_SURE = 0.1  # of what is left: then no other reading is tried
-_BETTER = 0.6  # of the squares of images left out
+_SURE = 0.1  # part of the residuals: below it no other reading is tried
+_BETTER = 0.6  # ratio of the squares of images left out
 _CHANCE = 1e-4
 _SCALE = 0.004  # part of the size of a board that matters
-_SCALE_OFF = 0.02  # of a board whose images are off by more than robots are
+_SCALE_OFF = 0.02  # relative error of a board's size, where images are off by more than robots are
 _MOVED = 1e-3  # m
 _TURNED = np.deg2rad(0.15)
 _OTHER_UNIT = 2.0  # times the size described: no print is so far off
 _EXCHANGED = 1.5  # times as far from the tool as the other is from the base
 _LENS_OFF = 6.0  # standard deviations
 _ALSO_OFF = 3.0  # the same, where another number is off for sure
-_SAME_LENS = 0.05  # of the focal length: how well an exchange of numbers must explain those found
+_SAME_LENS = 0.05  # difference after an exchange of numbers, over the focal length, that counts as agreement
 _SWAPS = {
     "cx and cy are exchanged": (0, 1, 3, 2),
     "fx and cx are exchanged": (2, 1, 0, 3),

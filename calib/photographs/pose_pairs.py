@@ -52,7 +52,7 @@ LEAST_PAIRS = 3
 _MUCH_BETTER = 3.0  # times smaller residuals of another reading of the poses, from which that is meant
 _OPEN = 0.05  # part of the largest change that no pair shows, from which a component is not determined
 _NAMED = 1e-3  # part of the largest, below which a part of such a change is not named
-_STEP = 1e-6  # of parameters, for differences [m or rad]
+_STEP = 1e-6  # step of parameters, for differences [m or rad]
 _LINKS = ("base", "along_x", "along_y", "along_z", "about_x", "about_y", "tool")
 _OF_JOINTS = {
     Code.JOINT_NEVER_MOVED, Code.JOINT_MOVED_LITTLE, Code.JOINTS_MOVE_TOGETHER, Code.JOINT_SCALED, Code.ONE_CORNER,

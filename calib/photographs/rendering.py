@@ -27,7 +27,7 @@ from calib.photographs.opencv import GreyImage, encode
 from calib.photographs.printing import Paper
 
 _RAYS = 2  # across and down a pixel
-_MARGIN = 0.12  # of the board: white paper around it
+_MARGIN = 0.12  # white paper around the board, over its size
 _NODES = 40  # across the image, between which rays are interpolated
 _PAPER, _INK, _TABLE = 215.0, 35.0, 120.0
 

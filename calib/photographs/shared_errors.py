@@ -37,10 +37,10 @@ from calib.core.numerics import linalg
 from calib.photographs.scene import ImageSums
 
 _SMALLEST = 1e-8  # s_t [m] and s_r [rad] that count as none
-_FAR = 1e12  # of a criterion that cannot be computed
+_FAR = 1e12  # value of a criterion that cannot be computed
 _STARTS = ((3e-4, 3e-4), (3e-3, 1e-4), (1e-4, 3e-3))  # s_t [m], s_r [rad]
 _ARM_STARTS = (3e-5, 5e-4)  # s_a [m, rad]
-_STEP = 1e-3  # of logarithms, for differences
+_STEP = 1e-3  # step of logarithms, for differences
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from calib.photographs.shared_errors import ErrorSizes, normal_equations
 _TRIALS = 25
 _GOOD = 5.0  # px, median error of the images below which no subsets are tried
 _AT_ONCE = 4
-_MOST_POINTS = 12  # of an image, from which its pose is computed; more points add little
+_MOST_POINTS = 12  # points of an image from which its pose is computed; more add little
 _ROUNDS = 25
 _SEED = 0
 _LOST = 1e14  # condition number from which the pose of a board is undetermined

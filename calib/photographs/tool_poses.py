@@ -42,7 +42,7 @@ _FORMS = (
     ("r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"),
     ("00", "01", "02", "10", "11", "12", "20", "21", "22"),
 )
-_LAST_COLUMN = ("03", "13", "23")  # of a 4 x 4 matrix whose cells are called after row and column
+_LAST_COLUMN = ("03", "13", "23")  # cells of a 4 x 4 matrix that are named by row and column
 _NORM = 0.01
 
 

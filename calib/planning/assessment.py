@@ -57,10 +57,10 @@ CORRELATION_LIMIT = 0.95
 """Correlations above this are reported: the two values trade against each other."""
 HARDLY = 0.5
 """A parameter whose standard deviation stays above this part of its prior sigma is hardly improved."""
-_DIGITS = 9  # of a part that is left, beyond which it is rounding
+_DIGITS = 9  # digits of a remainder; what is smaller is rounding
 _COUNTS = 8  # numbers of poses up to all of them
 _MOST_CHOSEN, _MOST_CANDIDATES = 400, 2000  # for more, the search for the best poses would take long
-_BEYOND = (2, 4)  # how many times all poses
+_BEYOND = (2, 4)  # multiples of the number of poses
 _GROUPS = 3  # that are named where it is printed
 _NOTHING_NEW = 1e-3  # part of a pose's strongest direction; repeats that hardly differ add no more than this
 

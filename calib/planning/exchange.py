@@ -26,7 +26,7 @@ from calib.planning.selection_scores import Scores, scores
 
 _RISE = 1e-10
 """Least relative rise of an index that counts; less is rounding."""
-_RIDGE = 1e-9  # of K, whose full value is 1
+_RIDGE = 1e-9  # added to K, whose full value is 1
 _MAX_PASSES = 20
 
 

@@ -30,7 +30,7 @@ from calib.planning.selection_setting import Request, prepare
 
 ENOUGH = 0.8
 """Part of the best pose's help that a nearer one must give."""
-_KNOWN = 1e-6  # of the information of all candidates on a direction, added to every direction at the start
+_KNOWN = 1e-6  # part of the information of all candidates on a direction, added to every direction at the start
 
 
 @dataclass(frozen=True, eq=False)

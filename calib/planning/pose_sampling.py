@@ -41,9 +41,9 @@ from calib.core.rows.simulate import MET, touching_configurations
 _TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses, for one that sees something
 _AT_ONCE = 1_000
 _BROUGHT_OF_EACH = 10  # poses that are brought to where a kind says that it reads something
-_FEW_SEE = 0.5  # of the poses
+_FEW_SEE = 0.5  # part of the poses
 _MOST_DRAWN = 64  # poses, for one that is free
-_NUMBERS_OF_EACH = 120  # of 8 bytes, for joint values, names and the text of a file: 700 to 850 bytes were measured
+_NUMBERS_OF_EACH = 120  # numbers of 8 bytes: joint values, names, text of a file; 700 to 850 bytes were measured
 
 
 def sample(

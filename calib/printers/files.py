@@ -33,8 +33,8 @@ _HEIGHT = re.compile(r"(manual_)?height(\d+)$")
 _DISTANCE = re.compile(r"distance(\d+)$")
 _NUMBER = r"[-+]?[\d.]+"
 _WORD = re.compile(rf"\s*([A-Z])\s*({_NUMBER}(?::{_NUMBER})*)(?=\s|[A-Z]|$)")
-_AROUND = 15 * _DEG  # how far a tower may be from where the third of a circle would have it
-_TRIM = 5.0  # of a rod at most [mm]; Marlin 1.1 had in B the radius of its calibration
+_AROUND = 15 * _DEG  # largest angle of a tower from its third of the circle
+_TRIM = 5.0  # largest trim of a rod [mm]; Marlin 1.1 had in B the radius of its calibration
 
 
 def read_klipper(path: Path | str) -> PrinterFile:

@@ -35,7 +35,7 @@ _FITS = 2e-3  # largest distance between rows and saved settings that belong tog
 _FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0)
 _FAR, _TIMES = 0.5e-3, 6.0  # a row is far off beyond this error [m], and beyond this multiple of the median
 _ALIKE = 0.02  # largest relative difference of arms that are alike
-_STEP = 1e-6  # of central differences [m or rad]
+_STEP = 1e-6  # step of central differences [m or rad]
 
 
 @dataclass(frozen=True)

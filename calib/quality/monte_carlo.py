@@ -32,7 +32,7 @@ from calib.core.rows.rows import Rows
 from calib.core.rows.unknowns import Unknowns
 from calib.quality.uncertainty_budget import ELSEWHERE, MODEL, REPEATABILITY, SYSTEMATIC, Budget, ErrorPropagation
 
-_TOLERANCE = 1e-7  # of the cost
+_TOLERANCE = 1e-7  # relative change of the cost
 _SEEN = 1e-4  # part of a direction below which only priors tell of it
 _ADDED = (REPEATABILITY, MODEL, ELSEWHERE)
 

@@ -38,12 +38,12 @@ from calib.quality.sample_robots import sample_robots
 _PHASE = Phase.OPERATION
 _DIGITS = 7.0
 """Digits of NIST's eleven that an answer must have."""
-_FAR = 1e-9  # how far positions computed in two ways may be apart, by rounding [m]
+_FAR = 1e-9  # distance of positions computed in two ways that rounding explains [m]
 _SLOPES = 1e-6  # the same of derivatives and their differences, relative
 _QUIET = 1e-7  # noise that is stated where there is none [m]
-_FOUND = 1e-6  # how far a robot may be from its truth that was measured without noise [m]
+_FOUND = 1e-6  # allowed error of a robot that was measured without noise [m]
 _POSES, _ELSEWHERE = 40, 25
-_SMALL = 0.3  # of the errors expected: loops close at nearly the same joint values
+_SMALL = 0.3  # part of the expected errors: loops close at nearly the same joint values
 _FITS, _LEAST, _MOST = 40, 0.93, 0.97
 _INPUTS = (
     ("no such robot", ("fit", "missing.urdf", "missing.csv"), 2),

@@ -29,7 +29,7 @@ GCODE_COMMENT = ";"
 _MARK = re.compile(rb"written by \S+ \S+ \(sha256 of the rest begins ([0-9a-f]{16})\)")
 _OLD_LINES = re.compile(rb"^[#; <!-]*" + _MARK.pattern + rb"[ ->]*\n", re.MULTILINE)
 _END_OF_JSON = b"\n}\n"
-_LOOKS = 10  # at a folder that another program replaces meanwhile
+_LOOKS = 10  # looks at a folder that another program replaces meanwhile
 _inputs: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=None)
 """Device and number of each file that the present command has read; None where no command runs."""
 

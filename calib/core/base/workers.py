@@ -35,7 +35,7 @@ Progress = Callable[[int, int], None]
 
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
 _AHEAD = 256  # pieces of work sent at a time: each carries what it needs, and its result waits for those before it
-_LOSSES = 3  # of the same piece of work in a row; the work itself then ends its workers
+_LOSSES = 3  # losses of the same piece of work in a row; the work itself then ends its workers
 
 
 def results_in_order(

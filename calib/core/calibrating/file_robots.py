@@ -41,7 +41,7 @@ from calib.core.robots.robot_files import lost_by, without_terms
 from calib.core.robots.terms.one_coefficient import Zero
 from calib.core.robots.terms.term import Joint, TermSection
 
-_NOTHING = 1e-12  # of a joint zero, and of how far joints moved, squared [m or rad]
+_NOTHING = 1e-12  # joint zero, or squared motion of joints, that counts as none [m or rad]
 _SAME = 1.0 + 1e-6  # times the error of the nominal robot, and `COMPUTED`: where rounding would decide
 
 

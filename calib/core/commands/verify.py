@@ -21,7 +21,7 @@ from calib.core.results.result_reading import load_result
 from calib.core.robots.robot import Robot
 
 _NOT_AS_PROMISED = 3
-_DIGITS = 8  # of joint values that are the same in two files [m or rad]
+_DIGITS = 8  # decimals to which joint values of two files are compared [m or rad]
 
 
 @click.command("verify")

@@ -42,7 +42,7 @@ from calib.core.data.rosbag import is_bag, read_bag
 from calib.core.data.table_writing import text_of
 
 _LARGEST = {"length": 1e6, "angle": 1e6, "pixel": 1e6}  # [SI]
-_LARGEST_NUMBER = 1e30  # of anything else: squares and sums of many stay finite
+_LARGEST_NUMBER = 1e30  # largest number of other columns: squares and sums of many stay finite
 IN_MEMORY = "table in memory"
 """Name in messages of a table that is no file."""
 _WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)

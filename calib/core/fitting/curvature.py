@@ -44,7 +44,7 @@ from calib.core.numerics.statistics import prior_directions
 from calib.core.rows.rows import Rows
 
 _HELD = 0.1  # share of the priors in a direction above which its square counts
-_STEP = 0.1  # of a difference of Jacobians, in standard deviations
+_STEP = 0.1  # step of a difference of Jacobians, in standard deviations
 _POSES = 250  # poses of each look that tell the step back
 
 

@@ -54,9 +54,9 @@ _LOOSE = 1e-3  # tolerance of the solver where another solve follows
 _PLACED = 1e-6  # the same for the state before: its errors then hold to a millionth
 _NOISE_ROUNDS = 20
 _NOISE_STANDS = 0.01  # relative change of scales below which they are found
-_FAMILIES_STAND = 5.0  # how much less exactly the sizes of families need to be found
+_FAMILIES_STAND = 5.0  # factor of the tolerance for sizes of families
 _RATIOS_STAND = 0.05  # the same of offsets over noise, from 1 on; they change weights and nothing else
-_GAINED = 1.0  # by how much weights must better the log error of poses left out, summed over the poses
+_GAINED = 1.0  # least gain by weights in the log error of poses left out, summed over the poses
 _NO_NOISE = (
     "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
     " --sigma-mm)"
@@ -64,8 +64,8 @@ _NO_NOISE = (
 _ALIKE = 1e-12  # difference of residuals of robots that move alike: rounding [SI]
 STEP_LEFT = 0.05
 """Standard deviations that a converged fit may be away from its minimum."""
-_FAR = 0.5  # of the farthest way left, for which parameters are named
-_BLIND = 1e-6  # of the longest column, in units of what is expected: such a place is not seen
+_FAR = 0.5  # part of the farthest way left: such parameters are named
+_BLIND = 1e-6  # part of the longest column, in units of what is expected: such a place is not seen
 ROUNDING = 1e-8
 """10 nm and 10 nrad: below, rounding decides about a step."""
 

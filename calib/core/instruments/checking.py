@@ -15,7 +15,7 @@ from calib.core.base.errors import ComputationError
 from calib.core.instruments.kind import Comparison, Instrument, JointComparison, Readings, View
 
 _STEP = 1e-6  # m, rad, and of unknown numbers relative to their expected error
-_NEAR = 1e-5  # of the largest derivative of a row: 1e-16 / 1e-6 of rounding, and what digits of residuals take
+_NEAR = 1e-5  # part of the largest derivative of a row: 1e-16 / 1e-6 of rounding, and what digits of residuals take
 _TWIST = ("dp_x", "dp_y", "dp_z", "dw_x", "dw_y", "dw_z")
 
 

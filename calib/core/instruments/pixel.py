@@ -46,10 +46,10 @@ from calib.core.numerics.rigid import cross_matrices
 
 PIXEL = Part("pixel", ("u", "v"), "pixel", usual=2.0)
 _STEEPEST = np.cos(np.deg2rad(65.0))
-_MARGIN = 0.02  # of the larger side of the image
+_MARGIN = 0.02  # margin, over the larger side of the image
 _LEAST_SEEN = 6  # points
 _SMALLEST = 16.0  # side of a marker, square or spacing of dots [px]
-_WIDER = 1.1  # how far beyond its edge an image may reach whose middle is only guessed, in half widths
+_WIDER = 1.1  # half width of an image whose middle is only guessed, over the guessed one
 _FEW_AWAY = 0.02  # part of the readings that may lie outside: mistakes
 _MOSTLY = 0.5  # part of the sightings that must not lie behind the camera
 

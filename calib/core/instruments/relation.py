@@ -37,7 +37,7 @@ from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Gue
 
 _STEP = 1e-4  # m, rad; of unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
-_ROUNDING = 1e-11  # of the largest derivative: less is none
+_ROUNDING = 1e-11  # part of the largest derivative that counts as none
 _STAY = 1e-3  # weight of leaving where a place is said to be by its scale, against the median residual
 _FEW = 60  # readings from which starts are compared
 _TRIED, _IMPROVED = 5, 50  # evaluations of a start, and of the best ones

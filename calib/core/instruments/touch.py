@@ -38,7 +38,7 @@ _PARTS: dict[Surface, Part] = {
     "plane": Part("gap", ("gap",), "length", plural="distances from the touched surface"),
     "sphere": Part("gap", ("gap",), "length", plural="distances from the touched surface"),
 }
-_RADIUS = 0.01  # where an unknown radius starts [m]
+_RADIUS = 0.01  # initial value of an unknown radius [m]
 
 
 @dataclass(frozen=True)

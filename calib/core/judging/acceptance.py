@@ -62,7 +62,7 @@ from calib.core.judging.settling import poses_that_settle
 from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.rows.simulate import simulate
 
-_LEVEL = FALSE_ALARM / 2  # of either test
+_LEVEL = FALSE_ALARM / 2  # level of each of two tests
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
 

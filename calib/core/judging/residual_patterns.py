@@ -49,9 +49,9 @@ from calib.core.numerics.tall import slices
 
 SMALLEST_EFFECT = 0.1
 """Least root mean square of an effect, over that of the noise, that is worth a finding."""
-_NUMBERS_AT_ONCE = 1 << 24  # of what findings explain
+_NUMBERS_AT_ONCE = 1 << 24  # numbers of what findings explain
 _VISITS_AT_ONCE = 512  # their factors stay in the processor's cache
-_ALIKE = 9.2  # of the noise squared: chance makes a sine and cosine explain more in 1 % of cases
+_ALIKE = 9.2  # times the noise squared: chance makes a sine and cosine explain more in 1 % of cases
 
 
 @dataclass(frozen=True, eq=False)

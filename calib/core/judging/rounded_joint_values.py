@@ -32,7 +32,7 @@ from calib.core.numerics.clusters import blocks_of_equal_length
 from calib.core.robots.robot import Robot
 
 _STEPS = tuple(round(figure * 10.0**power, 12) for power in range(2, -6, -1) for figure in (5.0, 2.0, 1.0))
-_CLOSE = 1e-6  # of a step, by which a value that stands on it may be off
+_CLOSE = 1e-6  # part of a step by which a value on the grid may be off
 _DIFFERENT = 8  # values that a joint must take for its steps to show
 _UNITS: dict[Dimension, tuple[str, ...]] = {"angle": ("deg", "rad"), "length": ("mm", "m")}
 

@@ -40,7 +40,7 @@ NOT_STATED = 2.0
 """How many times as much may be left where the noise of the instrument is not stated, as it is in there: a camera that
 looks at a small space has 1 % of it."""
 _CLOSER = 0.2  # error with another meaning over that with the present one
-_TRIED = 20  # of many poses, so many are enough
+_TRIED = 20  # poses that are tried, of many
 _FEWEST_READINGS = 4
 
 

@@ -48,7 +48,7 @@ UNUSUAL = 10.0
 """Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
 JOINT_SCALED = 0.01
 """Part by which no joint moves further than its values say: gears, belts and screws are off by a thousandth."""
-_SUREST = 0.2  # of the standard deviations of the surest scale: what bends with it looks like smaller ones of others
+_SUREST = 0.2  # standard deviations of the surest scale: what bends with it looks like smaller ones of others
 LOOSE_ANGLE = 0.1
 """Standard deviation of an angle beyond which its effect is not linear [rad]."""
 

@@ -34,7 +34,7 @@ LESS_KNOWN = 3.0
 WIDENED = np.sqrt(2.0)
 """Uncertainty of positions with joint terms over that without them, from which most of it is theirs."""
 _TRIED = 50  # poses at which a joint is moved through its limits in the model
-_NO_VARIANCE = 1e-9  # of a variance, nothing
+_NO_VARIANCE = 1e-9  # part of a variance that counts as none
 _SAMPLED = 200  # poses at which uncertainties are looked at
 
 

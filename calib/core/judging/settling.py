@@ -22,7 +22,7 @@ from calib.core.rows.simulate import simulate
 
 MOST = 300
 """Poses that are looked at."""
-_COUNTS = (8, 12, 16, 24, 32)  # of poses to measure again
+_COUNTS = (8, 12, 16, 24, 32)  # numbers of poses to measure again
 _NOTHING = 1e-6  # information before any pose was chosen, of columns of length 1
 
 

@@ -89,7 +89,7 @@ _ORDER = ("FAIL", "CHECK", "PASS")
 _IN_MISTAKE = {Code.ZERO_READINGS, Code.EQUAL_COLUMNS, Code.JOINT_SCALED}
 """Reasons that the likely mistake says already."""
 _NOTHING_FITS = {Code.NOT_CONVERGED, Code.NOT_ASSEMBLED, Code.NOISE_AS_LARGE_AS_ROBOT, Code.FAR_FROM_NOMINAL}
-_MOVED = {Code.AT_BOUNDS}  # what a base that stands a little elsewhere does
+_MOVED = {Code.AT_BOUNDS}  # effect of a base that stands a little elsewhere
 
 
 @memoize

@@ -24,7 +24,7 @@ from calib.core.numerics.prior import Prior
 
 ON_RADIUS = 0.1
 """Relative length within which a step counts as being on the ball that holds it."""
-_BOLD = 4.0  # how far to go where the model has no minimum, in lengths of Newton's step
+_BOLD = 4.0  # length of a step where the model has no minimum, in lengths of Newton's step
 _DEPENDENT = 1e-4  # part of a remembered step outside of later ones, below which it tells nothing
 _SINGULAR = 1e-14  # the same for directions that the rows do not see
 _MANY = 128  # columns from which products are used

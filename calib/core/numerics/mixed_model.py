@@ -64,7 +64,7 @@ from calib.core.numerics.clusters import blocks_of_equal_length
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
 _DECIDES = 1e-6  # part of a direction that other poses decide, from which they predict it
-_RIDGE = 1e-12  # of its diagonal, added to a matrix that rounding might make singular
+_RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding might make singular
 
 
 @dataclass(frozen=True, eq=False)

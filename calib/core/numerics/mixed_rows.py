@@ -12,7 +12,7 @@ from calib.core.numerics.linear_model import LinearModel
 
 FLAT, KNOWN = -2, -1
 """In place of the number of a family: a column without a prior, and one whose prior is N(0, 1)."""
-_ASIDE = 1e-4  # of the largest singular value of a family, below which its components are put aside
+_ASIDE = 1e-4  # part of the largest singular value of a family below which its components are put aside
 _UNSEEN = 1e-11  # the same of flat columns: what rounding leaves of columns that depend on others
 
 

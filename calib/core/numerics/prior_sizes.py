@@ -42,7 +42,7 @@ _ROUNDS = 100
 _STANDS = 0.01  # relative change of a size at which it is found
 _SMALLEST = 1e-3  # size below which a family does not fall at once
 _SEEN = 0.05  # coefficients that the data must decide of a family for its size to be found
-_RIDGE = 1e-12  # of its diagonal, added to a matrix that rounding has made singular
+_RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding has made singular
 
 
 def spread_of_sizes(covariance: FloatArray, family: IntArray) -> FloatArray:

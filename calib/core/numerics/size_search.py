@@ -38,9 +38,9 @@ from calib.core.numerics.mixed_rows import FLAT
 
 _LEAST = -6.0  # logarithm of the least size of a family
 _MOST = 4.0
-_LEAST_PART = 1e-3  # of noise and scatter, over what would explain all that is left
-_SMALL = 0.1  # of where a search begins, below which a size that falls is put to its bound
-_AT_BOUND = 1e-9  # of a logarithm
+_LEAST_PART = 1e-3  # least noise and scatter, over what would explain all residuals
+_SMALL = 0.1  # part of the start of a search below which a falling size is set to its bound
+_AT_BOUND = 1e-9  # difference of a logarithm from its bound
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
 _STANDS = 0.03  # gradient of twice the cost by a logarithm at which a size is found

@@ -47,7 +47,7 @@ from calib.core.results.result_content import to_dict
 from calib.core.results.result_reading import load_result
 from calib.core.robots.robot import Robot
 
-_OWN = 1e-3  # of the variance of both, from which on a difference is more than what the prior leaves of it
+_OWN = 1e-3  # part of the variance of both above which a difference is more than the prior leaves of it
 _ERRORS = {
     "validation": "readings that it did not use",
     "cross_validation": "poses left out in turn",

@@ -35,7 +35,7 @@ from calib.core.rows.known_robot import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty
 from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
-_DIGITS = 9  # of joint values and readings that are the same in two files [SI]
+_DIGITS = 9  # decimals to which joint values and readings of two files are compared [SI]
 
 
 class CalibratedRobot:

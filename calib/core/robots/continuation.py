@@ -43,12 +43,12 @@ LARGEST_STEP = 0.5
 """Of any passive joint in one correction [rad, or characteristic lengths]."""
 _MAX_NEWTON = 12
 _SURE = 0.1  # part of the tolerance that a residual which is not computed must come to
-_SMALLEST_PART = 1 / 256  # of the way from start to goal, before continuation gives up
+_SMALLEST_PART = 1 / 256  # part of the way from start to goal, before continuation gives up
 _SMALLEST_AT_ONCE = 1 / 16  # the same where a pose that is hard to reach may be left out
 _SMALLEST_CHANGE = 1 / 64  # part of the change of the origins that is not halved any more
 _TOGETHER = 64  # steps that are tried at once while few poses are left
 _NEIGHBOURS = 3  # solved poses to start from
-_MOST_KNOWN = 10_000  # of the poses solved together: more are no nearer by much, and looking among them takes longer
+_MOST_KNOWN = 10_000  # poses solved together that serve as starts: more are hardly nearer, and take longer to search
 _STONES, _FROM_STONES = 64, 6
 
 

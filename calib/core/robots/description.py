@@ -96,7 +96,7 @@ class OriginSection(Section):
         return "length" if self.components[0] in LENGTH_COMPONENTS else "angle"
 
 
-_FORMS = ("number", "axes", "beam")  # of `calib.core.instruments.noise`
+_FORMS = ("number", "axes", "beam")  # forms of noise (`calib.core.instruments.noise`)
 
 
 def _origin_or_joint(value: Any) -> str:

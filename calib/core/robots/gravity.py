@@ -30,11 +30,11 @@ from calib.core.robots.terms.gravity import STANDARD, GravitySection, Inclinomet
 from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm
 from calib.core.robots.urdf.text import UrdfText
 
-_ROUNDS = 30  # of Newton's method
+_ROUNDS = 30  # steps of Newton's method
 _SETTLED = 1e-12  # [rad]
-_MISSED = 1e-9  # how far a direction may end from what was read
+_MISSED = 1e-9  # allowed distance of a direction from what was read
 _CONTRADICTS = np.radians(45.0)  # from here on a reading and a statement are not of the same direction [rad]
-_SAME_AXIS = 1e-3  # of two axes, seen across gravity, that turn a link alike
+_SAME_AXIS = 1e-3  # difference of two axes, seen across gravity, that turn a link alike
 
 
 @dataclass(frozen=True)

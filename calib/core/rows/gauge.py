@@ -33,7 +33,7 @@ from calib.core.rows.observed import Observed, observe, predict_readings
 _POSES = 256
 _ROUNDS = 10
 _STANDS = 1e-6  # change of a scaled parameter; what is left of it shrinks by its square
-_AROUND_HOME = 0.5  # what these poses do not see, none do: motion is analytic [rad, or characteristic lengths]
+_AROUND_HOME = 0.5  # motion is analytic: what these poses do not show, none does [rad, or characteristic lengths]
 
 
 @one_blas_thread

@@ -44,7 +44,7 @@ CHUNK = 1024
 ROWS = (slice(3), slice(3, 6))
 """Rows of positions and of turns."""
 _DIFFERS = 1.5  # uncertainty in the measurement frame over that predicted, above which both are reported
-_CERTAIN = 1e-12  # of the square of a length, its variance that does not show
+_CERTAIN = 1e-12  # variance of a length that does not show, over its square
 
 
 @dataclass(frozen=True, eq=False, repr=False)

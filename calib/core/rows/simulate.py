@@ -38,7 +38,7 @@ from calib.core.rows.observed import (
 )
 from calib.core.rows.whitening import stated_noise
 
-_LONGEST_STEP = 0.2  # of a joint at once [rad, or characteristic lengths]
+_LONGEST_STEP = 0.2  # step of a joint [rad, or characteristic lengths]
 _ROUNDS, _STEPS = 3, 100
 _LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a step that gains less, further away [m], leads nowhere
 MET = 1e-10

@@ -19,7 +19,7 @@ from calib.pictures import Live, live
 from calib.planning.progress import LEAST, Progress
 from calib.planning.watch import CANDIDATES, GrowingFile, Watch
 
-_BEGINNINGS = 8  # of a file that is there already: so many states lead to the present one
+_BEGINNINGS = 8  # earlier states of a file that is there already, before the present one
 
 
 @click.command("watch")

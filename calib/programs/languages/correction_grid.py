@@ -24,7 +24,7 @@ from calib.programs.reaching.compensation import Compensation, compensate
 from calib.programs.reaching.goals import Goals
 
 _MOST = 100_000  # nodes
-_ALIKE = 1e-6  # of orientations that are one [rad]
+_ALIKE = 1e-6  # difference of equal orientations [rad]
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ from calib.core.base.errors import DataError
 from calib.programs.languages.gcode_dialects import TEXT, Dialect, parse_words
 
 AXES = "XYZ"
-_LARGEST = 1e6  # of numbers in a program
-_COMMENT = re.compile(r'"[^"]*"|\([^()]*\)|;.*')  # what stands in quotation marks is none
+_LARGEST = 1e6  # largest number in a program
+_COMMENT = re.compile(r'"[^"]*"|\([^()]*\)|;.*')  # text in quotation marks is no comment
 _CODE_IN_COMMENT = re.compile(r"[XYZEFGMT]\s*[-+.\d]|(?<![A-Z_])[XYZ](?![A-Z_])|;", re.ASCII | re.IGNORECASE)
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+))\s*", re.ASCII | re.IGNORECASE)
 _NAME = re.compile(r"[A-Z_]{2}\w*(?=\s|$)", re.ASCII | re.IGNORECASE)

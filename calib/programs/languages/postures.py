@@ -27,10 +27,10 @@ from calib.programs.reaching.inverse import problem
 from calib.programs.reaching.reaching import GoalConfigurations, descend
 
 _STARTS = (12, 64)
-_FAR = 0.7  # of one joint, from the pose before [rad]
+_FAR = 0.7  # distance of one joint from the pose before [rad]
 _BORDER = 0.1  # so far outside of what a program says a joint may be, where borders are rounded [rad]
 _REACHED = 1e-8  # [m]
-_ROUNDED = 2e-4  # how far a robot of less than six motors may miss a pose that was rounded [m]
+_ROUNDED = 2e-4  # allowed error of a robot with fewer than six motors at a rounded pose [m]
 _ALIKE = 1e-9
 
 

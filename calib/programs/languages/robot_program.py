@@ -27,7 +27,7 @@ from calib.core.base.units import PER_SI
 from calib.programs.languages.orientations import Rotation, numbers_of, pose_of
 
 DEGREE, MILLIMETRE = 1 / PER_SI["angle"]["deg"], 1 / PER_SI["length"]["mm"]
-_DECIMALS = {1.0: 7, MILLIMETRE: 4, DEGREE: 5}  # at least so many, by unit
+_DECIMALS = {1.0: 7, MILLIMETRE: 4, DEGREE: 5}  # least number of decimals, by unit
 _QUATERNION_DECIMALS = 9
 _LARGEST = 1e6
 

@@ -57,7 +57,7 @@ from calib.programs.reaching.redundancy import near_joints
 from calib.programs.reaching.search import TOLERANCE
 
 _JUMP = 0.1  # more than the program itself goes between two rows [rad, or characteristic lengths]
-_CLOSINGS = 4  # of the loops at each row
+_CLOSINGS = 4  # times that the loops are closed for each row
 _BEYOND = 1e-9  # past a limit by more than rounding [m or rad]
 
 

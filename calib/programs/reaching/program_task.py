@@ -26,7 +26,7 @@ KEEP = ("pose", "axis", "position")
 """Part of the program's poses that is kept: the full pose, position and z axis of the target, or its position."""
 _FURTHER = 0.5  # step between rows that may be a change of branch [rad, or characteristic lengths]
 _ROUNDS = 200
-_SINGULAR = 1e-6  # of the largest singular value
+_SINGULAR = 1e-6  # part of the largest singular value
 _STATED = {"full pose": "pose", "position and axis": "axis", "position": "position"}
 
 

@@ -41,7 +41,7 @@ from calib.core.robots.mechanism import Mechanism, RelativeFrame
 from calib.programs.reaching.goals import Goals
 
 _CONVERGED = 2e-13  # norm of e where rounding takes over [m]
-LARGEST_STEP = 0.5  # of any joint [rad, or characteristic lengths]
+LARGEST_STEP = 0.5  # largest step of a joint [rad, or characteristic lengths]
 _ITERATIONS = 100
 NEARLY = 1e-11  # norm of e where a step that gains nothing is rounding [m]
 _SMALLEST_GAIN = 1e-7  # part of the distance that a step must gain to go on

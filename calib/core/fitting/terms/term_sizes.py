@@ -73,12 +73,12 @@ from calib.core.rows.unknowns import Unknowns
 
 LEAST_POSES = 16
 """Different poses below which no sizes are found."""
-_SMALL = 0.05  # of what is usual: a family so small is fitted only if the rows show it
+_SMALL = 0.05  # part of the usual size: a family so small is fitted only if the rows show it
 _SHOWS = 1.0  # rise of the log likelihood by a family that they show
 _POSES = 500  # that tell the sizes
 _DRAWS = 24
 _SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is negligible
-_LITTLE = 0.01  # of the largest variance that readings feel of undecided terms, below which directions are left out
+_LITTLE = 0.01  # part of the largest variance of readings by undecided terms; smaller directions are left out
 _LIMITS = (0.025, 0.975)
 
 

@@ -51,9 +51,9 @@ from calib.core.robots.urdf.writing import (
 )
 
 _DRAWN = 12  # configurations at which directions of a loop are looked at
-_SPREAD = 0.3  # how far from those of the file [m, rad]
+_SPREAD = 0.3  # largest distance from those of the file [m, rad]
 _MOVES = 1e-7  # singular value over the largest, from which a direction moves
-_SHOWN_GROUPS = 3  # of shapes: MuJoCo draws groups 0, 1 and 2
+_SHOWN_GROUPS = 3  # groups of shapes: MuJoCo draws groups 0, 1 and 2
 _MESHES = (".stl", ".obj", ".dae", ".ply")
 
 

@@ -248,7 +248,7 @@ def fleet(*results: Path | str) -> Fleet:
         learned = _fleet(folders)
     section = learned.robot.description.fleet
     assert section is not None
-    bare = section.model_copy(update={"noise_freedom": _STATEMENT})  # what was found there is no instrument's noise
+    bare = section.model_copy(update={"noise_freedom": _STATEMENT})  # noise found there is no instrument's
     description = learned.robot.description.model_copy(update={"fleet": bare})
     return replace(
         learned,

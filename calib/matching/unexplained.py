@@ -92,7 +92,7 @@ def _rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
 def hypotheses(robot: Robot, q: FloatArray) -> Iterator[Hypothesis]:
     """Yield the possible errors of each joint at joint values q (n_pairs, n_joints)."""
     names = robot.joint_names
-    rises = np.stack([robot.jacobian(q, link)[:, 2] for link in _links(robot)], axis=2)  # of links' origins
+    rises = np.stack([robot.jacobian(q, link)[:, 2] for link in _links(robot)], axis=2)  # rises of the origins of links
     for j, joint in enumerate(names):
         moves = {f"gravity at {joint}": rises[:, j], f"gain of {joint}": q[:, [j]]}
         moves |= {f"coupling of {joint} by {other}": q[:, [k]] for k, other in enumerate(names) if k != j}

@@ -92,7 +92,7 @@ def find_mistakes(
         fitted: The estimate from these.
         prior: Prior of the lens.
         given: Intrinsics as given, (9,); None without.
-        first: The same, or those to begin with, (9,).
+        first: Given intrinsics, or those to begin with, (9,).
         better: With the lens found, where that tells images left out better; else `fitted`.
         mounts: Possible mounts of the camera: one, if it is stated.
     """

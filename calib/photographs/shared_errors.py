@@ -86,7 +86,7 @@ def normal_equations(
         linear: Sums over images.
         noise: Sizes of the errors.
         prior: Prior of the intrinsics that are sought.
-        now: These, as they are.
+        now: Present values of these, (k,).
     """
     gain, square = gains(linear, noise), noise.pixel**2
     jgk = linear.jg @ gain
@@ -141,7 +141,7 @@ def find_noise(
     Args:
         linear: Sums over images; with errors of the arm, their size is found too.
         prior: Prior of the intrinsics that are sought.
-        now: These, as they are.
+        now: Present values of these, (k,).
         near: Sizes of a similar problem, to begin with.
     """
     low = logarithms(ErrorSizes(1e-3), linear)

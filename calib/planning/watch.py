@@ -177,7 +177,7 @@ class Watch:
         fit, measured = self._fit, data if data is not None and len(data) else None
         sigma = self._settings.sigma
         if fit is not None and sigma is None and fit.sigma_stated is None and fit.first_noise.group.part.is_position:
-            sigma = max(fit.sigma, 1e-9)  # what was found; data without noise leave none
+            sigma = max(fit.sigma, 1e-9)  # noise found; data without noise leave none
         robot = self.robot if fit is None else fit.robot
         present = None if measured is None else measured.joints[-1]
         drawn = np.random.default_rng([self._seed, measured.n_poses]) if self._met and measured is not None else None

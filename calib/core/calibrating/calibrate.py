@@ -102,7 +102,7 @@ def _run_steps(
                 robot = entry.load()(robot, data, settings, section)
         if minimum is None or minimum.robot is not robot or settings.starts > 1 or unseen(robot, data, validation):
             minimum = minimum_of(robot, settings, data, validation, workers, steps, nearby)
-        else:  # what was found without further terms is the minimum
+        else:  # the fit without further terms is the minimum
             steps.advance()
             steps.advance()
         fit = fit_at(minimum, settings, validation, steps)
@@ -190,7 +190,7 @@ def _without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Me
             excluded.append(replace(outlier, reading=reading, pose=int(own[number])))
         for name, gone in readings_of_outliers(outliers, now).items():
             left = np.delete(kept[name], gone)
-            kept[name] = left[np.argsort(data.readings[name].visits[left], kind="stable")]  # as a subset has them
+            kept[name] = left[np.argsort(data.readings[name].visits[left], kind="stable")]  # order of a subset
         current = again(data.with_readings(kept))
     if not excluded:
         return first

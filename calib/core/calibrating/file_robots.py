@@ -176,7 +176,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
         nominal, signs = without_terms(self._fit.nominal, Holds.ZEROS).with_nominal_values(), self._signs()
         fitted = self._refit(with_zeros(nominal), signs)
         offsets = fitted.robot.values[fitted.robot.coefficients]
-        offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)  # what base and targets took up
+        offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)  # errors that base and targets took up
         return replace(file_robot(fitted), values={}, signs=signs, offsets=offsets)
 
     def _signs(self) -> FloatArray:

@@ -97,6 +97,6 @@ def _with_uncertainty(
 ) -> tuple[str, dict[str, Any], str]:
     """Return the CSV text with standard deviations, their summary [mm], and what to add to it."""
     predicted = known.predict(poses.joints, poses.conditions)
-    measured = predicted.measured or predicted  # what is written is where the instruments see it
+    measured = predicted.measured or predicted  # positions are written as the instruments see them
     text = format_positions(known.robot, poses, measured.positions, comment, measured.std)
     return text, predicted.table() | {"worst_pose": poses.names[predicted.worst]}, predicted.remark()

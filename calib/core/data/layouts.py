@@ -43,7 +43,7 @@ def cells_of(line: str, separator: str) -> tuple[str, ...]:
     """
     if '"' in line or len(line) > csv.field_size_limit():
         return tuple(next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)))
-    cells = line.split(separator)  # what csv does, in a third of the time
+    cells = line.split(separator)  # as csv does, in a third of the time
     return tuple([cell.lstrip(" ") for cell in cells] if " " in line else cells)
 
 
@@ -116,7 +116,7 @@ def _has_only_numbers(cells: Sequence[str]) -> bool:
 def _split_cells(line: str, separator: str) -> tuple[str, ...]:
     try:
         return cells_of(line, separator)
-    except csv.Error:  # of which the table says where, when it is read
+    except csv.Error:  # the table says where, when it is read
         return (line,)
 
 
@@ -147,12 +147,12 @@ def workbook_lines(path: Path | str) -> list[str]:
         ) from None
     content = read_bytes(path, "a workbook", DataError)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of styles and checks that are not read
+        warnings.simplefilter("ignore")  # warnings of styles and checks that are not read
         try:
             book = load_workbook(io.BytesIO(content), read_only=True, data_only=True)
             sheets = {sheet.title: [tuple(row) for row in sheet.iter_rows()] for sheet in book.worksheets}
             book.close()
-        except Exception as error:  # of zip files and XML, whatever a broken file makes of them
+        except Exception as error:  # errors of zip files and XML, for any broken file
             reason = f"{type(error).__name__}: {error}".splitlines()[0]
             raise DataError(f"{path}: is not a workbook that can be read ({reason:.120})") from None
     filled = {title: rows for title, rows in sheets.items() if any(cell.value is not None for r in rows for cell in r)}

@@ -154,7 +154,7 @@ class Table:
             if np.all(np.isfinite(values)) and not any("_" in cell for cell in cells):  # float() also reads 1_000
                 return values
         except ValueError:
-            pass  # which cell it is, is said below
+            pass  # the error below names the cell
         return np.array(
             [
                 np.nan if gaps and not cell.strip() else read_number(cell, self._where(k, index), self.separator)

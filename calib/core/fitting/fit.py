@@ -242,7 +242,7 @@ def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measu
 def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
     """O1 to O5 of the scaled Jacobian of readings in SI units, as measured: of metres, where only positions are."""
     units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
-    own = problem.unknowns.select(problem.unknowns.family < 0)  # of families, priors decide what counts
+    own = problem.unknowns.select(problem.unknowns.family < 0)  # priors decide which rows of families count
     factor = problem.compressed(final, units, own).jacobian
     return observability(linalg.singular_values(factor)[:rank], len(problem.data))
 
@@ -288,7 +288,7 @@ def _origins(robot: Robot, data: Measurements) -> set[str]:
     names, origins = ("", *robot.mechanism.origin_names), set[str]()
     for name, readings in data.readings.items():
         pairs = robot.pairs(robot.instrument(name))
-        for pair in {int(k) for k in readings.pairs} if pairs else ():  # what reads a joint looks along none
+        for pair in {int(k) for k in readings.pairs} if pairs else ():  # a reading of a joint looks along none
             origins |= {names[pairs[pair].a], names[pairs[pair].b]}
     return origins
 

@@ -460,7 +460,7 @@ class Fit(ReadOnlyArrays, HintedObject):
         known = {
             (estimate.group.name, estimate.group.part.name, estimate.group.stated): estimate for estimate in self.noise
         }
-        factors = whitening.start(errors.after)  # of instruments that the fit has not seen
+        factors = whitening.start(errors.after)  # noise of instruments that the fit has not seen
         for g, group in enumerate(whitening.groups):
             estimate = known.get((group.name, group.part.name, group.stated))
             if estimate is not None:

@@ -201,7 +201,7 @@ class Pixel(FrameInstrument):
             guessed = [now] if all(known) else guesses(sightings, now, known)
             self._check(sightings, guessed)
             some = [dict(zip(names, places, strict=True)) for places in guessed]
-            result = some if not result else [some[0] | result[0]]  # of several setups: as the first one says
+            result = some if not result else [some[0] | result[0]]  # with several setups: as in the first one
         return tuple(Guess(places) for places in result)
 
     def doubts(self, readings: Readings) -> tuple[str, ...]:

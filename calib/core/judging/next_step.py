@@ -78,7 +78,7 @@ def next_step(fit: Fit) -> NextStep:
     verdict, done = judge(fit), _tried_answers(fit)
     answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
     open_answers = [answer for answer in answers if answer is not Answer.LOOK and answer not in done]
-    if Answer.CORRECT in open_answers:  # what else is seen comes from the mistake
+    if Answer.CORRECT in open_answers:  # other findings come from the mistake
         return _repeat_fit(fit, "correct the data or the description as the reasons say, and fit again")
     data = fit.identification.data
     if Answer.ADD_TERMS in open_answers and len(stretches(data, LEAST_POSES)) < LEAST_POSES:

@@ -92,7 +92,7 @@ def scatter(
     moved = mean = squares = decided_parts = fourth = 0.0
     for rows in blocks_of_equal_length(block):
         values, errors, turned = directions(span[rows], residuals[rows])
-        along = turned.reshape(-1, k)  # of all blocks, one after another
+        along = turned.reshape(-1, k)  # rows of all blocks, one after another
         level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
         alone = values >= _OWN
         left = np.where(alone, 1.0, 1.0 - values)

@@ -45,7 +45,7 @@ class MixedRows(ReadOnlyArrays):
         """Return the rows of a linear model around some deviations from what is expected.
 
         Args:
-            model: Its residuals are predicted minus read.
+            model: Linear model; residuals are predicted minus read.
             family: Family of each parameter whose size is found, -1 for others, (n_columns,).
             stated: Whether the noise of each group is stated, (n_groups,).
             pose, levers: Attributes of the rows.

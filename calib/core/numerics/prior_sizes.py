@@ -192,7 +192,7 @@ def find_noise_with_families(
         inverse = None if alone else root @ root.T
         change = np.ones(len(start))
         for g in map(int, np.flatnonzero(sought & (products.count > 0))):
-            if inverse is None:  # what the rows determine is all that priors do not
+            if inverse is None:  # the rows determine all that priors do not
                 used = len(factor) - prior.share(root[known] / factor[known, None], variances)
             else:
                 used = float(np.sum(inverse * products.gram[g])) / scales[g] ** 2

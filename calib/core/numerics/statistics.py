@@ -102,12 +102,12 @@ class BeyondLinear:
 
     @cached_property
     def values(self) -> FloatArray:
-        """It, (n_free,) [m^2, rad^2]."""
+        """The excess, (n_free,) [m^2, rad^2]."""
         values = one_blas_thread(self._compute)()
         hold(values)
         return values
 
-    def __reduce__(self) -> tuple[Any, ...]:  # what it is computed from would go to other processes, too
+    def __reduce__(self) -> tuple[Any, ...]:  # values alone, without the data that `compute` holds
         return _excess_from, (self.values,)
 
 
@@ -284,7 +284,7 @@ def find_factors(
     if confirmed is not None:
         squares, freedom = squares + confirmed, freedom + confirmed
     require_freedom(float(np.sum(freedom)), int(np.sum(groups >= 0)))
-    total = np.sum(squares) / np.sum(freedom)  # where a group's own rows say nothing about it
+    total = np.sum(squares) / np.sum(freedom)  # a group whose own rows say nothing about it
     factor = np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
     return Factors(factor, freedom, factor)
 
@@ -319,7 +319,7 @@ def statistics(
     shared = _scatter_beyond_chance(poses)
     if shared is not None:
         core += shared.core
-    elif len(factors.effective) == 1:  # what the priors have no share in is of these rows
+    elif len(factors.effective) == 1:  # the rows have all that the priors have no share in
         core += factors.slope * factors.effective[0] ** 2 * (np.eye(len(share)) - share)
     else:
         for part in slices(len(span)):

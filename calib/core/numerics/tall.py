@@ -32,7 +32,7 @@ class Span:
     def _whole(self) -> FloatArray:
         return self.jacobian @ self.root
 
-    def __getstate__(self) -> dict[str, object]:  # what is kept does not go to other processes
+    def __getstate__(self) -> dict[str, object]:  # cached values do not go to other processes
         return {name: value for name, value in vars(self).items() if name != "_whole"}
 
     def __len__(self) -> int:

@@ -113,7 +113,7 @@ def remarks_on_file(robot: Robot, holds: Holds) -> list[str]:
         without = f"joint terms of {listing(lost)}, which are not in this file"
         return [f"exported by force: these values belong to {without}"] if lost and holds is not Holds.ZEROS else []
     lines = [f"exported by force: {known.withheld}"] if known.withheld else []
-    if holds is Holds.ZEROS:  # what that format says by itself has the rest
+    if holds is Holds.ZEROS:  # the format's own remarks have the rest
         return lines
     if lost:
         lines.append(

@@ -74,7 +74,7 @@ def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
     Without instruments that measure positions: that of other lengths, such as distances; without these: `WHITENED`.
 
     Args:
-        robot: Its instruments may state their noise.
+        robot: Robot whose instruments may state their noise.
         sigma: The noise of positions, if the caller knows it [m].
 
     Raises:

@@ -29,7 +29,7 @@ class Whitening:
     """Whitens residuals and derivatives; knows the stated noise.
 
     Args:
-        robot: Its instruments state their noise.
+        robot: Robot whose instruments state their noise.
         data: The readings.
         sigma: Noise of positions per axis that replaces what is stated [m].
     """

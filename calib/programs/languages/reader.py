@@ -112,7 +112,7 @@ class Reader(Statements):
         self.flow.follow()
         return program_of(self.language, self.sources, self.visits)
 
-    # what statements consist of
+    # parts of statements
 
     def names(self, first: int, stop: int) -> set[str]:
         """Return the data in some words."""

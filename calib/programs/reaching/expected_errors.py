@@ -75,7 +75,7 @@ def shown_errors(names: Sequence[str], parts: Sequence[Sequence[FloatArray]]) ->
 
     Args:
         names: Names of the errors.
-        parts: These of positions, each (n,) [m]; and those of orientations, if these count, each (n,) [rad].
+        parts: Errors of positions, each (n,) [m]; and of orientations, if these count, each (n,) [rad].
     """
     kinds: tuple[tuple[str, Dimension], ...] = (("", "length"), ("_angle", "angle"))
     return {

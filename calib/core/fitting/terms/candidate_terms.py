@@ -137,7 +137,7 @@ def candidates(robot: Robot, data: Measurements) -> tuple[CandidateTerm, ...]:
 def _is_tried_by_auto(name: str) -> bool:
     try:
         return TERMS[name].in_auto
-    except DescriptionError:  # of another package, which is broken: that is said
+    except DescriptionError:  # a broken package of others: a message says so
         return True
 
 
@@ -158,7 +158,7 @@ def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[Term
 def _candidate(name: str, robot: Robot, data: Measurements) -> CandidateTerm:
     try:
         kind = TERMS[name]
-    except DescriptionError as error:  # of another package, which is broken
+    except DescriptionError as error:  # a broken package of others
         return CandidateTerm(name, refused=str(error))
     joints = [joint for joint in robot.joint_names if _shows(kind, joint, robot, data)]
     refused = why_term_unknown(kind, data) or ("" if joints else _nothing_shows(name, kind, robot, data))

@@ -28,7 +28,7 @@ class GridNumber:
 
     @property
     def text(self) -> str:
-        """It in text."""
+        """The number as text."""
         return f"{self.value:{self.decimals}}" if np.isfinite(self.value) else "-"
 
 

@@ -158,7 +158,7 @@ class _MjcfReader:
         self.root = Element("robot", name=_text(model.names) or Path(path).stem)
         self.links: dict[str, Element] = {}
         self.joints: dict[int, Element] = {}  # by number in the model; of hinges and slides
-        self.link_of: dict[int, str] = {}  # of each body
+        self.link_of: dict[int, str] = {}  # link of each body
         self.home: dict[str, float] = {}
         self.remarks: list[str] = []
 

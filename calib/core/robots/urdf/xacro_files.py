@@ -87,7 +87,7 @@ def _main(path: str, *given: str) -> int:
     values = dict(argument.split(":=", 1) for argument in given)
     try:
         text: bytes = _process(xacro, path, values).toprettyxml(indent="  ", encoding="utf-8")
-    except BaseException as error:  # of xacro, of the XML parser, of expressions in the file
+    except BaseException as error:  # errors of xacro, of the XML parser, of expressions in the file
         sys.stderr.write(f"\n{_kind(error)}\n")
         return _FAILED
     sys.stdout.buffer.write(text)

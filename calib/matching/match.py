@@ -6,7 +6,7 @@ are near the robot's own frames, there: a base that differs is the same as anoth
 more than rounding, another tool and pairs of another program are tried, then joint terms, which a controller may
 compute with and a URDF cannot hold; (4) what it is worth (`calib.matching.agreement`).
 
-PASS says that rounding explains the residuals of all pairs, and that what is left open at other poses is of its size.
+PASS says that rounding explains the residuals of all pairs, and that errors at other poses are of its size.
 """
 
 from __future__ import annotations

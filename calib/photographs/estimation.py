@@ -150,7 +150,7 @@ def estimate(
             break
         before = noise
     else:
-        raise NotConvergedError("the noise of the photographs could not be found from what is left")
+        raise NotConvergedError("the noise of the photographs could not be found from the residuals")
     linear = linearise(scene, placed, free, scaled)
     require_determined(normal_equations(linear, noise, prior, placed.intrinsics[list(free)])[0], scene)
     return _finish(scene, placed, free, noise, noise, prior, scaled)

@@ -9,7 +9,7 @@
     principal point        far from the middle of the image: of another image, or turned (`lens_choice.unlikely`)
 
 Other readings are tried as wholes, from closed forms, where an image is off by more than robots are, and so is another
-size of the board; they count where they halve what is left. Square size and moves are one more step of the same least
+size of the board; they count where they halve the residuals. Square size and moves are one more step of the same least
 squares; they count where the likelihood gains more than chance gives in one data set of ten thousand, and by a size
 that matters.
 """
@@ -61,7 +61,7 @@ _SWAPS = {
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake that would explain what is left.
+    """A mistake that would explain the residuals.
 
     Attributes:
         code: Such as `pairs_shifted`.

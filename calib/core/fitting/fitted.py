@@ -50,7 +50,7 @@ class Convergence:
 
     Attributes:
         converged: Whether the solver met a stopping rule, robust weights stand, and no step is left.
-        message: Which rule ended it; or what is left, where that decides.
+        message: The rule that ended it; or the residuals, where these decide.
         step_left: Largest Gauss-Newton step left, over the standard deviation of its parameter.
         parameter: That parameter.
         weights_stand: Whether the weights of a robust loss have settled; True without one.

@@ -14,7 +14,7 @@ robust loss no offsets are looked for: a gross error is one, too.
 Where priors are to be weighed against noise that is stated, what counts is all that the model leaves out: of a robot
 with gear errors, the noise of a good tracker is the least part. By a statement that residuals contradict, they would
 pull parameters hundreds of sigmas away from where they are expected, and slowly, along bent valleys. So the noise of
-such a group is found as well, where chance explains what is left in less than one case of a thousand. The linear model
+such a group is found as well, where chance explains the residuals in less than one case of a thousand. The linear model
 around the start tells; where what it leaves is its curvature, and the minimum contradicts nothing, the statement holds
 again. (The statement itself is judged by `calib.core.judging.rules_noise`.)
 """

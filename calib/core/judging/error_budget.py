@@ -77,7 +77,7 @@ class ErrorBudget:
         used: Whether it is about the readings used by the fit, corrected for that; else about the others.
         part: The part of the readings that it is about.
         n_readings, n_poses: How many.
-        before, after: Mean square error of a reading before, and what is left of it [SI, squared].
+        before, after: Mean square error of a reading before and after [SI, squared].
         shares: The causes, then the rest; they add up to `before`.
         noise_from: `repeats` or `stated`; empty where the noise is not known.
         advice: Whether more modelling may help, in one sentence.

@@ -327,7 +327,7 @@ def systematic(fit: Fit) -> Iterator[Reason]:
     """List patterns in the residuals: those that change in the course of the measurement, misplaced targets, others.
 
     The claim includes them, but for changes that go on. Where a pattern is more than a healthy robot leaves, or a
-    misplaced target makes most of what is left, the description is wrong, and there is doubt all the same.
+    misplaced target makes most of the residuals, the description is wrong, and there is doubt all the same.
     """
     if impossible(fit):  # parts of what does not fit at all
         return

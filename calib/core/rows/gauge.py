@@ -32,7 +32,7 @@ from calib.core.rows.observed import Observed, observe, predict_readings
 
 _POSES = 256
 _ROUNDS = 10
-_STANDS = 1e-6  # change of a scaled parameter; what is left of it shrinks by its square
+_STANDS = 1e-6  # change of a scaled parameter; the next one is about its square
 _AROUND_HOME = 0.5  # motion is analytic: what these poses do not show, none does [rad, or characteristic lengths]
 
 

@@ -67,7 +67,7 @@ def registration(
     Args:
         robot: The robot; its current values are what an open place stays near.
         data: Measurements.
-        frame_known: Whether the measurement frame is where the robot has it, whatever the description says.
+        frame_known: Whether the measurement frame is where the robot has it, even if the description says otherwise.
         targets_known: Whether targets that the description calls known are where the robot has them.
 
     Raises:

@@ -1,4 +1,4 @@
-"""A calibration certificate of a robot: who, what, with what, how sure; as data and as a document to read."""
+"""A calibration certificate of a robot: laboratory, robot, instruments, uncertainty; as data and as a document."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ def _with_terms(
 
 
 def _require_measurements(data: object, validation: object) -> None:
-    """Say what was expected of a caller whose types were not checked."""
+    """Raise an error that states the expected types, for callers without type checks."""
     for name, given in (("data", data), ("validation", validation)):
         if not isinstance(given, Measurements) and not (given is None and name == "validation"):
             raise InputError(

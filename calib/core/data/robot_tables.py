@@ -136,7 +136,7 @@ def _joints(robot: Robot, table: Table) -> dict[str, str]:
 
 
 def _positions(robot: Robot, table: Table) -> dict[str, str]:
-    """Columns X, Y, Z, and the coordinates that they stand for; none where it is not plain whose they are."""
+    """Columns X, Y, Z, and the coordinates that they stand for; none where their meaning is unclear."""
     reading = [instrument for instrument in robot.instruments if instrument.reads_positions]
     units = dict(zip(table.names, table.units, strict=True))
     axes = {name: _plain(name) for name in table.names if _plain(name) in _AXES and units[name]}

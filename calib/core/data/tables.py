@@ -349,7 +349,7 @@ def _cells(path: str, line: str, number: int, separator: str) -> tuple[str, ...]
 def _header(
     path: str, cells: tuple[str, ...], renamed: Mapping[str, str]
 ) -> tuple[tuple[str, ...], tuple[str | None, ...], dict[str, MappedColumn]]:
-    """Names and units of columns, and what a description says of those whose cells are not the values."""
+    """Names and units of columns, and the meanings that a description gives to cells."""
     names, units, maps = [], [], dict[str, MappedColumn]()
     for number, cell in enumerate(cells, start=1):
         cell = text_of(cell.strip())

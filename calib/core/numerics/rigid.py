@@ -11,7 +11,7 @@ are not on one line.
 
 References: kabsch1976, umeyama1991.
 
-Where a point is whose distances from known points were measured, without a first guess.
+Position of a point whose distances from known points were measured, without a first guess.
 
 For points p_k with centroid p0, q_k = p_k - p0, the unknown centre p0 + x and distances d_k that all may be too long by
 one unknown length o, |q_k - x| = d_k - o; squares minus their mean are linear in x and o:

@@ -159,7 +159,7 @@ def _errors_entry(errors: ErrorSet) -> dict[str, Any]:
 
 
 def saved_files(saved: Mapping[str, Any]) -> dict[Holds, FileRobot]:
-    """Return the robots that files of a result get; of one that failed, who has them has forced them already."""
+    """Return the robots that files of a result get; those of a failed result were forced already."""
     failed, files = saved["content"]["verdict"]["grade"] == "FAIL", {}
     for name, entry in saved["files"].items():
         accuracy = Accuracy(**entry["accuracy"] | {"poses": PoseUse[entry["accuracy"]["poses"]]})

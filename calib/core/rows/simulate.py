@@ -116,7 +116,7 @@ def noisy_readings(
 
 
 def unstated_noise(robot: Robot, sigma: float | None) -> list[str]:
-    """Return the instruments of whose noise neither the description nor `sigma` says anything."""
+    """Return the instruments whose noise neither the description nor `sigma` states."""
     return [
         instrument.name
         for instrument in robot.instruments

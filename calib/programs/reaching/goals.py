@@ -174,7 +174,7 @@ def _setups(table: Table, robot: Robot) -> IntArray | None:
     """The setup of each row, whose direction of gravity counts.
 
     Raises:
-        DataError: A setup that there is not, or from whose measurement frame or targets goals are not seen.
+        DataError: An unknown setup, or one whose measurement frame or targets do not show the goals.
     """
     of_setups = robot.description.setups
     if not of_setups or "setup" not in table.names:

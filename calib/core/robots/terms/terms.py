@@ -57,7 +57,7 @@ else:
 def condition_columns(terms: Iterable[JointTerm] = ()) -> dict[str, Dimension | None]:
     """Return the columns of a file that say under which conditions a visit was made, with what they measure.
 
-    Those of a term that cannot be loaded are left out: whoever names the term gets the reason.
+    Those of a term that cannot be loaded are left out; naming that term raises the reason.
 
     Args:
         terms: A robot's joint terms; some read columns of their own.

@@ -1,4 +1,4 @@
-"""What numbers that say how sure something is contain."""
+"""Mechanisms that numbers of uncertainty contain."""
 
 from importlib import import_module
 from pathlib import Path

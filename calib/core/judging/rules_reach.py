@@ -196,7 +196,7 @@ def terms_untested(fit: Fit) -> Iterator[Reason]:
 
 
 def terms_beyond(fit: Fit) -> Iterator[str]:
-    """Say how sure positions are where joints go beyond the values from which terms were learned."""
+    """Report the uncertainty of positions beyond the joint values from which terms were learned."""
     q = fit.identification.data.joints
     lower, upper = fit.nominal.urdf.limits(fit.nominal.joint_names)
     half = _joint_ranges(fit.nominal) / 2

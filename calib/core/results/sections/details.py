@@ -21,7 +21,7 @@ def details(fit: Fit, *, brief: bool = False) -> list[str]:
     Args:
         fit: The fit.
         brief: Leave out what a page tells in sections of its own: the noise found, the residuals, what the poses
-            determine, how sure positions are.
+            determine, the uncertainty of positions.
     """
     elsewhere = (noise_lines, budget_lines, determined_lines, held_lines, position_lines)
     order = (

@@ -1,4 +1,4 @@
-"""What users hold: a fit that reports on itself and saves itself. Everything below knows only plain functions."""
+"""The fit that users hold: it reports on itself and saves itself. Everything below knows only plain functions."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Calibration(JudgedFit, CalibratedRobot):
         """Return the result as text.
 
         Args:
-            verbose: Everything; otherwise the answer on one screen.
+            verbose: Whether to return everything; otherwise the answer on one screen.
         """
         return text_report(self, verbose=verbose)
 
@@ -102,7 +102,7 @@ class Calibration(JudgedFit, CalibratedRobot):
         Args:
             folds: Number of parts, by pose; `setups`: every setup is one, placed anew.
             seed: Seed of the random choice.
-            executor: What runs the fits; as in `fit`.
+            executor: Executor of the fits; as in `fit`.
             progress: Called after each part with how many are done, and of how many.
 
         Returns:
@@ -110,7 +110,7 @@ class Calibration(JudgedFit, CalibratedRobot):
 
         Raises:
             InputError: The number of folds is not valid.
-            CalibrationError: What `fit` raises, with fewer poses.
+            CalibrationError: As `fit`, with fewer poses.
         """
         data = self.identification.data
         fold = fit_of_a_part(self, Settings(self.sigma_given, self.loss, seed=seed))
@@ -128,18 +128,18 @@ class Calibration(JudgedFit, CalibratedRobot):
         """Fit poses that are drawn with replacement, as many as there are, `draws` times.
 
         Args:
-            draws: How many fits.
+            draws: Number of fits.
             seed: Seed of the random choice.
-            executor: What runs the fits; as in `fit`.
+            executor: Executor of the fits; as in `fit`.
             progress: Called with the number of draws done and of all draws.
 
         Returns:
-            How far every parameter scatters, beside the standard deviation that fits claim (`Study.to_dataframe`); see
-            `calib.study`.
+            How far every parameter scatters, compared with the standard deviation that fits claim
+            (`Study.to_dataframe`); see `calib.study`.
 
         Raises:
             InputError: The number of draws is not valid.
-            CalibrationError: What `calib.study` raises.
+            CalibrationError: As `calib.study`.
         """
         from calib.studies.study import study  # here: who only fits needs no studies
 
@@ -161,7 +161,7 @@ class Calibration(JudgedFit, CalibratedRobot):
         """Write the result to a folder, report and viewer with it; see `calib.core.results.results.save`.
 
         Args:
-            folder: Where to.
+            folder: Folder to write.
             force: Export a failed fit all the same, and replace files that this program did not write.
             pages: Whether to write report.html and viewer.html.
             logo: PNG, JPEG or SVG file to put into the report.
@@ -195,8 +195,8 @@ def fit(
         robot: The nominal robot; or its description or URDF.
         data: Measurements to identify with; a file or a data frame of them, as `read_measurements` reads it; or a list
             of these. Or, with `readings`, joint values (n, n_actuated) [m or rad].
-        readings: What was read at these joint values, as in `as_measurements`, such as positions (n, 3) [m].
-        validation: Measurements to validate the result with, likewise; or the part of the poses to hold out for that,
+        readings: Readings at these joint values, as in `as_measurements`, such as positions (n, 3) [m].
+        validation: Measurements to validate the result with, in the same forms; or the part of the poses to hold out,
             between 0 and 1.
         sigma: Standard deviation of measured positions per axis, in place of what the description states: a number [m],
             text such as `0.04 mm`, or one for each row of `data`, (n,) or (n, 3) [m]. Where neither states it, it is
@@ -209,12 +209,12 @@ def fit(
         seed: Seed of perturbed starts, of folds, and of what is held out.
         terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that
             predict left-out poses better, or a list such as `curve,elbow=backlash` or `["curve", "elbow=backlash"]`.
-        fix: Parameters to leave as they are, beside those that the description holds; `all`: every
+        fix: Parameters to leave as they are, in addition to those that the description holds; `all`: every
             parameter except unknown places of base and targets.
         free: Parameters to fit although the description or `fix="all"` holds them.
-        prior: How far off parameters are expected to be, one standard deviation with its unit by name, such as
+        prior: Expected errors of parameters, one standard deviation with its unit by name, such as
             `0.1 mm`.
-        executor: What runs the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
+        executor: Executor of the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
         progress: Called after each step with the number of steps done and of all steps known so far: three in a plain
             fit, one more for each start and each fold.

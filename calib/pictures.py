@@ -1,4 +1,4 @@
-"""Pictures are not this package's business: what draws them is found under the entry point group `calib.pictures`.
+"""Pictures are drawn by another package, which is found under the entry point group `calib.pictures`.
 
 An entry is a module, called like the command that it adds, that has what `Pictures` says; so everything below this
 floor writes and computes without asking what is installed.
@@ -54,10 +54,10 @@ class Live(Protocol):
         """Address to open."""
 
     def show(self, progress: Any) -> None:
-        """Show what is known after the poses measured so far."""
+        """Show the progress after the poses measured so far."""
 
     def remember(self, progress: Any) -> None:
-        """Keep what was known after some poses, for the curve towards the goal."""
+        """Keep the progress after some poses, for the curve towards the goal."""
 
     def close(self) -> None:
         """End it."""
@@ -67,7 +67,7 @@ class Pictures(Protocol):
     """Functions that an entry of the group offers."""
 
     summary: str
-    """What the command does, in the list of commands; asked for without the command."""
+    """Summary of the command, for the list of commands."""
     command: click.Command
 
     def pages(self, fit: Fit, logo: str) -> dict[str, bytes]:
@@ -146,7 +146,7 @@ def answer(subject: object, title: str, text: str, figures: Sequence[tuple[int, 
     Args:
         subject: Either.
         title: Heading of the page.
-        text: What the terminal says of it.
+        text: The text on the terminal.
         figures: HTML of pictures, each with the number of the image that it belongs to (-1: of none).
 
     Raises:

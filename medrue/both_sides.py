@@ -1,4 +1,4 @@
-"""The experiment again as one would do it today: every pose from both sides, and a model of what was left out.
+"""The experiment with today's methods: every pose from both sides, and a model of what was left out.
 
 The same simulated robots as in `medrue.experiment`, draw by draw, whose rails have the smaller errors of
 `medrue.imperfections.RailErrors` too, two of which no model has. The tracker reads every pose twice: after the rail
@@ -51,7 +51,7 @@ class Way:
     """One way to calibrate.
 
     Attributes:
-        name: What to call it.
+        name: Its name.
         extended: Whether with the extended model; else with the paper's.
         sides: Directions from which each pose is approached: both, the positive one, or either at random.
     """
@@ -160,9 +160,9 @@ def run_both_sides(
         first: The paper's set of poses.
         counts: Numbers of poses.
         imperfections: Sizes of what the paper's parameters leave out.
-        seeds: Of the experiment's draws.
-        executor: Who does the draws.
-        progress: Told how far the work is.
+        seeds: Seeds of the experiment's draws.
+        executor: Executor of the draws.
+        progress: Called with the progress of the work.
     """
     sets, rail = [first], RailErrors()
     with progress.stage("choosing poses for the extended model", len(counts)) as advance:

@@ -1,4 +1,4 @@
-"""Tables of the measurement from both sides, and what they say."""
+"""Tables of the measurement from both sides, and their findings in words."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ from medrue.closed_form import Array, Named, Points, anchors, base_in_world, nam
 
 @dataclass(frozen=True)
 class WorkingMode:
-    """Which of the inverse's solutions to take.
+    """Choice among the inverse's solutions.
 
     Attributes:
         elbow_signs: Signs of the passive joints B1, D1, B2, D2: +1 where the distal link turns from the proximal

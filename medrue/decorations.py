@@ -1,4 +1,4 @@
-"""What the viewer shows around MedRUE: the target workspace, half a cylinder around a patient's leg."""
+"""The surroundings of MedRUE in the viewer: the target workspace, half a cylinder around a patient's leg."""
 
 from __future__ import annotations
 

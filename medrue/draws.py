@@ -42,7 +42,7 @@ class PoseSet:
     """Poses to identify with; all others validate.
 
     Attributes:
-        name: What chose them.
+        name: Name of the choice.
         chosen: Their indices among the candidates, ascending, (n,).
     """
 
@@ -115,8 +115,8 @@ def run(tasks: Sequence[DrawTask], executor: Executor | None, done: Callable[[in
     """Run tasks.
 
     Args:
-        tasks: What to run.
-        executor: Who runs them.
+        tasks: The tasks.
+        executor: Their executor.
         done: Called with the number of calibrations finished, for a progress bar.
 
     Returns:

@@ -1,4 +1,4 @@
-"""The error before calibration, ours and the paper's: what was tried to bring the two together.
+"""The error before calibration, ours and the paper's: attempts to explain the difference.
 
     python -m medrue.error_before
 

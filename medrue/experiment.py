@@ -68,7 +68,7 @@ class ExperimentDraw:
         after: Errors of the robot calibrated from each set, (n_sets, n, 3) [m].
         values: Identified parameters, (n_sets, 36) [m, rad].
         std: Their standard deviations as the fit states them, 0 for held ones, (n_sets, 36) [m, rad].
-        repeatability: Of the tracker's readings, per axis [m].
+        repeatability: Repeatability of the tracker's readings, per axis [m].
         frame_sigma: Largest standard deviation that the world frame's uncertainty gives to a coordinate [m].
         nest_outliers: Names of nests that do not fit.
     """
@@ -135,8 +135,8 @@ def run_experiment(
         extended: The extended model with nominal parameters.
         draws: How many experiments to simulate, with all causes and with each alone.
         seed: Seed; the same one gives the same numbers, with any workers.
-        executor: Who does the draws.
-        progress: Told how far the work is.
+        executor: Executor of the draws.
+        progress: Called with the progress of the work.
         imperfections: Sizes of what the parameters leave out.
         counts: Numbers of poses to measure from both sides.
     """

@@ -1,4 +1,4 @@
-"""Tables of the simulated experiment beside the paper's, and what they say."""
+"""Tables of the simulated experiment with the paper's, and their findings in words."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def parameter_table(experiment: Experiment) -> ResultTable:
 
 
 def _share_beyond_std(draw: ExperimentDraw, free: BoolArray) -> str:
-    """How often the true value is outside what the fit states."""
+    """Rate of true values outside the stated intervals."""
     off = np.abs(draw.values[0] - table3().identified)[free] > 2 * draw.std[0][free]
     return (
         f"{int(off.sum())} of {len(off)} identified parameters more than two std from actual; by chance one in twenty"

@@ -1,4 +1,5 @@
-"""What the paper's 36 parameters cannot describe and it blames for the error that remains: a simulated robot has it.
+"""Imperfections of a simulated robot that the paper's 36 parameters cannot describe, and that the paper blames for the
+error that remains.
 
 Backlash of the rail
     The carriage stops half the backlash short of where the screw has turned to: q1 is off by -b/2 where it was
@@ -120,7 +121,7 @@ class ImperfectRobot:
     rail: RailErrors = STRAIGHT
 
     def positions(self, joints: FloatArray, approach: FloatArray) -> FloatArray:
-        """Where the tool really is, in the world, (n, 3) [m].
+        """True positions of the tool in the world, (n, 3) [m].
 
         Args:
             joints: Commands, (n, 6) [m, rad].
@@ -146,7 +147,7 @@ def approach_in_order(q1: FloatArray, order: IntArray, home: float) -> FloatArra
     """Return in which direction q1 moves to each pose, +1 or -1, (n,).
 
     Args:
-        q1: Of each pose, (n,) [m].
+        q1: q1 of each pose, (n,) [m].
         order: Poses in the order of the visits, (n,).
         home: Where the first visit comes from [m].
     """

@@ -23,7 +23,7 @@ class NamedFigure:
     Attributes:
         name: Name of its files, without ending.
         title: Heading.
-        caption: What it shows.
+        caption: Caption.
         figure: The figure.
     """
 
@@ -49,8 +49,8 @@ class Report:
 
     Attributes:
         title: Heading of the page.
-        introduction: What was simulated, and how.
-        findings: What the tables show, in sentences.
+        introduction: Description of the simulation.
+        findings: Findings in sentences.
         tables: Tables.
         figures: Figures.
         seed: Seed of everything random.

@@ -88,7 +88,7 @@ def before_after_figure(before: FloatArray, after: FloatArray, title: str) -> Fi
 
     Args:
         before, after: Distances, (n,) [m].
-        title: What was calibrated.
+        title: Title.
     """
     figure = Figure(figsize=(10, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -110,7 +110,7 @@ def axis_figure(before: FloatArray, after: FloatArray, title: str) -> Figure:
 
     Args:
         before, after: Errors, (n, 3) [m].
-        title: What was calibrated.
+        title: Title.
     """
     figure = Figure(figsize=(10, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -144,16 +144,16 @@ def _error_axes(axes: Axes, legend: str | None = None) -> None:
 
 @with_style
 def spread_figure(names: tuple[str, ...], errors: FloatArray, floors: FloatArray, title: str) -> Figure:
-    """How the error of every choice of poses scatters over the draws.
+    """Scatter over the draws of the error of every choice of poses.
 
     Theory bounds the mean square over the draws, not the root of each draw's, whose mean is smaller. So the root of
-    that mean square is drawn too, beside the bound.
+    that mean square is drawn too, with the bound.
 
     Args:
         names: The choices.
         errors: Root-mean-square error of each draw, (n_draws, n_sets) [m].
         floors: Least root of the mean square over draws that theory allows, (n_sets,) [m].
-        title: What was simulated.
+        title: Title.
     """
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.add_subplot()
@@ -218,7 +218,7 @@ def pose_count_figure(counts: tuple[int, ...], errors: Mapping[str, FloatArray],
     Args:
         counts: Numbers of poses.
         errors: Mean magnitude for each of them, (n_counts,) [m], by way; NaN where it cannot be.
-        noise: What the instrument's noise alone gives [m].
+        noise: Error by the instrument's noise alone [m].
     """
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axes = figure.add_subplot()

@@ -1,4 +1,4 @@
-"""MedRUE's part of `calib qualify`: the engine beside the closed form of the paper, which shares no code with it."""
+"""MedRUE's part of `calib qualify`: the engine against the closed form of the paper, which shares no code with it."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class Ranking:
     Attributes:
         names: Names.
         means: Mean error of each, (n_sets,).
-        n_draws: Of how many draws.
+        n_draws: Number of draws.
         steps: Mean of column's minus row's error over its standard error, (n_sets, n_sets); NaN where not known.
         better: Whether the row's set is surely better than the column's, (n_sets, n_sets).
     """

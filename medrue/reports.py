@@ -1,4 +1,4 @@
-"""What `medrue study`, `medrue experiment` and `medrue touch` put into their folders."""
+"""Output folders of `medrue study`, `medrue experiment` and `medrue touch`."""
 
 from __future__ import annotations
 

@@ -37,9 +37,9 @@ class ResultTable:
 
     Attributes:
         name: Name of its files, without ending.
-        title: What it shows.
+        title: Title.
         columns: Columns of equal length.
-        notes: What a reader must know to read it.
+        notes: Notes for readers.
     """
 
     name: str

@@ -7,7 +7,7 @@ the true position, without noise.
 
 What the paper does not say and one draw cannot: the same over many draws of the noise (paired: every set of poses sees
 the same noise), over many draws of the actual parameters (uniform within +-2 mm and +-1.5 deg, as the paper's), and
-beside what theory allows: with J_v the Jacobian at a validation pose and C = sigma^2 (J^T J)^-1, no unbiased estimate
+with what theory allows: with J_v the Jacobian at a validation pose and C = sigma^2 (J^T J)^-1, no unbiased estimate
 has a smaller mean squared error than trace(J_v C J_v^T) (Cramer-Rao). Least squares reaches it as far as the problem
 is linear.
 
@@ -119,8 +119,8 @@ def run_study(
         robot: MedRUE with nominal parameters.
         size: How much to simulate.
         seed: Seed; the same one gives the same numbers, with any workers.
-        executor: Who does the draws.
-        progress: Told how far the work is.
+        executor: Executor of the draws.
+        progress: Called with the progress of the work.
     """
     joints = target_poses(robot).poses.joints
     truth = true_positions(joints, table1().actual)
@@ -165,7 +165,7 @@ def choose_sets(
     Args:
         robot: The nominal robot, which is all that is known before measuring.
         joints: Candidates, (n, 6) [m, rad].
-        executor: Who chooses.
+        executor: Executor of the choices.
         advance: Called with 1 after each index.
     """
     selections, sets = {}, []

@@ -1,4 +1,4 @@
-"""Tables of the simulation study beside the paper's, and what they say."""
+"""Tables of the simulation study with the paper's, and their findings in words."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _printed_figures(statistic: str, names: tuple[str, ...]) -> FloatArray:
 
 
 def floor_table(study: PaperStudy) -> ResultTable:
-    """The theoretical limit beside the results of the draws."""
+    """The theoretical limit and the results of the draws."""
     squares = millimetres(study.validation_errors(study.outcome)[:, :, 3]) ** 2
     mean_squares, spread = squares.mean(axis=0), standard_error(squares)
     floors = millimetres(study.floors)
@@ -194,7 +194,7 @@ def _ranking_findings(study: PaperStudy) -> tuple[str, ...]:
 
 
 def _findings_against_paper(ours: Ranking, study: PaperStudy) -> tuple[str, ...]:
-    """The paper's order of the mean error beside ours."""
+    """The paper's order of the mean error, and ours."""
     printed = {name: values["mean"] for name, values in error_table(2).items() if name != "before"}
     means = dict(zip(ours.names, ours.means.tolist(), strict=True))
     shared = [name for name in ours.names if name in printed]

@@ -1,4 +1,4 @@
-"""MedRUE calibrated without a tracker: by touch, and by encoders on its passive joints, beside the tracker.
+"""MedRUE calibrated without a tracker: by touch, and by encoders on its passive joints, compared with the tracker.
 
 The paper's authors later calibrated MedRUE in simulation by touch alone, with a force-torque sensor. Here it is done in
 kind: their way of touching, their noise and their poses are others. All methods (`medrue.touch_methods`) measure 84
@@ -76,7 +76,7 @@ class TouchTask:
     """One robot that every method measures once.
 
     Attributes:
-        methods: Who measures; the encoders last.
+        methods: Ways to measure; the encoders last.
         joints: Poses to judge at, (n, 6) [m, rad].
         actual: The robot's parameters, (36,) [m, rad].
         seed: Seed of noise and unknown places.
@@ -97,7 +97,7 @@ class TouchStudy:
         selections: How the poses of each were chosen, by name.
         artefacts: Root-mean-square error predicted over the 420 poses for the best touches of each of `ARTEFACTS` [m];
             infinite where they do not determine the positions.
-        seen: What the first measurements of each determine, by name.
+        seen: Assessment of the first measurements of each, by name.
         noise: Distances on Table I's robot, (n_draws, n_names, 2, 420) [m]: of `names`, in `WAYS`.
         by_actual: The same on other robots, (n_robots, n_draws, n_names, 2, 420) [m].
         seed: Seed of everything random.
@@ -126,8 +126,8 @@ def run_touch(
         robot: MedRUE with nominal parameters.
         size: How much to simulate.
         seed: Seed; the same one gives the same numbers, with any workers.
-        executor: Who does the draws.
-        progress: Told how far the work is.
+        executor: Executor of the draws.
+        progress: Called with the progress of the work.
     """
     joints = target_poses(robot).poses.joints
     with progress.stage("choosing poses", len(ARTEFACTS)) as advance:

@@ -128,7 +128,7 @@ class Method(ABC):
     """A way to measure the robot.
 
     Attributes:
-        name: What to call it.
+        name: Its name.
         robot: The nominal robot with its instruments.
     """
 

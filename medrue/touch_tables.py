@@ -1,4 +1,4 @@
-"""Tables of the calibrations without a tracker, beside the tracker's and the authors' figures, and what they say."""
+"""Tables of the calibrations without a tracker, with the tracker's and the authors' figures, and findings in words."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def error_table(study: TouchStudy, way: str) -> ResultTable:
 
 
 def method_table(study: TouchStudy) -> ResultTable:
-    """Readings of each method, and its errors beside those of theory."""
+    """Readings of each method, and its errors with those of theory."""
     names = tuple(method.name for method in study.methods)
     seen = [study.seen[name] for name in names]
     rms = np.sqrt(np.mean(study.noise[:, 1 : 1 + len(names), WAYS.index("world")] ** 2, axis=(0, 2)))

@@ -38,7 +38,7 @@ class RigidFit:
         rotation: (3, 3).
         translation: (3,) [m].
         sigma: Noise of one component: as given, or estimated from the residuals with 3 n - 6 degrees of freedom [m].
-        covariance: Of [translation; rotation vector w, R exp(w)], (6, 6) [m, rad].
+        covariance: Covariance of [translation; rotation vector w, R exp(w)], (6, 6) [m, rad].
         outliers: Indices of points that do not fit, most surprising first.
     """
 

@@ -114,7 +114,7 @@ def draw(seed, n, case, spread=SPREAD, chosen=False, known_place=False, true_mod
             known, odd = knowing(robot, mean, spread), []
         else:
             fleet = calib.fleet(*results_of(robot, folder, n, rng, mean, case == "wrong", spread))
-            odd = [member.name for member in fleet.members if member.odd]
+            odd = [member.name for member in fleet.members if member.is_unlike]
             fleet.save(Path(folder) / "fleet.yaml")
             known = calib.load(Path(folder) / "fleet.yaml")
     truth = one_more(robot, mean, rng, spread)

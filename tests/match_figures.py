@@ -43,7 +43,7 @@ def matched(folder, model, origins, effect, digits, seed):
     match = calib.match(folder / "stock.urdf", table)
     away = match.fit.robot.positions(other)[:, 0] - poses(other + EFFECTS[effect](other), origins)[:, :3, 3]
     error = np.quantile(np.linalg.norm(away, axis=1), 0.95)
-    return match.grade, 1e3 * error, bool(error <= match.agreed.claim) if match.grade == "PASS" else None
+    return match.grade, 1e3 * error, bool(error <= match.agreement.claim) if match.grade == "PASS" else None
 
 
 def main():

@@ -1,4 +1,4 @@
-"""What numbers that say how sure something is contain."""
+"""Mechanisms that numbers of uncertainty contain."""
 
 from importlib import import_module
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, write_six_axis
 
 import calib
-from calib.core.base.contributions import Contribution, Sureness, contributions_to, markdown_table, names_of
+from calib.core.base.contributions import Contribution, Uncertainty, contributions_to, markdown_table, names_of
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "uncertainty.md"
 
@@ -30,7 +30,7 @@ def test_every_mechanism_is_where_the_table_says_and_is_part_of_something():
     for own in Contribution:
         assert import_module(f"calib.core.{own.module}").__doc__
         assert own.numbers
-    assert all(contributions_to(number) for number in Sureness)
+    assert all(contributions_to(number) for number in Uncertainty)
 
 
 def test_numbers_carry_what_they_contain(fit):

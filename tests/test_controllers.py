@@ -118,7 +118,7 @@ def test_ur_kinematics_hold_what_is_before_wrist_3(tmp_path: Path) -> None:
     q = np.random.default_rng(2).uniform(-3, 3, (1000, 6))
     difference = ur_product(made.content, tool_behind_wrist(nominal), q) - robot.forward(q, "left_tool")
     assert np.abs(difference).max() < 1e-9
-    assert made.left.exact
+    assert made.remainder.exact
     assert "held exactly" in made.statement
 
 
@@ -139,7 +139,7 @@ def test_what_ur_kinematics_leave_is_stated(tmp_path: Path) -> None:
     error = ur_product(made.content, tool_behind_wrist(nominal), q) - robot.forward(q, "left_tool")
     distance = np.linalg.norm(error @ PROBE, axis=1)
     assert distance.max() > 1e-4
-    assert made.left.largest == pytest.approx(
+    assert made.remainder.largest == pytest.approx(
         distance.max(), rel=1e-6
     )  # the same in every pose: it is behind all joints
     assert f"{1000 * distance.max():.4g} mm at most" in made.content.decode()
@@ -183,7 +183,7 @@ def test_joint_zeros_that_are_all_that_is_wrong_are_found(tmp_path: Path) -> Non
     result = read_offsets(made.content)
     assert {name: sign for name, (sign, _) in result.items()} == {"turn": 1, "slide": 1, "wrist": 1}
     assert [offset for _, offset in result.values()] == pytest.approx([2e-3, 3e-4, -4e-3], abs=1e-12)
-    assert made.left.exact
+    assert made.remainder.exact
 
 
 def test_a_joint_that_counts_the_other_way_gets_its_sign(tmp_path: Path) -> None:
@@ -221,8 +221,8 @@ def test_what_joint_zeros_leave_is_stated() -> None:
     distance = np.linalg.norm(least_squares(error, np.zeros(9)).fun.reshape(-1, 3), axis=1)
     assert offsets[0] == pytest.approx(0, abs=1e-9)  # the base can do it
     assert "base and target placed anew" in made.statement
-    assert made.left.rms == pytest.approx(np.sqrt(np.mean(distance**2)), rel=0.01)
-    assert f"{1000 * made.left.rms:.4g} mm RMS" in made.content.decode()
+    assert made.remainder.rms == pytest.approx(np.sqrt(np.mean(distance**2)), rel=0.01)
+    assert f"{1000 * made.remainder.rms:.4g} mm RMS" in made.content.decode()
 
 
 def test_joint_zeros_of_a_robot_with_loops() -> None:
@@ -231,7 +231,7 @@ def test_joint_zeros_of_a_robot_with_loops() -> None:
     names = [parameter.name for parameter in robot.parameters]
     zeros = {name: value for name, value in zip(names, table1().actual, strict=True) if name.startswith("dq")}
     made = joint_offsets(robot.with_parameters(zeros))
-    assert made.left.exact
+    assert made.remainder.exact
     assert "near home" in made.statement
     assert [offset for _, offset in read_offsets(made.content).values()] == pytest.approx(
         list(zeros.values()), abs=1e-9
@@ -251,7 +251,7 @@ def test_what_a_table_leaves_of_joint_terms_is_stated(tmp_path: Path) -> None:
     point = np.array([0.02, 0, 0.05, 1])
     error = (flange_poses(robot, q) - flange_poses(robot, q * [1, 1.001, 1, 1, 1, 1])) @ point
     distance = np.linalg.norm(error[:, :3], axis=1)
-    assert made.left.rms == pytest.approx(np.sqrt(np.mean(distance**2)), rel=0.01)
+    assert made.remainder.rms == pytest.approx(np.sqrt(np.mean(distance**2)), rel=0.01)
 
 
 def test_xacro_origins_are_those_of_the_calibrated_urdf() -> None:

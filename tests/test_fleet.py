@@ -11,7 +11,7 @@ from click.testing import CliRunner
 import calib
 from calib.cli import group
 from calib.core.numerics.prior import Prior
-from calib.fleets.hierarchy import FleetEvidence, evidence_of_data, learn, learn_without_odd, likeness
+from calib.fleets.hierarchy import FleetEvidence, compare_with_fleet, evidence_of_data, learn, learn_without_odd
 
 N, R = 6, 7
 NOISE = 3e-5  # of docs/examples/arm.yaml [m]
@@ -55,7 +55,7 @@ def test_what_the_data_say_alone_is_what_is_left_of_an_estimate_without_its_prio
     estimate = covariance @ (j.T @ y + 2 * mean)
     result = evidence_of_data(covariance, estimate, 2 * np.eye(N), mean, 1e9)
     np.testing.assert_allclose(result.precision, j.T @ j, atol=1e-7)
-    np.testing.assert_allclose(result.pull, j.T @ y, atol=1e-7)
+    np.testing.assert_allclose(result.information_vector, j.T @ y, atol=1e-7)
 
 
 def test_one_wrong_result_is_left_out_and_changes_nothing():
@@ -90,8 +90,8 @@ def test_the_mean_of_squares_of_students_t_is_judged_by_its_own_quantiles():
     for part in (0.5, 0.05, 0.01, 0.001):
         together = np.quantile(np.mean(squares, axis=1), 1 - part)
         told = FleetEvidence(1e12 * np.eye(count), 1e12 * np.sqrt(together) * np.ones(count))
-        compared = likeness(told, np.zeros(count), np.eye(count), np.full(count, freedom))
-        assert 0.5 * part < compared.p_together < 1.5 * part
+        compared = compare_with_fleet(told, np.zeros(count), np.eye(count), np.full(count, freedom))
+        assert 0.5 * part < compared.p_combined < 1.5 * part
 
 
 def test_products_with_a_joint_prior_are_those_with_its_inverse_covariance():

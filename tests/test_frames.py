@@ -114,7 +114,7 @@ def test_a_robot_that_only_stands_elsewhere_is_laid_exactly(tmp_path):
         frame = program_frame(KnownRobot(there, None, joints, nothing_to_correct=False))
         assert np.abs(frame.meant.forward(q) - there.forward(q)).max() < 1e-9
     assert "nominal robot's base frame" in frame.words
-    assert np.isnan(frame.predict(q).covariance).all()  # nobody says how sure the robot is
+    assert np.isnan(frame.predict(q).covariance).all()  # the robot's uncertainty is not stated
 
 
 def test_uncertainty_beside_common_motion_follows_parameters_as_differences_say(tmp_path):

@@ -370,7 +370,7 @@ def test_a_camera_that_is_said_to_look_away_is_named(tmp_path):
         )
     )
     q = joints(20, 13)
-    with pytest.raises(calib.CalibrationError, match=r"camera 'eye': .* lie behind it as it is placed; check where"):
+    with pytest.raises(calib.CalibrationError, match=r"camera 'eye': .* would lie behind it. Check the poses"):
         register(robot, data_of(robot, q, photographs(robot, q, camera, body)))
 
 

@@ -110,8 +110,8 @@ def test_a_worksheet_is_read_like_a_file(workbook):
 @pytest.mark.parametrize(
     ("sheets", "said"),
     [
-        (([["a", "b"], [1, 2]], [["a"]]), "the sheets 'sheet 0', 'sheet 1' have cells"),
-        (([],), "has no cells"),
+        (([["a", "b"], [1, 2]], [["a"]]), "several sheets have data: 'sheet 0', 'sheet 1'"),
+        (([],), "has no data"),
         (([["a", "b"], ["#N/A", 2]],), "sheet 'sheet 0', row 2: a formula ended in #N/A"),
     ],
 )

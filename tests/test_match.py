@@ -70,7 +70,7 @@ def test_rounded_pairs_give_a_robot_that_agrees_at_other_poses(stock: Path, tmp_
     o, q = origins(), joint_values(1)
     matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(q, o)))
     assert matched.grade == "PASS", matched.report()
-    assert distance95(matched, lambda q: poses(q, o)) <= matched.agreed.claim < 0.015e-3
+    assert distance95(matched, lambda q: poses(q, o)) <= matched.agreement.claim < 0.015e-3
     assert "rotation vector" in matched.report()
     matched.save(tmp_path / "out")
     again = calib.load(tmp_path / "out" / "default_kinematics.yaml")
@@ -84,7 +84,7 @@ def test_rounded_joint_values_count_as_rounding(stock: Path, tmp_path: Path) -> 
     o, q = origins(), joint_values(1)
     matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(q, o), digits=(3, 2, 3)))
     assert matched.grade == "PASS", matched.report()
-    assert distance95(matched, lambda q: poses(q, o)) <= matched.agreed.claim
+    assert distance95(matched, lambda q: poses(q, o)) <= matched.agreement.claim
 
 
 def coupled(q: np.ndarray) -> np.ndarray:
@@ -117,7 +117,7 @@ def test_what_a_controller_knows_beside_joint_origins_is_named_and_no_pass(
     assert matched.grade != "PASS"
     assert "the controller computes with something that joint origins cannot hold" in matched.conclusion
     assert words in matched.conclusion
-    assert matched.agreed.left_out > 2 * matched.agreed.allowed
+    assert matched.agreement.left_out > 2 * matched.agreement.rounding_distance
 
 
 def test_pair_of_another_program_is_named_and_left_out(stock: Path, tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_pair_of_another_program_is_named_and_left_out(stock: Path, tmp_path: Pa
     matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, T))
     assert [name for name, _ in matched.left_out] == ["line 13"]
     assert matched.grade == "CHECK"
-    assert distance95(matched, lambda q: poses(q, o)) <= matched.agreed.claim
+    assert distance95(matched, lambda q: poses(q, o)) <= matched.agreement.claim
 
 
 def test_tool_is_found_and_a_wrong_statement_is_named(stock: Path, tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ def test_no_limit_is_named_that_holds():
     """A pose that fails among others only, because their ways lead elsewhere, is closed alone within all limits."""
     robot = calib.load(robot_file())
     why = why_open(robot.mechanism, robot.mode, robot.home)
-    assert why.startswith("it can be reached alone")
+    assert why.startswith("it closes if solved alone")
     assert not any(name in why for name in robot.mechanism.passive)
 
 

@@ -186,7 +186,7 @@ def test_rows_that_were_not_read_count_for_nothing():
 def test_without_a_degree_of_freedom_there_are_no_statistics(n_rows):
     rows, groups = np.eye(3)[:n_rows], np.zeros(n_rows, dtype=np.intp)
     span = rows @ information(rows).root
-    with pytest.raises(NotIdentifiableError, match="too few to say how sure"):
+    with pytest.raises(NotIdentifiableError, match="too few to find the uncertainty"):
         find_factors(np.zeros(n_rows), span, groups, 1)
 
 

@@ -317,7 +317,7 @@ def test_a_result_with_terms_is_read_back_by_other_commands(curved, run_calib):
     run = run_calib("fit", arm, folder / "data.csv", "--terms", "joint_2=curve", "--force", "--verbose",
                     "--out", folder / "out")  # fmt: skip
     assert run.code == 0, run.err
-    assert "Joint terms asked for: joint_2=curve" in run.out
+    assert "Joint terms requested: joint_2=curve" in run.out
     run = run_calib("predict", arm, folder / "far.csv", "--result", folder / "out", "--out", folder / "predicted.csv")
     assert run.code == 0, run.err
     assert "5 poses lie where no error curve of joint_2 was learned" in " ".join(run.err.split())
@@ -341,7 +341,7 @@ def test_none_leaves_out_what_the_description_has(curved):
         ("gian", "no term 'gian'; did you mean 'gain'?"),
         ("", "no term ''"),
         ("gain,", "no term ''"),
-        ("coupling", "'coupling' needs more than a joint"),
+        ("coupling", "'coupling' needs further values"),
         ("nowhere=gain", "no actuated joint 'nowhere'"),
         ("gain,gain", "a parameter name is used twice"),
     ],

@@ -137,7 +137,7 @@ def test_where_visits_share_nothing_nothing_is_found():
 
 def test_too_few_rows_for_any_noise_are_an_error():
     model, _, _ = model_of(2, groups=(4,), noise=(0.7,))
-    with pytest.raises(NotIdentifiableError, match="too few to say how sure"):
+    with pytest.raises(NotIdentifiableError, match="too few to find the uncertainty"):
         find_scales(model, np.array([1.0]), ONE)
 
 

@@ -373,7 +373,9 @@ def test_joint_terms_that_the_poses_hardly_decide_are_told(prior_arm):
     spread = calib.fit(prior_arm, noisy(prior_arm, 0.5 * joints(60), SIGMA, 1), sigma=SIGMA, terms="gain")
     assert "terms_untested" not in spread.verdict.to_dict()["codes"]
     beyond = [
-        line for line in spread.verdict.not_covered if line.startswith("joint values beyond those measured: over")
+        line
+        for line in spread.verdict.not_covered
+        if line.startswith("not all of the joints' range was measured: over")
     ]
     assert len(beyond) == 1  # measured through 1.5 of 6 rad
 

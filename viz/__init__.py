@@ -1,4 +1,4 @@
-"""Pictures of what calib knows: a viewer in the browser, live or as a file, and a report to print.
+"""Pictures of robots and calibrations: a viewer in the browser, live or as a file, and a report to print.
 
 * `viz.show(robot, result)`: live, in a browser on this computer.
 * `viz.page(robot, result).save("viewer.html")`: one file that opens without a server; it shows itself in a notebook.
@@ -20,7 +20,7 @@ __all__ = ["PictureWarning", "page", "report", "show"]
 
 
 class PictureWarning(UserWarning):
-    """The picture is not all that it should be, such as where a mesh is missing."""
+    """A part of the picture could not be drawn, such as a missing mesh."""
 
 
 def show(
@@ -38,7 +38,7 @@ def show(
         result: A fit, or the folder that one was saved to.
         data: Measurements to judge the robots with, instead of those of the fit.
         port: Port to listen on, on this computer only; 0 for any free one.
-        mapped: With how many poses to show what the calibration knows over the workspace; 0: not at all.
+        mapped: Number of poses of the map of the uncertainty over the workspace; 0: no map.
 
     Raises:
         DataError: The folder holds no result of this robot.

@@ -18,7 +18,7 @@ from viz.result_charts import forest
 from viz.viewer_page import ViewerPage
 
 _SHOWN = 24  # changes
-_GRADES = {"agrees": "PASS", "unlike poses": "CHECK"}  # of what new measurements say; all else is FAIL
+_GRADES = {"agrees": "PASS", "unlike poses": "CHECK"}  # grades of verdicts on new measurements; all others are FAIL
 
 
 def answer_page(
@@ -29,7 +29,7 @@ def answer_page(
     Args:
         subject: An `Acceptance`, a `HandEye` or a `Detection`.
         title: Heading of the page.
-        text: What the terminal says of it.
+        text: The text on the terminal.
         figures: HTML of pictures, each with the number of the image that it belongs to (-1: of none).
         created: Time to print; now if not given.
 
@@ -62,7 +62,7 @@ def answer_page(
 
 
 def _image_charts(result: HandEye) -> Charts:
-    """How far off each image and each point is, and how alike images that were used and left out are."""
+    """Errors of each image and each point, and the comparison of images used and left out."""
     scene = result.scene
     used, left, board = (result.rms_by_image(v) for v in (result.pixels, result.left.pixels, result.board))
     texts = tuple(

@@ -1,4 +1,4 @@
-"""How the drawn robot moves: every link's pose at every joint value, of the calibrated robot and of a ghost beside it.
+"""The motion of the drawn robot: every link's pose at every joint value, of the calibrated robot and of a ghost.
 
 The page computes poses itself, from joint values, so that 5000 poses cost kilobytes. It needs the tree of joints
 and two robots: `solid` (calibrated) and `ghost` (nominal), with loops solved by `calib` at every pose shown.

@@ -1,4 +1,4 @@
-"""Plots of pages as content: what is drawn where, and of which poses, for the script that draws them (`charts.js`).
+"""Plots of pages as content: marks, their places and their poses, for the script that draws them (`charts.js`).
 
 A chart is a row of panels, a panel a stack of layers. A layer has columns of numbers, and of each mark the row of the
 page's table that it belongs to, so that hover and selection mean the same pose in every plot, in space and in tables.
@@ -20,7 +20,7 @@ _DIGITS = 5  # of a number in a plot
 COLOURS = {"before": STATES["before"][0], "after": STATES["after"][0], **{name: look[0] for name, look in AXES.items()}}
 """Colours of states and axes."""
 MANY = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F")
-"""Colours of results and robots beside each other."""
+"""Colours of results and robots in one picture."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Chart:
 
     Attributes:
         name: Short name, unique on the page.
-        title: What it shows.
+        title: Title.
         text: How to read it.
-        panels: What `panel` returns, side by side where there is room.
+        panels: Results of `panel`, side by side where there is room.
         wide: Smallest width of a panel [px].
     """
 
@@ -48,7 +48,7 @@ def axis(label: str, *, log: bool = False, ends: Sequence[float] | None = None, 
     Args:
         label: Quantity and unit.
         log: Whether it is logarithmic.
-        ends: What it shows; what the marks need if not given.
+        ends: Its range; that of the marks if not given.
         names: Categories, the first at the top or on the left, in place of numbers.
     """
     shown = None if ends is None else [float(value) for value in ends]
@@ -76,7 +76,7 @@ def layer(kind: str, label: str = "", colour: str = "", **columns: Any) -> dict[
     Args:
         kind: `points`, `line`, `bars` (left, right, y), `cells` (x, y, width, height, colours) or `band` (left, right).
         label: Its entry in the legend; none if empty.
-        colour: Of all its marks; that of the page's text if empty.
+        colour: Colour of all its marks; that of the page's text if empty.
         columns: Numbers, rows, texts, or colours of its marks.
     """
     return {
@@ -100,7 +100,7 @@ class PageRows:
     """Data of the page for each row of its table.
 
     Attributes:
-        texts: What hover says.
+        texts: Texts on hover.
         poses: Number of the pose that each row is of: rows of one pose are selected together.
         marks: Shape of each row's mark, as Bokeh calls it.
     """

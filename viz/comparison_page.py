@@ -21,7 +21,7 @@ _REAL = ": a real difference"
 
 @dataclass(frozen=True)
 class ComparisonLine:
-    """One parameter of the table: name, unit, what each result says of it, p-values, and which differences are real."""
+    """One parameter of the table: name, unit, its value in each result, p-values, and which differences are real."""
 
     name: str
     unit: str

@@ -1,4 +1,4 @@
-"""What stands around a robot: shapes that a package gives for a robot it knows, such as a target workspace.
+"""Surroundings of a robot: shapes that a package gives for a robot it knows, such as a target workspace.
 
 A package registers a function in the entry point group `viz.decorations`, under the robot's name in its URDF; called
 without arguments it returns shapes whose `body` is None, in the measurement frame. Nothing here knows any robot.

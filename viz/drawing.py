@@ -18,7 +18,7 @@ from viz.scene import ViewerScene
 from viz.shapes import Shape
 
 Command = dict[str, Any]
-"""What meshcat's page does, as it understands it."""
+"""A command to meshcat's page, in its terms."""
 
 
 def pack(command: Command) -> bytes:

@@ -1,4 +1,4 @@
-"""What a page needs to move a robot by hand: which values its motors give, and what closes its loops.
+"""Data for a page to move a robot by hand: joint values from the motors, and the closures of its loops.
 
 The page follows the loops itself, from a pose in which they are closed, in small steps of the motors with Newton's
 method at each (`templates/drive.js`, the same equations as `calib.core.robots.loops`). It stops where a loop does not
@@ -57,12 +57,12 @@ class Drive:
         loops: Closures; their frames are bodies.
         passive_range: Limits of passive joints, (2, n_passive) [m or rad]; infinite where there are none.
         turning, sliding: Which passive joints turn, (n_passive,), and which motors slide, (n_actuated,).
-        range: What each motor can be moved through, (2, n_actuated) [m or rad].
+        range: Range of each motor, (2, n_actuated) [m or rad].
         home: Motors at home, (n_actuated,) [m or rad].
         targets: Name and body of each target.
         length: Characteristic length [m].
         tables: Errors of the joints of the robot that is drawn solid.
-        remarks: What the page cannot know of that, or leaves out.
+        remarks: Errors that the page cannot know, or leaves out.
         complete: Whether nothing is left out, so that positions are those of the robot.
     """
 

@@ -1,4 +1,4 @@
-"""Plots of errors, of each part of readings: their distribution, where they are, and what they follow."""
+"""Plots of errors, of each part of readings: their distribution, their places, and the quantities that they follow."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PAIRED = 6  # joints whose ranges are drawn in pairs; of more, neighbours only
 
 
 def page_rows(scene: ViewerScene) -> PageRows:
-    """Return what hover says of each row of the page, its pose and its mark."""
+    """Return the text on hover of each row of the page, its pose and its mark."""
     texts, keys, marks = [], [], []
     for rows in rows_of(scene):
         scale, unit = error_scale(rows.part.dimension), ERROR_UNIT[rows.part.dimension]
@@ -90,8 +90,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     return Chart(
         "coverage",
         "Where the joints were",
-        "Each pair of joints within its limits (or, without near ones, its measured range): what is empty was not"
-        " measured.",
+        "Each pair of joints within its limits or, without near ones, its measured range. Empty: not measured.",
         tuple(panels),
         190,
     )

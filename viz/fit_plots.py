@@ -52,7 +52,7 @@ class FitPlots:
         return drawn
 
     def residuals(self, joint: str | None = None, axes: Axes | None = None) -> Axes:
-        """Draw the components of what is left against a joint.
+        """Draw the components of residuals against a joint.
 
         Args:
             joint: Its name; the first joint if not given.
@@ -72,7 +72,7 @@ class FitPlots:
         return drawn
 
     def normal(self, axes: Axes | None = None) -> Axes:
-        """Draw sorted residuals over sigma against what normal noise would be."""
+        """Draw sorted residuals over sigma against those of normal noise."""
         drawn = _axes(axes)
         draw_normal(drawn, self._table())
         return drawn

@@ -44,7 +44,7 @@ def side_by_side(fleet: Fleet) -> Chart:
     names = [fleet.parameters[k].name for k in order]
     groups = []
     for k, member in enumerate(fleet.members):
-        called = member.name + (" (unlike)" if member.odd else "")
+        called = member.name + (" (unlike)" if member.is_unlike else "")
         texts = [f"{called}, {name}: {value:+.2f} spreads" for name, value in zip(names, away[k, order], strict=True)]
         groups.append((called, MANY[k % len(MANY)], away[k, order], reach[k, order], texts))
     drawn = forest(names, groups, "difference to the mean of the fleet [spreads from robot to robot]", ("", 2.0))

@@ -1,4 +1,4 @@
-"""From what a user has (a robot, a fit or its folder, measurements) to a scene."""
+"""From a robot, a fit or its folder, and measurements to a scene."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class ShownScene:
 
 
 def gather(robot: Robot, result: Result | None = None, data: Poses | None = None, mapped: int = 0) -> ShownScene:
-    """Return what to show.
+    """Return the scene to show.
 
     Args:
         robot: The nominal robot.
         result: A fit, or the folder that one was saved to; none: the robot as it is.
         data: Measurements to judge the robots with, instead of those of the fit; or poses alone, to look at.
-        mapped: With how many poses to show what is known over the workspace; 0: not at all.
+        mapped: Number of poses of the map of the uncertainty over the workspace; 0: no map.
 
     Raises:
         DataError: The folder holds no result, or one of another robot.

@@ -1,4 +1,4 @@
-"""What a robot is measured with, as shapes: sockets, planes and spheres that it touches, wires, cameras and boards.
+"""Instruments as shapes: sockets, planes and spheres that the robot touches, wires, cameras and boards.
 
 They are drawn where the shown robot has them, on the bodies that carry them. Symbols without a size of their own are as
 large as suits the robot. Wires lead from their fixed end to the target at some of the poses.
@@ -29,7 +29,7 @@ _POINTS = 400  # of a board that are drawn
 
 
 def instrument_shapes(robot: Robot) -> tuple[Shape, ...]:
-    """Return what touches, measures distances or takes pictures, and what they look at, on the bodies of a robot."""
+    """Return the shapes of instruments that touch, measure distances or see, and of their targets, on bodies."""
     shapes = [shape for instrument in robot.instruments for shape in _shapes_of(instrument, robot.mechanism.length)]
     return tuple({shape.name: shape for shape in shapes}.values())  # targets that several look at, once
 
@@ -71,7 +71,7 @@ def _body(place: str) -> str:
 
 @functools.singledispatch
 def _shapes_of(instrument: Instrument, size: float) -> list[Shape]:
-    """Shapes of an instrument beside a robot of this size [m]; none of what is no more than its target."""
+    """Shapes of an instrument of a robot of this size [m]; none of an instrument that is no more than its target."""
     return []
 
 

@@ -19,7 +19,7 @@ class Judgement:
         grade: PASS, CHECK or FAIL.
         reasons: Grade and text of each reason; an empty grade where it is not known.
         no_correction: Whether the measurements show nothing to correct.
-        following: What to do next, in a sentence; empty where that is not known.
+        following: The next step, in a sentence; empty where it is not known.
     """
 
     grade: str

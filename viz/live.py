@@ -35,7 +35,7 @@ class LiveViewer:
             viewer.display(q)
 
     Args:
-        shown: What to show.
+        shown: The scene and its robots.
         port: Port to listen on; 0 for any free one.
 
     Raises:
@@ -103,7 +103,7 @@ class LiveViewer:
         self._server.send("joints", json.dumps(content), keep="pose")
 
     def show(self, progress: Progress) -> None:
-        """Show what is known after the poses measured so far, in the measuring cockpit above the picture.
+        """Show the progress after the poses measured so far, in the measuring cockpit above the picture.
 
         Stop or go, the next pose and the errors come at once; then the fit, in place of what was shown, and the robots
         at the next pose; at the first one of the table where there is none.
@@ -129,7 +129,7 @@ class LiveViewer:
         }
 
     def remember(self, progress: Progress) -> None:
-        """Keep what was known after some poses: the curve towards the goal shows it."""
+        """Keep the progress after some poses: the curve towards the goal shows it."""
         errors = (progress.predicted, progress.unseen)
         ends = [end for error in errors for end in (error.low95, error.high95)]
         known = [millimetres(one) if math.isfinite(one) else None for one in (*(e.value for e in errors), *ends)]

@@ -1,4 +1,4 @@
-"""What pages with plots have in common: scripts, the policy that allows these alone, and formats of numbers.
+"""Common parts of pages with plots: scripts, the policy that allows these alone, and formats of numbers.
 
 Scripts of packages are compressed, and unpacked by the browser after the page's text has been painted.
 """
@@ -21,7 +21,7 @@ _BOKEH = ("bokeh", "bokeh-api")
 
 
 def chart_parts(charts: Charts, viewer: str = "") -> dict[str, Any]:
-    """Return what the templates of pages with plots need.
+    """Return the variables of templates of pages with plots.
 
     Args:
         charts: The plots.

@@ -1,4 +1,4 @@
-"""What `calib` finds under the entry point group `calib.pictures`: a command, the pages of a fit, figures.
+"""The entries of the group `calib.pictures`: a command, the pages of a fit, figures.
 
 Nothing is imported before its first use, so that `calib --help` stays quick.
 """
@@ -60,7 +60,7 @@ def answer(subject: object, title: str, text: str, figures: Sequence[tuple[int, 
     Args:
         subject: An `Acceptance` or a `HandEye`.
         title: Heading of the page.
-        text: What the terminal says of it.
+        text: The text on the terminal.
         figures: HTML of pictures, each with the number of the image that it belongs to (-1: of none).
     """
     from viz.answer_page import answer_page

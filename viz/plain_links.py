@@ -1,4 +1,4 @@
-"""Links that have no shapes of their own, drawn plainly: bodies from joint to joint, and joints as what they are.
+"""Links without shapes of their own, drawn plainly: bodies from joint to joint, and joints by their kind.
 
 What holds a link are its anchors: the joint that moves it, the joints that it carries, and the points where loops close
 on it. The body is a capsule between two anchors and the hull around more, so that a leg reaches from its base joint to

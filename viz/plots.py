@@ -72,7 +72,7 @@ def draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
     Args:
         axes: Where to.
         table: The poses.
-        rows: Those of the series, (n,).
+        rows: Rows of the series, (n,).
     """
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 

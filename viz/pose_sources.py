@@ -39,7 +39,7 @@ Sigmas = Mapping[str, float]
 
 @dataclass(frozen=True, eq=False)
 class _Set:
-    """Measurements of one group, and how far off the predictions of robots are.
+    """Measurements of one group, and the errors of the predictions of robots.
 
     Attributes:
         group: Group of the pose table.
@@ -135,12 +135,12 @@ def pose_table_of_errors(
 def from_measurements(
     data: Measurements, nominal: Robot, calibrated: PredictingRobot | None, sigmas: Sigmas
 ) -> PoseTable:
-    """Return measurements with what a robot predicts for them.
+    """Return measurements with the predictions of a robot for them.
 
     Args:
         data: The measurements.
         nominal: The robot before calibration.
-        calibrated: The robot after it and how sure it is, or None.
+        calibrated: The robot after it with its uncertainty, or None.
         sigmas: Noise of the instruments.
 
     Raises:
@@ -155,7 +155,7 @@ def from_plan(robot: Robot, poses: Poses, hits: tuple[str, ...]) -> PoseTable:
     Args:
         robot: The robot.
         poses: The poses.
-        hits: What hits at each, "" where nothing does, (n,).
+        hits: Pair that hits at each, "" for none, (n,).
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -300,7 +300,7 @@ def _transform_to_first_setup(robot: Robot, instrument: Instrument, setup: int) 
 
 
 def _predictions(source: _Set) -> PoseTable:
-    """One row for each visit and target: what is predicted, and nothing measured."""
+    """One row for each visit and target: predictions, and nothing measured."""
     data, targets = source.data, source.placed.target_names
     visits = np.repeat(np.arange(len(data)), len(targets))
     unknown = np.full((len(visits), 3), np.nan)

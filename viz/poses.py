@@ -1,4 +1,4 @@
-"""What is known about each measured point: where it was commanded, measured and predicted, and how sure that is."""
+"""The data of each measured point: commanded, measured and predicted positions, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MOST_ROWS = 20_000  # in one page, about 9 MB; more cannot be told apart on a s
 
 @dataclass(frozen=True, eq=False)
 class PredictingRobot:
-    """A calibrated robot and how sure its positions are.
+    """A calibrated robot and the uncertainty of its positions.
 
     Attributes:
         robot: The robot.
@@ -82,10 +82,10 @@ class PoseTable(RowTable):
         group: `identification`, `validation`, `measured` (not part of a fit) or `left out` (of it, as an outlier);
             `planned`, or `collides` where the robot hits something, of poses where nothing was read.
         outlier: Which rows are outliers, (n,).
-        labels: What to call each pose.
+        labels: Name of each pose.
         targets: Name of the measured point of each row: of the instrument that measured it.
         readings: How many readings each measured position is a mean of, (n,).
-        series: What was measured in one go with each row: a file, or a set of poses.
+        series: Series of each row, measured in one go: a file, or a set of poses.
         place: Place of each row's pose in the order of measurement of its series, (n,).
     """
 
@@ -152,7 +152,7 @@ def _evenly_spread(rows: IntArray, count: int) -> IntArray:
 
 
 def average_poses(table: PoseTable) -> PoseTable:
-    """Return one row for each point of a pose: the mean of its readings, which the rows of `table` are.
+    """Return one row for each point of a pose: the mean of its readings, the rows of `table`.
 
     Places are counted anew, so that repeats leave no gaps between the poses.
     """

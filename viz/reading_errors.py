@@ -1,4 +1,4 @@
-"""Errors of readings that are no positions: where they are drawn, which way they point, and how large they are.
+"""Errors of readings that are no positions, as arrows: their places, directions and sizes.
 
 A reading tells where the point that it sees is along some directions only. Its error is drawn as the smallest motion of
 that point that explains it. With the residual r (predicted minus read) and its derivative J by the point's motion
@@ -47,7 +47,7 @@ class ReadingErrors(RowTable):
         residuals_before, residuals_after: Predicted minus read, (n, n_axes) [SI]; NaN where not known.
         group: Group of each row, as in `PoseTable`.
         outlier: Which rows are outliers, (n,).
-        labels: What to call each pose.
+        labels: Name of each pose.
         targets: Name of the instrument of each row, with what it looked at.
     """
 

@@ -1,6 +1,6 @@
-"""What measurement files say about themselves in their comments, such as that they are simulated.
+"""Remarks in the comments of measurement files, such as that they are simulated.
 
-The pages show it in the files' own words, beside what was measured: who reads a page must know what its data are. Lines
+The pages show them in the files' own words, so that a reader knows what the data are. Lines
 such as `# operator: J. Doe` are the record of the measurement, which the report has in a table of its own.
 """
 
@@ -47,7 +47,7 @@ def remarks(*comments: Iterable[str]) -> Remarks:
     """Return the comments of measurement files, each line once, those that speak of simulation first.
 
     Args:
-        comments: Of each file, line by line.
+        comments: Comments of each file, line by line.
     """
     lines = list(dict.fromkeys(text for lines in comments for line in lines if (text := " ".join(line.split()))))
     lines.sort(key=lambda line: re.search(r"\bsimulat", line, re.IGNORECASE) is None)
@@ -69,14 +69,14 @@ def fit_remarks(fit: Fit, *, beside_record: bool = False) -> Remarks:
 
 
 def record(fit: Fit) -> list[tuple[str, str]]:
-    """Return under which conditions was measured, as far as the files say so: what, and what they say of it."""
+    """Return the conditions of the measurement that the files state: names and texts."""
     stated = {key: _stated_texts(fit, key) for key in _RECORD}
     stated[_TEMPERATURE] = stated[_TEMPERATURE] or _temperatures(fit)
     return [(key.capitalize(), "; ".join(values)) for key, values in stated.items() if values]
 
 
 def signatures(fit: Fit) -> list[str]:
-    """Return what is to be signed, a line for each."""
+    """Return the roles that sign, a line for each."""
     lines = [part.strip() for text in _stated_texts(fit, _SIGNATURES) for part in text.split(";")]
     return list(dict.fromkeys(line for line in lines if line))
 

@@ -136,7 +136,7 @@ def printed_page(
         command: Command line that made it.
         created: Time to print; now if not given.
         frame: The viewer's page, to stand in a frame of this one; none if empty.
-        content: What else the template needs.
+        content: Further variables of the template.
     """
     when = created if created is not None else datetime.now(UTC)
     about = {"program": PROGRAM, "command": command, "created": when.strftime("%Y-%m-%d %H:%M UTC")}
@@ -185,7 +185,7 @@ def _space(scene: ViewerScene | None, part: str) -> list[float] | None:
 
 
 def page_environment() -> Environment:
-    """Return where pages to print are made: everything that is put into them is escaped; with formats for numbers."""
+    """Return the environment of printed pages: all inserted text is escaped; with formats for numbers."""
     environment = templates(trim_blocks=True, lstrip_blocks=True)
     formats = {"mm": millimetres, "number": number, "significant": significant, "sentence": sentence, "cell": cell}
     environment.filters |= formats | {"powers": powers}
@@ -193,7 +193,7 @@ def page_environment() -> Environment:
 
 
 def frame_name(robot: Robot) -> str:
-    """Return what the frame of measured coordinates is called: by a link's name only where it is that link's frame."""
+    """Return the name of the frame of measured coordinates: a link's name only where it is that link's frame."""
     base = robot.description.base
     is_link = base.pose == "known" and not np.any([base.xyz, base.rpy])
     return base.frame if is_link else "the measurement frame"

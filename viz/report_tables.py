@@ -1,4 +1,4 @@
-"""The numbers of a report beside its tables: what counts, whether it is enough, and where the robot is worst."""
+"""The numbers at the head of a report: what counts, whether it is enough, and where the robot is worst."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from viz.remarks import tolerance
 
 @dataclass(frozen=True)
 class Headline:
-    """The error that counts: of which part, in which unit, at how many poses of which set, before and after."""
+    """The error of the headline: part, unit, number of poses, their set, values before and after."""
 
     part: Part
     unit: str
@@ -32,7 +32,7 @@ class Headline:
 
     @staticmethod
     def from_fit(fit: Fit) -> Headline:
-        """Return that of the main part."""
+        """Return the headline of the main part."""
         group, errors = judging_errors(fit)
         part = errors.main_part
         before, after = (error_table(errors.errors(state, part.name), part) for state in STATES)
@@ -41,7 +41,7 @@ class Headline:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Whether the robot keeps its tolerance: the tolerance, the answer, its grade, and what says so."""
+    """The answer whether the robot keeps its tolerance: tolerance, answer, grade, and reason."""
 
     text: str
     answer: str
@@ -52,7 +52,7 @@ class Tolerance:
 def tolerance_of(fit: Fit) -> Tolerance | None:
     """Return whether 95 of 100 errors at poses like those measured stay below the required tolerance, if any.
 
-    Of positions, by what the calibration claims; where that does not hold, nothing does.
+    For positions, by the claim of the calibration; where the claim does not hold, none do.
     """
     text = tolerance(fit)
     if not text:
@@ -72,7 +72,7 @@ def tolerance_of(fit: Fit) -> Tolerance | None:
 
 
 def worst(fit: Fit) -> str:
-    """Return where the robot is still worst: the pose with the largest error after calibration, and its place."""
+    """Return the pose with the largest error after calibration, and its place."""
     errors = judging_errors(fit)[1]
     if not errors.main_part.is_position:
         return _worst_reading(errors)

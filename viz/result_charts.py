@@ -1,4 +1,4 @@
-"""Plots of what a fit found: its parameters, the causes of the error, and what files are worth."""
+"""Plots of the results of a fit: its parameters, the causes of the error, and the errors of files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def forest(
         names: Names, the first at the top.
         groups: Of each set of marks its label, its colour, values (n,) and half intervals (n,), NaN where there is
             none, and what hover says of each.
-        label: Of the axis along which they are.
+        label: Label of the axis along which they are.
         band: Its entry in the legend, and half the width of a band around zero; None for none.
     """
     reach = max(np.nanmax(np.abs(values) + np.nan_to_num(half), initial=0.0) for _, _, values, half, _ in groups)
@@ -78,14 +78,14 @@ def parameters(fit: Fit) -> Chart | None:
         "forest",
         "Parameters: change, 95 % interval, and what was expected",
         "Beyond the band, the robot is further from its drawing than expected; an interval that is as wide as the band"
-        " says that the measurements told little.",
+        " says that the measurements determined little.",
         drawn,
         440,
     )
 
 
 def waterfall(fit: Fit) -> Chart | None:
-    """Return what each cause took away from the error before calibration, and what is left."""
+    """Return the part of the error before calibration that each cause took away, and the rest."""
     budget = budget_table(fit)
     if budget is None:
         return None
@@ -138,7 +138,7 @@ def joint_shares(fit: Fit) -> Chart | None:
 
 
 def file_worth_chart(fit: Fit) -> Chart | None:
-    """Return how far off each kind of file is: RMS and 95 % limit."""
+    """Return the errors of each kind of file: RMS and 95 % limit."""
     grid = files_grid(fit)
     if grid is None:
         return None

@@ -59,11 +59,11 @@ class SceneView:
 
 @dataclass(frozen=True)
 class OtherErrors:
-    """Errors of what an instrument reads beside positions, or of what several read.
+    """Errors of an instrument's other readings than positions, or of several instruments.
 
     Attributes:
-        instruments: Who reads it.
-        part: What it reads, such as `contact`.
+        instruments: The instruments.
+        part: Part of their readings, such as `contact`.
         unit: Unit of all numbers.
         sets: Of each set its name, and RMS and largest error before and after calibration.
     """
@@ -97,7 +97,7 @@ class ViewerScene:
         joints: Actuated joints, in the order of the pose table's columns.
         shapes: Shapes of the robot, each on a link.
         decorations: Shapes that stand still.
-        bodies: How links hang together.
+        bodies: The tree of links.
         solid: The robot as well as it is known: calibrated, or nominal without a result.
         ghost: The robot before calibration; None without a result.
         poses: The points.
@@ -110,12 +110,12 @@ class ViewerScene:
         ghost_factor: Exaggeration of the ghost to start with; 1 where there is nothing to correct.
         view: First camera.
         drive: How the robot is moved by hand.
-        notes: What the user should know about the picture, and is warned of.
+        notes: Warnings about the picture.
         uncertainty_notes: Sentences on the frame of its numbers, where they could be mistaken for others.
-        remarks: What the measurement files say about themselves.
+        remarks: Comments of the measurement files.
         verdict: Verdict on the fit, if there is one.
-        map: What is known over the workspace, if requested.
-        others: Errors of what is read beside positions, each in its unit.
+        map: Uncertainty over the workspace, if requested.
+        others: Errors of other readings than positions, each in its unit.
     """
 
     title: str
@@ -197,10 +197,10 @@ def build_scene(
         poses: Points to show; none: the robot at home.
         readings: Errors of readings that are no positions.
         verdict: Verdict on the fit.
-        notes: What to warn of beside what the URDF's shapes give reason to.
+        notes: Further warnings, other than those on the URDF's shapes.
         uncertainty_notes: Sentences on the frame of the numbers.
-        comments: What the measurement files say about themselves.
-        others: Errors of what is read beside positions.
+        comments: Comments of the measurement files.
+        others: Errors of other readings than positions.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -297,7 +297,7 @@ def _sizes(errors: Mapping[str, Any]) -> tuple[tuple[str, tuple[float, float], t
 
 
 def joints_of(robot: Robot) -> tuple[ViewerJoint, ...]:
-    """Return how the actuated joints of a robot are named and counted."""
+    """Return the names and units of the actuated joints of a robot."""
     dimensions = robot.mechanism.dimensions
     return tuple(
         ViewerJoint(name, DISPLAY_UNIT[dimensions[name]], PER_SI[dimensions[name]][DISPLAY_UNIT[dimensions[name]]])
@@ -315,7 +315,7 @@ def nice_factor(typical: float, longest: float) -> float:
 
 
 def _typical_motion(bodies: Bodies, solid: PosedRobot, ghost: PosedRobot) -> float:
-    """Return how far apart the links of two robots typically are: median over poses of the farthest link [m]."""
+    """Return the typical distance of links of two robots: median over poses of the farthest link [m]."""
     some = slice(None, None, max(1, len(solid.values) // 20))
     difference = (bodies.poses(ghost, some) - bodies.poses(solid, some))[..., :3, 3]
     apart = np.linalg.norm(difference, axis=2)[:, [not name.startswith("(") for name in bodies.names]]

@@ -122,7 +122,7 @@ def summary(scene: ViewerScene) -> list[dict[str, Any]]:
 
 
 def certainty(scene: ViewerScene) -> dict[str, Any]:
-    """Return how sure the numbers are [mm]; None where not known.
+    """Return the uncertainty of the numbers [mm]; None where not known.
 
     Returns:
         `noise`: standard deviation of one reading per axis. `means`: the smallest and the largest standard deviation

@@ -66,7 +66,7 @@ def take(folder: Path, views: tuple[tuple[str, str, dict[str, int], str], ...] =
 
     Args:
         folder: Folder with the pages, of a result; map.html need not be there.
-        views: What to take, as `PICTURES` has it.
+        views: Entries of `PICTURES`.
 
     Raises:
         InputError: A page, Chromium or playwright is missing.

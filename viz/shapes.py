@@ -22,11 +22,11 @@ class Shape:
     Attributes:
         name: Unique name.
         body: Link that carries it; None for what stands still in the measurement frame.
-        kind: What `size` means.
+        kind: Kind of the shape, which decides the meaning of `size`.
         size: box: edge lengths; cylinder: radius and length along z; sphere: radius; mesh: empty [m].
         T_body_shape: Pose of the shape in its link, (4, 4) [m].
         colour: Red, green, blue, opacity, 0 to 1.
-        vertices, faces: Of a mesh, (n, 3) [m] and (m, 3); empty otherwise.
+        vertices, faces: Corners and triangles of a mesh, (n, 3) [m] and (m, 3); empty otherwise.
     """
 
     name: str
@@ -79,7 +79,7 @@ def primitive(
     Args:
         name: Unique name.
         body: Link that carries it; None for what stands still in the measurement frame.
-        kind: What `size` means.
+        kind: Kind of the shape, which decides the meaning of `size`.
         size: As `Shape` has it [m].
         T_body_shape: Pose of the shape in its link, (4, 4) [m].
         colour: Red, green, blue, opacity, 0 to 1.

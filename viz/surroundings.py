@@ -1,4 +1,4 @@
-"""What the description says is around the robot and on it: obstacles, parts of the tool, lines of sight, as shapes."""
+"""Obstacles, parts of the tool and lines of sight of a description, as shapes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PLANE = 2.5  # edge of a floor that is drawn, of the robot's characteristic len
 
 
 def surrounding_shapes(robot: Robot) -> tuple[Shape, ...]:
-    """Return obstacles and what stands at targets, on the bodies that carry them.
+    """Return obstacles and shapes at targets, on the bodies that carry them.
 
     Raises:
         DescriptionError: A mesh cannot be read.

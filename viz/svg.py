@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#7F7F7F"
-"""Colours that are told apart with any colour vision (Okabe and Ito), and a grey for what is only beside them."""
+"""Colours that are told apart with any colour vision (Okabe and Ito), and a grey for what is only context."""
 AXES = {"x": (ORANGE, "o"), "y": (GREEN, "^"), "z": (BLUE, "s")}
-"""Colour and mark of what belongs to an axis."""
+"""Colour and mark of each axis."""
 STATES = {"before": (GREY, "--"), "after": (BLUE, "-")}
-"""Colour and line of what was before calibration, and after."""
+"""Colour and line before calibration, and after."""
 
 _POINTS = 72  # to an inch, as in SVG files
 _Arguments = ParamSpec("_Arguments")

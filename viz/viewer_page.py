@@ -74,7 +74,7 @@ class ViewerPage:
 
 
 def templates(**options: Any) -> Environment:
-    """Return where pages are made, everything that is put into them escaped; `options` go to Jinja's `Environment`.
+    """Return the environment of pages, all inserted text escaped; `options` go to Jinja's `Environment`.
 
     Compiled templates stay for later, where Python keeps its modules as well.
     """
@@ -100,7 +100,7 @@ def scene_page(scene: ViewerScene, *, live: bool = False, report: str = "", embe
     """Return the viewer page of a scene.
 
     Args:
-        scene: What to show.
+        scene: The scene.
         live: Whether the page listens to the server that sends it.
         report: File beside the page with the report, to link to; none if not given.
         embedded: Whether the page stands in a frame of another one, which has controls of its own.
@@ -144,7 +144,7 @@ def script_safe(code: str) -> str:
 
 
 def digest_of_script(code: str) -> str:
-    """Return by what a page's Content-Security-Policy knows a script: no other one runs."""
+    """Return the digest by which a page's Content-Security-Policy allows a script: no other one runs."""
     return base64.b64encode(hashlib.sha256(code.encode("utf-8")).digest()).decode("ascii")
 
 

@@ -1,4 +1,4 @@
-"""How wrong and how sure a robot is over its workspace: a cloud of positions that it can take, and what is known there.
+"""Errors and uncertainty of a robot over its workspace: a cloud of positions that it can take.
 
 Poses are drawn at random with the calibrated robot (`Robot.sample`): half of them within the joint limits, half within
 the ranges that the joints had in the measured poses, which are often a small part of them. At each stand two numbers:
@@ -52,7 +52,7 @@ class WorkspaceMap(ReadOnlyArrays):
 
 
 def workspace_map(calibrated: PredictingRobot, nominal: Robot, table: PoseTable, count: int) -> WorkspaceMap:
-    """Return what is known over the workspace.
+    """Return the map of errors and uncertainty over the workspace.
 
     Args:
         calibrated: The calibrated robot.

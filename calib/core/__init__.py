@@ -1,1 +1,1 @@
-"""What the robot is, and how sure that is: from a reading to a judged fit, and its results."""
+"""The robot and its uncertainty: from a reading to a judged fit, and its results."""

@@ -1,4 +1,4 @@
-"""What every simulator format is written from: the calibrated URDF, one assembled configuration, and the ties.
+"""The source of every simulator format: the calibrated URDF, one assembled configuration, and the ties.
 
 A tie says that two links meet: in a point, or as whole frames. Everything is computed from the numbers in the text of
 the calibrated URDF, so a robot that was exported and loaded again gives the same model to the last bit.
@@ -30,7 +30,7 @@ from calib.exporting.gap import Gap, free_joints, loop_gaps, require_small
 
 _FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6
 """Mass [kg] and moments of inertia [kg m^2] of the links between free joints: small, but what simulators can handle."""
-_SLIDE_LIMIT = 1.0  # of an added slide [m]
+_SLIDE_LIMIT = 1.0  # limit of an added slide [m]
 SERVO_FREQUENCY = 100.0
 """Undamped frequency of the position servos at home, with critical damping [Hz]."""
 _LEAST_INERTIA = 1e-9
@@ -41,7 +41,7 @@ class Tie:
     """Two links that meet.
 
     Attributes:
-        name: Of the closure.
+        name: Name of the closure.
         a, b: Links.
         full_pose: True: `a` is fixed to `b` in its `placement`. False: only the origin of `a` is, as a point.
         placement: Link `a` seen from link `b`, at home.
@@ -72,8 +72,8 @@ class ClosedModel:
         home: Value of every moving joint in an assembled configuration [m or rad].
         actuated: Joints with a motor.
         inertia: Inertia that each motor feels at home, loops closed, the other motors at rest [kg or kg m^2].
-        ties: What closes the loops.
-        gaps: What the ties have to absorb; empty with free joints.
+        ties: Ties that close the loops.
+        gaps: Gaps that the ties have to absorb; empty with free joints.
         markers: Targets and measurement frame.
         robot: The robot that it was made from.
     """
@@ -159,7 +159,7 @@ def tie_lines(model: ClosedModel) -> list[str]:
         *lines,
         "a closure here constrains fewer directions than a 3D constraint does:",
         *(f"  {gap.text()}" for gap in model.gaps),
-        "  (the gap at home is built into the constraint; the variant with free slides leaves nothing to absorb)",
+        "  (the gap at home is built into the constraint; the variant with free slides avoids the rest)",
     ]
 
 

@@ -108,9 +108,7 @@ def command(
         for gap in gaps:
             output.say(gap.text())
         if file_format != "toolbox" and any(gap.change > _WORTH_A_SLIDE for gap in gaps):
-            output.note(
-                "note: --free-slide leaves nothing to absorb; without it, simulated links and motors are strained"
-            )
+            output.note("note: these gaps strain the simulated links and motors; --free-slide avoids that")
     if relative and not meshes and file_format in ("urdf", "drake", "toolbox"):
         output.note(
             f"note: mesh paths such as '{relative}' start at the folder of the URDF; keep the file beside them, or give"

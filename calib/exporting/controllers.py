@@ -1,4 +1,4 @@
-"""What controllers and ROS hold: Denavit-Hartenberg tables, joint zeros, Universal Robots' kinematics, xacro origins.
+"""Files for controllers and ROS: Denavit-Hartenberg tables, joint zeros, Universal Robots' kinematics, xacro origins.
 
 Most of them hold less than the calibrated robot. Each file says, in its comment, what it holds and which error is left
 at the target, judged by the robot itself with all that it has: loops, joint terms, tool.
@@ -44,9 +44,9 @@ _FITTED = 0.25  # part of the poses that judge: offsets need no more
 
 @dataclass(frozen=True)
 class ControllerFile(FormatFile):
-    """A file for a controller, with what it leaves."""
+    """A file for a controller, and the error that it leaves."""
 
-    left: Remainder | None
+    remainder: Remainder | None
 
 
 def dh_file(robot: Robot, convention: Convention, provenance: Sequence[str] = ()) -> ControllerFile:
@@ -90,11 +90,11 @@ def _dh_row(robot: Robot, name: str) -> DhRow:
 
 
 def _chain_text(robot: Robot, chain: SerialChain) -> str:
-    held = f"holds the {len(chain.joints)} joints from {chain.base} to {chain.tip}"
+    text = f"holds the {len(chain.joints)} joints from {chain.base} to {chain.tip}"
     missing = [name for name in robot.joint_names if name not in [joint.name for joint in chain.joints]]
     if missing:
-        held += f", not {listing(missing)} beside them"
-    return held + _terms_text(robot)
+        text += f", and not {listing(missing)}"
+    return text + _terms_text(robot)
 
 
 def _terms_text(robot: Robot) -> str:
@@ -180,7 +180,7 @@ def _check_ur(robot: Robot, chain: SerialChain) -> None:
 
 
 def _mount(robot: Robot, nominal: SerialChain) -> pin.SE3:
-    """Where the link that the shoulder stands on is in the base, nominal."""
+    """Nominal pose in the base of the link that the shoulder stands on."""
     shoulder = nominal.joints[0]
     return nominal.links[0] * robot.nominal.placement(shoulder.name).inverse()
 
@@ -201,26 +201,26 @@ def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:
 
 
 def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
-    """Return a sign and a zero correction for each joint with a motor, and what they alone reach.
+    """Return a sign and a zero correction for each joint with a motor, and the error that they leave.
 
     Of a fit, those that fit its measurements best; else those of `joint_zeros`, over the joint ranges.
     """
-    known, placed = robot.files.get(Holds.ZEROS), any(p.placement for p in robot.parameters)
+    file_robot, placed = robot.files.get(Holds.ZEROS), any(p.placement for p in robot.parameters)
     anew = ", base and target placed anew" if placed else ""
-    if known is None:
+    if file_robot is None:
         q, where = judging_poses(robot)
         zeros = joint_zeros(robot, q, fitted=_FITTED)
-        left, before = (Remainder.from_distances(distances, where) for distances in (zeros.left, zeros.before))
+        left, before = (Remainder.from_distances(distances, where) for distances in (zeros.errors, zeros.errors_before))
         reached = f"{left.text()}; the nominal model without them has {millimetres(before.rms):.4g} mm RMS"
         signs, offsets = zeros.signs, zeros.offsets
     else:
         left, reached = None, error_comparison(robot, Holds.ZEROS)
-        signs, offsets = known.signs, known.offsets
+        signs, offsets = file_robot.signs, file_robot.offsets
     statement = f"holds one zero and a sign for each joint{anew}: {reached}"
     lines = [
         f"calib: joint zeros of {robot.name}: a joint is at sign * q + offset where the controller says q",
         statement,
-        *(provenance_lines(robot) if known is None else source_lines(robot)),
+        *(provenance_lines(robot) if file_robot is None else source_lines(robot)),
         *provenance,
     ]
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]

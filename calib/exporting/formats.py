@@ -84,9 +84,9 @@ def export(
     """
     robot = as_robot(robot)
     format, path = format or format_of(path), Path(path)
-    known = formats()
-    if format not in known:
-        raise InputError(f"format '{format}': unknown{nearest(format, known)}; the path comes before the format")
+    all_formats = formats()
+    if format not in all_formats:
+        raise InputError(f"format '{format}': unknown{nearest(format, all_formats)}; the path comes before the format")
     if free_slide and format not in ("mjcf", "drake"):
         raise InputError(f"format '{format}' has no variant with free slides; only mjcf and drake have")
     if meshes and format not in _WITH_URDF:
@@ -102,18 +102,18 @@ def export(
     for file in {urdf, path}:
         check_file(file, inputs=sources, force=force)
     holds = held_of(robot, format)
-    held, remarks = robot_for(robot, format, force=force), remarks_on_file(robot, holds)
+    file_robot, remarks = robot_for(robot, format, force=force), remarks_on_file(robot, holds)
     lines: list[str] | None = [*remarks, *(provenance or ())]
     if loses(robot, holds):
         for line in remarks:
             note(line)
     elif provenance is None and format in _UNTOUCHED:
         lines = None
-    files = _contents(held, format, path, free_slide, lines, note, force=force)
+    files = _contents(file_robot, format, path, free_slide, lines, note, force=force)
     if meshes:
         files[urdf] = with_mesh_prefix(files[urdf], meshes)
-    write_files(files, comment=known[format].comment, inputs=sources, force=force)
-    return () if free_slide or known[format].write or format in LANGUAGES else loop_gaps(held)
+    write_files(files, comment=all_formats[format].comment, inputs=sources, force=force)
+    return () if free_slide or all_formats[format].write or format in LANGUAGES else loop_gaps(file_robot)
 
 
 def _write_tables(
@@ -121,9 +121,9 @@ def _write_tables(
 ) -> None:
     check_folder(path, force=force)
     require_own_terms(robot)
-    held, remarks = robot_for(robot, JOINT_TABLES, force=force), remarks_on_file(robot, Holds.TABLES)
+    file_robot, remarks = robot_for(robot, JOINT_TABLES, force=force), remarks_on_file(robot, Holds.TABLES)
     left = lost_by_tables(robot)
-    files = joint_table_files(held, [*remarks, *left, *provenance])
+    files = joint_table_files(file_robot, [*remarks, *left, *provenance])
     for line in [*(remarks if loses(robot, Holds.TABLES) else ()), *left]:
         note(line)
     write_folder(path, files, inputs=(robot.urdf.path, robot.path), force=force)

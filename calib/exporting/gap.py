@@ -40,14 +40,14 @@ _UNLIMITED = {"length": 1.0, "angle": np.pi}  # taken as a joint's limit where i
 
 @dataclass(frozen=True)
 class Gap:
-    """How far the two frames of a closure are apart in one direction that it leaves free.
+    """Distance of the two frames of a closure in one direction that it leaves free.
 
     Attributes:
         name: Name of the closure.
         direction: Free direction, in the axes of the closure's first frame.
         at_home: Gap in the home configuration [m or rad].
         change: Largest difference from `at_home` over the poses [m or rad].
-        n_poses: How many assembled poses were looked at.
+        n_poses: Number of assembled poses looked at.
         where: Region of these poses, for messages; empty for poses that the caller gave.
     """
 
@@ -82,7 +82,7 @@ def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
 
     Args:
         robot: The robot.
-        count: How many to try.
+        count: Number to try.
     """
     lower, upper = joint_ranges(robot)
     spread = 2 * joint_samples(robot.mode, count + 1)[1:, : len(lower)] - 1  # its first point is a corner
@@ -104,9 +104,9 @@ def joint_ranges(robot: Robot) -> tuple[FloatArray, FloatArray]:
 
 def free_directions(robot: Robot, loop: int) -> tuple[Component, ...]:
     """Directions that a 3D constraint would hold and the closure does not."""
-    held = robot.mechanism.loops[loop].rows
+    constrained = robot.mechanism.loops[loop].rows
     whole = range(6 if robot.mechanism.loops[loop].full_pose else 3)
-    return tuple(COMPONENTS[row] for row in whole if row not in held)
+    return tuple(COMPONENTS[row] for row in whole if row not in constrained)
 
 
 def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:

@@ -1,15 +1,15 @@
 """Joint correction tables: where each joint is at each command, for controllers without a model.
 
 A table has equal steps, with linear interpolation between them. That is off by at most h^2 / 8 times the largest second
-derivative of the joint's error, of which every term knows a bound; the step h is chosen so that this stays below
+derivative of the joint's error, whose bound every term knows; the step h is chosen so that this stays below
 `TOLERANCE`. A table reaches over the joint's limits in the URDF (two turns about zero where there are none), and a
 little further, so that the way back (which command gives a wanted value) holds at the limits too. Outside, nothing
 is known.
 
 Only errors that depend on the joint's own command fit into a table. What else the model has (backlash, compliance,
-bending, drift) is left out, and said with its size. The tables, and the joint origins that go with them, are then those
-that a fit found to be best without it (`calib.core.robots.accuracy_of_files`); the URDF with these origins lies beside
-the tables. Tables and the origins of another file do not go together.
+bending, drift) is left out; the file states its size. The tables, and the joint origins that go with them, are then
+those that a fit found to be best without it (`calib.core.robots.accuracy_of_files`); the URDF with these origins lies
+beside the tables. Tables and the origins of another file do not go together.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from calib.core.robots.robot_files import without_terms
 from calib.core.robots.terms.term import Context, JointTerm
 
 TOLERANCE = 4e-7
-"""What interpolation may be off [rad or m]."""
+"""Largest error of the interpolation [rad or m]."""
 _TURNS = 2.0 * np.pi  # range to either side of a joint that turns without limits [rad]
 _MOST_STEPS = 200_000
 _SI: dict[Dimension, str] = {"length": "m", "angle": "rad"}
@@ -46,7 +46,7 @@ class JointTable(ReadOnlyArrays):
         joint: The joint.
         dimension: Whether it slides or turns.
         commands: With equal steps, (n,) [rad or m].
-        actual: Where it then is, (n,) [rad or m].
+        actual: True value there, (n,) [rad or m].
     """
 
     joint: str
@@ -80,7 +80,7 @@ def require_own_terms(robot: Robot) -> None:
 
 
 def lost_by_tables(robot: Robot) -> list[str]:
-    """Return what of a robot no table can hold, with its size, one line each."""
+    """Return the errors of a robot that no table can hold, with their sizes, one line each."""
     left, start = [], robot.coefficients.start
     for term in robot.terms:
         indices = slice(start, start := start + len(term.parameters))
@@ -115,7 +115,7 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
 
 
 def _remark_on_rest(robot: Robot, indices: slice, term: JointTerm) -> str:
-    """Say what of a joint's error is not in its table."""
+    """Say which part of a joint's error is not in its table."""
     dimension = robot.mechanism.dimensions[term.joint]
     size = quantity_text(float(np.max(np.abs(robot.values[indices]))), dimension)
     columns = [f"the column '{name}'" for name in term.reads()]
@@ -129,7 +129,7 @@ def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, byte
 
     Args:
         robot: The robot.
-        lines: What to say in each file.
+        lines: Comments of each file.
 
     Raises:
         InputError: See `joint_tables`.

@@ -37,14 +37,14 @@ class JointZeros:
     Attributes:
         signs: 1, or -1 where a joint counts the other way, (n_joints,).
         offsets: Offsets in sign * q + offset, (n_joints,) [m or rad].
-        left, before: Error of each target with and without these zeros, (n_poses, n_targets) [m], without the poses
-            at which the loops of one of the two robots do not close.
+        errors, errors_before: Error of each target with and without these zeros, (n_poses, n_targets) [m], without the
+            poses at which the loops of one of the two robots do not close.
     """
 
     signs: FloatArray
     offsets: FloatArray
-    left: FloatArray
-    before: FloatArray
+    errors: FloatArray
+    errors_before: FloatArray
 
 
 def joint_zeros(robot: Robot, q: FloatArray, *, fitted: float = 1.0) -> JointZeros:
@@ -64,14 +64,14 @@ def joint_zeros(robot: Robot, q: FloatArray, *, fitted: float = 1.0) -> JointZer
     found = fit_data(with_zeros(plain), Settings(sigma=_EXACT), _read(plain, signs * q[some], positions[some])).robot
     offsets = found.values[found.coefficients]
     offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)
-    return JointZeros(signs, offsets, _left(plain, signs * q + offsets, positions), _left(plain, q, positions))
+    return JointZeros(signs, offsets, _errors(plain, signs * q + offsets, positions), _errors(plain, q, positions))
 
 
 def _read(robot: Robot, q: FloatArray, positions: FloatArray) -> Measurements:
     return as_measurements(robot, q, {name: positions[:, k] for k, name in enumerate(robot.target_names)})
 
 
-def _left(plain: Robot, q: FloatArray, positions: FloatArray) -> FloatArray:
+def _errors(plain: Robot, q: FloatArray, positions: FloatArray) -> FloatArray:
     """Error of each target with base and targets placed for these poses, (n_closed, n_targets) [m]."""
     closes = plain.close(q).ok
     placed = register(plain, _read(plain, q[closes], positions[closes]))

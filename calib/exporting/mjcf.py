@@ -38,9 +38,9 @@ TIE_SOFTNESS = {"solref": "-1000000 -1000", "solimp": "0.999 0.999 0.001 0.5 2"}
 WORLD = "world_link"
 """Name of the body for a root link called `world`, which MuJoCo keeps for itself."""
 _LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
-"""What a moving link without mass gets [kg], [kg m^2]: MuJoCo refuses massless ones."""
+"""Mass and inertia that a moving link without mass gets [kg], [kg m^2]: MuJoCo refuses massless ones."""
 _NO_MASS, _NO_INERTIA = 1e-9, 1e-12
-"""What a massless link with shapes gets [kg], [kg m^2]: MuJoCo before 3.4 takes its mass from the shapes otherwise."""
+"""Mass and inertia of a massless link with shapes [kg], [kg m^2]: MuJoCo before 3.4 takes its mass from the shapes."""
 _TYPES = {"prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
 
 
@@ -51,7 +51,7 @@ class Mjcf:
     Attributes:
         content: The file.
         meshes: Converted mesh files that it names.
-        notes: What cannot be drawn as the URDF asks, and why.
+        notes: Shapes that cannot be drawn as the URDF asks, and why.
     """
 
     content: bytes
@@ -64,7 +64,7 @@ def mjcf(model: ClosedModel, path: Path | str = "robot.xml", provenance: Sequenc
 
     Args:
         model: The closed robot.
-        path: Where the file will lie; mesh files are named relative to its folder.
+        path: Path of the file; mesh files are named relative to its folder.
         provenance: Further lines for the comment that says where the numbers come from.
 
     Raises:
@@ -217,11 +217,11 @@ class _Writer:
     def _fixed_links(self, name: str) -> set[str]:
         """Links that are fixed to a link, itself included."""
         welded, waiting = {name}, [name]
-        held = [joint for joint in self.model.urdf.joints if joint.type in HELD_TYPES]
+        fixed = [joint for joint in self.model.urdf.joints if joint.type in HELD_TYPES]
         while waiting:
             link = waiting.pop()
-            near = {joint.child for joint in held if joint.parent == link}
-            near |= {joint.parent for joint in held if joint.child == link}
+            near = {joint.child for joint in fixed if joint.parent == link}
+            near |= {joint.parent for joint in fixed if joint.child == link}
             waiting.extend(near - welded)
             welded |= near
         return welded

@@ -19,7 +19,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.results.urdf import numbers
 from calib.core.robots.urdf.links import Link, LinkShape, find_mesh
 
-_MAX_FACES = 200_000  # of a binary STL file, MuJoCo's limit
+_MAX_FACES = 200_000  # faces of a binary STL file, MuJoCo's limit
 _GREY = (0.6, 0.6, 0.6, 1.0)
 _ROD = 0.06  # radius of a rod over its length
 
@@ -28,12 +28,12 @@ class MjcfShapes:
     """Writes geoms and collects the mesh files that they need.
 
     Args:
-        urdf_path: Where mesh files are looked for.
+        urdf_path: Path of the URDF; mesh files are looked for from there.
         path: The MJCF file; mesh files are named relative to its folder, and converted ones lie in a folder beside it.
 
     Attributes:
         asset: The `<asset>` element with the meshes.
-        remarks: What could not be drawn, and why.
+        remarks: Shapes that could not be drawn, and why.
         converted: Contents of the converted mesh files.
     """
 
@@ -171,7 +171,7 @@ def add_surroundings(world: Element, points: FloatArray) -> None:
 
     Args:
         world: The world.
-        points: Where the links' frames are at home, (n, 3) [m].
+        points: Origins of the links' frames at home, (n, 3) [m].
     """
     size = round(max(float(np.max(np.abs(points))), 0.1), 3)  # millimetres: more digits would only be rounding
     low, high = (round(float(end), 3) for end in (np.min(points[:, 2]), np.max(points[:, 2])))

@@ -1,5 +1,5 @@
-"""A robot as the chain of joints from its base link to the link that carries the first target, and what a format that
-holds less than the robot leaves of its accuracy.
+"""A robot as the chain of joints from its base link to the link of the first target, and the accuracy that remains in
+a format that holds less than the robot.
 
 Controllers know such chains. Fixed joints are folded into the links between the moving ones.
 """
@@ -101,7 +101,7 @@ class Remainder:
     Attributes:
         rms, largest: Distance of the target [m].
         angle: Largest angle between the tip's frames [rad]; NaN where only positions were compared.
-        n_poses: How many poses were looked at.
+        n_poses: Number of poses looked at.
         where: Where these lie.
     """
 
@@ -113,7 +113,7 @@ class Remainder:
 
     @classmethod
     def from_distances(cls, distances: FloatArray, where: str, angle: float = np.nan) -> Remainder:
-        """Return what is left, from the distances of targets (n_poses, ...) [m]."""
+        """Return the remaining errors, from distances of targets (n_poses, ...) [m]."""
         rms, largest = float(np.sqrt(np.mean(distances**2))), float(np.max(distances))
         return cls(rms, largest, angle, len(distances), where)
 

@@ -1,4 +1,4 @@
-"""`robot.yaml`: a file for Pinocchio's toolbox-parallel-robots beside a URDF, and a description for `calib` as well.
+"""`robot.yaml`: a file for Pinocchio's toolbox-parallel-robots next to a URDF, and a description for `calib` as well.
 
 The toolbox reads `closed_loop`, `type` and `name_mot`, and ignores the rest. The rest makes the file a description of
 the calibrated robot, which `calib` can load: its assembled home, the fitted places of base and targets, and the

@@ -112,7 +112,7 @@ FORMATS = (
         text.motive_lines,
     ),
     OtherFormat(
-        "a report of measured beside nominal values, as PolyWorks and FARO write it",
+        "a report of measured and nominal values, as PolyWorks and FARO write it",
         "`Name` with `Meas X`, `Actual X`, ...; or with `Meas` and a column of X, Y, Z below each other",
         "columns pose (the name), X, Y, Z as measured, with the unit that the header or a line above names",
         reports.is_report,
@@ -142,7 +142,7 @@ FORMATS = (
     OtherFormat(
         "numbers without names, as np.savetxt writes them",
         "every line has numbers alone",
-        "columns are 1, 2, 3, ..., of which `columns` says what they stand for",
+        "columns are named 1, 2, 3, ...; `columns` says what they stand for",
         lambda file: text.has_only_numbers(file) and "1" in file.renamed,
         text.numbered_lines,
     ),

@@ -1,7 +1,7 @@
-"""Reports of measured values beside nominal ones, as PolyWorks, FARO's CAM2 and others write them: what was measured.
+"""Reports of measured and nominal values, as PolyWorks, FARO's CAM2 and others write them.
 
 Two layouts: a row for each coordinate of a point (`Name; Control; Nom; Meas; Dev`), or columns for each coordinate
-(`Name; Nominal X; Measured X; ...`). What becomes of both is a row for each point: pose, X, Y, Z.
+(`Name; Nominal X; Measured X; ...`). Both become a row for each point: pose, X, Y, Z.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ _NAMES = ("name", "object name", "object", "point", "point name", "feature", "fe
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where a report has what.
+    """The columns of a report.
 
     Attributes:
         header: Its line.
         name: Column of names.
         values: Columns of X, Y, Z; or the one of measured values.
-        control: Column of X, Y, Z below each other; None where they are beside each other.
+        control: Column of X, Y, Z below each other; None where they are in one line.
         unit: In the header.
     """
 

@@ -1,4 +1,4 @@
-"""Calibrations of LeRobot's servos: no measurements, but they say what the numbers of a log of joints are."""
+"""Calibrations of LeRobot's servos: no measurements, but the meaning of numbers in a log of joints."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from calib.core.base.errors import DataError
 from calib.core.data.other_formats import SomeFile
 
-_TICKS = 4096  # of a turn of the servos that LeRobot's arms have
+_TICKS = 4096  # ticks in a turn of the servos of LeRobot's arms
 _KEYS = ((b'"homing_offset"', b'"range_min"'), (b'"homing_offset"', b'"motor_names"'))  # today's, and the first ones
 
 

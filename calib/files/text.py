@@ -198,7 +198,7 @@ def named_above_lines(file: SomeFile) -> list[str]:
 
 
 def _with_header(lines: Sequence[str], first: int, header: Sequence[str]) -> list[str]:
-    """Lines of which the rows begin at `first`; those above are comments, the last of them the header."""
+    """Lines whose rows begin at `first`; those above are comments, the last of them the header."""
     width, rows = len(header), list[str]()
     for line in lines[first:]:
         cells = cells_of(line)

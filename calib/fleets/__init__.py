@@ -1,1 +1,1 @@
-"""What several robots of one model say of the next one."""
+"""The prior of the next robot of a model, from results of several robots."""

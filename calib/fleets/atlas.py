@@ -1,4 +1,4 @@
-"""What is known of models before one of their robots is measured: the files of the folder `models`.
+"""Priors of known models: the files of the folder `models`.
 
 Each is what `calib fleet` makes of the maker's own calibrations of several robots of a type, as their owners published
 them (files of `ur_calibration`): mean and spread of the joint origins, and what the robots leave open of the mean. The

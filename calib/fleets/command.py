@@ -37,15 +37,15 @@ def command(results: tuple[str, ...], out: str | None, html: str | None, verbose
     places may differ. The mean and spread of every parameter become the prior of the next robot, so that a few poses
     calibrate it. A robot that is unlike the others is named, and left out.
     """
-    beside = str(urdf_beside(out)) if out is not None else None
+    urdf = str(urdf_beside(out)) if out is not None else None
     with output.working(f"learning from {len(results)} results"):
         learned = fleet(*results)
-    output.check(out, beside, html)
+    output.check(out, urdf, html)
     output.say(learned.report(verbose=verbose).rstrip())
     output.json(learned.to_dict())
     if out is not None:
         learned.save(out, force=output.force)
-        output.say(f"{out} and {beside} written; `calib fit {out} DATA --out DIR` calibrates one more robot")
+        output.say(f"{out} and {urdf} written; `calib fit {out} DATA --out DIR` calibrates one more robot")
     if html is not None:
         output.write(html, pictures.fleet(learned))
         output.say(f"Written to {html}")

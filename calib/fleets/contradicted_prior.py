@@ -1,10 +1,10 @@
-"""Whether a robot is like its fleet: what the fleet says is left out where the readings contradict it.
+"""A robot is compared with its fleet: the fleet's prior is left out where the readings contradict it.
 
 A robot that was repaired, that fell, or that is of another make would be pulled towards the others, and its noise would
 seem larger than it is, which hides that. So it is fitted first as if there were no fleet, and what its readings tell is
 compared with what the fleet leads to expect, as results of a fleet are compared with each other
-(`calib.fleets.hierarchy`). The parameter that is least likely loses what the fleet says of it, and is expected where
-the description has it, until the rest is likely; beyond a quarter of the parameters the whole fleet is left out.
+(`calib.fleets.hierarchy`). The least likely parameter loses the fleet's prior and keeps the description's,
+until the rest is likely; beyond a quarter of the parameters the whole fleet is left out.
 
 Where few readings leave that fit no degree of freedom, it has the fleet's prior, but several times as wide; either way
 what a prior says is taken out of the comparison.
@@ -28,22 +28,22 @@ from calib.core.fitting.settings import Settings
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.robots.fleet_prior import FleetSection
 from calib.core.robots.robot import Robot
-from calib.fleets.hierarchy import likeness
+from calib.fleets.hierarchy import compare_with_fleet
 from calib.fleets.shared_parameters import evidence_of_fit, expectation_of_fleet, shared_parameters, without_fleet
 
-_WIDE = 5.0  # by which a prior is wider that shall decide little
+_WIDE = 5.0  # factor that makes a prior so wide that it decides little
 _MOST = 0.25  # part of the parameters that may be unlike before the whole robot is
 _EXTRA = 3.0  # degrees of freedom of spreads beyond one for each robot: what parameters of a kind share
 
 
 def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Settings, fleet: FleetSection) -> Robot:
-    """Return the robot without what its fleet says that the readings contradict.
+    """Return the robot without those parts of its fleet's prior that the readings contradict.
 
     Args:
         robot: The nominal robot.
-        data: What it is fitted to.
-        settings: How.
-        fleet: What it says, of the robot's description.
+        data: Its measurements.
+        settings: Options of the fit.
+        fleet: The fleet's section of the robot's description.
     """
     alone = _with_little_of_it(robot, fleet, data, replace(settings, starts=1))
     if alone is None:
@@ -54,7 +54,7 @@ def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Setti
     while shared:
         evidence = evidence_of_fit(alone.robot, alone.free, alone.statistics.covariance, freedom, shared)
         mean, expected = expectation_of_fleet(fleet, robot, shared)
-        compared = likeness(evidence, mean, expected, np.full(len(shared), fleet.robots + _EXTRA))
+        compared = compare_with_fleet(evidence, mean, expected, np.full(len(shared), fleet.robots + _EXTRA))
         if not compared.p_value() < FALSE_ALARM:
             break
         if len(unlike) + 1 > _MOST * len(fleet.parameters) or not np.any(np.isfinite(compared.distances)):
@@ -70,7 +70,7 @@ def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Setti
 
 
 def _with_little_of_it(robot: Robot, fleet: FleetSection, data: Measurements, settings: Settings) -> Fit | None:
-    """The fit without the fleet, or with little of what it says; None where neither is possible."""
+    """The fit without the fleet, or with a wide prior of it; None where neither is possible."""
     wide = robot.description.model_copy(update={"fleet": fleet.widen(_WIDE, robot.parameters)})
     for tried in (without_fleet(robot), replace(robot, description=wide)):
         with suppress(CalibrationError):

@@ -22,7 +22,7 @@ from calib.core.results.result_reading import load_result
 from calib.core.robots.description import description_yaml
 from calib.core.robots.fleet_prior import FleetSection
 from calib.core.robots.robot import Robot
-from calib.fleets.hierarchy import Hierarchy, Likeness, learn_without_odd
+from calib.fleets.hierarchy import FleetComparison, Hierarchy, learn_without_odd
 from calib.fleets.shared_parameters import evidence_of_fit, section_of, shared_parameters, without_fleet
 from calib.fleets.ur_files import is_calibration, result_of_calibration
 
@@ -44,32 +44,32 @@ class Member:
     """One robot of a fleet.
 
     Attributes:
-        name: What its folder has that the others' have not.
+        name: The part of its folder's name that the others do not have.
         folder: Its result, as it was given.
-        verdict, n_poses: Of its result.
-        odd: Whether it is unlike the others, which then learned nothing from it.
-        together: Root mean square of how far it is from what the others expect, 1 on average; NaN if not tested.
-        p_value: Chance of a robot so far off in anything, over all tests of this robot; NaN likewise.
-        unlike: Parameters in which an odd robot is further off than chance, the furthest first, with the distance in
-            standard deviations of what is expected.
+        verdict, n_poses: Verdict and number of poses of its result.
+        is_unlike: Whether it is unlike the others, which then learned nothing from it.
+        combined_rms: Root mean square of how far it is from what the others expect, 1 on average; NaN if not tested.
+        p_value: Chance of a robot so far off in anything, over all tests of this robot; NaN if not tested.
+        unlike_parameters: Parameters in which such a robot is further off than chance, the furthest first, with the
+            distance in standard deviations of what is expected.
     """
 
     name: str
     folder: str
     verdict: str
     n_poses: int
-    odd: bool
-    together: float
+    is_unlike: bool
+    combined_rms: float
     p_value: float
-    unlike: tuple[tuple[str, float], ...]
+    unlike_parameters: tuple[tuple[str, float], ...]
 
     def sentence(self) -> str:
         """Say whether it is like the others."""
         if np.isnan(self.p_value):
             return "not tested"
-        if not self.odd:
+        if not self.is_unlike:
             return "like the others"
-        words = listing([f"{name} ({away:+.0f} sigma)" for name, away in self.unlike[:_NAMED]])
+        words = listing([f"{name} ({away:+.0f} sigma)" for name, away in self.unlike_parameters[:_NAMED]])
         return f"UNLIKE the others: {words or 'in many parameters a little'}"
 
 
@@ -80,14 +80,14 @@ class Fleet(ReadOnlyArrays):
     Attributes:
         robot: The first one, nominal, with the prior of the next robot in its description.
         members: The robots.
-        parameters: What they share, with the sigmas of the description.
+        parameters: Shared parameters, with the sigmas of the description.
         nominal: Nominal values, (n,) [SI].
         mean, mean_std: Mean over the robots, and its standard deviation, (n,) [SI].
         spread: Standard deviation from robot to robot, (n,) [SI].
-        shown: How many robots determine each parameter, (n,).
+        n_determined: Number of robots that determine each parameter, (n,).
         values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of a robot left out, by its
             own fit.
-        notes: What to know before using it.
+        notes: Remarks for users of it.
     """
 
     robot: Robot
@@ -97,13 +97,13 @@ class Fleet(ReadOnlyArrays):
     mean: FloatArray
     mean_std: FloatArray
     spread: FloatArray
-    shown: FloatArray
+    n_determined: FloatArray
     values: FloatArray
     stds: FloatArray
     notes: tuple[str, ...]
 
     def __repr__(self) -> str:
-        odd = [member.name for member in self.members if member.odd]
+        odd = [member.name for member in self.members if member.is_unlike]
         ending = f"; unlike the others: {listing(odd)}" if odd else ""
         return f"<fleet of {len(self.members)} robots '{self.robot.name}', {len(self.parameters)} parameters{ending}>"
 
@@ -120,11 +120,11 @@ class Fleet(ReadOnlyArrays):
         robots = text_table(
             ("robot", "verdict", "poses", "off", "p", "comparison"), ("robot", "verdict", "comparison"), plain=True
         )
-        some, odd = [*range(len(self.members))], np.array([member.odd for member in self.members])
+        some, odd = [*range(len(self.members))], np.array([member.is_unlike for member in self.members])
         if not verbose:
             some = _first(np.nan_to_num([member.p_value for member in self.members], nan=2.0), odd)
         for member in (self.members[k] for k in some):
-            off = "-" if np.isnan(member.together) else f"{member.together:.2f}"
+            off = "-" if np.isnan(member.combined_rms) else f"{member.combined_rms:.2f}"
             chance = "-" if np.isnan(member.p_value) else f"{member.p_value:.2g}"
             robots.add_row(member.name, member.verdict, str(member.n_poses), off, chance, member.sentence())
         others = _hidden_count_lines(len(self.members) - len(some), "robot", "are more like the others")
@@ -134,14 +134,16 @@ class Fleet(ReadOnlyArrays):
         for k in shown:
             parameter, numbers = self.parameters[k], (away[k], self.mean_std[k], self.spread[k])
             cells = [f"{round(float(number) * parameter.per_si, 4) + 0.0:.4f}" for number in numbers]
-            table.add_row(parameter.name, parameter.unit, f"{parameter.sigma:.4g}", *cells, f"{self.shown[k]:.1f}")
+            table.add_row(
+                parameter.name, parameter.unit, f"{parameter.sigma:.4g}", *cells, f"{self.n_determined[k]:.1f}"
+            )
         less = _hidden_count_lines(len(away) - len(shown), "parameter", "differ less clearly from nominal")
         ending = ("\n" + self.conclusion(), *self.notes)
         return plain_text([robots, *others, "", table, *less, *ending], _WIDTH, wrap=True)
 
     def conclusion(self) -> str:
         """Return in a sentence what was learned."""
-        odd = [member.name for member in self.members if member.odd]
+        odd = [member.name for member in self.members if member.is_unlike]
         spread = np.median(self.spread / np.array([p.sigma_si for p in self.parameters]))
         left = f" Left out as unlike the others: {listing(odd)}." if odd else ""
         return (
@@ -166,12 +168,21 @@ class Fleet(ReadOnlyArrays):
                     "unit": parameter.unit,
                     "sigma": parameter.sigma,
                     **shown,
-                    "shown": self.shown[k],
+                    "shown": self.n_determined[k],
                     **values,
                 }
             )
         members = [
-            {**vars(member), "unlike": [{"parameter": name, "distance": away} for name, away in member.unlike]}
+            {
+                "name": member.name,
+                "folder": member.folder,
+                "verdict": member.verdict,
+                "n_poses": member.n_poses,
+                "odd": member.is_unlike,
+                "together": member.combined_rms,
+                "p_value": member.p_value,
+                "unlike": [{"parameter": name, "distance": away} for name, away in member.unlike_parameters],
+            }
             for member in self.members
         ]
         return as_data({"robots": members, "parameters": rows, "chance": FALSE_ALARM, "notes": self.notes})
@@ -193,7 +204,7 @@ class Fleet(ReadOnlyArrays):
 
 
 def _first(order: FloatArray, always: BoolArray | Literal[False] = False) -> list[int]:
-    """Which to show on a screen: the smallest of `order` and those that are shown always, in their own order."""
+    """Numbers of the items for a screen: the smallest of `order` and those always shown, in their own order."""
     rank = np.argsort(np.argsort(order, kind="stable"))
     return [int(k) for k in np.flatnonzero((rank < _SCREEN) | always)]
 
@@ -237,7 +248,7 @@ def fleet(*results: Path | str) -> Fleet:
         learned = _fleet(folders)
     section = learned.robot.description.fleet
     assert section is not None
-    bare = section.model_copy(update={"noise_freedom": _STATEMENT})  # what was found there is no instrument's noise
+    bare = section.model_copy(update={"noise_freedom": _STATEMENT})  # noise found there is no instrument's
     description = learned.robot.description.model_copy(update={"fleet": bare})
     return replace(
         learned,
@@ -263,8 +274,8 @@ def _fleet(folders: Sequence[Path]) -> Fleet:
     _require_different(loaded)
     evidence = []
     for result in loaded:
-        known, freedom = result.uncertainty, float(result.content["degrees_of_freedom"])
-        evidence.append(evidence_of_fit(result.robot, known.free, known.covariance, freedom, shared))
+        uncertainty, freedom = result.uncertainty, float(result.content["degrees_of_freedom"])
+        evidence.append(evidence_of_fit(result.robot, uncertainty.free, uncertainty.covariance, freedom, shared))
     learned, odd, compared = learn_without_odd(evidence, _kinds(robots[0], shared))
     like = [result for k, result in enumerate(loaded) if k not in odd]
     section = section_of(learned, len(like), shared, _confirmed_freedom(like))
@@ -281,7 +292,7 @@ def _fleet(folders: Sequence[Path]) -> Fleet:
         nominal + learned.mean * scales,
         np.sqrt(np.diag(learned.covariance)) * scales,
         np.sqrt(learned.variance) * scales,
-        learned.shown,
+        learned.n_determined,
         values,
         stds,
         tuple(_notes(folders, loaded, odd)),
@@ -357,12 +368,12 @@ def _values_of_each(
     values, stds = [], []
     for k, result in enumerate(results):
         if k in odd:
-            known, robot = result.uncertainty, result.robot
-            free = [p.name for p, use in zip(robot.parameters, known.free, strict=True) if use]
+            uncertainty, robot = result.uncertainty, result.robot
+            free = [p.name for p, use in zip(robot.parameters, uncertainty.free, strict=True) if use]
             place = [free.index(name) for name in names]
             by_name = dict(zip((p.name for p in robot.parameters), robot.values, strict=True))
             values.append(np.array([by_name[name] for name in names]))
-            stds.append(np.sqrt(np.diag(known.covariance)[place]))
+            stds.append(np.sqrt(np.diag(uncertainty.covariance)[place]))
         else:
             estimate, deviation = next(estimates)
             values.append(nominal + scales * estimate)
@@ -371,7 +382,7 @@ def _values_of_each(
 
 
 def _member(
-    name: str, result: LoadedResult, odd: bool, compared: Likeness | None, shared: Sequence[Parameter]
+    name: str, result: LoadedResult, odd: bool, compared: FleetComparison | None, shared: Sequence[Parameter]
 ) -> Member:
     content, folder = result.content, result.path
     grade, n_poses = str(content["verdict"]["grade"]), int(content["n_poses"])
@@ -381,11 +392,11 @@ def _member(
     order = np.argsort(-np.nan_to_num(np.abs(compared.distances)))
     unlike = [(shared[k].name, float(compared.distances[k])) for k in order if n * compared.p_values[k] < FALSE_ALARM]
     named = tuple(unlike) if odd else ()
-    return Member(name, folder, grade, n_poses, odd, compared.together, compared.p_value(), named)
+    return Member(name, folder, grade, n_poses, odd, compared.combined_rms, compared.p_value(), named)
 
 
 def _confirmed_freedom(results: Sequence[LoadedResult]) -> float:
-    """With how many degrees of freedom results confirm the noise that is stated; 0 where they contradict it."""
+    """Degrees of freedom with which results confirm the stated noise; 0 where they contradict it."""
     contents = [result.content for result in results]
     stated = [content for content in contents if content.get("sigma_stated") and content["sigma"] is not None]
     freedom = np.array([float(content["degrees_of_freedom"]) for content in stated])

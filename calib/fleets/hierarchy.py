@@ -1,6 +1,6 @@
 """Mean and spread of a model's parameters from the results of several robots, and robots that are unlike the others.
 
-Result i has a likelihood of its own n scaled parameters u_i, with precision H_i and pull h_i,
+Result i has a likelihood of its own n scaled parameters u_i, with precision H_i and information vector h_i,
 
     log p(data_i | u_i) = -u_i^T H_i u_i / 2 + h_i^T u_i + const,
 
@@ -25,7 +25,7 @@ hold.
 Each result is tested against the others. Learned without result i, they predict u_i ~ N(m, D + V), with D the diagonal
 of these variances. The first test is of all parameters together. It takes the K combinations in which the prediction is
 wider than the noise of result i, scales them to variance 1, and tests their mean square. This is a mean of K squares,
-each of Student's t with the typical f_k = f, scaled likewise: its mean is 1 and its variance 2 (f - 1) / (f - 4) / K.
+each of Student's t with the typical f_k = f, so scaled: its mean is 1 and its variance 2 (f - 1) / (f - 4) / K.
 The scaled F of K and f' = 4 + (K + 2) (f - 4) / 3 degrees of freedom has the same mean and variance and takes its
 place: many spreads, each roughly known, are together known well. The second test is of each parameter alone, by
 Student's t, scaled too, as for an added variable: with B = (D + V)^-1 and S = (B + H_i)^-1, B S (h_i - H_i m) is the
@@ -68,11 +68,11 @@ class FleetEvidence(ReadOnlyArrays):
 
     Attributes:
         precision: H, (n, n).
-        pull: h, (n,).
+        information_vector: h, (n,).
     """
 
     precision: FloatArray
-    pull: FloatArray
+    information_vector: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class Hierarchy(ReadOnlyArrays):
         freedom: f, (n,).
         estimates: d_i + m of the results, (n_results, n).
         deviations: Standard deviations of the estimates, (n_results, n).
-        shown: Number of results that determine each parameter, counted in parts, (n,).
+        n_determined: Number of results that determine each parameter, counted in parts, (n,).
     """
 
     mean: FloatArray
@@ -95,31 +95,31 @@ class Hierarchy(ReadOnlyArrays):
     freedom: FloatArray
     estimates: FloatArray
     deviations: FloatArray
-    shown: FloatArray
+    n_determined: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Likeness(ReadOnlyArrays):
+class FleetComparison(ReadOnlyArrays):
     """Comparison of a result with the prediction of the others.
 
     Attributes:
         distances: Deviation of each parameter if it alone is unlike, in standard deviations, (n,); NaN where the
             result does not determine it.
         p_values: Chance of each distance, (n,); NaN where there is none.
-        together: Root mean square over combinations, 1 on average; NaN where there are none.
-        p_together: Chance of `together`.
+        combined_rms: Root mean square over combinations, 1 on average; NaN where there are none.
+        p_combined: Chance of `combined_rms`.
     """
 
     distances: FloatArray
     p_values: FloatArray
-    together: float
-    p_together: float
+    combined_rms: float
+    p_combined: float
 
     def p_value(self) -> float:
         """Return the chance of the less likely of the two tests, corrected for their number; NaN without a test."""
         single = self.p_values[np.isfinite(self.p_values)]
         chances = [len(single) * float(np.min(single))] if len(single) else []
-        chances += [self.p_together] if np.isfinite(self.p_together) else []
+        chances += [self.p_combined] if np.isfinite(self.p_combined) else []
         return float(min(1.0, len(chances) * min(chances))) if chances else np.nan
 
 
@@ -139,8 +139,8 @@ def evidence_of_data(
     sizes, axes = linalg.eigh((inverse - prior + (inverse - prior).T) / 2)
     kept = axes[:, sizes > _NOTHING]
     shrunk = max(freedom - 2.0, 1.0) / max(freedom, 3.0)
-    pull = kept @ (kept.T @ (inverse @ u - prior @ mean))
-    return FleetEvidence(shrunk * (kept * sizes[sizes > _NOTHING]) @ kept.T, shrunk * pull)
+    vector = kept @ (kept.T @ (inverse @ u - prior @ mean))
+    return FleetEvidence(shrunk * (kept * sizes[sizes > _NOTHING]) @ kept.T, shrunk * vector)
 
 
 def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray | None = None) -> Hierarchy:
@@ -190,9 +190,11 @@ def _estimate_given_variance(
         result.precision - result.precision @ t for result, t in zip(results, through, strict=True)
     )
     covariance = np.linalg.inv((precision + precision.T) / 2)
-    mean = covariance @ sum(result.pull - t.T @ result.pull for result, t in zip(results, through, strict=True))
+    mean = covariance @ sum(
+        result.information_vector - t.T @ result.information_vector for result, t in zip(results, through, strict=True)
+    )
     estimates = np.array(
-        [a @ (result.pull - result.precision @ mean) for a, result in zip(inner, results, strict=True)]
+        [a @ (result.information_vector - result.precision @ mean) for a, result in zip(inner, results, strict=True)]
     )
     spreads = np.array([np.diag(a) + np.sum((t @ covariance) * t, axis=1) for a, t in zip(inner, through, strict=True)])
     return mean, covariance, estimates, spreads
@@ -210,7 +212,9 @@ def _with_mean(result: FleetEvidence, variance: FloatArray, covariance: FloatArr
     return np.asarray(np.diag(inner) + np.sum((left @ covariance) * left, axis=1))
 
 
-def likeness(result: FleetEvidence, mean: FloatArray, expected: FloatArray, freedom: FloatArray) -> Likeness:
+def compare_with_fleet(
+    result: FleetEvidence, mean: FloatArray, expected: FloatArray, freedom: FloatArray
+) -> FleetComparison:
     """Compare a result with the prediction of others, learned without it.
 
     Args:
@@ -219,12 +223,12 @@ def likeness(result: FleetEvidence, mean: FloatArray, expected: FloatArray, free
         expected: Covariance of the prediction, (n, n).
         freedom: f of the module docstring, (n,).
     """
-    pull = result.pull - result.precision @ mean
+    deviation = result.information_vector - result.precision @ mean
     before = np.linalg.inv(expected)
-    score = np.linalg.inv(before + result.precision) @ pull
-    known = np.diag(before - before @ np.linalg.inv(before + result.precision) @ before)
-    shown = known > _SHOWN * np.diag(before)
-    distances = np.where(shown, before @ score / np.sqrt(np.where(shown, known, 1.0)), np.nan)
+    score = np.linalg.inv(before + result.precision) @ deviation
+    determined = np.diag(before - before @ np.linalg.inv(before + result.precision) @ before)
+    shown = determined > _SHOWN * np.diag(before)
+    distances = np.where(shown, before @ score / np.sqrt(np.where(shown, determined, 1.0)), np.nan)
     p_values = 2.0 * scipy.special.stdtr(freedom, -np.abs(distances) * np.sqrt(freedom / (freedom - 2.0)))
     sizes, axes = linalg.eigh(result.precision)
     kept = sizes > _NOTHING
@@ -232,22 +236,22 @@ def likeness(result: FleetEvidence, mean: FloatArray, expected: FloatArray, free
     ratios, turned = linalg.eigh(root.T @ expected @ root)
     wide = 1.0 + ratios > _WIDER
     if not np.any(wide) or not np.any(shown):
-        return Likeness(distances, p_values, np.nan, np.nan)
-    noise = turned.T @ (axes[:, kept].T @ pull / np.sqrt(sizes[kept]))
+        return FleetComparison(distances, p_values, np.nan, np.nan)
+    noise = turned.T @ (axes[:, kept].T @ deviation / np.sqrt(sizes[kept]))
     together = float(np.mean(noise[wide] ** 2 / (1.0 + ratios[wide])))
     count = int(np.sum(wide))
     of_mean = 4.0 + (count + 2.0) * (float(np.median(freedom[shown])) - 4.0) / 3.0
     chance = float(scipy.special.fdtrc(count, of_mean, together * of_mean / (of_mean - 2.0)))
-    return Likeness(distances, p_values, float(np.sqrt(together)), chance)
+    return FleetComparison(distances, p_values, float(np.sqrt(together)), chance)
 
 
-def _compare(result: FleetEvidence, others: Hierarchy) -> Likeness:
-    return likeness(result, others.mean, np.diag(others.variance) + others.covariance, others.freedom)
+def _compare(result: FleetEvidence, others: Hierarchy) -> FleetComparison:
+    return compare_with_fleet(result, others.mean, np.diag(others.variance) + others.covariance, others.freedom)
 
 
 def learn_without_odd(
     results: Sequence[FleetEvidence], kinds: IntArray
-) -> tuple[Hierarchy, tuple[int, ...], tuple[Likeness | None, ...]]:
+) -> tuple[Hierarchy, tuple[int, ...], tuple[FleetComparison | None, ...]]:
     """Learn from all results that are not unlike the others.
 
     Args:
@@ -263,7 +267,7 @@ def learn_without_odd(
         kept = [i for i in indices if i not in odd]
         whole = learn([results[i] for i in kept], kinds)
         start = whole.variance * (whole.freedom - 2.0) / whole.freedom
-        compared: list[Likeness | None] = []
+        compared: list[FleetComparison | None] = []
         for i in indices:
             rest = [results[k] for k in kept if k != i]
             compared.append(_compare(results[i], learn(rest, kinds, start)) if len(rest) > 1 else None)

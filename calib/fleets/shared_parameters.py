@@ -1,4 +1,4 @@
-"""What a result tells of the parameters that robots of one model share, and what a fleet leads to expect of them.
+"""The evidence of a result on the parameters that robots of one model share, and a fleet's expectation of them.
 
 Shared are joint origins and coefficients of joint terms. Where base, targets and instruments stand is no property of a
 robot: they are integrated out, as the block of the covariance does that the others have. Nor are coefficients whose
@@ -26,7 +26,7 @@ _SMALL = 1e-3  # variance of the mean along a combination, over that of the spre
 
 
 def without_fleet(robot: Robot) -> Robot:
-    """Return a robot of which no fleet says anything."""
+    """Return a robot without a fleet's prior."""
     if robot.description.fleet is None:
         return robot
     return replace(robot, description=robot.description.model_copy(update={"fleet": None}))
@@ -46,12 +46,12 @@ def shared_parameters(robot: Robot) -> tuple[Parameter, ...]:
 def evidence_of_fit(
     robot: Robot, free: BoolArray, covariance: FloatArray, freedom: float, shared: Sequence[Parameter]
 ) -> FleetEvidence:
-    """Return what the data of a fit tell, scaled by the sigmas of `shared`.
+    """Return the evidence of a fit's data, scaled by the sigmas of `shared`.
 
     Args:
         robot: Calibrated, with the prior that it was fitted with.
-        free: Which of its parameters were free, (n_parameters,).
-        covariance: Of the free ones, (n_free, n_free) [SI].
+        free: Mask of its free parameters, (n_parameters,).
+        covariance: Covariance of the free ones, (n_free, n_free) [SI].
         freedom: Degrees of freedom of the noise.
         shared: Which parameters.
     """
@@ -69,7 +69,7 @@ def evidence_of_fit(
 def expectation_of_fleet(
     fleet: FleetSection, robot: Robot, shared: Sequence[Parameter]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what a fleet leads to expect of parameters that it knows: mean (n,) and covariance (n, n), scaled."""
+    """Return a fleet's expectation of the parameters that it knows: mean (n,) and covariance (n, n), scaled."""
     scales, nominal = _scales(shared)
     parameters = fleet.expected(shared, robot.path)
     covariance = fleet.covariance([p.name for p in shared])
@@ -81,7 +81,7 @@ def expectation_of_fleet(
 def section_of(
     learned: Hierarchy, robots: int, shared: Sequence[Parameter], noise_freedom: float = 0.0
 ) -> FleetSection:
-    """Return what has been learned as a section of a robot description."""
+    """Return mean and spread as a section of a robot description."""
     scales, _ = _scales(shared)
     spread = np.sqrt(learned.variance)
     sizes, axes = linalg.eigh(learned.covariance / spread[:, None] / spread)

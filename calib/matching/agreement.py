@@ -1,4 +1,4 @@
-"""Whether a fitted robot agrees with a controller as far as the digits of a file go, and how far elsewhere.
+"""Agreement of a fitted robot with a controller: within the digits of a file, and at other poses.
 
 The only noise of printed pairs is rounding, of joint values and of poses: every number is off by a uniform part of its
 last digit. With L_v what these parts do to the whitened rows of pair v, and rows and priors linear,
@@ -9,7 +9,7 @@ last digit. With L_v what these parts do to the whitened rows of pair v, and row
     r'_v = (1 - J_v C J_v^T)^-1 r_v                    the same at pair v, predicted by a fit of the others
 
 Many draws of w are the distribution of sum r^2, sum r'^2 and of errors elsewhere, without approximations of a normal
-noise. Real residuals far above all draws say that the controller computes with something that the model has not.
+noise. Real residuals far above all draws say that the controller computes with something that the model lacks.
 
 When it fails. Something that the controller knows and that is smaller than what rounding hides; the claim has an
 allowance for that (`_ALLOWANCE`).
@@ -31,7 +31,7 @@ from calib.core.rows.jacobian import linearise
 
 _DRAWS = 600
 _BEYOND = 1.1  # times the largest of all draws, above which residuals are no rounding
-_ALLOWANCE = 1.25  # of the claim, for what rounding may hide
+_ALLOWANCE = 1.25  # times the claim, for what rounding may hide
 _POSES = 300  # other poses that the claim is about
 _SURE = 0.99  # part of the draws in which the claim holds
 
@@ -42,8 +42,9 @@ class Agreement(ReadOnlyArrays):
 
     Attributes:
         ratio: Sum of squares over the largest of all draws: at most 1 where rounding explains them.
-        far: How far each pair is from what the others predict, over the largest of all draws, (n_pairs,).
-        allowed: Distance that rounding moves a printed position, 95 % of the pairs [m].
+        relative_distances: Distance of each pair from the prediction of the others, over the largest of all draws,
+            (n_pairs,).
+        rounding_distance: Distance that rounding moves a printed position, 95 % of the pairs [m].
         claim: Distance between robot and controller at other poses over the joints' ranges, 95 % of them [m].
         turn_claim: The same for orientations [rad].
         left_out: Distance from what the others predict, RMS over the pairs [m].
@@ -51,8 +52,8 @@ class Agreement(ReadOnlyArrays):
     """
 
     ratio: float
-    far: FloatArray
-    allowed: float
+    relative_distances: FloatArray
+    rounding_distance: float
     claim: float
     turn_claim: float
     left_out: float
@@ -69,10 +70,10 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
 
     Args:
         fit: To pairs, whose noise is stated as the covariance of rounding.
-        name: Of the instrument that stands for the controller.
+        name: Name of the instrument that stands for the controller.
         rounding: L before whitening, (n_pairs, 6, k) [m, rad].
-        seed: Of the draws.
-        more: What else may move the whitened rows, in proportion, (6 n_pairs, c); the fit is not made again.
+        seed: Seed of the draws.
+        more: Further columns by which the whitened rows may move, (6 n_pairs, c); the fit is not repeated.
     """
     rng = np.random.default_rng(seed)
     whitening, n, k = fit.whitening, len(rounding), rounding.shape[2]

@@ -21,7 +21,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.rigid import nearest_rotation
 
 ARM = 0.3
-"""Length by which a turn counts beside a distance [m]."""
+"""Length of the lever by which a turn counts as a distance [m]."""
 _ROUNDS = 5
 _FAR = 6.0  # times the median miss, beyond which a row is left out
 _LEAST = 1e-4  # miss that is never left out [m]
@@ -34,19 +34,19 @@ class Alignment(ReadOnlyArrays):
     Attributes:
         base: X, (4, 4).
         tool: Y, (4, 4).
-        misses: Distance and, by `ARM`, turn that are left in each row, (n,) [m].
+        distances: Distance and, by `ARM`, turn that are left in each row, (n,) [m].
         kept: Which rows it was made of, (n,).
     """
 
     base: FloatArray
     tool: FloatArray
-    misses: FloatArray
+    distances: FloatArray
     kept: BoolArray
 
     @property
-    def miss(self) -> float:
+    def rms_distance(self) -> float:
         """Root mean square of the misses of the rows that were kept [m]."""
-        return float(np.sqrt(np.mean(self.misses[self.kept] ** 2)))
+        return float(np.sqrt(np.mean(self.distances[self.kept] ** 2)))
 
 
 def align(robot: FloatArray, printed: FloatArray) -> Alignment:

@@ -1,4 +1,4 @@
-"""How makers write rotations, and by which words a header tells them: one table, for reading files and for words."""
+"""Rotations as makers write them, and the words of their headers: one table, for reading files and for words."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Convention:
     Attributes:
         form: Its name; three axes as scipy writes them (capitals: moving axes).
         width: Numbers of a rotation.
-        makers: Who writes so.
+        makers: Makers that write so.
     """
 
     form: str

@@ -6,7 +6,7 @@ are near the robot's own frames, there: a base that differs is the same as anoth
 more than rounding, another tool and pairs of another program are tried, then joint terms, which a controller may
 compute with and a URDF cannot hold; (4) what it is worth (`calib.matching.agreement`).
 
-PASS says that rounding explains the residuals of all pairs, and that what is left open at other poses is of its size.
+PASS says that rounding explains the residuals of all pairs, and that errors at other poses are of its size.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from calib.matching.twin_fit import TwinFit
 
 _LEAST = 4  # pairs
 _MOST = 500  # that are used
-_NEAR = 0.015, np.radians(1.5)  # of base and tool from frames of the robot, which are then taken for them [m], [rad]
-_ELSEWHERE = 0.02, np.radians(2.0)  # of what is stated from what is found, beyond which it is wrong [m], [rad]
+_NEAR = 0.015, np.radians(1.5)  # distance of base and tool from frames that count as theirs [m], [rad]
+_ELSEWHERE = 0.02, np.radians(2.0)  # difference of stated and found places beyond which a statement is wrong [m], [rad]
 _ALIKE = 2.0  # residuals over those of the best reading, up to which another one fits alike
 _BETTER = 0.5  # residuals with a free tool over those without, below which the tool is another one
 _WRONG = 0.2  # part of the pairs that may be of another program
@@ -57,7 +57,7 @@ def match(
         tool: Pose of the tool in the robot's last link, as the file writes poses; found if not given.
         base: Pose of the robot's base in the controller's, written as `tool`.
         terms: Whether joint terms are tried where joint origins do not explain the poses.
-        seed: Of the draws of rounding.
+        seed: Seed of the draws of rounding.
 
     Raises:
         DataError: Too few pairs; no reading of the columns fits, or several do alike; a tool or base that was stated is
@@ -75,17 +75,17 @@ def match(
     fits = [_first_fit(nominal, read, one, tool, base, seed) for one in candidates(nominal, read)]
     fit = _best_fit(fits, read) if len(fits) > 1 else fits[0]
     remarks += fit.candidate.reading.mistakes(read)
-    if not fit.agreed.to_the_digits and fit.tool is not None:
+    if not fit.agreement.to_the_digits and fit.tool is not None:
         free = replace(fit, tool=None)
-        if free.agreed.left_out < _BETTER * fit.agreed.left_out:
+        if free.agreement.left_out < _BETTER * fit.agreement.left_out:
             remarks += ["the tool is another one than the one stated"] if tool is not None else []
             fit = free
     fit = _without_others(fit)
-    tried = fit.explanation() if terms and not fit.agreed.to_the_digits else None
+    tried = fit.explanation() if terms and not fit.agreement.to_the_digits else None
     away = _stock_misses(fit)
     gone = tuple((read.rows[k], float(away[k])) for k in range(len(away)) if k not in fit.kept)
     places = _places(fit, stated=(base is not None, tool is not None))
-    return Match(fit.fit, fit.candidate, read, fit.agreed, gone, places, tuple(remarks), tried)
+    return Match(fit.fit, fit.candidate, read, fit.agreement, gone, places, tuple(remarks), tried)
 
 
 def _first_fit(
@@ -112,8 +112,8 @@ def _first_fit(
 
 def _best_fit(fits: list[TwinFit], pairs: Pairs) -> TwinFit:
     """The reading that fits best; an error where another one fits alike, and no header says which."""
-    best = min(fit.agreed.left_out for fit in fits)
-    alike = [fit for fit in fits if fit.agreed.left_out <= _ALIKE * best]
+    best = min(fit.agreement.left_out for fit in fits)
+    alike = [fit for fit in fits if fit.agreement.left_out <= _ALIKE * best]
     without_mistakes = [fit for fit in alike if not fit.candidate.reading.mistakes(pairs)]
     if len(alike) > 1 and (len(without_mistakes) != 1 or not pairs.words):
         raise alike_error(pairs, [fit.candidate.reading for fit in alike])
@@ -124,16 +124,16 @@ def _without_others(fit: TwinFit) -> TwinFit:
     """Without pairs that are of another program, where rounding explains all others."""
     less = fit
     for _ in range(int(_WRONG * len(fit.pairs))):
-        far = less.agreed.far
-        if less.agreed.to_the_digits or len(far) <= _LEAST or np.max(far) < _SINGLE * np.median(far):
+        far = less.agreement.relative_distances
+        if less.agreement.to_the_digits or len(far) <= _LEAST or np.max(far) < _SINGLE * np.median(far):
             break
         worst = less.kept[int(np.argmax(far))]
         less = replace(less, kept=tuple(k for k in less.kept if k != worst))
-    return less if less.agreed.to_the_digits else fit
+    return less if less.agreement.to_the_digits else fit
 
 
 def _places(fit: TwinFit, stated: tuple[bool, bool]) -> tuple[str, str]:
-    """Where base and tool are, in words."""
+    """Places of base and tool, in words."""
     description, name = fit.robot.description, fit.robot.target_names[0]
     texts = []
     for what, frame, known, given, place in (
@@ -152,7 +152,7 @@ def _places(fit: TwinFit, stated: tuple[bool, bool]) -> tuple[str, str]:
 
 
 def _stock_misses(fit: TwinFit) -> FloatArray:
-    """How far all pairs are from the nominal robot with base and tool, (n,) [m]."""
+    """Distances of all pairs from the nominal robot with base and tool, (n,) [m]."""
     reading, aligned = fit.candidate.reading, fit.candidate.aligned
     joints, positions, rotations = reading.select_pairs(fit.pairs)
     robot = aligned.base @ nominal_poses(fit.robot, reading.joints(joints)) @ aligned.tool

@@ -43,7 +43,7 @@ class Pairs(ReadOnlyArrays):
         joints: (n, n_joints), in units of the file.
         positions: In the units of the file, (n, 3).
         rotations: In the units of the file, (n, 3, 4 or 9).
-        units: Of joint values, positions and rotations, where the file states them.
+        units: Units of joint values, positions and rotations, where the file states them.
         steps: Rounding steps of each joint, of positions and of rotations, in units of the file, (n_joints + 2,).
         words: Key in `HEADERS` of the names of the rotation's columns; empty if the names do not tell.
     """

@@ -1,4 +1,4 @@
-"""What the numbers of pairs mean: units, form of the rotations, which frame is seen from which, signs and order.
+"""Meaning of the numbers of pairs: units, form of the rotations, which frame is seen from which, signs and order.
 
 Every reading is tried on the nominal robot, base and tool placed as well as possible (`calib.matching.alignment`). The
 right one leaves what the robot's origins are off, some millimetres; a wrong one leaves a part of the workspace. Tried
@@ -32,7 +32,7 @@ from calib.matching.alignment import Alignment, align, turns_apart
 from calib.matching.conventions import CONVENTIONS, HEADERS, Convention
 from calib.matching.pairs import Pairs
 
-_SAME = 1e-9  # difference of joint values and poses that is none [m], [rad]
+_SAME = 1e-9  # differences of joint values and poses that count as none [m], [rad]
 _FINEST = 1e-6  # digit of a number below which a controller rounds by itself [m or rad]
 _FIT = 0.08  # miss over the spread of the robot's positions, below which a reading fits
 _STILL = 0.005  # spread of the robot's positions below which pairs tell nothing [m]
@@ -54,11 +54,11 @@ class Twist:
     """A deviation from the usual meaning of a file.
 
     Attributes:
-        words: It; empty for nothing.
+        words: The deviation in words; empty: none.
         joints: A of joint values A q + b, q as they stand, (n_joints, n_joints); None for one.
         zeros: b, (n_joints,) [m or rad].
         shift: By how many rows the joint values stand below their poses.
-        positions: What carries columns of positions to x, y, z, (3, 3).
+        positions: Matrix from columns of positions to x, y, z, (3, 3).
     """
 
     words: str = ""
@@ -76,11 +76,11 @@ class Interpretation:
     """One meaning of the numbers.
 
     Attributes:
-        convention: Of rotations.
+        convention: Convention of rotations.
         joint_unit, length_unit, angle_unit: Of joints that turn, of lengths, and of the rotations' angles.
-        joint_scales: What makes numbers of the file joint values, (n_joints,) [m or rad per 1].
+        joint_scales: Factors from numbers of the file to joint values, (n_joints,) [m or rad per 1].
         direction: Key of `_DIRECTIONS`.
-        twist: What else is not as in most files.
+        twist: A further deviation from most files.
     """
 
     convention: Convention
@@ -131,7 +131,7 @@ class Interpretation:
         return f"{text}; {_DIRECTIONS[self.direction]}"
 
     def mistakes(self, pairs: Pairs) -> list[str]:
-        """Return in what the file is not as its header, or as most files are."""
+        """Return the differences of the file from its header, or from most files."""
         columns = zip(("joint values", "positions", "rotations"), pairs.units,
                    (self.joint_unit, self.length_unit, self.angle_unit), strict=True)  # fmt: skip
         found = [
@@ -174,19 +174,20 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
         )
     limit = _FIT * spread
     for readings in _single_twists(robot, pairs, usual):
-        if min(tried, key=_miss).aligned.miss <= limit:
+        if min(tried, key=_miss).aligned.rms_distance <= limit:
             break
         tried += [_place(robot, pairs, reading) for reading in readings]
     best = min(tried, key=_miss)
-    if best.aligned.miss > limit:
+    if best.aligned.rms_distance > limit:
         raise DataError(
             f"{pairs.path}: no reading of the columns brings the poses near {robot.path}; the nearest"
-            f" ({best.reading.words()}) leaves {millimetres(best.aligned.miss):.0f} mm; is it this robot, with one"
+            f" ({best.reading.words()}) leaves {millimetres(best.aligned.rms_distance):.0f} mm; is it this robot,"
+            f" with one"
             " tool and one base in all rows, the joint values of one row with its pose?"
         )
     alike: list[PlacedInterpretation] = []
     for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), _miss(one))):
-        near = one.aligned.miss < min(_ALIKE * best.aligned.miss, limit)
+        near = one.aligned.rms_distance < min(_ALIKE * best.aligned.rms_distance, limit)
         if near and not any(_are_same(pairs, one.reading, other.reading) for other in alike):
             alike.append(one)
     if len(alike) > _MOST:
@@ -209,7 +210,7 @@ def nominal_poses(robot: Robot, joints: FloatArray) -> FloatArray:
 
 
 def _miss(candidate: PlacedInterpretation) -> float:
-    return candidate.aligned.miss
+    return candidate.aligned.rms_distance
 
 
 def _are_same(pairs: Pairs, one: Interpretation, other: Interpretation) -> bool:

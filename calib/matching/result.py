@@ -18,7 +18,7 @@ from calib.matching.pairs import Pairs
 from calib.matching.readings import PlacedInterpretation
 
 FILES = {"dh": "dh.csv", "mdh": "mdh.csv", "xacro": "origins.xacro", "ur-kinematics": "default_kinematics.yaml"}
-"""What is written beside the URDF, by the format."""
+"""What is written next to the URDF, by the format."""
 _WIDTH = 118
 _OF_DIGITS = 2.0  # claim over what rounding does to a printed position, up to which it is of its size
 
@@ -29,19 +29,19 @@ class Match:
 
     Attributes:
         fit: Joint origins, and base or tool where these were found.
-        candidate: What the columns mean.
+        candidate: Meaning of the columns.
         pairs: The file.
-        agreed: What the result is worth.
+        agreement: Agreement of robot and pairs.
         left_out: Names of pairs that are of another program, and how far they are off [m].
-        places: Where base and tool are, in words.
-        remarks: What is not as its header, or the user, says.
+        places: Places of base and tool, in words.
+        remarks: Contradictions to the file's header or to what the user stated.
         terms: Joint terms with which the controller would agree better, and what these leave; None if not tried.
     """
 
     fit: JudgedFit
     candidate: PlacedInterpretation
     pairs: Pairs
-    agreed: Agreement
+    agreement: Agreement
     left_out: tuple[tuple[str, float], ...]
     places: tuple[str, ...]
     remarks: tuple[str, ...]
@@ -50,26 +50,28 @@ class Match:
     @property
     def grade(self) -> Literal["PASS", "CHECK", "FAIL"]:
         """PASS, CHECK or FAIL."""
-        if not self.agreed.to_the_digits:
+        if not self.agreement.to_the_digits:
             return "FAIL" if self.fit.verdict.grade == "FAIL" else "CHECK"
-        return "CHECK" if self.left_out or self.agreed.claim > _OF_DIGITS * self.agreed.allowed else "PASS"
+        return (
+            "CHECK" if self.left_out or self.agreement.claim > _OF_DIGITS * self.agreement.rounding_distance else "PASS"
+        )
 
     @property
     def conclusion(self) -> str:
         """The answer in a sentence or two."""
-        agreed = self.agreed
+        agreed = self.agreement
         if not agreed.to_the_digits:
             return (
                 f"the controller computes with something that joint origins cannot hold: each pair is"
                 f" {_mm(agreed.left_out)} (RMS) from what all others predict, and the file's digits allow"
-                f" {_mm(agreed.allowed)};"
+                f" {_mm(agreed.rounding_distance)};"
                 f" {self._terms_tried()}"
             )
         elsewhere = f"{_mm(agreed.claim)} and {_mrad(agreed.turn_claim)} at 95 % of all poses"
         sentence = (
             f"agrees to {_mm(agreed.rms)} (RMS), which is what the file's digits allow; elsewhere within {elsewhere}"
         )
-        if agreed.claim > _OF_DIGITS * agreed.allowed:
+        if agreed.claim > _OF_DIGITS * agreed.rounding_distance:
             return f"{sentence}: these pairs leave some joints open; add pairs in which all joints turn far"
         return sentence
 
@@ -90,7 +92,7 @@ class Match:
             f"{count_noun(len(self.pairs), 'pair')} of {self.pairs.path}: {self.candidate.reading.words()}",
             *(f"note: {remark}" for remark in self.remarks),
             *self.places,
-            f"stock model: {_mm(before.miss)} off (RMS, base and tool placed as well as possible)",
+            f"stock model: {_mm(before.rms_distance)} off (RMS, base and tool placed as well as possible)",
             *(f"{row} is of another program, tool or base: {_mm(away)} off; left out" for row, away in self.left_out),
             f"{self.grade}: {self.conclusion}",
         ]
@@ -98,11 +100,11 @@ class Match:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result for `--json` and match.json; lengths in mm, angles in mrad."""
-        agreed = self.agreed
+        agreed = self.agreement
         numbers = {
             "rms": millimetres(agreed.rms),
             "left_out_in_turn": millimetres(agreed.left_out),
-            "digits_allow": millimetres(agreed.allowed),
+            "digits_allow": millimetres(agreed.rounding_distance),
             "claim": millimetres(agreed.claim) if agreed.to_the_digits else None,
             "claim_angle": agreed.turn_claim * error_scale("angle") if agreed.to_the_digits else None,
         }
@@ -114,7 +116,7 @@ class Match:
                 "reading": self.candidate.reading.words(),
                 "remarks": self.remarks,
                 "places": self.places,
-                "stock_model": millimetres(self.candidate.aligned.miss),
+                "stock_model": millimetres(self.candidate.aligned.rms_distance),
                 "other_program": [row for row, _ in self.left_out],
                 **numbers,
             }
@@ -124,7 +126,7 @@ class Match:
         """Write the result folder of the fit, and the robot in the formats that controllers and ROS hold.
 
         Args:
-            folder: Where to.
+            folder: Folder to write.
             force: Whether files are replaced that this program did not write.
 
         Returns:

@@ -35,10 +35,10 @@ class TwinFit:
 
     Attributes:
         robot: Nominal.
-        pairs, candidate: What is fitted, and what its columns mean.
+        pairs, candidate: The pairs, and the meaning of their columns.
         tool, base: As the fit knows them; None where it finds them, (4, 4) [m].
-        kept: Which pairs are used.
-        seed: Of the draws of rounding.
+        kept: Mask of the pairs that are used.
+        seed: Seed of the draws of rounding.
     """
 
     robot: Robot
@@ -59,12 +59,12 @@ class TwinFit:
         return self._fit(self._data[0].joints)
 
     @cached_property
-    def agreed(self) -> Agreement:
+    def agreement(self) -> Agreement:
         """Agreement that the fit reaches."""
         return agreement(self.fit, _CONTROLLER, self._data[1], self.seed)
 
     def explanation(self) -> tuple[str, Agreement]:
-        """Return what the controller knows beside joint origins, in words, and what that leaves."""
+        """Return the joint terms that the controller knows, in words, and what that leaves."""
         data, rounding = self._data
         return explanation(self.fit, self._fit, data.joints, _CONTROLLER, rounding, self.seed)
 

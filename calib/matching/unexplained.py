@@ -1,4 +1,4 @@
-"""Errors of joints that a controller computes with beside joint origins, found from the residuals of a fit.
+"""Errors of joints that a controller computes with in addition to joint origins, found from the residuals of a fit.
 
 Each hypothesis moves joints, dq = phi(q) c, and so the whitened rows by G c:
 
@@ -33,7 +33,7 @@ from calib.matching.agreement import Agreement, agreement
 
 _MOST = 4  # hypotheses that are added
 _HALVED = 0.5  # part of the sum of squares that may remain after one is added
-_ROUNDS = 2  # of fits with the errors found
+_ROUNDS = 2  # fits with the errors found
 _WAVES = (1, 2, 3, 4, 5, 6)
 _SEEN = 1e-6  # least part of a column that joint origins cannot absorb; less counts as nothing
 
@@ -92,7 +92,7 @@ def _rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
 def hypotheses(robot: Robot, q: FloatArray) -> Iterator[Hypothesis]:
     """Yield the possible errors of each joint at joint values q (n_pairs, n_joints)."""
     names = robot.joint_names
-    rises = np.stack([robot.jacobian(q, link)[:, 2] for link in _links(robot)], axis=2)  # of links' origins
+    rises = np.stack([robot.jacobian(q, link)[:, 2] for link in _links(robot)], axis=2)  # rises of the origins of links
     for j, joint in enumerate(names):
         moves = {f"gravity at {joint}": rises[:, j], f"gain of {joint}": q[:, [j]]}
         moves |= {f"coupling of {joint} by {other}": q[:, [k]] for k, other in enumerate(names) if k != j}

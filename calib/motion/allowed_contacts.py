@@ -25,7 +25,7 @@ from calib.motion.scene import CollisionScene, all_shapes, moving_between
 from calib.motion.shapes import is_moved_frame
 
 _SAMPLES = 400
-_ALWAYS = 0.95  # of the samples
+_ALWAYS = 0.95  # part of the samples
 _SHOWN = 6
 
 

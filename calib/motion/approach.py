@@ -1,4 +1,4 @@
-"""How a touch is approached, and left: straight out from what is touched, along its normal.
+"""Approach and retreat of a touch: straight out from what is touched, along its normal.
 
 That is z of a plane's or socket's own axes, and of a sphere the line from its centre. The target is moved along it, as
 far as the joints allow with the smallest change.
@@ -20,7 +20,7 @@ from calib.core.rows.candidates import configurations_at
 from calib.core.rows.observed import predict_readings
 from calib.core.rows.simulate import MET, touching_configurations
 
-_OFF = 0.05  # how far from contact a touch is approached straight [m]
+_OFF = 0.05  # distance from contact at which the straight approach begins [m]
 
 
 def approaches(robot: Robot, poses: Poses) -> FloatArray:

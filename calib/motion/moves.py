@@ -19,7 +19,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.motion.scene import CollisionScene
 
-_FINEST = 1e-4  # by which pairs come nearer on a piece that is not cut again [m]
+_FINEST = 1e-4  # a piece is not cut again if pairs come nearer by no more than this [m]
 _FIRST_PIECES = 8  # with loops
 _BENDS = 2.0
 
@@ -88,7 +88,7 @@ class _Pieces:
         return result
 
     def excursions(self, middles: FloatArray, scene: CollisionScene) -> FloatArray:
-        """How far joints move on a piece from its middle at most, (n, n_joints) [m or rad]."""
+        """Largest motion of joints on a piece, from its middle, (n, n_joints) [m or rad]."""
         moved: FloatArray = np.maximum(np.abs(self.at_first - middles), np.abs(self.at_last - middles))
         passive = np.any(scene.robot.mechanism.select_passive != 0, axis=1)
         return np.where(passive, _BENDS, 1.0) * moved

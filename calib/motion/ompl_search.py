@@ -16,7 +16,7 @@ from ompl import base, geometric, util
 
 from calib.core.base.arrays import FloatArray
 
-_STEP = 1.0  # of one joint, from one point of OMPL's trees to the next [m or rad]
+_STEP = 1.0  # largest step of a joint from one point of OMPL's trees to the next [m or rad]
 _SEED = 57
 
 util.noOutputHandler()

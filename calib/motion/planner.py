@@ -38,8 +38,8 @@ class Planner:
     Attributes:
         scene: The scene.
         nodes: Free poses of the roadmap, all different; ways are between two of them, (n, n_actuated) [m or rad].
-        limits: Of the joints, (n_actuated, 2) [m or rad].
-        seed: Of random numbers.
+        limits: Limits of the joints, (n_actuated, 2) [m or rad].
+        seed: Seed of random numbers.
         known: Moves that were checked, by their ends.
         here: The node at which the robot is.
     """

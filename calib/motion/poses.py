@@ -1,4 +1,4 @@
-"""Which poses are free, and which pair hits: the answer to planning, to pages, and to whoever asks (`check_poses`)."""
+"""Poses free of collisions, and pairs that hit: for planning and pages (`check_poses`)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SAMPLES = 100  # poses that show what hides a line always
 
 
 def why_unchecked(robot: Robot) -> str:
-    """Return why nothing is checked; "" where it is: the robot file has collision shapes, or the description asks."""
+    """Return why nothing is checked; "" if the robot file has collision shapes, or the description asks for a check."""
     description = robot.description
     if description.obstacles == UNCHECKED:
         return f"the description says 'obstacles: {UNCHECKED}'"
@@ -51,7 +51,7 @@ def surroundings(robot: Robot) -> Sight:
 
 
 def what_hits(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
-    """Return what hits or hides a target at commands (n, n_actuated) [m or rad], "" where nothing does, (n,).
+    """Return the pair that hits, or the shape that hides a target, at commands (n, n_actuated) [m or rad], (n,); or "".
 
     Raises:
         DescriptionError: See `surroundings`.
@@ -65,7 +65,7 @@ def what_hits(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
 
 
 def check_poses(robot: Robot, joints: FloatArray) -> PoseCheck:
-    """Return what hits at commands (n, n_actuated) [m or rad]; see `calib.core.robots.pose_check`.
+    """Return the check of commands (n, n_actuated) [m or rad]; see `calib.core.robots.pose_check`.
 
     Raises:
         DescriptionError: See `surroundings`.

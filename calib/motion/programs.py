@@ -25,21 +25,21 @@ from calib.motion.route import Route, Stop
 _DEGREES = PER_SI["angle"]["deg"]
 _ROBOT_AXES = 6
 THIRD_JOINT = ("j3", "j2+j3")
-"""What the third joint of a robot file is on a FANUC controller, which counts J3 from the horizontal."""
+"""The third joint of a robot file on a FANUC controller, which counts J3 from the horizontal."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How a program moves.
+    """Motion of a program.
 
     Attributes:
-        name: Of the program; letters, digits and underscores.
-        speed: Part of what the controller lets joints do, 0 to 1.
-        joint_speed: Of the joint that moves fastest, where the program states it [rad/s or m/s].
+        name: Name of the program; letters, digits and underscores.
+        speed: Part of the speed that the controller allows, 0 to 1.
+        joint_speed: Speed of the joint that moves fastest, where the program states it [rad/s or m/s].
         dwell: At each stop before the instrument reads [s].
-        reading: How long the output is on [s].
+        reading: Time that the output is on [s].
         output: Number of the digital output; None: none is switched.
-        third_joint: Of `THIRD_JOINT`, for FANUC.
+        third_joint: One of `THIRD_JOINT`, for FANUC.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Language:
     """A language of programs.
 
     Attributes:
-        suffix: Of its files.
+        suffix: Suffix of its files.
         write: Writes a route.
         six_axes: Whether its joint moves have places for six turning joints alone.
     """
@@ -68,17 +68,17 @@ class Language:
 
 @dataclass(frozen=True)
 class _Words:
-    """How a controller's language says the steps of a route.
+    """The words of a controller's language for the steps of a route.
 
     Attributes:
         begin, end: Lines before and behind the stops, with {name}, {question} and {percent}.
         move: With {joints}; {k}, which move it is, from 1; {speed} [rad/s], {along} [mm/s] or {percent}.
-        joint: Of one joint, with {k}, from 1, and {value}.
+        joint: Text of one joint, with {k}, from 1, and {value}.
         remark: A comment.
         wait: With a time [s].
-        output: With the number of an output, and what it is set to.
+        output: With the number of an output, and its value.
         states: An output on, and off.
-        scale: What one radian is in joint values.
+        scale: One radian in joint values.
     """
 
     begin: str
@@ -139,7 +139,7 @@ def _question(route: Route, start: FloatArray | None = None) -> str:
 
     Args:
         route: The route.
-        start: Where it starts as the controller counts joints, if not as the robot file does [rad].
+        start: Its start as the controller counts joints, if not as the robot file does [rad].
     """
     values = ", ".join(f"{value:.1f}" for value in _DEGREES * (route.start if start is None else start))
     return (

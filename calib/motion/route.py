@@ -1,4 +1,4 @@
-"""The route: in which order a robot visits poses, on which free ways, and which poses it cannot visit.
+"""The route: the order in which a robot visits poses, free ways between them, and poses that it cannot visit.
 
 Order of work. Poses that are not free, or outside the joint limits, are left out. The others are put in an order of
 little travel, and ways are found one after the other. What is touched is approached, and left, along its normal. Poses
@@ -25,10 +25,10 @@ from calib.motion.planner import Planner
 from calib.motion.poses import surroundings, what_hits
 from calib.motion.scene import CollisionScene
 
-_NODES = 150  # poses of the roadmap beside the stops
+_NODES = 150  # poses of the roadmap in addition to the stops
 _ROUNDS = 4  # in which the next best are tried
-_TURNS = 3  # of the same pose, with joints turned all the way round, that are tried
-_ROUND = 1e-9  # of a turn, by which limits are rounded
+_TURNS = 3  # tried variants of a pose with joints turned all the way round
+_ROUND = 1e-9  # rounding of limits, in turns
 _NO_WAY = "no free way leads there"
 
 
@@ -37,11 +37,11 @@ class Stop(ReadOnlyArrays):
     """A pose that is visited.
 
     Attributes:
-        name: Of the pose.
+        name: Name of the pose.
         joints: (n_actuated,) [m or rad].
-        corners: Of the way from the stop before, without both ends, (n, n_actuated).
+        corners: Corners of the way from the stop before, without both ends, (n, n_actuated).
         clearance: Smallest distance of any pair at the stop [m].
-        pair: Which pair that is.
+        pair: Name of that pair.
         poses_passed: Smallest distance on the way there [m].
     """
 
@@ -59,11 +59,11 @@ class Route:
 
     Attributes:
         robot: The robot.
-        start: Where it stands first, (n_actuated,) [m or rad].
+        start: Its first joint values, (n_actuated,) [m or rad].
         stops: The stops.
         left_out: Names of poses that are not visited, and why.
         replaced: Names of those that stand in for them.
-        remarks: What was not checked.
+        remarks: Notes on shapes that were not checked.
     """
 
     robot: Robot
@@ -96,10 +96,10 @@ def plan_route(
 
     Args:
         robot: The robot at its present values.
-        poses: Where to measure.
-        start: Where it stands first, (n_actuated,) [m or rad]; home if not given.
+        poses: Poses to measure.
+        start: Its first joint values, (n_actuated,) [m or rad]; home if not given.
         candidates: Poses that may stand in for those that cannot be visited.
-        seed: Of everything random.
+        seed: Seed of everything random.
         progress: Called with how many poses were tried.
 
     Raises:
@@ -238,7 +238,7 @@ def _stop(planner: Planner, name: str, points: FloatArray) -> Stop:
 
 
 def _next_best(robot: Robot, candidates: Poses, tried: set[str], stops: Sequence[Stop], count: int) -> Poses:
-    """The candidates that help most beside the stops, by O1, of those that are free and were not tried."""
+    """The candidates that add most to the stops, by O1, of those that are free and were not tried."""
     hits = _why_blocked(robot, candidates.joints)
     usable = [k for k, name in enumerate(candidates.names) if name not in tried and not hits[k]]
     rest = candidates.subset(np.array(usable, dtype=np.intp))

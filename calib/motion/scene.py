@@ -168,7 +168,7 @@ class CollisionScene:
 
     @cached_property
     def _slides(self) -> BoolArray:
-        """Which joints slide, (n_joints,)."""
+        """Mask of the joints that slide, (n_joints,)."""
         return np.linalg.norm(self.robot.mechanism.axes[:, :3], axis=1) > 0.5
 
     def hits(self, q: FloatArray) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What collides: shapes of links, tools and obstacles, each fixed to a link.
+"""Shapes for collisions: of links, tools and obstacles, each fixed to a link.
 
 Collision shapes of the URDF; where the file has none, its visuals; where it has none of these either, capsules from the
 origin of each link to those of its children.
@@ -38,12 +38,12 @@ class Body:
     """A shape on a link.
 
     Attributes:
-        name: Of its link, or of the obstacle.
+        name: Name of its link, or of the obstacle.
         joint: Index of the link's frame in the mechanism.
         placement: In the link's frame.
         hull: Convex shape that holds it.
         mesh: Its triangles where it is not convex, else None.
-        corners: Of these triangles, (n, 3, 3) [m]; empty where it is convex.
+        corners: Corners of these triangles, (n, 3, 3) [m]; empty where it is convex.
         radius: Distance of its farthest point from the link's origin [m].
         clearance: Distance that others keep from it [m].
         is_described: Whether the description brings it: an obstacle, or a part of the tool.
@@ -72,7 +72,7 @@ class _Solid:
 
 
 def bodies_of(robot: RobotData) -> tuple[tuple[Body, ...], tuple[str, ...]]:
-    """Return the shapes of a robot and its surroundings, and what to say about them.
+    """Return the shapes of a robot and its surroundings, and remarks on them.
 
     Raises:
         DescriptionError: A mesh that is missing or cannot be read, an obstacle on a link that there is not, or a plane
@@ -92,12 +92,12 @@ def missing_meshes(robot: RobotData) -> tuple[str, ...]:
 
 
 def has_collision_shapes(robot: RobotData) -> bool:
-    """Whether the URDF says what shapes its links have, for collisions."""
+    """Whether the URDF has collision shapes of links."""
     return b"<collision" in robot.urdf.source and any(link.collisions for link in read_links(robot.urdf).values())
 
 
 def is_moved_frame(robot: RobotData) -> BoolArray:
-    """Which frames move in the root link, (n_joints + 1,)."""
+    """Mask of the frames that move in the root link, (n_joints + 1,)."""
     mechanism = robot.mechanism
     result: BoolArray = mechanism.support @ np.any(mechanism.select_moving != 0, axis=1) > 0
     return result
@@ -144,7 +144,7 @@ def _solid_of_link(shape: LinkShape, link: str, robot: RobotData, *, exact: bool
 
 
 def _described_bodies(robot: RobotData) -> list[Body]:
-    """Obstacles, parts of the tool, and what stands at targets."""
+    """Obstacles, parts of the tool, and shapes at targets."""
     description, mechanism, where = robot.description, robot.mechanism, robot.path
     bodies = []
     for name, section in described_obstacles(robot).items():
@@ -253,7 +253,7 @@ def _capsules(robot: RobotData, link: str) -> list[Body]:
 
 
 def _stretches(robot: RobotData, link: str) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Both ends of what a link is made of, (3,) [m]: from its origin to its joints and targets, and rods of slides.
+    """Both ends of the rods of a link, (3,) [m]: from its origin to its joints and targets, and rods of slides.
 
     Where a motor slides, a rod as long as that is out at home lies on each side: they cover up to twice that.
     """

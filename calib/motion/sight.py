@@ -24,9 +24,9 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.surroundings import AcceptanceSection
 from calib.motion.scene import CollisionScene
 
-_SHORT = 0.025  # by which a line ends before what it goes to [m]
+_SHORT = 0.025  # distance at which a line ends before its target [m]
 _BEAM = 0.01  # width of a line [m]
-_ALWAYS = 0.95  # of the poses
+_ALWAYS = 0.95  # part of the poses
 _THINNEST = 1e-6
 
 
@@ -39,8 +39,8 @@ class SightLine:
         ends: Joint indices of the two frames.
         points: The ends in these frames, (2, 3) [m].
         width: [m].
-        target: Which shape the line goes to, by its name; it does not hide itself.
-        acceptance: In which directions the target is seen from the first end, if that counts.
+        target: Name of the shape that the line goes to; it does not hide itself.
+        acceptance: Directions in which the target is seen from the first end, if that counts.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Sight:
     ignored: frozenset[tuple[str, str]] = frozenset()
 
     def hidden_targets(self, joints: FloatArray) -> list[str]:
-        """Return what hides a target in configurations (n, n_joints) [m or rad], "" where nothing does."""
+        """Return the shape that hides a target in configurations (n, n_joints) [m or rad], "" for none."""
         return [next(self._hiding_shapes(q), "") for q in joints]
 
     def _hiding_shapes(self, q: FloatArray) -> Iterator[str]:

@@ -30,7 +30,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 
-_LINK = 5 / 8  # of the largest reach
+_LINK = 5 / 8  # length of a link, over the largest reach
 
 
 def arm_twists(tool: FloatArray) -> FloatArray:

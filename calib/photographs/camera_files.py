@@ -43,7 +43,7 @@ class CameraFile:
 
 
 def read_camera(path: Path | str) -> CameraFile:
-    """Return what a file says of a camera.
+    """Return the camera that a file describes.
 
     Raises:
         DescriptionError: It cannot be read, has no camera matrix, or is of a camera model that is not known here.

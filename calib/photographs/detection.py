@@ -38,7 +38,7 @@ _BLURRED = 6.0  # px, width of edges
 _OFF = 0.05  # largest bend by a lens, over the extent of the board
 _LEAST_OFF = 5.0  # px
 _TRIES = 3  # images of a set in which other dictionaries and other boards are looked for
-_MOST_COLUMNS = 30  # of markers, up to which a miscounted board is looked for
+_MOST_COLUMNS = 30  # columns of markers up to which a miscounted board is looked for
 _FITTING = 0.9  # least part of the corners of markers that fit a board, so that it is the right one
 _LARGER = 1.15  # size of the dot that marks a corner, over that of the others
 _FLAT = 30  # grey values between dark and bright
@@ -501,7 +501,7 @@ def points_on_one_plane(board: Board, points: dict[str, FloatArray]) -> dict[str
 
 
 def _are_on_plane(on_board: FloatArray, pixels: FloatArray, *, robust: bool = True) -> BoolArray:
-    """Which points (n, 2) [m] agree with their pixels (n, 2) by one homography; none if there is no homography.
+    """Mask of the points (n, 2) [m] that agree with their pixels (n, 2) by one homography; none if there is none.
 
     The homography fits most points; if not `robust`, which is faster, it is fitted to all.
     """

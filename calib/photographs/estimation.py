@@ -36,7 +36,7 @@ _STEPS = 40
 _ENDS = 1e-13  # relative fall of the step below which rounding decides
 _NOISE_ROUNDS = 12
 _NOISE_STANDS = 1e-8
-_SINGULAR = 1e-7  # of scaled columns: a direction that the images do not show
+_SINGULAR = 1e-7  # singular value of scaled columns: a direction that the images do not show
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +44,12 @@ class HandEyeEstimate(ReadOnlyArrays):
     """A solution.
 
     Attributes:
-        placed: Where camera and board are.
-        free: Which intrinsics were sought, by their numbers.
+        placed: Poses of camera and board.
+        free: Numbers of the intrinsics that were sought.
         noise: Sizes of the errors.
-        weights: What images were weighed by: the same, or of pixels alone for plain least squares.
+        weights: Weights of the images: the same, or of pixels alone for plain least squares.
         arm: Size of errors of lengths [m] and angles [rad] of the arm that intervals count.
-        covariance: Of [camera 6, board 6, intrinsics, (scale)], in their own axes [m, rad, px, 1].
+        covariance: Covariance of [camera 6, board 6, intrinsics, (scale)], in their own axes [m, rad, px, 1].
         freedom: Satterthwaite's degrees of freedom of each of them.
         scaled: Whether the size of the board was sought.
     """
@@ -78,10 +78,10 @@ def solve(
 
     Args:
         scene: The images.
-        start: Where to begin.
-        free: Which intrinsics are sought.
+        start: Start.
+        free: Intrinsics that are sought.
         noise: Sizes of the errors.
-        prior: Of the intrinsics that are sought.
+        prior: Prior of the intrinsics that are sought.
         scaled: Whether the size of the board is sought.
         steps: At most so many.
     """
@@ -124,9 +124,9 @@ def estimate(
 
     Args:
         scene: The images.
-        start: Where to begin.
-        free: Which intrinsics are sought.
-        prior: Of these.
+        start: Start.
+        free: Intrinsics that are sought.
+        prior: Prior of these.
         scaled: Whether the size of the board is sought.
         weighed: Whether images are weighed by the errors that their points share; else every point counts the same.
         near: Sizes of the errors of a similar problem, to begin with.
@@ -167,9 +167,9 @@ def plain(
 
     Args:
         scene: The images.
-        start: Where to begin.
-        free: Which intrinsics are sought.
-        prior: Of these.
+        start: Start.
+        free: Intrinsics that are sought.
+        prior: Prior of these.
         scaled: Whether the size of the board is sought.
 
     Raises:

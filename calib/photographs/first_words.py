@@ -1,4 +1,4 @@
-"""`calib init --measure camera`: where the board is likely to be seen, and what the description says of it."""
+"""`calib init --measure camera`: the likely place of the board, and its entry in the description."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _AHEAD, _FACING = 0.93, 0.6  # cosines to the camera's axis, and to that of the 
 def camera_words(
     robot: Robot, board: str | None, camera: str | None, to_print: Path | None, out: Path
 ) -> tuple[dict[Path, bytes], dict[str, str]]:
-    """Return the file of the board, if it is not there yet, and what the description says of board and camera.
+    """Return the file of the board, if it is not there yet, and the entries of board and camera in the description.
 
     Args:
         robot: As a plain description has it.
-        board, camera: What the user gave, or None.
-        to_print: Where the board is to be written, or None.
+        board, camera: As the user gave them, or None.
+        to_print: File for the board, or None.
         out: The description.
     """
     described = read_board_option(_BOARD if board is None else board)
@@ -75,7 +75,7 @@ def _yaml(values: Mapping[str, float]) -> str:
 
 
 def _about_seen(robot: Robot, middle: FloatArray, away: float) -> tuple[FloatArray, FloatArray]:
-    """Where a board is seen from most poses, by a camera that looks along z of the target: xyz [m], rpy [rad]."""
+    """Pose of a board that most poses see, by a camera that looks along z of the target: xyz [m], rpy [rad]."""
     poses = robot.forward(robot.sample(_TRIED, 0))
     boards = poses[:_PLACES].copy()
     boards[:, :3, 3] += away * boards[:, :3, 2]

@@ -5,7 +5,7 @@ image put them are left out, and images that lie far off where the other images 
 (3) the lens: intrinsics as given, or found from the same images, whichever predicts images that are left out in turn
 better; (4) every point alike or images weighed by what their points share (`calib.photographs.estimation`), by the same
 rule; (5) what the camera alone leaves, the board placed freely in each image: the rest comes with the robot's poses;
-(6) mistakes that would explain what is left (`calib.photographs.mistakes`).
+(6) mistakes that would explain the residuals (`calib.photographs.mistakes`).
 
 "Better" is more than chance: with n images, n log(RMS / RMS) of those left out must gain more than 1.5. Where images
 are few, what gains less is chance too often, and then new images are predicted worse.
@@ -48,7 +48,7 @@ def calibrate(
         scene: The images, in the order in which they were taken; its mount does not count.
         intrinsics: As given, (9,); None if unknown.
         lens: `given`: as they are; `found`: from the images; `auto`: whichever predicts images left out better.
-        mounts: Where the camera may be.
+        mounts: Possible mounts of the camera.
         progress: Told after each of five steps.
 
     Raises:

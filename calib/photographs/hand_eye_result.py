@@ -22,7 +22,7 @@ _ROBOT_SHARE = 0.5
 _MM = 1e3
 WIDE = 0.05
 """Half width of a 95 % interval of camera or board, over the distance between them, or in radians, from which nobody
-knows where it is: a turn by so much moves what the camera sees by as much as such a shift. Good photographs give
+knows where it is: such a turn moves what the camera sees by as much as such a shift. Good photographs give
 less than a third of that."""
 _CLAIM_ABOVE = 0.5  # images left out over those used: where they differ more, the images are too few
 
@@ -51,7 +51,7 @@ class HandEyeJudgement:
 
 
 def judge(result: HandEye) -> HandEyeJudgement:
-    """Return what a calibration is worth.
+    """Return the judgement of a calibration.
 
     FAIL: a mistake of the whole. CHECK: another mistake, images set aside, or too few of them, or too little turned to
     tell. PASS: nothing of that, so that the error of new images is as stated.
@@ -88,15 +88,15 @@ def judge(result: HandEye) -> HandEyeJudgement:
     for name, (shift, turn) in result.uncertainty().items():
         if not max(shift / result.distance, turn) < WIDE:
             reasons.append(
-                f"the {name} is known to only ± {_MM * shift:.0f} mm and ± {np.rad2deg(turn):.1f} deg (95 %), where"
-                f" camera and board are {_MM * result.distance:.0f} mm apart: only what the camera will see at poses"
-                " like these is known"
+                f"the place of the {name} is known to only ± {_MM * shift:.0f} mm and ± {np.rad2deg(turn):.1f} deg"
+                f" (95 %). Use this calibration only for what the camera sees at poses like these, about"
+                f" {_MM * result.distance:.0f} mm away"
             )
             advice.append("turn the tool further, about two axes or more, at more poses; or calibrate the kinematics")
     used, left = rms(result.board), rms(result.left.board)
     if not left * _CLAIM_ABOVE < used:
         reasons.append(
-            f"images left out are {left / used:.1f} times as far off as those used: there are too few for what is found"
+            f"errors of images left out are {left / used:.1f} times those of images used: there are too few images"
         )
         advice.append("take more images")
     grade = "FAIL" if failed else "CHECK" if reasons else "PASS"

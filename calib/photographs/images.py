@@ -1,4 +1,4 @@
-"""Where images come from: files, folders, patterns such as `shots/*.png`, and ROS 2 bags with the joints of the moment.
+"""Sources of images: files, folders, patterns such as `shots/*.png`, and ROS 2 bags with joint values.
 
 An image that cannot be read is no error here: it comes as a few words, and the rest goes on. A bag has many images of
 one stop of the robot. They share its error, so that the one in the middle of each stop stands for all of them.
@@ -34,7 +34,7 @@ class Shot:
     """One image to come.
 
     Attributes:
-        name: That results call it by: the file's name without its ending, or the number in a bag.
+        name: Name in results: the file's name without its ending, or the number in a bag.
         path: Its file; the bag.
         image: The image, or in words why there is none; None where the file is still to be read.
         joints: Joint values at that moment [m or rad]; None where nothing tells.
@@ -46,7 +46,7 @@ class Shot:
     joints: dict[str, float] | None = None
 
     def read(self) -> GreyImage | str:
-        """Return the image, or in words why there is none."""
+        """Return the image, or the reason why there is none."""
         if self.image is not None:
             return self.image
         try:
@@ -60,7 +60,7 @@ def shots(sources: Sequence[str], topic: str | None = None) -> list[Shot]:
 
     Args:
         sources: As given.
-        topic: Of the images in a bag, where there are several.
+        topic: Topic of the images in a bag, where there are several.
 
     Raises:
         InputError: Nothing there, or two images of one name.
@@ -181,7 +181,7 @@ def _raw_image(message: Any) -> GreyImage:
 
 
 def with_joints(photographs: Sequence[Shot]) -> list[Shot]:
-    """Return images of which all have joint values or none: those without come as words where others have some.
+    """Return images that all have joint values, or none: where some have them, the others come as words.
 
     Raises:
         DataError: Bags of different robots.

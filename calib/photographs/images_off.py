@@ -23,7 +23,7 @@ from calib.photographs.starts import Start, image_rms
 
 _OFF = 5.0  # multiple of the median error from which an image is left out
 _LEAST_OFF = 1.0  # px
-_MOST_OFF = 1 / 3  # of the images: more cannot be outliers
+_MOST_OFF = 1 / 3  # part of the images: more cannot be outliers
 _FEWEST = 5  # images that must stay so that another one can be left out
 
 

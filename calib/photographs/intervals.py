@@ -40,7 +40,7 @@ from calib.photographs.shared_errors import (
     prior_of,
 )
 
-_STEP = 1e-3  # of logarithms, for differences
+_STEP = 1e-3  # step of logarithms, for differences
 _MANY = 1e6  # degrees of freedom: as good as known
 
 

@@ -1,4 +1,4 @@
-"""Ways to take the lens of a hand-eye calibration, each with what it makes of images left out.
+"""Choices for the lens of a hand-eye calibration, each with its errors at images left out.
 
 Images left out show distortion badly, because the robot's errors are larger in them. Single images show it well: with
 the board placed freely in each, no robot counts. Where its two numbers explain more there than chance does (an F test),
@@ -25,12 +25,12 @@ from calib.photographs.shared_errors import IntrinsicsPrior
 LENSES = ("auto", "given", "found")
 LENS_NUMBERS = tuple(NAMES.index(name) for name in ("fx", "fy", "cx", "cy", "k1", "k2"))
 _FOCAL, _MIDDLE, _RADIAL = 0.1, 0.05, 0.5  # how far off: of the focal length, of the width; k1 and k2
-_FROM_MIDDLE = 0.12  # of the width of the image: how far a principal point may be from its middle
-_MOST_ASPECT = 1.25  # of fx and fy
+_FROM_MIDDLE = 0.12  # largest distance of a principal point from the middle of the image, over its width
+_MOST_ASPECT = 1.25  # largest ratio of fx and fy
 
 
 def unlikely(given: FloatArray, size: tuple[int, int]) -> list[tuple[str, str]]:
-    """Return what no lens has of intrinsics as given, (9,), for images of a size: its code, and in words."""
+    """Return a reason why intrinsics as given, (9,), fit no lens for images of a size: its code, and words."""
     width, height = size
     middle, result = np.array([(width - 1) / 2, (height - 1) / 2]), []
     away = float(np.max(np.abs(given[2:4] - middle)))
@@ -50,7 +50,7 @@ def unlikely(given: FloatArray, size: tuple[int, int]) -> list[tuple[str, str]]:
 
 
 def lens_prior(first: FloatArray, scene: BoardScene, given: bool) -> IntrinsicsPrior:
-    """Return what is expected of a lens: as wide as a mistake may be, so that images decide where they can.
+    """Return the prior of a lens: so wide that images decide where they can.
 
     Args:
         first: Intrinsics to begin with, (9,).
@@ -65,7 +65,7 @@ def lens_prior(first: FloatArray, scene: BoardScene, given: bool) -> IntrinsicsP
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """One way to take the lens, by plain least squares."""
+    """One choice for the lens, by plain least squares."""
 
     placed: HandEyePlacement
     free: tuple[int, ...]
@@ -76,14 +76,14 @@ class Choice:
 def lens_choices(
     scene: BoardScene, begin: HandEyePlacement, prior: IntrinsicsPrior, intrinsics: FloatArray | None, lens: str
 ) -> list[Choice]:
-    """Return ways to take the lens: as given first; found, with distortion.
+    """Return choices for the lens: as given first; found, with distortion.
 
     Found without distortion is a way too, where no lens is given and single images show no distortion.
 
     Args:
         scene: The images.
-        begin: Where to begin.
-        prior: Of the lens.
+        begin: Start.
+        prior: Prior of the lens.
         intrinsics: As given, (9,); None where none are.
         lens: `found`: not as given.
 

@@ -1,4 +1,4 @@
-"""Mistakes that would explain what a hand-eye calibration leaves: each is tried, and named where it explains it.
+"""Mistakes that would explain the residuals of a hand-eye calibration: each is tried, and named where it explains them.
 
     other readings         pairs shifted, poses inverted, rotations in another order, other units
                            (`calib.photographs.other_readings`)
@@ -9,7 +9,7 @@
     principal point        far from the middle of the image: of another image, or turned (`lens_choice.unlikely`)
 
 Other readings are tried as wholes, from closed forms, where an image is off by more than robots are, and so is another
-size of the board; they count where they halve what is left. Square size and moves are one more step of the same least
+size of the board; they count where they halve the residuals. Square size and moves are one more step of the same least
 squares; they count where the likelihood gains more than chance gives in one data set of ten thousand, and by a size
 that matters.
 """
@@ -37,18 +37,18 @@ from calib.photographs.starts import Start, image_rms, start
 _UNKNOWN = "not_explained"
 _FAR_PIXELS = 4.0
 _HALVES = 0.5
-_SURE = 0.1  # of what is left: then no other reading is tried
-_BETTER = 0.6  # of the squares of images left out
+_SURE = 0.1  # part of the residuals: below it no other reading is tried
+_BETTER = 0.6  # ratio of the squares of images left out
 _CHANCE = 1e-4
 _SCALE = 0.004  # part of the size of a board that matters
-_SCALE_OFF = 0.02  # of a board whose images are off by more than robots are
+_SCALE_OFF = 0.02  # relative error of a board's size, where images are off by more than robots are
 _MOVED = 1e-3  # m
 _TURNED = np.deg2rad(0.15)
 _OTHER_UNIT = 2.0  # times the size described: no print is so far off
 _EXCHANGED = 1.5  # times as far from the tool as the other is from the base
 _LENS_OFF = 6.0  # standard deviations
 _ALSO_OFF = 3.0  # the same, where another number is off for sure
-_SAME_LENS = 0.05  # of the focal length: how well an exchange of numbers must explain those found
+_SAME_LENS = 0.05  # difference after an exchange of numbers, over the focal length, that counts as agreement
 _SWAPS = {
     "cx and cy are exchanged": (0, 1, 3, 2),
     "fx and cx are exchanged": (2, 1, 0, 3),
@@ -62,11 +62,11 @@ _SWAPS = {
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake that would explain what is left.
+    """A mistake that would explain the residuals.
 
     Attributes:
         code: Such as `pairs_shifted`.
-        text: In words: what, by how much, what to do.
+        text: The mistake, its size, and what to do, in words.
         whole: Whether nothing of the result can be used.
     """
 
@@ -85,17 +85,17 @@ def find_mistakes(
     better: HandEyeEstimate,
     mounts: tuple[Mount, ...],
 ) -> tuple[Mistake, ...]:
-    """Return mistakes that would explain what is left, those of the whole first.
+    """Return mistakes that would explain the residuals, those of the whole first.
 
     Args:
         every: All images.
-        used: Those that were used.
-        fitted: What they say.
-        prior: What was expected of the lens.
+        used: The images that were used.
+        fitted: The estimate from these.
+        prior: Prior of the lens.
         given: Intrinsics as given, (9,); None without.
-        first: The same, or those to begin with, (9,).
+        first: Given intrinsics, or those to begin with, (9,).
         better: With the lens found, where that tells images left out better; else `fitted`.
-        mounts: Where the camera may be: one, if it is stated.
+        mounts: Possible mounts of the camera: one, if it is stated.
     """
     lens = _mistakes_of_lens(used, fitted, better, given)
     result = [] if any(mistake.whole for mistake in lens) else _mistakes_of_whole(every, fitted, first, mounts)
@@ -270,7 +270,7 @@ def _explains(scene: BoardScene, fitted: HandEyeEstimate, k: int, which: str) ->
 def _mistakes_of_lens(
     scene: BoardScene, fitted: HandEyeEstimate, better: HandEyeEstimate, given: FloatArray | None
 ) -> list[Mistake]:
-    """Mistakes in given intrinsics, (9,): by themselves, and beside those that the photographs show."""
+    """Mistakes in given intrinsics, (9,): alone, and together with those that the photographs show."""
     if given is None:
         return []
     swap = _swapped_numbers(given, better) if better.free else ""
@@ -301,7 +301,7 @@ def _mistakes_of_lens(
 
 
 def _swapped_numbers(given: FloatArray, better: HandEyeEstimate) -> str:
-    """Which numbers of the intrinsics given, (9,), are exchanged; nothing where no exchange explains those found."""
+    """Names of given intrinsics, (9,), that are exchanged; empty where no exchange explains those found."""
     real = better.placed.intrinsics[:4]
     off = {words: float(np.max(np.abs(given[list(swap)] - real))) / real[0] for words, swap in _SWAPS.items()}
     words = min(off, key=lambda swap: off[swap])

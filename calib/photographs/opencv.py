@@ -1,6 +1,6 @@
 """OpenCV: it finds boards in images, places single boards, and reads and writes image files.
 
-It is the extra `camera`; whatever needs it says so.
+It is the extra `camera`; code that needs it says so.
 """
 
 from __future__ import annotations

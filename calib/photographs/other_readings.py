@@ -1,4 +1,4 @@
-"""Other ways to read poses and board of a hand-eye calibration, each a mistake that people make when they write files.
+"""Other meanings of poses and board of a hand-eye calibration, each a usual mistake in files.
 
     pairs shifted     images belong to the poses one or two rows further on
     mirrored          the camera mirrors its images (a chessboard does not show it)
@@ -28,13 +28,13 @@ _UNITS = (10.0, 0.1, 1000.0, 0.001)
 
 @dataclass(frozen=True, eq=False)
 class SceneInterpretation:
-    """A scene as another reading has it.
+    """A scene with another meaning of its numbers.
 
     Attributes:
-        code: Of the mistake, such as `pairs_shifted`.
-        text: In words: what, what to do.
+        code: Code of the mistake, such as `pairs_shifted`.
+        text: The mistake, and what to do, in words.
         scene: The images.
-        mounts: Where the camera may be.
+        mounts: Possible mounts of the camera.
     """
 
     code: str
@@ -44,11 +44,11 @@ class SceneInterpretation:
 
 
 def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[SceneInterpretation]:
-    """Yield a scene as other readings have it.
+    """Yield a scene with other meanings of its numbers.
 
     Args:
         scene: The images.
-        mounts: Where the camera may be.
+        mounts: Possible mounts of the camera.
     """
     n = len(scene)
     for shift in _SHIFTS:
@@ -87,7 +87,7 @@ def _other_rotations(tool: FloatArray) -> Iterator[tuple[str, FloatArray]]:
     read = of.from_matrix(tool[:, :3, :3])
     quaternions, angles = read.as_quat(), read.as_euler("xyz")
     ways = {
-        "the rotations are inverted: of the base in the tool, beside positions of the tool in the base": read.inv(),
+        "the rotations are inverted: of the base in the tool, while positions are of the tool in the base": read.inv(),
         "the quaternions have their real part first: name their columns qw, qx, qy, qz": of.from_quat(
             np.roll(quaternions, -1, axis=1)
         ),

@@ -1,4 +1,4 @@
-"""Pages with photographs: what was found in each, and how far off a calibration is there, as arrows.
+"""Pages with photographs: the points found in each, and the errors of a calibration there, as arrows.
 
 A page holds small copies of the images, so that it can be sent as one file; what is drawn over them is SVG.
 """
@@ -23,9 +23,9 @@ class Picture:
     """One image of a page.
 
     Attributes:
-        image: What was detected in it.
+        image: Points detected in it.
         small: Its small copy as JPEG; empty where there is no image.
-        caption: What to say below it.
+        caption: Text below it.
         off: Whether it is marked as off.
         arrows: From where points were found to where the calibration puts them, (n, 2) [px]; empty for none.
     """

@@ -52,7 +52,7 @@ LEAST_PAIRS = 3
 _MUCH_BETTER = 3.0  # times smaller residuals of another reading of the poses, from which that is meant
 _OPEN = 0.05  # part of the largest change that no pair shows, from which a component is not determined
 _NAMED = 1e-3  # part of the largest, below which a part of such a change is not named
-_STEP = 1e-6  # of parameters, for differences [m or rad]
+_STEP = 1e-6  # step of parameters, for differences [m or rad]
 _LINKS = ("base", "along_x", "along_y", "along_z", "about_x", "about_y", "tool")
 _OF_JOINTS = {
     Code.JOINT_NEVER_MOVED, Code.JOINT_MOVED_LITTLE, Code.JOINTS_MOVE_TOGETHER, Code.JOINT_SCALED, Code.ONE_CORNER,
@@ -67,9 +67,9 @@ class FoundPose(ReadOnlyArrays):
     """Where camera or marker is.
 
     Attributes:
-        pose: In the frame that it is fixed to, (4, 4) [m]; what is not determined is as `open` says.
+        pose: In the frame that it is fixed to, (4, 4) [m]; `open` names components that are not determined.
         half: Half widths of 95 % intervals: along x, y, z of that frame, and about the own x, y, z, (6,) [m, rad].
-        open: Which of these are not determined, (6,).
+        open: Mask of those that are not determined, (6,).
     """
 
     pose: FloatArray
@@ -82,12 +82,12 @@ class PosePairs(ReadOnlyArrays):
     """A hand-eye calibration from pairs of poses.
 
     Attributes:
-        names: Of the pairs.
-        mount: Where the camera is.
+        names: Names of the pairs.
+        mount: Mount of the camera.
         camera, marker: Where they are.
         unseen: Changes that no pair shows, in words.
         errors: Predicted minus read: position and rotation of the marker in the camera, (n, 6) [m, rad].
-        reasons: What speaks against the result, each with its grade.
+        reasons: Reasons against the result, each with its grade.
         distance: Mean distance from camera to marker [m].
     """
 
@@ -112,10 +112,10 @@ def solve_pairs(
     """Return where camera and marker are.
 
     Args:
-        names: Of the pairs.
+        names: Names of the pairs.
         tool: The tool in the base, (n, 4, 4) [m].
         seen: The marker in the camera, (n, 4, 4) [m].
-        mounts: Where the camera may be.
+        mounts: Possible mounts of the camera.
 
     Raises:
         DataError: Too few pairs, or poses that the tool never left.
@@ -222,7 +222,7 @@ def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:
 
 
 def _change_in_words(change: FloatArray) -> str:
-    """A change of camera and marker, (12,) [m, rad], of which the largest part is 1 mm or 1 deg."""
+    """A change of camera and marker, (12,) [m, rad]; its largest part is 1 mm or 1 deg."""
     names = [f"{name} {part}" for name in ("camera", "marker") for part in COMPONENTS]
     units = np.tile(np.repeat([1e3, np.rad2deg(1.0)], 3), 2)
     sizes = change * units / np.max(np.abs(change * units))
@@ -231,7 +231,7 @@ def _change_in_words(change: FloatArray) -> str:
 
 
 def _found_pose(fitted: JudgedFit, null: FloatArray, place: str) -> tuple[FoundPose, FloatArray]:
-    """Where one of them is, with what the parameters' intervals mean there; and how unseen changes move it, (6, k)."""
+    """Place of one of them with its intervals; and its motion by unseen changes, (6, k)."""
     pose = _place(fitted.robot, place)
     steps = []
     for k in range(len(fitted.robot.parameters)):

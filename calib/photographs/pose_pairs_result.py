@@ -13,7 +13,7 @@ _NAMES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def judge_pairs(result: PosePairs) -> HandEyeJudgement:
-    """Return what a calibration is worth: FAIL where the camera's place is not determined, or poses are misread."""
+    """Return the judgement of a calibration: FAIL where the camera's place is not determined, or poses are misread."""
     reasons, advice = [*result.reasons], []
     for name, found in (("camera", result.camera), ("marker", result.marker)):
         lost = [_NAMES[k] for k in np.flatnonzero(found.open)]

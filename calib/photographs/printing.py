@@ -1,6 +1,6 @@
 """A board as shapes, and as a page to print in true size.
 
-What is black are rectangles and discs in the board's frame (x along the rows, y down, [m]). Of boards with markers,
+Black are rectangles and discs in the board's frame (x along the rows, y down, [m]). Of boards with markers,
 OpenCV says where the markers are and which of their cells are black; squares without a marker are black. All of it is
 filled as one path, so that neighbouring cells leave no hairlines between them.
 
@@ -51,7 +51,7 @@ class BoardShapes:
 
 
 def shapes(board: Board) -> BoardShapes:
-    """Return what is black on a board.
+    """Return the black shapes of a board.
 
     Raises:
         InputError: OpenCV, which knows the markers, is not installed.
@@ -122,7 +122,7 @@ class Paper:
         self._radii = np.append(black.discs[:, 2], 0.0)  # the last for places far from all discs
 
     def black(self, places: FloatArray) -> BoolArray:
-        """Return what is black of places on the board, (n, 2) [m]; beyond it is none."""
+        """Return whether places on the board, (n, 2) [m], are black; outside of it none is."""
         at = [np.searchsorted(self._edges[k], places[:, k], side="right") for k in (0, 1)]
         result: BoolArray = self._cells[at[0], at[1]]
         if self._discs is not None:
@@ -132,7 +132,7 @@ class Paper:
 
 
 def page(board: Board, form: str, paper: str | None = None) -> bytes:
-    """Return a page with the board in true size, a ruler, and what the board is.
+    """Return a page with the board in true size, a ruler, and the board's description.
 
     Args:
         board: The board.

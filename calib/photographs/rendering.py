@@ -2,7 +2,7 @@
 
 Every pixel is a few rays (`calib.core.instruments.camera.rays`, lens distortion included), each cut with the plane of
 the board, where it is exactly known what is black (`calib.photographs.printing.Paper`): a raster would put every corner
-of the board beside its place. Then come blur, noise and rounding to grey values, as in a camera. There is no light but
+of the board around its place. Then come blur, noise and rounding to grey values, as in a camera. There is no light but
 a slope of brightness, and nothing stands in the way.
 """
 
@@ -27,7 +27,7 @@ from calib.photographs.opencv import GreyImage, encode
 from calib.photographs.printing import Paper
 
 _RAYS = 2  # across and down a pixel
-_MARGIN = 0.12  # of the board: white paper around it
+_MARGIN = 0.12  # white paper around the board, over its size
 _NODES = 40  # across the image, between which rays are interpolated
 _PAPER, _INK, _TABLE = 215.0, 35.0, 120.0
 
@@ -41,7 +41,7 @@ class Photographer:
         intrinsics: (9,).
         size: Width and height of images [px].
         blur: Standard deviation [px].
-        noise: Of grey values.
+        noise: Noise of grey values.
     """
 
     board: Board
@@ -63,7 +63,7 @@ class Photographer:
 
         Args:
             T_camera_board: The pose.
-            generator: Of the noise.
+            generator: Generator of the noise.
         """
         paper: Paper = self._paper  # type: ignore[attr-defined]
         board, margin = np.array(self.board.size), _MARGIN * max(self.board.size)
@@ -119,8 +119,8 @@ def example(board: Board, count: int, generator: np.random.Generator) -> dict[st
 
     Args:
         board: The board.
-        count: How many photographs.
-        generator: Of poses, errors and noise.
+        count: Number of photographs.
+        generator: Generator of poses, errors and noise.
     """
     size = (640, 480)
     intrinsics = np.array([610.0, 612.0, 323.0, 236.0, -0.12, 0.06, 0.0, 0.0, 0.0])
@@ -166,7 +166,7 @@ def _pose(xyz: tuple[float, ...], degrees: tuple[float, ...]) -> FloatArray:
 
 
 def photographs(robot: Robot, camera: Pixel, data: Measurements, rng: np.random.Generator) -> dict[str, bytes]:
-    """Return what a robot's camera photographs at each visit, by the name of the file: `calib simulate --photographs`.
+    """Return the photographs of a robot's camera at each visit, by file name: `calib simulate --photographs`.
 
     Raises:
         InputError: Two visits have one name.

@@ -1,4 +1,4 @@
-"""How large the errors are that the points of an image share, and what weighs images by them.
+"""Sizes of the errors that the points of an image share, and weights of images by them.
 
 Problem. Residuals of image i, to first order, are r_i = J_i x + G_i e_i + noise: x is what is sought, e_i an error of
 the robot's tool there (6 components), and the noise of pixels is independent. With S = diag(s_t s_t s_t s_r s_r s_r),
@@ -36,7 +36,7 @@ from calib.core.numerics import linalg
 from calib.photographs.scene import ImageSums
 
 _SMALLEST = 1e-8  # s_t [m] and s_r [rad] that count as none
-_FAR = 1e12  # of a criterion that cannot be computed
+_FAR = 1e12  # value of a criterion that cannot be computed
 _STARTS = ((3e-4, 3e-4), (3e-3, 1e-4), (1e-4, 3e-3))  # s_t [m], s_r [rad]
 _ARM_STARTS = (3e-5, 5e-4)  # s_a [m, rad]
 _STEP = 1e-4  # of logarithms, for differences
@@ -49,7 +49,7 @@ class ErrorSizes:
     """Sizes of the errors: of a pixel coordinate [px], and of the robot's tool, per axis [m], [rad].
 
     Attributes:
-        arm: Of each length [m] and angle [rad] of the arm; zero where none are considered.
+        arm: Sigma of each length [m] and angle [rad] of the arm; zero where none are considered.
     """
 
     pixel: float = 1.0
@@ -65,7 +65,7 @@ class ErrorSizes:
 
 @dataclass(frozen=True, eq=False)
 class IntrinsicsPrior(ReadOnlyArrays):
-    """How far intrinsics are expected from values: both (k,), of those that are sought; infinite sigma for nothing."""
+    """Expected values and sigmas of the sought intrinsics, (k,) each; infinite sigma: nothing is expected."""
 
     values: FloatArray
     sigma: FloatArray
@@ -99,8 +99,8 @@ def normal_equations(
     Args:
         linear: Sums over images.
         noise: Sizes of the errors.
-        prior: Of the intrinsics that are sought.
-        now: These, as they are.
+        prior: Prior of the intrinsics that are sought.
+        now: Present values of these, (k,).
     """
     gain, square = gains(linear, noise), noise.pixel**2
     weight, off = prior_of(linear, noise, prior, now)
@@ -192,8 +192,8 @@ def find_noise(
 
     Args:
         linear: Sums over images; with errors of the arm, their size is found too.
-        prior: Of the intrinsics that are sought.
-        now: These, as they are.
+        prior: Prior of the intrinsics that are sought.
+        now: Present values of these, (k,).
         near: Sizes of a similar problem, to begin with.
     """
     low = logarithms(ErrorSizes(1e-3), linear)

@@ -58,7 +58,7 @@ def start(scene: BoardScene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...
     Args:
         scene: The images.
         intrinsics: (9,).
-        mounts: Where the camera may be.
+        mounts: Possible mounts of the camera.
 
     Raises:
         DataError: Too few images with enough points.

@@ -53,8 +53,8 @@ def read_tool_poses(
 
     Args:
         path: A CSV file.
-        robot: Whose joint values these are: the tool is then the frame that carries its first target, in its base.
-        angles: What rx, ry, rz are.
+        robot: Robot with these joint values: the tool is then the frame that carries its first target, in its base.
+        angles: Meaning of rx, ry, rz.
 
     Raises:
         DataError: A column that is missing, a cell that is not a number, a quaternion that is none.
@@ -86,7 +86,7 @@ class PoseColumns:
 
     Attributes:
         position: Three names.
-        form: Which of the forms of rotations.
+        form: Form of rotations.
         rotation: Names of its columns.
     """
 
@@ -183,7 +183,7 @@ def match_images(seen: Sequence[str], names: Sequence[str], where: str) -> tuple
     Args:
         seen: Names of images with a board.
         names: Image of each row.
-        where: Of the rows, for messages.
+        where: Place of the rows, for messages.
 
     Raises:
         DataError: No image has a row.

@@ -1,1 +1,1 @@
-"""What poses determine, which of them to measure, and what to measure next."""
+"""Poses to measure: what they determine, the choice of them, and the next one."""

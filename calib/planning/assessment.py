@@ -1,4 +1,4 @@
-"""What a set of poses determines, and how well: everything that `calib check` tells.
+"""Parameters that a set of poses determines, and their uncertainty: everything that `calib check` prints.
 
 Matrices from the floors below are put together for one robot and one set of poses: rank and gap of all parameters and
 of the free ones, groups that move together unseen, which parameters to hold, observability, and, with priors and
@@ -56,11 +56,11 @@ _SAMPLED = 100
 CORRELATION_LIMIT = 0.95
 """Correlations above this are reported: the two values trade against each other."""
 HARDLY = 0.5
-"""A parameter whose standard deviation stays above this part of its prior sigma is hardly better known than before."""
-_DIGITS = 9  # of a part that is left, beyond which it is rounding
+"""A parameter whose standard deviation stays above this part of its prior sigma is hardly improved."""
+_DIGITS = 9  # digits of a remainder; what is smaller is rounding
 _COUNTS = 8  # numbers of poses up to all of them
 _MOST_CHOSEN, _MOST_CANDIDATES = 400, 2000  # for more, the search for the best poses would take long
-_BEYOND = (2, 4)  # how many times all poses
+_BEYOND = (2, 4)  # multiples of the number of poses
 _GROUPS = 3  # that are named where it is printed
 _NOTHING_NEW = 1e-3  # part of a pose's strongest direction; repeats that hardly differ add no more than this
 
@@ -71,7 +71,7 @@ class Assessment(ReadOnlyArrays):
 
     Attributes:
         parameters: All parameters.
-        free: Which parameters are free, (n_parameters,).
+        free: Mask of the free parameters, (n_parameters,).
         n_poses, n_rows: Poses, and measured coordinates.
         sigma: Noise of one reading per axis that was used [m].
         sigma_assumed: Whether it was not stated.
@@ -79,7 +79,7 @@ class Assessment(ReadOnlyArrays):
         posterior_information: Uncertainty of the free parameters from poses and priors; in units of
             `determination.lengths`.
         groups: Groups of parameters whose common change no pose shows, of all parameters, from the poses alone.
-        open_groups: The same of the free ones, priors included: what stays undetermined.
+        open_groups: The same of the free ones, priors included: groups that stay undetermined.
         elimination: Parameters to hold so that the poses determine the rest.
         scaled: O1 to O5 of the free parameters, on columns scaled by sigma [m]; if no lengths are measured, in units of
             the noise of a reading.
@@ -200,7 +200,7 @@ class Assessment(ReadOnlyArrays):
 def check(
     robot: RobotLike, poses: PosesLike | None = None, *, task: PosesLike | None = None, sigma: float | str | None = None
 ) -> Assessment:
-    """Say what poses determine, at the robot's present values.
+    """Return the parameters that poses determine, at the robot's present values.
 
     Args:
         robot: The robot.
@@ -270,7 +270,7 @@ def check(
 def _columns(
     robot: Robot, poses: Poses, configurations: Configurations, sigma: float | None, everything: Unknowns
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Whitened rows of what is or could be read, those of each pose, and how many rows a visit gives."""
+    """Whitened rows of actual or possible readings, those of each pose, and the number of rows of a visit."""
     if not isinstance(poses, Measurements):
         pose_rows = rows_of_poses(robot, configurations, sigma, everything, planned_readings(robot, poses))
         flat = pose_rows.rows[pose_rows.read]
@@ -304,7 +304,7 @@ def _require_rows(robot: Robot, poses: Poses, per_pose: int) -> None:
 
 
 def _spoken_for(free: BoolArray, elimination: Elimination) -> tuple[int, ...]:
-    """Parameters to tell groups by: the held ones if there are any, else those that the elimination drops."""
+    """Parameters by which groups are described: the held ones if any, else those that the elimination drops."""
     held = tuple(int(k) for k in np.flatnonzero(~free))
     return held or elimination.dropped
 
@@ -368,7 +368,7 @@ def accuracy_by_count(
 
 
 def _directions_of_a_pose(rows: FloatArray) -> int:
-    """How many directions a pose determines at most; its rows, (n, n_rows, n_parameters), may repeat each other."""
+    """Largest number of directions that a pose determines, by its rows, (n, n_rows, n_parameters)."""
     strengths = linalg.singular_values(rows)
     return max(1, int(np.max(np.sum(strengths > _NOTHING_NEW * strengths[:, :1], axis=1))))
 

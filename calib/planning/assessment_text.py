@@ -20,16 +20,16 @@ _SHOWN = 12  # names in a list
 _FEW = 4  # the same in the short answer
 _LINES = 3  # lines of groups in the short answer
 _MANY_POSITIONS = 6  # with fewer positions, almost any errors of a robot look like a motion of one body
-_MOSTLY_COMMON = 0.5  # the error beside a common motion is printed if it is below this part of the whole
+_MOSTLY_COMMON = 0.5  # the error without a common motion is printed if it is below this part of the whole
 
 
 def text_report(assessment: Assessment, source: str, width: int = 120, *, verbose: bool = False) -> str:
-    """Return as text what the poses determine.
+    """Return an assessment as text.
 
     Args:
-        assessment: What was found.
-        source: Where the poses came from.
-        width: Of the text, in characters.
+        assessment: The assessment.
+        source: Origin of the poses, in words.
+        width: Width of the text, in characters.
         verbose: All groups, and a table of all parameters; otherwise the answer on at most 40 lines.
     """
     lines, names = (None, _SHOWN) if verbose else (_LINES, _FEW)

@@ -26,16 +26,16 @@ from calib.planning.selection_scores import Scores, scores
 
 _RISE = 1e-10
 """Least relative rise of an index that counts; less is rounding."""
-_RIDGE = 1e-9  # of K, whose full value is 1
+_RIDGE = 1e-9  # added to K, whose full value is 1
 _MAX_PASSES = 20
 
 
 @dataclass(frozen=True, eq=False)
 class Spacing:
-    """Which candidates may be chosen next.
+    """Rules on which candidates may be chosen next.
 
     Attributes:
-        points: Where each candidate puts the targets, (n_candidates, n) [m].
+        points: Positions of the targets at each candidate, (n_candidates, n) [m].
         distance: Least distance between chosen poses [m]; 0 for none.
         usable: Candidates that may be chosen at all, (n_candidates,).
         pose: Pose of each candidate; those of one pose need no distance, (n_candidates,). None: each has its own.
@@ -70,7 +70,7 @@ class Spacing:
 
         Args:
             tried: Candidates in the order in which they are tried, (n,).
-            count: How many are needed.
+            count: Number needed.
 
         Returns:
             Indices of candidates, (count,), or fewer where no more were found; `tried` itself where no distance is
@@ -97,10 +97,10 @@ class Spacing:
 
 @dataclass(frozen=True, eq=False)
 class Exchange:
-    """A choice and how it came about.
+    """A choice and the exchanges that led to it.
 
     Attributes:
-        chosen: Which candidates are in it, (n_candidates,).
+        chosen: Mask of the candidates in it, (n_candidates,).
         scores: Their scores.
         history: Choices of the start and after each exchange, as (added, removed) pairs; the start is (-1, -1).
         values: Score after each entry of `history`; NaN while a start that determined too little was being mended.
@@ -127,7 +127,7 @@ def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Sp
         problem: The candidates.
         index: Index to raise.
         start: Candidates to start from, (count,).
-        spacing: Which candidates may be added.
+        spacing: Candidates that may be added.
 
     Raises:
         NotIdentifiableError: No choice was found that determines every direction.

@@ -28,7 +28,7 @@ def travel(joints: FloatArray, home: FloatArray, order: IntArray) -> float:
 
     Args:
         joints: Poses, (n, n_actuated) [m or rad].
-        home: Where the path starts, (n_actuated,) [m or rad].
+        home: Start of the path, (n_actuated,) [m or rad].
         order: Poses in the order of visiting, (n,).
     """
     points = _points(joints, home)
@@ -41,7 +41,7 @@ def distances_from(joints: FloatArray, start: FloatArray) -> FloatArray:
 
     Args:
         joints: Poses, (n, n_actuated) [m or rad].
-        start: Where the robot stands, (n_actuated,) [m or rad].
+        start: Present joint values of the robot, (n_actuated,) [m or rad].
     """
     points = _points(joints, start)
     result: FloatArray = np.max(np.abs(points[1:] - points[0]), axis=1)
@@ -55,7 +55,7 @@ def order_in_blocks(joints: FloatArray, home: FloatArray, block: IntArray) -> In
 
     Args:
         joints: Poses, (n, n_actuated) [m or rad].
-        home: Where the path starts, (n_actuated,) [m or rad].
+        home: Start of the path, (n_actuated,) [m or rad].
         block: Number of the block of each pose, (n,); the smallest comes first.
     """
     order, start = [], home
@@ -71,7 +71,7 @@ def shortest_order(joints: FloatArray, home: FloatArray) -> IntArray:
 
     Args:
         joints: Poses, (n, n_actuated) [m or rad].
-        home: Where the path starts, (n_actuated,) [m or rad].
+        home: Start of the path, (n_actuated,) [m or rad].
     """
     points = _points(joints, home)
     gaps = np.max(np.abs(points[:, None] - points[None]), axis=2)

@@ -1,7 +1,7 @@
 """The pose to measure next, while measuring: nearly the one that helps most, and near to where the robot stands.
 
-Helping is what `calib select --index task --measured` counts: by how much one more pose lowers the predicted error over
-the candidates. Before the measured poses determine the robot, no error can be predicted; then it is the information of
+As in `calib select --index task --measured`, a pose helps by as much as it lowers the predicted error over the
+candidates. Before the measured poses determine the robot, no error can be predicted; then it is the information of
 one more pose about what all candidates would determine (log det, with a little of every direction known beforehand, so
 that the one that is missing most counts most). Of the poses that help at least `ENOUGH` times as much as the best, the
 nearest is taken: measuring takes time, most of it for the way.
@@ -30,7 +30,7 @@ from calib.planning.selection_setting import Request, prepare
 
 ENOUGH = 0.8
 """Part of the best pose's help that a nearer one must give."""
-_KNOWN = 1e-6  # of what all candidates say about a direction, in every direction from the start
+_KNOWN = 1e-6  # part of the information of all candidates on a direction, added to every direction at the start
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class NextPose(ReadOnlyArrays):
         name: Its name there.
         joints: Its joint values, (n_actuated,) [m or rad].
         before: Predicted error over the candidates now, root mean square; infinite where it is not determined [m].
-        after: The same with this pose measured; infinite likewise [m].
+        after: The same with this pose measured; infinite where it is not determined [m].
         travel: Longest way of a joint from where the robot stands, in the range of that joint over the candidates.
         checks: Whether it was drawn at random, to check with.
     """
@@ -71,8 +71,8 @@ def next_pose(
     Args:
         robot: The robot; its present values are where it is linearised.
         candidates: Poses to choose from; the predicted error counts at them.
-        measured: What is measured already.
-        present: Where the robot stands, (n_actuated,) [m or rad]; home if not given.
+        measured: Measurements so far.
+        present: Present joint values of the robot, (n_actuated,) [m or rad]; home if not given.
         sigma: Noise of one reading per axis [m]; the description's if not given.
         drawn: Draw the pose with these random numbers, to check with.
 

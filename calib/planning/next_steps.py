@@ -1,4 +1,4 @@
-"""What the commands that plan measurements say at the end: the next command to type."""
+"""The end of the output of planning commands: the next command to type."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _POSES = ("--sigma-mm", "--parameters", "--result", "--task")
 def advice_after_check(
     assessment: Assessment, robot: str, poses: object, data: Sequence[str], typed: Mapping[str, Sequence[str]]
 ) -> str:
-    """Return what to do about what poses determine.
+    """Return the next step after an assessment.
 
     Args:
-        assessment: What they determine.
+        assessment: The assessment.
         robot: ROBOT, as it was typed.
-        poses: What was looked at.
-        data: DATA, likewise; nothing where poses were sampled.
+        poses: The poses.
+        data: DATA, as it was typed; nothing where poses were sampled.
         typed: Options, as `typed_options` has them.
     """
     if not data:
@@ -40,7 +40,7 @@ def advice_after_check(
 
 
 def advice_after_select(robot: str, out: str, typed: Mapping[str, Sequence[str]]) -> str:
-    """Return what to do with chosen poses.
+    """Return the next step after a choice of poses.
 
     Args:
         robot: ROBOT, as it was typed.

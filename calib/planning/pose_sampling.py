@@ -1,4 +1,4 @@
-"""Poses to try a robot with where none are given: spread at random over its joint limits (`Robot.sample`).
+"""Sampled poses of a robot: spread at random over its joint limits (`Robot.sample`).
 
 Touches tell less than positions would: of one socket, the size of the robot stays open, because the ball is in the same
 place every time. So poses of a robot that touches are brought to what it touches, one thing after the other, where that
@@ -41,9 +41,9 @@ from calib.core.rows.simulate import MET, touching_configurations
 _TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses, for one that sees something
 _AT_ONCE = 1_000
 _BROUGHT_OF_EACH = 10  # poses that are brought to where a kind says that it reads something
-_FEW_SEE = 0.5  # of the poses
+_FEW_SEE = 0.5  # part of the poses
 _MOST_DRAWN = 64  # poses, for one that is free
-_NUMBERS_OF_EACH = 120  # of 8 bytes, for joint values, names and the text of a file: 700 to 850 bytes were measured
+_NUMBERS_OF_EACH = 120  # numbers of 8 bytes: joint values, names, text of a file; 700 to 850 bytes were measured
 
 
 def sample(
@@ -61,7 +61,7 @@ def sample(
 
     Args:
         robot: The robot at its present values.
-        count: How many.
+        count: Number of poses.
         seed: Seed of the joint values, or a generator of random numbers.
         within: Ranges to stay in, inside the joint limits: by name [SI]; or poses, or joint values alone, that span
             them, (n, n_actuated) [m or rad].
@@ -76,7 +76,7 @@ def sample(
 def free_sample(
     robot: Robot, count: int, generator: np.random.Generator, within: Poses | Ranges | ArrayLike | None = None
 ) -> tuple[Poses, PoseCheck, Poses]:
-    """Return poses as `sample` does; what hits at those that were drawn with them; and as many, the first, free or not.
+    """Return free poses as `sample` does; the check of all poses drawn; and the first poses drawn, free or not.
 
     Raises:
         InputError, DataError: See `sample`.
@@ -161,7 +161,7 @@ def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
 
 
 def little_seen(robot: Robot, poses: Poses) -> str | None:
-    """Return what to say where instruments see something at few of the poses; None where they do at most."""
+    """Return a remark where instruments see something at few of the poses; None where they do at most."""
     few = [
         f"{name} at {int(np.sum(seen))} of {len(poses)}"
         for name, seen in visible_poses(robot, poses).items()
@@ -196,7 +196,7 @@ def _seeing(robot: Robot, first: Poses, generator: np.random.Generator, within: 
 
 @dataclass(frozen=True)
 class _MutualPose(Pose):
-    """Stands for another instrument: its frames shall be to each other as a reading says."""
+    """A stand-in for another instrument, whose frames shall be as a reading states."""
 
     frames: tuple[tuple[str, str], ...] = ()
 
@@ -205,7 +205,7 @@ class _MutualPose(Pose):
         return self.frames
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Compare what the reading says, beside unknown numbers of the other instrument."""
+        """Compare the readings, with unknown numbers of the other instrument fitted."""
         is_stated = np.isfinite(readings.values)
         exact = super().compare(view, unknowns, replace(readings, values=np.where(is_stated, readings.values, 0.0)))
         none = np.zeros((len(readings), 6, len(unknowns)))

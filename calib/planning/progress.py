@@ -63,7 +63,7 @@ class Progress(ReadOnlyArrays):
         robot: The nominal robot.
         goal: Root mean square position error to reach [m].
         n_poses: Poses measured.
-        n_candidates: Number of reachable poses for which the goal is meant, and from which the next one is chosen.
+        n_candidates: Number of reachable poses: the goal is about them, and the next pose is one of them.
         fit: The calibration from all measured poses; None while they do not suffice.
         obstacle: Reason why there is no fit yet.
         predicted: Error over the candidates by noise, from the covariance of the fit.

@@ -1,4 +1,4 @@
-"""Choosing among very many candidates: exchanges look at the promising ones; a bound on all says what that can cost.
+"""Choosing among very many candidates: exchanges look at the promising ones; a bound on all limits the loss.
 
 Each move of an exchange updates the small matrices of every candidate, so its time grows with their number, while good
 choices use few of them. With g_k, the slope of the concave relaxation (`calib.planning.selection_bound`): a
@@ -27,7 +27,7 @@ from calib.planning.selection_setting import SelectionSetting
 SCREENED = 20_000
 """More candidates than this are screened, where there is a bound and poses need no distance from each other."""
 _SEARCHED = 4096  # candidates that exchanges look at
-_FOR_EACH = 8  # times as many as are wanted, if that is more
+_FOR_EACH = 8  # times the requested number, if that is more
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class CandidateSubset:
 
     Attributes:
         all_candidates: The setting with all of them.
-        index: Which exchanges look at, ascending, (n,).
+        index: Candidates that exchanges look at, ascending, (n,).
         setting: The same setting with these alone.
     """
 
@@ -50,12 +50,12 @@ class CandidateSubset:
         return self.setting is not self.all_candidates
 
     def numbers_of(self, candidates: IntArray) -> IntArray:
-        """Return the numbers in here of candidates of the whole, none of which is left out, (n,)."""
+        """Return the numbers in here of candidates of the whole, (n,); none of these may be left out."""
         result: IntArray = np.searchsorted(self.index, candidates)
         return result
 
     def with_all_numbers(self, result: Exchange) -> Exchange:
-        """Return what an exchange in here found, with the numbers of the whole."""
+        """Return an exchange in this subset with the numbers of the whole."""
         if not self.is_part:
             return result
         chosen = np.zeros(len(self.all_candidates.problem), dtype=bool)
@@ -65,7 +65,7 @@ class CandidateSubset:
 
 
 def first_candidates(setting: SelectionSetting, starts: IntArray) -> CandidateSubset:
-    """Return what to look at when nothing is known: the best where all candidates weigh alike, and the starts (n,)."""
+    """Return the first candidates to search: the best where all candidates weigh alike, and the starts (n,)."""
     if not _is_screened(setting):
         return CandidateSubset(setting, np.arange(len(setting.problem)), setting)
     problem = setting.problem
@@ -77,7 +77,7 @@ def first_candidates(setting: SelectionSetting, starts: IntArray) -> CandidateSu
 def candidates_after_relaxation(
     setting: SelectionSetting, relaxation: Relaxation, chosen: BoolArray
 ) -> CandidateSubset:
-    """Return what to look at when the weights of the relaxation are known, and a choice (n_candidates,)."""
+    """Return the candidates to search by the weights of the relaxation and a choice (n_candidates,)."""
     if not _is_screened(setting):
         return CandidateSubset(setting, np.arange(len(setting.problem)), setting)
     problem = setting.problem

@@ -70,8 +70,8 @@ def select(
     Args:
         robot: The robot; its present values are where it is linearised.
         candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
-        count: How many to choose; or how many with each instrument, by name (several joined by `+` read together).
-        index: What to optimise: O1 to O5, or `task`, the predicted position error over the task poses.
+        count: Number to choose; or the number with each instrument, by name (several joined by `+` read together).
+        index: Index to optimise: O1 to O5, or `task`, the predicted position error over the task poses.
         instruments: `all`: every instrument reads at every chosen pose. `each`: one instrument is chosen with every
             pose. Or a list of those to choose from; `+` joins instruments that read together. A pose may be chosen
             with several.
@@ -80,12 +80,12 @@ def select(
         exclude: Candidates not to choose, by their index, counted from 0.
         minimum_distance: Least distance between the targets of two poses (root mean square over targets) [m].
         random_start: Start from a random choice instead of a uniform one.
-        starts: How many starts; all but the first are random.
+        starts: Number of starts; all but the first are random.
         seed: Seed of everything random.
         skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
         checked: Whether candidates at which the robot hits something, or a target is hidden, are left out.
         sigma: Noise of one position reading per axis [m], or text such as `0.04 mm`; the description's if not given.
-        executor: What runs the starts; as in `calib.fit`.
+        executor: Executor of the starts; as in `calib.fit`.
         progress: Called with how many starts are done and of how many.
 
     Raises:

@@ -167,7 +167,7 @@ def _interior_point(
 ) -> FloatArray:
     """Maximise log phi over the weights of the unclear candidates by `_inner_weights`.
 
-    Kinds of which all or no candidates are to be chosen leave no choice; their weights are set first.
+    Where all or no candidates of a kind are to be chosen, there is no choice: these weights are set first.
     """
     size = np.bincount(kinds, minlength=len(totals))
     has_choice = (totals > 0.5) & (totals < size - 0.5)

@@ -47,7 +47,7 @@ TASK = "task"
 """Name of the task index where an index is chosen."""
 _PART = 8192  # candidates at once
 DETERMINED = 1e-10
-"""A direction of which a choice has less than this part of the information of all candidates is not determined."""
+"""A direction is not determined if a choice has less than this part of the information of all candidates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ def build_problem(
         priors: Rows of the priors, (n_priors, n_parameters) [m].
         n_before: Poses already measured.
         task_rows: Scaled Jacobian at the positions whose accuracy counts, (..., n_parameters) [m], or its R.
-        n_task: How many positions these are; a third of the rows if not given.
+        n_task: Number of these positions; a third of the rows if not given.
     """
     width = rows.shape[2]
     measured = np.zeros((0, width)) if measured is None else measured

@@ -1,4 +1,4 @@
-"""What a selection returns: the poses, their indices, how good they can be at most, and how they were found."""
+"""The result of a selection: the poses, their indices, a bound on these, and the exchanges."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Run:
         start: `uniform`, `random`, `relaxed`, or `best`: what was found so far, among other candidates.
         exchanges: (added, removed) candidate of each exchange.
         history: Index at the start and after each exchange (Figure 4 of the paper).
-        n_paper: How many of the exchanges are the paper's; single swaps follow.
+        n_paper: Number of exchanges that are the paper's; single swaps follow.
     """
 
     start: str
@@ -32,13 +32,13 @@ class Selection(ReadOnlyArrays):
     """Chosen poses, in the order of measurement.
 
     Attributes:
-        index: What was optimised: O1 to O5 or `task`.
+        index: Optimised index: O1 to O5 or `task`.
         chosen: Indices of the chosen candidates, (count,).
-        instruments: What reads at each, several joined by `+`, (count,); empty if all instruments read at all poses.
-        groups: Instruments to choose from; empty if all read at all poses. Exchanges number the poses with the first,
+        instruments: Instruments that read at each, joined by `+`, (count,); empty if all read at every pose.
+        groups: Instruments to choose from; empty if all read at every pose. Exchanges number the poses with the first,
             then those with the next.
         joints: Poses to measure, (count, n_actuated) [m or rad].
-        positions: Where they put the targets, (count, n_targets, 3) [m].
+        positions: Positions of the targets there, (count, n_targets, 3) [m].
         before: All indices of the uniform choice; the task index in m.
         after: All indices of these poses.
         raw: O1 to O5 of these poses alone, without priors, on raw columns: mm per unit of table, or
@@ -46,20 +46,20 @@ class Selection(ReadOnlyArrays):
         measured_only: All indices of the poses measured already, if there are any; 0 where they determine too little.
         efficiency: Index of these poses over a proven bound for all such choices; None where
             none is proven.
-        bound: That bound, as a value of the index; None if there is none.
+        bound: The bound, as a value of the index; None if there is none.
         distance: Distance that the targets of any two poses keep [m]; 0 where none was requested.
         runs: The runs of the exchange.
         travel: Length of the path in the candidates' order and in this one [joint ranges].
-        rank: What all candidates, measured poses and priors determine.
-        rank_of_poses: What all candidates and measured poses determine; the indices are about that.
+        rank: Rank of all candidates, measured poses and priors.
+        rank_of_poses: Rank of all candidates and measured poses; the indices are about these directions.
         sigma: Noise of one reading per axis that was used [m].
         sigma_assumed: Whether it was not stated.
         skipped: Candidates that could not be used, and why.
-        already_measured: How many candidates were left out because they are measured.
+        already_measured: Number of candidates that were left out because they are measured.
         seed: Seed of everything random.
         seconds: Duration.
         selecting_seconds: The part after assembly and Jacobians of the candidates.
-        check: What hits at the candidates.
+        check: Check for collisions at the candidates.
         unobstructed: All indices of the best choice from all candidates, free or not; None where all are free.
     """
 

@@ -1,4 +1,4 @@
-"""How good a choice of poses is, and which pose to add or remove next, for every index.
+"""Scores of a choice of poses, and the best pose to add or remove next, for every index.
 
 Scores are frozen; a move gives new ones. Larger is better for each of them: log det K for O1, minus the square of the
 task index, O2 to O5 themselves. Each kind knows how to find its best next move among many candidates without trying
@@ -57,7 +57,7 @@ def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: floa
     Args:
         problem: The candidates.
         index: One of `CHOICES`.
-        chosen: Which candidates are in the choice, (n_candidates,).
+        chosen: Mask of the candidates in the choice, (n_candidates,).
         ridge: Added to the diagonal of K, so that a choice that determines too little can be improved at all.
 
     Raises:
@@ -78,8 +78,8 @@ def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> d
 
     Args:
         problem: The candidates.
-        chosen: Which candidates are in the choice, (n_candidates,).
-        unit: What a row with noise 1 stands for, such as the noise of a position [m].
+        chosen: Mask of the candidates in the choice, (n_candidates,).
+        unit: Unit of a row with noise 1, such as the noise of a position [m].
     """
     rows = problem.rows[chosen]
     flat = rows.reshape(-1, rows.shape[2])
@@ -106,7 +106,7 @@ def index_of_score(problem: SelectionProblem, index: str, score: float, count: i
         index: One of `CHOICES`.
         score: `Scores.value`.
         count: Number of chosen poses.
-        unit: What a row with noise 1 stands for, such as the noise of a position [m].
+        unit: Unit of a row with noise 1, such as the noise of a position [m].
     """
     if index == "O1":
         mean_log = 0.5 * score / len(problem.strengths) + float(np.mean(np.log(problem.strengths)))

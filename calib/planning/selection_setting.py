@@ -57,7 +57,7 @@ class SelectionSetting:
 
     Attributes:
         robot: The robot.
-        request: What to choose.
+        request: The requested choice.
         poses: The poses to choose from.
         candidates: The assembled poses.
         pairs: The candidates: these poses with groups of instruments.
@@ -123,7 +123,7 @@ def prepare(
     Args:
         robot: The robot, which is linearised at its present values.
         candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
-        request: What to choose.
+        request: The requested choice.
         measured: Poses that are measured already, in the form of `candidates`.
         task: Poses whose accuracy counts, in the form of `candidates`; the candidates themselves if None.
         exclude: Indices of candidates that must not be chosen.

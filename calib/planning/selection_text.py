@@ -1,4 +1,4 @@
-"""What `calib select` prints and writes: a table for people, data for programs, and the poses as CSV."""
+"""The output of `calib select`: a table for people, data for programs, and the poses as CSV."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def text_report(selection: Selection, poses: Poses, width: int = 120) -> str:
     Args:
         selection: The result.
         poses: The candidates.
-        width: Of the text, in characters.
+        width: Width of the text, in characters.
     """
     return plain_text(
         [*_summary(selection, poses), _indices(selection), *_remarks(selection)], width, wrap=True
@@ -154,7 +154,7 @@ def _summary(s: Selection, poses: Poses) -> list[str]:
 
 
 def _count_sentence(s: Selection, poses: Poses) -> str:
-    """How many poses were chosen, and with what."""
+    """Number of chosen poses, and their instruments, in words."""
     if not s.groups:
         return f"{len(s)} of {len(poses)} poses ({poses.path})"
     with_each = ", ".join(f"{s.instruments.count(group)} with {group}" for group in s.groups)

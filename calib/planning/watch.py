@@ -1,4 +1,4 @@
-"""Watching a robot being measured: refit after every pose, say what is known, what to measure next, when to stop.
+"""Watching a robot being measured: refit after every pose, report accuracy and the next pose, say when to stop.
 
     watch = calib.Watch(robot, "0.1 mm", candidates=candidates)
     while not (told := watch.update(measured_so_far())).stop:
@@ -98,7 +98,7 @@ class Watch:
         self._settled = 0  # how many of the last squares are by fits of which that is so
 
     def update(self, data: Measurements | None = None) -> Progress:
-        """Predict the new poses, then fit all, and return what is known.
+        """Predict the new poses, then fit all, and return the progress.
 
         Args:
             data: All measurements so far, those of the last update first; otherwise everything starts again. None:
@@ -174,11 +174,11 @@ class Watch:
         )
 
     def _next(self, data: Measurements | None) -> NextPose | None:
-        """Where to measure next, by the present fit or by the nominal robot."""
+        """The pose to measure next, by the present fit or by the nominal robot."""
         fit, measured = self._fit, data if data is not None and len(data) else None
         sigma = self._settings.sigma
         if fit is not None and sigma is None and fit.sigma_stated is None and fit.first_noise.group.part.is_position:
-            sigma = max(fit.sigma, 1e-9)  # what was found; data without noise leave none
+            sigma = max(fit.sigma, 1e-9)  # noise found; data without noise leave none
         robot = self.robot if fit is None else fit.robot
         present = None if measured is None else measured.joints[-1]
         drawn = np.random.default_rng([self._seed, measured.n_poses]) if self._met and measured is not None else None
@@ -198,7 +198,7 @@ class GrowingFile:
 
     Args:
         path: The file; it need not exist yet.
-        robot: Whose joints and instruments it is about.
+        robot: Robot with these joints and instruments.
     """
 
     def __init__(self, path: str, robot: Robot) -> None:
@@ -208,12 +208,12 @@ class GrowingFile:
         self._new_remarks: list[str] = []
 
     def remarks(self) -> list[str]:
-        """Return what is wrong with the lines that are passed over since the last call."""
+        """Return the errors of lines that are passed over since the last call."""
         remarks, self._new_remarks = self._new_remarks, []
         return remarks
 
     def read_changes(self) -> Measurements | None:
-        """Return what the whole lines hold; None where there is nothing, or nothing new since the last time.
+        """Return the measurements of the whole lines; None where there are none, or none since the last time.
 
         Raises:
             DataError: The header is not valid, or no line can be read, or a hundred cannot.

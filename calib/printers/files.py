@@ -24,7 +24,7 @@ from calib.core.base.files import read_text
 from calib.core.base.units import PER_SI, millimetres
 from calib.core.data.table_writing import format_table
 from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, tower_angles
-from calib.printers.rows import PrinterFile, Row, require_plausible, require_steps
+from calib.printers.rows import PrinterFile, PrinterReading, require_plausible, require_steps
 
 _MM, _DEG = 1 / PER_SI["length"]["mm"], 1 / PER_SI["angle"]["deg"]
 _SECTION = re.compile(r"\[([^\]]+)\]\s*$")
@@ -33,8 +33,8 @@ _HEIGHT = re.compile(r"(manual_)?height(\d+)$")
 _DISTANCE = re.compile(r"distance(\d+)$")
 _NUMBER = r"[-+]?[\d.]+"
 _WORD = re.compile(rf"\s*([A-Z])\s*({_NUMBER}(?::{_NUMBER})*)(?=\s|[A-Z]|$)")
-_AROUND = 15 * _DEG  # how far a tower may be from where the third of a circle would have it
-_TRIM = 5.0  # of a rod at most [mm]; Marlin 1.1 had in B the radius of its calibration
+_AROUND = 15 * _DEG  # largest angle of a tower from its third of the circle
+_TRIM = 5.0  # largest trim of a rod [mm]; Marlin 1.1 had in B the radius of its calibration
 
 
 def read_klipper(path: Path | str) -> PrinterFile:
@@ -137,8 +137,8 @@ class _Klipper:
         except (ValueError, ZeroDivisionError):
             raise DataError(f"{self.path}, line {line}: gear_ratio '{text:.40}' is not such as 5:1") from None
 
-    def rows(self, step: tuple[float, float, float]) -> tuple[Row, ...]:
-        heights, spans, calibration = list[Row](), list[Row](), "delta_calibrate"
+    def rows(self, step: tuple[float, float, float]) -> tuple[PrinterReading, ...]:
+        heights, spans, calibration = list[PrinterReading](), list[PrinterReading](), "delta_calibrate"
         for (section, key), (text, line) in self.entries.items():
             height, distance = _HEIGHT.match(key), _DISTANCE.match(key)
             if section != calibration or not (height or distance):
@@ -149,7 +149,7 @@ class _Klipper:
             down = tuple((p[0] * step[0], p[1] * step[1], p[2] * step[2]) for p in places)
             if distance and value <= 0:
                 raise DataError(f"{self.path}, line {line}: {key} '{text:.40}' is not a distance; correct it")
-            (heights if height else spans).append(Row(key, line, value, down))
+            (heights if height else spans).append(PrinterReading(key, line, value, down))
         if spans and not heights:
             raise DataError(
                 f"{self.path}: [{calibration}] has distances and no heights; probe the bed (DELTA_CALIBRATE)"

@@ -16,7 +16,7 @@ from calib.core.commands.common import Output
 from calib.core.commands.first_files import FirstFiles
 from calib.printers.files import printer_table, read_printer
 from calib.printers.linear_delta import linear_delta_description, linear_delta_plan, linear_delta_urdf
-from calib.printers.rows import PrinterFile, expected_geometry, misses
+from calib.printers.rows import PrinterFile, expected_geometry, residuals
 
 
 def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Output) -> None:
@@ -53,7 +53,7 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
 
 def _saved_errors(printer: PrinterFile) -> str:
     """Return what the settings in the file leave on its rows."""
-    errors, parts = misses(printer.geometry, printer.rows), []
+    errors, parts = residuals(printer.geometry, printer.rows), []
     for noun, n_places in (("heights", 1), ("distances", 2)):
         of_kind = errors[[len(row.places) == n_places for row in printer.rows]]
         if of_kind.size:

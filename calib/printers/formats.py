@@ -1,4 +1,4 @@
-"""What firmwares of delta printers hold, as lines to paste: Klipper's sections, `M665` and `M666` of Marlin and Duet.
+"""Settings of delta printers, as lines to paste: Klipper's sections, `M665` and `M666` of Marlin and Duet.
 
 What each means is in `calib.printers.files` and `calib.printers.linear_delta`.
 """
@@ -43,7 +43,7 @@ def printer_lines(robot: Robot, firmware: str, provenance: Sequence[str] = ()) -
 
     Args:
         robot: The robot.
-        firmware: Of `COMMENTS`.
+        firmware: One of `COMMENTS`.
         provenance: Lines for the comment.
 
     Raises:

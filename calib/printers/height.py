@@ -20,7 +20,7 @@ class HeightSection(InstrumentSection):
     """A probe over a plane.
 
     Attributes:
-        target: Whose height it reads; the instrument's own name if left out.
+        target: Target whose height it reads; the instrument's own name if left out.
         plane: Its frame; the plane z = 0 of the measurement frame if left out.
         sigma: Its noise [m].
     """

@@ -45,7 +45,7 @@ NAME = "linear_delta"
 ARM, ANGLE = 0.3e-3, math.radians(0.3)
 """How far an arm [m] and a tower's angle [rad] may be off."""
 RADIUS, ENDSTOP = 2e-3, 10e-3
-"""The same of the radius and of endstops [m]."""
+"""How far the radius [m] and endstops [m] may be off."""
 HEIGHT, DISTANCE = 0.05e-3, 0.1e-3
 """Noise of a probed height and of a distance [m]."""
 
@@ -56,7 +56,7 @@ class DeltaGeometry:
 
     Attributes:
         radius: R [m].
-        angles: Of towers a, b, c [rad].
+        angles: Angles of towers a, b, c [rad].
         arms: Their arms [m].
         endstops: Height of the nozzle at the centre when their switches trip [m].
     """
@@ -84,7 +84,7 @@ class DeltaGeometry:
         """Return where the nozzle is, (n, 3) [m]: where the three arms meet, the lower of two points.
 
         Args:
-            down: How far the carriages have come down, (n, 3) [m].
+            down: Distances that the carriages have come down, (n, 3) [m].
 
         Returns:
             NaN where they do not meet.
@@ -225,10 +225,10 @@ def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int = 0)
     """Return the text of its description; with no more rows than it has parameters, arms are held.
 
     Args:
-        plan: Of `linear_delta_plan`.
-        title: What it is, for a comment.
-        urdf: How it names the URDF.
-        n_rows: How many rows were measured; 0: not known yet.
+        plan: Result of `linear_delta_plan`.
+        title: Title, for a comment.
+        urdf: The URDF as it names it.
+        n_rows: Number of measured rows; 0: not known yet.
     """
     twice = "platform_2" in plan.links
     sigma = f"{millimetres(DISTANCE):g} mm"

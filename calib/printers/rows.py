@@ -35,11 +35,11 @@ _FITS = 2e-3  # largest distance between rows and saved settings that belong tog
 _FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0)
 _FAR, _TIMES = 0.5e-3, 6.0  # a row is far off beyond this error [m], and beyond this multiple of the median
 _ALIKE = 0.02  # largest relative difference of arms that are alike
-_STEP = 1e-6  # of central differences [m or rad]
+_STEP = 1e-6  # step of central differences [m or rad]
 
 
 @dataclass(frozen=True)
-class Row:
+class PrinterReading:
     """A measured number: the height of a place, or the distance of two.
 
     Attributes:
@@ -67,7 +67,7 @@ class PrinterFile:
 
     path: str
     geometry: DeltaGeometry
-    rows: tuple[Row, ...] = ()
+    rows: tuple[PrinterReading, ...] = ()
 
 
 def _are_alike(arms: tuple[float, ...]) -> bool:
@@ -109,7 +109,7 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     return DeltaGeometry(rounded((file.radius,)), tower_angles(file.angles[2]), arms, (end, end, end))
 
 
-def misses(geometry: DeltaGeometry, rows: tuple[Row, ...]) -> np.ndarray:
+def residuals(geometry: DeltaGeometry, rows: tuple[PrinterReading, ...]) -> np.ndarray:
     """Return predicted minus measured values, (n_rows,) [m]; NaN where the arms do not meet."""
     first, last = (geometry.nozzle(np.array([row.places[k] for row in rows])) for k in (0, -1))
     lengths = np.where([len(row.places) == 1 for row in rows], first[:, 2], np.linalg.norm(last - first, axis=1))
@@ -124,7 +124,7 @@ def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> No
         scaled = tuple(
             replace(row, places=tuple((p[0] * a, p[1] * b, p[2] * c) for p in row.places)) for row in printer.rows
         )
-        values = np.abs(misses(printer.geometry, scaled))
+        values = np.abs(residuals(printer.geometry, scaled))
         return float(np.median(np.where(np.isnan(values), np.inf, values)))
 
     as_stated = median_error((1.0, 1.0, 1.0))
@@ -161,7 +161,7 @@ def require_plausible(printer: PrinterFile) -> None:
                 f"{printer.path}, line {row.line}: {row.name} is {millimetres(row.value):g} mm, and all others are"
                 f" {millimetres(others.pop()):g} mm, the offset of the probe; correct it"
             )
-    saved = np.abs(misses(printer.geometry, printer.rows))
+    saved = np.abs(residuals(printer.geometry, printer.rows))
     saved = np.where(np.isnan(saved), np.inf, saved)
     k, off, chance = int(np.argmax(saved)), float(np.max(saved)), 1.0
     errors = left_out_errors(printer) if np.all(np.isfinite(saved)) else None
@@ -202,11 +202,11 @@ def left_out_errors(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | Non
     start, sigma = _vector(geometry), np.array([RADIUS, ANGLE, ANGLE, *[ARM] * 3, *[ENDSTOP] * 3])
     noise = np.array([HEIGHT if len(row.places) == 1 else DISTANCE for row in rows])
     ends = [
-        [misses(_geometry(start + sign * step, geometry.angles[2]), rows) for sign in (1, -1)]
+        [residuals(_geometry(start + sign * step, geometry.angles[2]), rows) for sign in (1, -1)]
         for step in _STEP * np.eye(n)
     ]
     slope = np.array([(more - less) / (2 * _STEP) for more, less in ends]).T / noise[:, None]
-    error = misses(geometry, rows) / noise
+    error = residuals(geometry, rows) / noise
     prior = np.diag(1 / sigma), (start - _vector(expected_geometry(printer))) / sigma
     off, chance = np.empty(len(rows)), np.empty(len(rows))
     for k in range(len(rows)):

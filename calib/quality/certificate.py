@@ -1,4 +1,4 @@
-"""A calibration certificate of a robot: who, what, with what, how sure; as data and as a document to read."""
+"""A calibration certificate of a robot: laboratory, robot, instruments, uncertainty; as data and as a document."""
 
 from __future__ import annotations
 
@@ -62,11 +62,11 @@ class Certificate:
     """A certificate.
 
     Attributes:
-        result: What it is about.
-        stated: Where the measurements come from.
+        result: The result.
+        stated: Source of the measurements.
         linear: Linear model of the fit.
         budget: Uncertainty of the measurand.
-        figures: Of ISO 9283, AP and RP of repeated poses.
+        figures: Figures of ISO 9283, AP and RP of repeated poses.
         identifier: The same for the same result.
     """
 
@@ -83,7 +83,7 @@ class Certificate:
 
         Args:
             result: The result.
-            stated: Where its measurements come from.
+            stated: Source of its measurements.
             poses: Other poses at which the robot will be used.
         """
         fit, linear = result.fit, ErrorPropagation.from_fit(result.fit)

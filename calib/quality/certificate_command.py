@@ -41,7 +41,7 @@ _COMMENTS = {".pdf": "%"}
     metavar="FILE",
     help="YAML with the key 'traceability', in place of that of the robot description.",
 )
-@click.option("--poses", metavar="FILE", help="Poses (CSV) at which the robot will be used, beside those measured.")
+@click.option("--poses", metavar="FILE", help="Further poses (CSV) at which the robot will be used.")
 @click.option(
     "--draws",
     type=click.IntRange(min=0),

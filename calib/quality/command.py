@@ -35,9 +35,9 @@ _SIGNED_BY = ("Performed by", "Reviewed by", "Approved by")
 def command(robot: str | None, data: tuple[str, ...], out: str, output: Output) -> None:
     """Prove that this installation computes rightly, and write a protocol to sign.
 
-    The protocol has three phases: what is installed, what it computes beside references, and whether calibrations keep
-    what they promise. With ROBOT and DATA (CSV), the last phase also calibrates your robot and holds out a fifth of the
-    poses. The exit code is 3 if a check fails.
+    The protocol has three phases: what is installed, what it computes compared with references, and whether
+    calibrations keep what they promise. With ROBOT and DATA (CSV), the last phase also calibrates your robot and holds
+    out a fifth of the poses. The exit code is 3 if a check fails.
     """
     if robot is not None and not data:
         raise click.UsageError("ROBOT needs measurements: give ROBOT and DATA, or neither of them")

@@ -32,7 +32,7 @@ from calib.core.rows.rows import Rows
 from calib.core.rows.unknowns import Unknowns
 from calib.quality.uncertainty_budget import ELSEWHERE, MODEL, REPEATABILITY, SYSTEMATIC, Budget, ErrorPropagation
 
-_TOLERANCE = 1e-7  # of the cost
+_TOLERANCE = 1e-7  # relative change of the cost
 _SEEN = 1e-4  # part of a direction below which only priors tell of it
 _ADDED = (REPEATABILITY, MODEL, ELSEWHERE)
 
@@ -42,7 +42,7 @@ class MonteCarlo:
     """Result of a Monte Carlo propagation.
 
     Attributes:
-        draws: How many could be made.
+        draws: Number of draws that could be made.
         fitted: Standard uncertainty of a coordinate by all that goes through the fit, and temperatures [m].
         combined: The same with all that counts [m].
         propagated_fitted, propagated: Both as the budget has them [m].
@@ -78,10 +78,10 @@ def monte_carlo(
 
     Args:
         linear: The linear model of the fit.
-        stated: What was stated for the budget.
+        stated: Statements for the budget.
         known: The budget.
-        draws: How many.
-        seed: Of all that is drawn.
+        draws: Number of draws.
+        seed: Seed of all that is drawn.
         progress: Told of each draw.
     """
     rng = np.random.default_rng(seed)
@@ -122,9 +122,9 @@ def _deviation(linear: ErrorPropagation, unknowns: Unknowns, readings: FloatArra
 
     Args:
         linear: The linear model.
-        unknowns: What is fitted, with the sizes that were drawn.
+        unknowns: The fitted unknowns, with the sizes that were drawn.
         readings: Change of the whitened readings, (n_rows,).
-        mean: Of the priors, (n_free,).
+        mean: Mean of the priors, (n_free,).
     """
     fit = linear.fit
     data, prior = fit.identification.data, unknowns.prior
@@ -149,7 +149,7 @@ def _deviation(linear: ErrorPropagation, unknowns: Unknowns, readings: FloatArra
 
     def jacobian(u: FloatArray) -> FloatArray:
         rows = rows_at(u.tobytes())
-        assert rows is not None  # asked for only where the residuals were finite
+        assert rows is not None  # requested only where the residuals were finite
         return np.vstack([weights[:, None] * rows.jacobian, prior.rows])
 
     u = minimise(residuals, jacobian, unknowns.deviations(fit.robot.values), tolerance=_TOLERANCE).x

@@ -38,12 +38,12 @@ from calib.quality.sample_robots import sample_robots
 _PHASE = Phase.OPERATION
 _DIGITS = 7.0
 """Digits of NIST's eleven that an answer must have."""
-_FAR = 1e-9  # how far positions computed in two ways may be apart, by rounding [m]
+_FAR = 1e-9  # distance of positions computed in two ways that rounding explains [m]
 _SLOPES = 1e-6  # the same of derivatives and their differences, relative
 _QUIET = 1e-7  # noise that is stated where there is none [m]
-_FOUND = 1e-6  # how far a robot may be from its truth that was measured without noise [m]
+_FOUND = 1e-6  # allowed error of a robot that was measured without noise [m]
 _POSES, _ELSEWHERE = 40, 25
-_SMALL = 0.3  # of the errors expected: loops close at nearly the same joint values
+_SMALL = 0.3  # part of the expected errors: loops close at nearly the same joint values
 _FITS, _LEAST, _MOST = 40, 0.93, 0.97
 _INPUTS = (
     ("no such robot", ("fit", "missing.urdf", "missing.csv"), 2),
@@ -80,10 +80,10 @@ def _regression(problem: ReferenceProblem) -> Iterator[Check]:
             )
         n = len(problem.certified)
         jacobian, group = np.asarray(problem.model(found.x, problem.x)[1]), np.zeros(len(problem.y), dtype=np.intp)
-        known = information(jacobian)
-        span = jacobian @ known.root
+        posterior = information(jacobian)
+        span = jacobian @ posterior.root
         factors = find_factors(found.residuals, span, group, 1)
-        std = statistics(span, group, known, factors, np.ones(n), Prior(np.zeros(n, dtype=bool))).std
+        std = statistics(span, group, posterior, factors, np.ones(n), Prior(np.zeros(n, dtype=bool))).std
         digits = min(_common_digits(found.x, problem.certified), _common_digits(std, problem.std))
         subject = f"regression {problem.name}, start {number}"
         expected = f"certified values and standard deviations to {_DIGITS:g} digits (NIST StRD)"
@@ -167,7 +167,7 @@ def _attribute(joint: ElementTree.Element, tag: str, key: str, default: str) -> 
 
 
 def _largest_difference(robot: Robot, joints: FloatArray) -> float:
-    """How far positions and loops are from products of single transforms [m]."""
+    """Distance of positions and loops from products of single transforms [m]."""
     poses, description = _chain(robot, joints), robot.description
     base = description.base.frame
     tools = {section.frame for section in description.targets.values()}
@@ -190,7 +190,7 @@ def _slopes(robot: Robot, joints: FloatArray) -> float:
 
 
 def _recovery_error(robot: Robot, true: Robot, joints: FloatArray, seed: int) -> float:
-    """How far a robot that was calibrated by readings without noise is from the truth at other poses [m]."""
+    """Error at other poses of a robot that was calibrated by readings without noise [m]."""
     fit = calibrate(robot, simulate(true, joints, sigma=0.0), None, Settings(sigma=_QUIET))
     elsewhere = _common_poses(fit.robot, true, _ELSEWHERE, seed=seed + 1000)
     return float(np.max(np.linalg.norm(fit.robot.positions(elsewhere) - true.positions(elsewhere), axis=-1)))
@@ -200,20 +200,20 @@ def _coverage() -> Iterator[Check]:
     """Count how often intervals of 95 % hold the truth, over calibrations of the first arm from simulated readings."""
     with tempfile.TemporaryDirectory() as folder:
         _, robot = next(iter(sample_robots(Path(folder))))
-        held = list[bool]()
+        hits = list[bool]()
         joints = robot.sample(_POSES, seed=5)
         for seed in range(_FITS):
             true = draw_robot(robot, seed)
             fit = calibrate(robot, simulate(true, joints, seed=seed), None, Settings())
             truth = dict(zip([parameter.name for parameter in true.parameters], true.values, strict=True))
-            held += [
+            hits += [
                 estimate.low95_si <= truth[name] <= estimate.high95_si
                 for name, estimate in fit.parameters.items()
                 if estimate.status != "held"
             ]
-    share = float(np.mean(held))
+    share = float(np.mean(hits))
     expected = f"95 % intervals hold the simulated truth in {_LEAST:.0%} to {_MOST:.0%}"
-    found = f"{share:.1%} of {len(held)} intervals"
+    found = f"{share:.1%} of {len(hits)} intervals"
     yield Check.from_values(_PHASE, "coverage of intervals", expected, found, _LEAST <= share <= _MOST)
 
 

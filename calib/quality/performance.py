@@ -86,8 +86,8 @@ def _check_mistakes() -> Iterator[Check]:
 
 def _check_own_data(robot: Robot, data: Measurements) -> Iterator[Check]:
     """Compare the claim with poses of the user's measurements that were held out."""
-    used, held = data.read_visits().split(validation=_HELD_OUT, seed=0)
-    fit = calibrate(robot, used, held, Settings())
+    used, held_out = data.read_visits().split(validation=_HELD_OUT, seed=0)
+    fit = calibrate(robot, used, held_out, Settings())
     verdict = judge(fit)
     yield Check.from_values(_PHASE, f"verdict on {robot.name}", "PASS", verdict.grade, verdict.grade == "PASS")
     claim = verdict.claim
@@ -95,6 +95,6 @@ def _check_own_data(robot: Robot, data: Measurements) -> Iterator[Check]:
         yield Check(_PHASE, f"claim about {robot.name}", "a claim", "the readings do not tell", Outcome.NOTED)
         return
     shown = claim.unused[0].accuracy
-    expected = f"{held.n_poses} poses that were held out: at most {MORE:g} times as far off as claimed"
+    expected = f"{held_out.n_poses} poses that were held out: at most {MORE:g} times as far off as claimed"
     found = f"{shown.in_unit(shown.rms)} RMS, {claim.at_measured_poses.in_unit(claim.at_measured_poses.rms)} claimed"
     yield Check.from_values(_PHASE, f"claim about {robot.name}", expected, found, claim.holds)

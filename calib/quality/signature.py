@@ -1,4 +1,4 @@
-"""A signature of a file by a key of the user's: Ed25519 (RFC 8032), in base 64 in a file beside it.
+"""A signature of a file by a key of the user's: Ed25519 (RFC 8032), in base 64 in a file next to it.
 
 Every byte of the file counts, whatever its format. OpenSSL makes keys:
 
@@ -26,11 +26,11 @@ _MADE = {
 
 
 def signer(key: str, password: Callable[[], str]) -> Callable[[bytes], str]:
-    """Return what signs a file's content.
+    """Return a function that signs a file's content.
 
     Args:
         key: File of the private key (PEM).
-        password: What asks for the key's password, if it has one.
+        password: Function that asks for the key's password, if it has one.
 
     Raises:
         InputError: `cryptography` is not installed, or the file is no such key.

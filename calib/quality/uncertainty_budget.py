@@ -1,7 +1,7 @@
 """Uncertainty budget of a calibrated robot by the GUM, in the words of the GUM and of the VIM.
 
 Measurand: one coordinate of the tool's position, as the calibrated robot gives it, root mean square over the poses
-measured and the three axes. Where the base is unknown, positions count beside what moves all of them as one body.
+measured and the three axes. Where the base is unknown, a motion of all positions as one body does not count.
 
 Readings y reach the parameters through the fit's linear model. With the whitened rows J at the solution, W what whitens
 readings, T T^T = (J^T J + P^T P)^-1 (`calib.core.numerics.statistics`) and s the scales, a common change dy of the
@@ -64,10 +64,10 @@ class Systematic:
     """An error of the instrument that all readings share.
 
     Attributes:
-        quantity: What it is of.
-        attribute: Of `traceability.instrument`.
+        quantity: Its quantity.
+        attribute: Its name in `traceability.instrument`.
         unit: Its unit.
-        axes: Of how many independent numbers.
+        axes: Number of independent numbers.
     """
 
     quantity: str
@@ -93,14 +93,14 @@ class BudgetRow:
 
     Attributes:
         quantity: The input quantity.
-        standard_uncertainty: Of it, in `unit`.
+        standard_uncertainty: Its standard uncertainty, in `unit`.
         unit: Unit of the input quantity.
         sensitivity: Coefficient, m per unit.
         contribution: To the standard uncertainty of the measurand [m].
         freedom: Degrees of freedom; infinite where it is taken as known.
-        type: How it was evaluated: A (statistics of observations) or B (other information).
+        type: Kind of its evaluation: A (statistics of observations) or B (other information).
         counts: Whether it is part of the combined one; not where another row has it already.
-        note: Where it is from.
+        note: Its source.
     """
 
     quantity: str
@@ -115,7 +115,7 @@ class BudgetRow:
 
     @staticmethod
     def direct(quantity: str, contribution: float, freedom: float, note: str) -> BudgetRow:
-        """Return one of type A that is a length of the measurand itself."""
+        """Return a row of type A whose quantity is a length of the measurand itself."""
         return BudgetRow(quantity, contribution, "m", 1.0, contribution, freedom, "A", True, note)
 
 
@@ -169,10 +169,10 @@ class ErrorPropagation:
 
     Attributes:
         fit: The fit.
-        positions: Of the targets at the poses measured, (n, n_targets, 3) [m].
+        positions: Positions of the targets at the poses measured, (n, n_targets, 3) [m].
         derivative: B s, by the scaled free parameters, (n n_targets 3, n_free) [m].
         noise: Covariance of T^T J^T e, e the noise of the whitened readings, (rank, rank).
-        sizes: What sizes of joint terms that were found add to it, (rank, rank); 0 where none were.
+        sizes: Addition to it by sizes of joint terms that were found, (rank, rank); 0 where none were.
         systematic: Change of the whitened readings by what `SYSTEMATIC` lists, (n_rows, 10) [per 1, m, rad or px].
     """
 
@@ -185,7 +185,7 @@ class ErrorPropagation:
 
     @staticmethod
     def from_fit(fit: JudgedFit) -> ErrorPropagation:
-        """Return that of a fit."""
+        """Return the propagation of a fit."""
         data, passive = fit.identification.data, fit.identification.passive
         linear = fit.uncertainty.linearise(fit.robot, data.joints, data.conditions, passive, turns=False)
         kept = np.setdiff1d(np.arange(linear.positions.shape[1]), list(fit.robot.unreported_targets.values()))
@@ -207,7 +207,7 @@ class ErrorPropagation:
 
     @property
     def parameter_response(self) -> FloatArray:
-        """Change of the scaled parameters by that of the whitened readings, (n_free, n_rows)."""
+        """Derivative of the scaled parameters by the whitened readings, (n_free, n_rows)."""
         root = self.fit.root
         return np.asarray(root @ (self.fit.weighted_rows.jacobian @ root).T)
 
@@ -219,7 +219,7 @@ class ErrorPropagation:
         return (self.positions - base).ravel()
 
     def coordinate_rms(self, core: FloatArray) -> float:
-        """Return what a covariance of T^-1 u, (rank, rank), is of a coordinate (root mean square) [m]."""
+        """Return the uncertainty of a coordinate (root mean square) [m] by a covariance of T^-1 u, (rank, rank)."""
         carried = self.derivative @ self.fit.root
         return float(np.sqrt(max(np.mean(np.einsum("ij,jk,ik->i", carried, core, carried)), 0.0)))
 
@@ -253,7 +253,7 @@ def budget(linear: ErrorPropagation, stated: TraceabilitySection, poses: PosesLi
 
     Args:
         linear: Its linear model.
-        stated: What is known of instrument, target and temperatures.
+        stated: Statements on instrument, target and temperatures.
         poses: Other poses at which the robot will be used.
     """
     fit = linear.fit
@@ -326,14 +326,14 @@ def _thermal(linear: ErrorPropagation, stated: TraceabilitySection) -> list[Budg
     ]
 
 
-def _robot_rows(fit: JudgedFit, known: float, poses: PosesLike | None) -> list[BudgetRow]:
+def _robot_rows(fit: JudgedFit, included: float, poses: PosesLike | None) -> list[BudgetRow]:
     """Rows of the robot itself; `known`: what rows have of the claim's mean square [m^2]."""
     scatter, freedom = repeatability(fit.identification)
     rows, claim = [], fit.verdict.claim
     if freedom:
         note = "repeated poses; holds the noise of a reading"
         rows.append(BudgetRow.direct(REPEATABILITY, scatter, float(freedom), note))
-        known += scatter**2
+        included += scatter**2
     if claim is not None and claim.at_measured_poses.is_position:
         total, n, note = (
             claim.at_measured_poses.rms**2 / 3.0,
@@ -344,7 +344,7 @@ def _robot_rows(fit: JudgedFit, known: float, poses: PosesLike | None) -> list[B
         known_positions = fit.identification_uncertainty
         total, n = float(np.mean(known_positions.reported_distance**2)) / 3.0, fit.identification.data.n_poses
         note = "errors of joints that residuals show"
-    rows.append(BudgetRow.direct(MODEL, math.sqrt(max(total - known, 0.0)), float(n), note))
+    rows.append(BudgetRow.direct(MODEL, math.sqrt(max(total - included, 0.0)), float(n), note))
     elsewhere = None if poses is None else fit.claim_at(poses)
     if elsewhere is not None and claim is not None:
         more = math.sqrt(max(elsewhere.rms**2 - claim.at_measured_poses.rms**2, 0.0) / 3.0)

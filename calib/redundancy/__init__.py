@@ -1,1 +1,1 @@
-"""What a machine can feel twice: kinds of measurement, joint terms and origins of trades whose instrument is itself."""
+"""Machines that are their own instrument: kinds of measurement, joint terms, and origins under the names of trades."""

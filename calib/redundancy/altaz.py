@@ -1,7 +1,7 @@
 """Mounts that point: their errors under the names of the trade.
 
 Joints `azimuth` (about -z: as compasses count), `altitude` (about -y) and the fixed `collimation`, along whose x axis
-the target looks; x to the north, z up. With what the encoders say minus the truth,
+the target looks; x to the north, z up. With the readings of the encoders minus the truth,
 
     dA = -IA - CA sec E - NPAE tan E - AN sin A tan E - AW cos A tan E
     dE =  IE - AN cos A + AW sin A - TF cos E

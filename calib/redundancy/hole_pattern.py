@@ -108,7 +108,7 @@ class HolePattern(Relation):
 
 
 def check_holes(fit: Fit) -> Iterator[Reason]:
-    """Refuse rows whose nearest hole is not by far the nearest."""
+    """Refuse rows whose nearest hole is not clearly the nearest."""
     for board in (board for board in fit.identification.instruments if isinstance(board, HolePattern)):
         readings, off = fit.identification.data.readings.get(board.name), fit.identification.after.get(board.name)
         if readings is not None and off is not None:

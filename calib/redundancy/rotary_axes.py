@@ -4,8 +4,8 @@ Joints `a`, `b` and `c` turn about x, y and z at their zeros. Each may lie off a
 about them: EX0C and EY0C, EA0C and EB0C of the axis C, and so on. What is measured are centres of balls on the table,
 which a probe in the spindle finds at several angles (`touch`, a socket that moves with the table).
 
-The table has a point of each axis and its direction, in machine coordinates, all other axes at zero. How a controller
-calls these numbers its manual says (rotation centres, vectors of the kinematics).
+The table has a point of each axis and its direction, in machine coordinates, all other axes at zero. The controller's
+manual has its names of these numbers (rotation centres, vectors of the kinematics).
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ class SightingSection(InstrumentSection):
 
     Attributes:
         target: The sensor; the instrument's own name if left out.
-        points: What it sees, by name.
+        points: The points that it sees, by name.
         sigma: Noise of each coordinate [m]: one number, or three.
     """
 

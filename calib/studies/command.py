@@ -41,7 +41,7 @@ from calib.studies.study import study
 )
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
 @loss_option
-@click.option("--elsewhere", metavar="FILE", help="Other poses (CSV) to predict, beside POSES.")
+@click.option("--elsewhere", metavar="FILE", help="Further poses (CSV) to predict.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the whole study.")
 @jobs_option("the draws", os.cpu_count() or 1)
 @click.option("-v", "--verbose", is_flag=True, help="Print all parameters, not only those with the lowest coverage.")

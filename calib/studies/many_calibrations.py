@@ -41,7 +41,7 @@ class DrawEstimate:
         covariance: Their covariance, (n_free, n_free).
         std: Their standard deviations, (n_free,).
         half_width: Half their 95 % intervals, (n_free,).
-        coverage_factor: How many standard deviations make half a 95 % interval.
+        coverage_factor: Half a 95 % interval, in standard deviations.
         sigma: Noise found of each group of rows, (n_groups,) [SI].
         chi_square: Sum of squares of the residuals in units of the stated noise, where all of it is stated.
         freedom: Degrees of freedom.
@@ -67,7 +67,7 @@ class RepeatedCalibration(ReadOnlyArrays):
 
     Attributes:
         first: A finished fit of one draw.
-        settings: How to fit.
+        settings: Settings of the fit.
     """
 
     first: Fit

@@ -62,20 +62,20 @@ class _Setting:
     """Data that all draws share.
 
     Attributes:
-        source: Where the data of a draw come from.
-        settings: How to fit.
+        source: Source of the data of a draw.
+        settings: Settings of the fit.
         repeated: Calibrates like the first time.
-        elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad].
-        near: Passive joints there, (n, n_passive) [m or rad].
-        compiled: Whether there is so much to do that loading compiled code is worth it.
-        seed: Of the whole study; draws have those spawned from it.
+        prediction_joints: Joint values of poses to predict, (n, n_actuated) [m or rad].
+        prediction_passive: Passive joints there, (n, n_passive) [m or rad].
+        compiled: Whether there is enough to do that loading compiled code is worth it.
+        seed: Seed of the whole study; draws have those spawned from it.
     """
 
     source: SimulatedDraws | ResampledDraws
     settings: Settings
     repeated: RepeatedCalibration
-    elsewhere: FloatArray
-    near: FloatArray
+    prediction_joints: FloatArray
+    prediction_passive: FloatArray
     compiled: bool
     seed: np.random.SeedSequence
 
@@ -86,7 +86,7 @@ class _Setting:
 
     @property
     def states_noise(self) -> bool:
-        """Whether chi-square means something: what is drawn twice scatters less than noise does."""
+        """Whether chi-square means something; not where a pose is drawn twice, which scatters less than noise does."""
         return self.first.chi_square is not None and isinstance(self.source, SimulatedDraws)
 
 
@@ -109,9 +109,9 @@ def study(
 
     Args:
         robot: The nominal robot, as every fit starts from it.
-        poses: Where to measure: poses with names, or joint values alone, (n, n_actuated) [m or rad]; of measurements,
+        poses: Poses to measure: poses with names, or joint values alone, (n, n_actuated) [m or rad]; of measurements,
             what was read at each.
-        draws: How many calibrations.
+        draws: Number of calibrations.
         truth: The robot that is measured; `robot` itself if not given; `priors` for one whose parameters are drawn anew
             from the priors each time.
         resample: Simulate nothing: in each draw, as many poses of the measurements `poses` as there are, with
@@ -122,13 +122,13 @@ def study(
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
         elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad]; none if not given.
         seed: Seed of the whole study.
-        executor: What runs the draws; as in `calib.fit`.
+        executor: Executor of the draws; as in `calib.fit`.
         progress: Called with the number of draws done and of all draws, in the order of work.
 
     Raises:
         InputError: A number of draws or processes that makes no sense, unstated noise, nothing to resample.
         NotConvergedError: The first draw did not converge, or none gave an answer.
-        CalibrationError: What `calib.fit` raises, of the first draw.
+        CalibrationError: As `calib.fit`, for the first draw.
     """
     robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
     started = time.perf_counter()
@@ -183,13 +183,13 @@ def _prepare(
     if not first.converged:
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
-    known = (
+    drawing = (
         source
         if isinstance(source, SimulatedDraws)
         else ResampledDraws(first.robot, source, first.configurations.passive)
     )
     use_compiled = pays(draws * len(data)) or compilation_requested()
-    setting = _Setting(known, settings, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
+    setting = _Setting(drawing, settings, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
     each = sum(numbers.size for numbers in vars(_draw_without_answer(setting)).values())
     require_memory(2 * draws * each, count_noun(draws, "draw"), "ask for fewer")
     return setting
@@ -223,14 +223,14 @@ def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
     first = setting.first
     true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
     errors = half_width = np.zeros((0, len(truth.target_names), 3))
-    if len(setting.elsewhere):
+    if len(setting.prediction_joints):
         values = first.robot.values.copy()
         values[first.unknowns.index] = estimate.values
         robot = first.robot.with_parameters(values)
-        at = linearise(robot, robot.assemble(setting.elsewhere, setting.near))
+        at = linearise(robot, robot.assemble(setting.prediction_joints, setting.prediction_passive))
         spread = propagate_covariance(at.jacobian[..., first.unknowns.index], estimate.covariance)
         half_width = estimate.coverage_factor * np.sqrt(np.diagonal(spread, axis1=2, axis2=3))
-        errors = at.positions - truth.positions(setting.elsewhere, seed=setting.near)
+        errors = at.positions - truth.positions(setting.prediction_joints, seed=setting.prediction_passive)
     rows = (
         np.array([true.get(name, np.nan) for name in first.free_names]),
         estimate.values,
@@ -249,7 +249,7 @@ def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
 def _draw_without_answer(setting: _Setting) -> Draws:
     """One draw that gave no answer."""
     first = setting.first
-    n_free, at_targets = len(first.unknowns), (len(setting.elsewhere), len(first.nominal.target_names), 3)
+    n_free, at_targets = len(first.unknowns), (len(setting.prediction_joints), len(first.nominal.target_names), 3)
     shapes = ((n_free,),) * 4 + ((len(first.noise),),) + ((),) * 3 + (at_targets,) * 2
     return Draws(*(np.full((1, *shape), np.nan) for shape in shapes))
 

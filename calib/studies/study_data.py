@@ -5,9 +5,9 @@ Simulated. A true robot is measured at the same poses, with new noise in each dr
 Resampled (the bootstrap of poses). Each draw takes as many poses as were measured, at random with replacement. A pose
 brings all its visits and their readings; a pose that is drawn twice counts as two. Nothing is assumed of the noise, not
 even that it is the same everywhere. The scatter over the draws estimates how far the parameters would scatter if other
-poses of the same kind had been measured. It contains the noise, and errors beside the model as far as they differ from
-pose to pose. For many poses, the covariance over the draws is the sandwich H^-1 (sum over poses of g g^T) H^-1, with g
-the gradient of a pose's part of the cost.
+poses of the same kind had been measured. It contains the noise, and errors that the model leaves out as far as they
+differ from pose to pose. For many poses, the covariance over the draws is the sandwich H^-1 (sum over poses of g g^T)
+H^-1, with g the gradient of a pose's part of the cost.
 
 When that is wrong. An error that all poses share (an instrument's scale, a joint term left out that acts everywhere the
 same way) is in every draw, and shows in none. A draw holds about 63 % of the poses, so that with few poses for the
@@ -130,7 +130,7 @@ def simulated_draws(
 
     Args:
         robot: The nominal robot.
-        poses: Where to measure, as `Poses` or (n, n_actuated) [m or rad].
+        poses: Poses to measure, as `Poses` or (n, n_actuated) [m or rad].
         truth: The robot that is measured; `priors`: drawn anew from the priors of `robot` each time; None: `robot`.
         sigma: Noise of positions in place of what is stated [m].
         noise: Function that adds noise to exact measurements; None: the noise that the description states.

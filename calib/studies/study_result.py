@@ -15,7 +15,7 @@ from calib.core.base.parameter import Parameter
 from calib.core.base.units import millimetres
 from calib.core.base.words import as_data, count_noun, data_frame, listing, plain_text, text_table
 
-_TAIL = 0.05  # of chi-square, on both sides together
+_TAIL = 0.05  # chance of both tails of chi-square together
 _SURE = 4.0  # standard deviations beyond which a difference is no chance
 _SCREEN = 25  # most parameters whose table fits on a screen of 40 lines
 _SHOWN = 10  # parameters in the table where there are more
@@ -62,7 +62,7 @@ class Draws(ReadOnlyArrays):
 
     @property
     def has_answer(self) -> BoolArray:
-        """Which draws gave an answer, (n,)."""
+        """Mask of the draws that gave an answer, (n,)."""
         return np.isfinite(self.values[:, 0])
 
 
@@ -101,9 +101,9 @@ class Study(ReadOnlyArrays):
         robot: Name of the robot.
         free: The free parameters.
         groups: Names of the groups of rows, in the order of `draws.sigma`.
-        draws: What each draw gave.
+        draws: Results of the draws.
         failures: Reasons why draws gave no answer, one for each such draw.
-        n_poses: How many poses were measured.
+        n_poses: Number of measured poses.
         seed: Seed of everything random.
         seconds: Duration of the whole computation.
         resampled: Whether poses of real measurements were drawn again; else everything is simulated.
@@ -141,8 +141,8 @@ class Study(ReadOnlyArrays):
         error = draws.values - draws.truth
         spread = np.std(error, axis=0, ddof=1) if n > 1 else np.full(len(self.free), np.nan)
         claimed = np.sqrt(np.mean(draws.std**2, axis=0))
-        held = np.where(np.isnan(error), np.nan, np.abs(error) <= draws.half_width)
-        columns = (np.mean(error, axis=0), spread / np.sqrt(n), spread, claimed, np.mean(held, axis=0))
+        covered = np.where(np.isnan(error), np.nan, np.abs(error) <= draws.half_width)
+        columns = (np.mean(error, axis=0), spread / np.sqrt(n), spread, claimed, np.mean(covered, axis=0))
         scale = np.array([[parameter.per_si] * 4 + [1.0] for parameter in self.free])  # a coverage has no unit
         return tuple(
             ParameterStudy(parameter.name, parameter.unit, *map(float, numbers))

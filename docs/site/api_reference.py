@@ -152,7 +152,7 @@ def _names(package: str, names: list[str]) -> str:
 
 
 def _place(package: str, name: str) -> str:
-    """Where an object is defined, which is where its documentation stands."""
+    """Module that defines an object, and has its documentation."""
     thing = getattr(importlib.import_module(package), name)
     return f"{thing.__module__}.{thing.__qualname__}"
 

@@ -43,7 +43,7 @@ class Room:
 
     @property
     def modules(self) -> tuple[str, ...]:
-        """What is in it, by the names under which the picture shows them."""
+        """Its contents, by the names in the picture."""
         return tuple(
             path.stem
             for module, path in modules().items()

@@ -54,7 +54,7 @@ computation could not give an answer that can be trusted, and says why. An exist
 yellow, FAIL red) and the next command to type: the one that answers the first reason of the verdict, or that goes on.
 In files and pipes these lines are left out.
 
-**Completion.** Shells complete commands and options of `calib` after one of these lines; `medrue` likewise, with
+**Completion.** Shells complete commands and options of `calib` after one of these lines; `medrue` does the same with
 `_MEDRUE_COMPLETE`:
 
 ```sh

@@ -1,4 +1,4 @@
-"""How often a usual mistake in a file is seen, and named: simulated calibrations of four robots, one mistake in each.
+"""Rates at which usual mistakes in a file are found and named: simulated calibrations of four robots, each with one.
 
     python docs/site/mistake_rates.py [--every N] [--robots NAMES] [--only WORDS] [--kept FILE] [--page]
 
@@ -187,7 +187,7 @@ def _tool(nominal: calib.Robot, axis: int) -> Callable[[Array, Array], tuple[Arr
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was said of one mistake."""
+    """Messages about one mistake."""
 
     robot: str
     kind: str

@@ -128,7 +128,7 @@ def _forget_modules(folder: str) -> None:
 
 
 class _Session:
-    """What is remembered from block to block of a page."""
+    """State from block to block of a page."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

@@ -1,4 +1,4 @@
-"""What goes wrong between instrument, controller and file: columns, rows, units, digits, and the wrong robot."""
+"""Faults between instrument, controller and file: columns, rows, units, digits, and the wrong robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How often the verdict is right: simulated calibrations, healthy and faulty, and what is said of them.
+"""Rates at which the verdict is right: simulated calibrations, healthy and faulty, and their grades.
 
     python docs/site/verdict_rates.py [--each N] [--processes N] [--only WORDS] [--kept FILE] [--out FILE] [--page]
 

@@ -1,4 +1,4 @@
-"""What goes wrong with the instrument: noise, drifts, shifts, outliers, scales."""
+"""Faults of the instrument: noise, drifts, shifts, outliers, scales."""
 
 from __future__ import annotations
 

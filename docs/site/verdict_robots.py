@@ -1,4 +1,4 @@
-"""What goes wrong with the robot, and with the choice of poses."""
+"""Faults of the robot, and of the choice of poses."""
 
 from __future__ import annotations
 

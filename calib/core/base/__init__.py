@@ -1,1 +1,1 @@
-"""What every room stands on: arrays, units, errors, words, files, workers."""
+"""The base of every room: arrays, units, errors, words, files, workers."""

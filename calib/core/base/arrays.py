@@ -35,7 +35,7 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def hold(*arrays: NDArray[Any]) -> None:
-    """Make new arrays read-only, so that who keeps them needs no copies."""
+    """Make new arrays read-only, so that their owner needs no copies."""
     for array in arrays:
         array.flags.writeable = False
 
@@ -71,7 +71,7 @@ def numbers_in(given: ArrayLike, what: str) -> FloatArray:
 
     Args:
         given: The numbers, (..., n).
-        what: What they are, in the message.
+        what: Their name, in the message.
 
     Returns:
         The numbers, (..., n) as they were given.
@@ -85,7 +85,7 @@ def numbers_in(given: ArrayLike, what: str) -> FloatArray:
 
 
 class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
-    """A read-only array whose rows also have names: `limits["elbow"]` is `limits[1]`; what is taken of it is plain."""
+    """A read-only array whose rows also have names: `limits["elbow"]` is `limits[1]`; its parts are plain arrays."""
 
     _names: tuple[str, ...] = ()
 
@@ -136,7 +136,7 @@ class ReadOnlyArrays:
                 kept[name] = _read_only_copy(value)
 
     def _with(self, forgotten: tuple[str, ...] = (), **values: Any) -> Self:
-        """Return a copy in which some fields differ; what was computed of the others stays, but what is forgotten."""
+        """Return a copy with other values of some fields; cached results stay, except those to forget."""
         changed = object.__new__(type(self))
         changed.__dict__.update(self.__dict__)
         for name in forgotten:
@@ -150,7 +150,7 @@ class ReadOnlyArrays:
 
 
 class ReadAsArray(np.lib.mixins.NDArrayOperatorsMixin, ABC):
-    """Base of what is read as one array wherever NumPy takes arrays: `1e3 * residuals`, `predicted - measured`.
+    """Base of objects that NumPy reads as one array: `1e3 * residuals`, `predicted - measured`.
 
     A subclass says by `__array__` which array that is.
     """
@@ -160,7 +160,7 @@ class ReadAsArray(np.lib.mixins.NDArrayOperatorsMixin, ABC):
         """Return the array."""
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        """Compute with the arrays; where each of them would be repeated along the other, that is an `InputError`."""
+        """Compute with the arrays; an `InputError` where each would be broadcast along the other."""
         plain = [np.asarray(given) if isinstance(given, ReadAsArray) else given for given in inputs]
         shapes = [np.shape(given) for given in plain]
         with suppress(ValueError):  # shapes that do not fit: the function says so
@@ -179,7 +179,7 @@ class ReadAsArray(np.lib.mixins.NDArrayOperatorsMixin, ABC):
 
 
 def random_numbers(seed: int | np.random.Generator) -> np.random.Generator:
-    """Return where random numbers come from; a negative seed is an `InputError`."""
+    """Return a generator of random numbers; a negative seed is an `InputError`."""
     if isinstance(seed, int) and seed < 0:
         raise InputError(f"seed {seed}: must be zero or positive")
     return np.random.default_rng(seed)

@@ -11,7 +11,7 @@ from enum import Enum
 from typing import Self
 
 
-class Sureness(Enum):
+class Uncertainty(Enum):
     """Measures of uncertainty, in words."""
 
     COVARIANCE = "covariance of parameters"
@@ -28,70 +28,70 @@ class Contribution(Enum):
         "noise and priors",
         "noise of the readings and spread of the priors, propagated to the parameters",
         "numerics.statistics",
-        (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION, Sureness.GAIN),
+        (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN),
     )
     OFFSETS = (
         "offsets as weights",
-        "readings of a pose that share an offset weigh less, if that predicts other poses better",
+        "readings of a pose that share an error get less weight, where this predicts other poses better",
         "fitting.solving",
-        (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION, Sureness.GAIN),
+        (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN),
     )
     SCATTER = (
         "scatter of poses",
         "readings of a pose scatter together, more than independent ones would",
         "numerics.clusters",
-        (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION, Sureness.GAIN),
+        (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN),
     )
     SIZES = (
         "sizes of families",
         "the amplitude of a curve was estimated from the same readings",
         "numerics.prior_sizes",
-        (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION, Sureness.GAIN),
+        (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN),
     )
     REGIONS = (
         "regions left out",
         "parameters change by more than noise explains if a region or a setup is left out",
         "fitting.regions",
-        (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION),
+        (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION),
     )
     SECOND_ORDER = (
         "second order",
         "the model is not linear over the uncertainty of the parameters",
         "fitting.curvature",
-        (Sureness.INTERVAL,),
+        (Uncertainty.INTERVAL,),
     )
     UNDECIDED = (
         "undecided terms",
         "joint terms that the fit does not have and the data show or do not exclude; sizes of those that it has",
         "fitting.terms.kind_model",
-        (Sureness.INTERVAL, Sureness.POSITION),
+        (Uncertainty.INTERVAL, Uncertainty.POSITION),
     )
     JOINT_ERRORS = (
         "unexplained joint errors",
         "what the model leaves out, as an error of each joint that differs from pose to pose",
         "fitting.unexplained",
-        (Sureness.POSITION,),
+        (Uncertainty.POSITION,),
     )
     FRAME = (
         "frame",
         "positions are in the robot's own base frame, fitted to them; the uncertainty of that fit does not count",
         "rows.reported_uncertainty",
-        (Sureness.POSITION,),
+        (Uncertainty.POSITION,),
     )
     LEFT_OUT = (
         "poses left out",
         "errors of each pose, predicted by the fit of all others",
         "fitting.unseen_errors",
-        (Sureness.CLAIM,),
+        (Uncertainty.CLAIM,),
     )
     BEFORE_AND_AFTER = (
         "before and after",
         "errors at poses that were not used, after calibration compared with before",
         "judging.better_or_worse",
-        (Sureness.GAIN,),
+        (Uncertainty.GAIN,),
     )
 
-    def __new__(cls, name: str, counts: str, module: str, numbers: tuple[Sureness, ...]) -> Self:
+    def __new__(cls, name: str, counts: str, module: str, numbers: tuple[Uncertainty, ...]) -> Self:
         """Return a row of the table."""
         row = object.__new__(cls)
         row._value_, row.counts, row.module, row.numbers = name, counts, module, numbers
@@ -99,14 +99,14 @@ class Contribution(Enum):
 
     counts: str
     module: str
-    numbers: tuple[Sureness, ...]
+    numbers: tuple[Uncertainty, ...]
 
 
 Contributions = frozenset[Contribution]
 """Set of the contributions to a number."""
 
 
-def contributions_to(number: Sureness) -> Contributions:
+def contributions_to(number: Uncertainty) -> Contributions:
     """Return all contributions that a number may contain."""
     return frozenset(own for own in Contribution if number in own.numbers)
 
@@ -119,7 +119,7 @@ def names_of(contributions: Iterable[Contribution]) -> list[str]:
 
 def markdown_table() -> str:
     """Return the table of docs/uncertainty.md: mechanisms, and the numbers that contain them."""
-    numbers = list(Sureness)
+    numbers = list(Uncertainty)
     lines = [
         f"| mechanism | what it counts | {' | '.join(number.value for number in numbers)} |",
         f"|---|---|{'|'.join(':-:' for _ in numbers)}|",

@@ -25,7 +25,7 @@ class CalibrationError(Exception):
     """Base of every error that this package raises on purpose.
 
     Args:
-        message: What is wrong, where, and what to do; what it quotes of files is shown as far as a person reads it.
+        message: What is wrong, where, and what to do; long quotes of files are cut.
     """
 
     exit_code = 3
@@ -83,8 +83,8 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
     "; of 'elbow' there are: elbow.rz, elbow.x"
 
     Args:
-        name: What was given.
-        valid: What would have been accepted.
+        name: The given name.
+        valid: Accepted names.
         what: The words before the list.
     """
     names = sorted({str(item) for item in valid})
@@ -108,7 +108,7 @@ def nearest_column(name: str, columns: Collection[str], taken: Collection[str] =
 
     Args:
         name: The column.
-        columns: Those of the file.
+        columns: Columns of the file.
         taken: Of these, columns that mean something else and are not offered.
     """
     hint = nearest(name, [column for column in columns if column not in taken], "the file has")
@@ -129,7 +129,7 @@ def _alike(name: str, other: str) -> bool:
 
 
 def _closest(name: str, names: list[str]) -> str:
-    """The name that begins with the most of the same words, and of these the most alike; empty if none is close.
+    """The name with most words in common at the beginning, then the most similar one; empty if none is close.
 
     Beginnings count more than endings: of joints called `..._joint`, the ending says nothing.
     """

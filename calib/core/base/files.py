@@ -1,4 +1,4 @@
-"""Files: read up to a size that memory holds; written beside and then renamed, so that none is half overwritten."""
+"""Files: read up to a size that memory holds; written elsewhere and then renamed, so that none is half written."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def read_bytes(path: Path | str, expected: str, error: type[CalibrationError]) -
 
     Args:
         path: The file; also a pipe.
-        expected: What it should be, such as `a CSV file`.
-        error: What to raise.
+        expected: Expected kind, such as `a CSV file`.
+        error: Class of the error.
 
     Raises:
         CalibrationError: Of the given type: missing, unreadable, or larger than 256 MB.
@@ -55,11 +55,11 @@ def read_bytes(path: Path | str, expected: str, error: type[CalibrationError]) -
 
 
 def read_text(path: Path | str, expected: str, error: type[CalibrationError], *, growing: bool = False) -> str:
-    """Return the text of a file without the mark that some editors put first, and with one kind of line ends.
+    """Return the text of a file without byte order mark and with one kind of line ends.
 
     Args:
         path: The file.
-        expected: What it should hold, for the error.
+        expected: Expected content, for the error.
         error: Class of the error.
         growing: Whether the file is still written: a last line without its end is left out.
     """
@@ -113,7 +113,7 @@ def write_files(
         files: Content by path.
         comment: How comments of these files begin, if not as in tables or XML; see `calib.core.base.own_files.signed`.
             None: they get no line; a manifest in their folder says who wrote them.
-        inputs: What they were made from.
+        inputs: Files that they were made from.
         force: Replace what this program did not write, or has read, all the same.
 
     Raises:
@@ -160,7 +160,7 @@ def check_folder(path: Path | str, names: Collection[str] = (), *, force: bool =
 
     Args:
         path: The folder.
-        names: What will be written, as far as it is known.
+        names: Files that will be written, as far as they are known.
         force: See `write_folder`.
     """
     path = Path(path)
@@ -201,14 +201,14 @@ def write_folder(
 ) -> None:
     """Write a folder of files in one go; files of other names that were in it stay.
 
-    The new folder is completed beside the old one and takes its place in one step; see `calib.core.base.replacing`. A
+    The new folder is completed next to the old one and takes its place in one step; see `calib.core.base.replacing`. A
     manifest in it says what was written (`calib.core.base.own_files`).
 
     Args:
         path: The folder.
         files: Content by name.
         obsolete: Names of files that do not stay if they were there.
-        inputs: What the files were made from.
+        inputs: Files that they were made from.
         force: Replace what this program did not write, or has read, all the same.
 
     Raises:
@@ -231,7 +231,7 @@ def write_folder(
 
 
 def _check_replaceable(path: Path) -> None:
-    """Raise `OSError` for files, and for folders that cannot be exchanged for another one behind their users' backs."""
+    """Raise `OSError` for files, and for folders that must not be exchanged: the current folder and mount points."""
     if path.is_file():
         raise NotADirectoryError(errno.ENOTDIR, "is a file, not a folder")
     if path.suffix.lower() in _FILE_ENDINGS and not path.exists():

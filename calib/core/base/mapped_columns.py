@@ -1,4 +1,4 @@
-"""What a description says of a foreign column: whose it is, in which unit, with which sign, factor and zero."""
+"""Foreign columns as a description maps them: name here, unit, sign, factor and zero."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class MappedColumn:
     """A column: the robot's value is factor * cell + offset.
 
     Attributes:
-        name: Whose it is.
-        unit: Of cells without a unit of their own, and of the offset.
+        name: Joint or coordinate that it holds.
+        unit: Unit of the offset, and of cells that state none.
         factor: With its sign.
         offset: In that unit.
     """

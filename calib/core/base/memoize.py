@@ -1,9 +1,9 @@
 """Functions of an object that are computed once for each object, and remembered.
 
-As `functools.cached_property`, for functions that stand outside the class, in rooms that the class must not know.
+Like `functools.cached_property`, for functions outside the class, in rooms that the class must not import.
 Answers live in the object itself: they end with it, and go with it to other processes. `dataclasses.replace` makes a
-new object, which knows none. The object must not change. Of two threads that ask at once both may compute, and both get
-the same answer.
+new object, which knows none. The object must not change. Two threads may both compute an answer; both
+get the same one.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How much memory is free, and arrays that may be larger than that."""
+"""Free memory, and arrays that may be larger than that."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def zeros_with_room(shape: tuple[int, ...], what: str) -> FloatArray:
     part needs little memory. The file is gone with the array, however the program ends.
 
     Args:
-        shape: Of the array.
-        what: What it holds, for the message.
+        shape: Shape of the array.
+        what: Its content, for the message.
 
     Returns:
         The zeros, (n, ...).

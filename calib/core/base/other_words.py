@@ -1,7 +1,7 @@
 """Words of other packages, and what to write here: the table `other_words.txt`, behind errors and a page of the docs.
 
-There is one word for each thing in this package. Who asks a fit, a robot, measurements or a verdict for the word of
-another one, or types it as a command or an option, is told this one.
+There is one word for each thing in this package. A user who types the word of another
+package, as an attribute, a command or an option, gets a hint at the word here.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class UnknownNameError(InputError, AttributeError):
 
 
 class UnknownOptionError(InputError, TypeError):
-    """Something is used in another way than it is meant."""
+    """Something is used in an unintended way."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Words:
     Attributes:
         package: Whose words they are.
         words: The words.
-        here: What to write here, with what there is to say about it.
+        here: The word here, with remarks.
     """
 
     package: str
@@ -43,33 +43,33 @@ class Words:
 
 @functools.cache
 def tables() -> dict[str, tuple[Words, ...]]:
-    """Return all words, by where they are looked for; read when the first is."""
+    """Return all words by place; the table is read at the first use."""
     result: dict[str, tuple[Words, ...]] = {}
-    place = ""
+    section = ""
     for line in Path(__file__).with_suffix(".txt").read_text(encoding="utf-8").splitlines():
         if line.startswith("["):
-            place = line.strip("[]")
+            section = line.strip("[]")
         elif line and not line.startswith("#"):
             package, words, here = (cell.strip() for cell in line.split(" | "))
-            result[place] = (*result.get(place, ()), Words(package, tuple(words.split()), here))
+            result[section] = (*result.get(section, ()), Words(package, tuple(words.split()), here))
     return result
 
 
-def hint_for(word: str, place: str) -> str:
+def hint_for(word: str, section: str) -> str:
     """Return the hint for a word that another package uses, as the end of a message; empty without one.
 
     Args:
         word: The word.
-        place: Where it is looked for, as the table has it.
+        section: Where it is looked for, as the table has it.
     """
-    row = _row(word, place, str) or _row(word, place, _plain)
+    row = _row(word, section, str) or _row(word, section, _plain)
     return f"; here: {row.here.replace('`', '')}" if row else ""
 
 
-def _row(word: str, place: str, spelling: Callable[[str], str]) -> Words | None:
-    """The row of the table that has a word, of which spellings count as the same that this function makes the same."""
+def _row(word: str, section: str, spelling: Callable[[str], str]) -> Words | None:
+    """The row of the table that has a word. Spellings count as the same if this function makes them the same."""
     spelled = spelling(word)
-    return next((row for row in tables().get(place, ()) if spelled in map(spelling, row.words)), None)
+    return next((row for row in tables().get(section, ()) if spelled in map(spelling, row.words)), None)
 
 
 def _plain(word: str) -> str:
@@ -82,7 +82,7 @@ def _plain(word: str) -> str:
 
 
 class HintedObject:
-    """Base of what users hold: a name that it does not have is answered with the one that is meant.
+    """Base of objects that users hold: the error for an unknown attribute names the right one.
 
     Attributes:
         _other_words: Section of the table with what other packages call its attributes (class attribute).

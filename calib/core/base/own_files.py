@@ -1,4 +1,4 @@
-"""Which files may be replaced: those that this program wrote and that are unchanged since, but none that it has read.
+"""Files that may be replaced: those that this program wrote and that are unchanged since, but none that it has read.
 
 What is written alone ends in a line that names the program and the beginning of the digest of all other lines, in the
 comments of its format, or as the last entry of JSON. What is written as a folder has a file beside it with the digest
@@ -29,7 +29,7 @@ GCODE_COMMENT = ";"
 _MARK = re.compile(rb"written by \S+ \S+ \(sha256 of the rest begins ([0-9a-f]{16})\)")
 _OLD_LINES = re.compile(rb"^[#; <!-]*" + _MARK.pattern + rb"[ ->]*\n", re.MULTILINE)
 _END_OF_JSON = b"\n}\n"
-_LOOKS = 10  # at a folder that another program replaces meanwhile
+_LOOKS = 10  # looks at a folder that another program replaces meanwhile
 _inputs: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=None)
 """Device and number of each file that the present command has read; None where no command runs."""
 
@@ -114,7 +114,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def manifest_of(folder: Path, files: Mapping[str, bytes], obsolete: Collection[str]) -> bytes:
-    """Return the manifest of a folder once these files are in it, beside what else this program wrote there."""
+    """Return the manifest of a folder once these files are in it, with what else this program wrote there."""
     others = {name: digest for name, digest in read_manifest(folder).items() if (folder / name).is_file()}
     digests = {name: digest for name, digest in others.items() if name not in obsolete}
     digests |= {name: _digest(content) for name, content in files.items()}
@@ -129,8 +129,8 @@ def require_replaceable(
 
     Args:
         path: The file, which may be missing.
-        content: What shall be in it, if that is known.
-        inputs: Files that what is written was made from, beside those that the present command has read.
+        content: Its new content, if that is known.
+        inputs: Further files from which the output was made, which the present command has not read.
         force: Replace it all the same.
     """
     if force or not path.is_file():

@@ -46,7 +46,7 @@ class Parameter:
 
     @property
     def per_si(self) -> float:
-        """How many of `unit` make one SI unit."""
+        """Number of `unit` in one SI unit."""
         return PER_SI[self.dimension][self.unit]
 
     @property
@@ -71,7 +71,7 @@ class Parameter:
 
 
 class Parameters(tuple[Parameter, ...]):
-    """Parameters in their order, one of which is taken by its number or its name."""
+    """Parameters in their order; each is found by its number or its name."""
 
     def _own_parameters(self) -> list[str]:
         return [parameter.name for parameter in self]

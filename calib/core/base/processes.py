@@ -29,7 +29,7 @@ from typing import Any, TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _Work = tuple[Callable[..., Any], object, tuple[Any, ...], dict[str, Any]]
-"""A function, what stands for it where processes hold it (or None), and its arguments."""
+"""A function, the key under which processes hold it (or None), and its arguments."""
 
 
 class Processes(Executor):
@@ -62,9 +62,9 @@ class Processes(Executor):
         return self._submit((function, None, arguments, named))
 
     def holding(self, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:
-        """Return what submits calls of a function that is sent to each process once."""
-        held = object()
-        return lambda item: self._submit((function, held, (item,), {}))
+        """Return a submitter of calls of a function that is sent to each process once."""
+        key = object()
+        return lambda item: self._submit((function, key, (item,), {}))
 
     def _submit(self, work: _Work) -> Future[Any]:
         if not self._processes:
@@ -100,14 +100,14 @@ class Processes(Executor):
         """Give work to free processes."""
         for line in [line for line in self._processes if line not in self._busy]:
             while self._waiting and line not in self._busy:
-                future, (function, held, arguments, named) = self._waiting.popleft()
+                future, (function, key, arguments, named) = self._waiting.popleft()
                 if not future.set_running_or_notify_cancel():
                     continue
-                there = held is not None and self._held.get(line) is held
+                there = key is not None and self._held.get(line) is key
                 try:
-                    line.send((None if there else function, held is not None, arguments, named))
-                    if held is not None:
-                        self._held[line] = held
+                    line.send((None if there else function, key is not None, arguments, named))
+                    if key is not None:
+                        self._held[line] = key
                 except ConnectionError:
                     future.set_exception(self._replace_process(line))
                     break
@@ -172,9 +172,9 @@ def _without_interrupts() -> Iterator[None]:
 
 
 def _work(line: Connection) -> None:
-    """Do what is asked, until no more can be asked."""
+    """Do the work that comes through the pipe, until the pipe ends."""
     _end_with_parent()
-    held: Any = None
+    shared: Any = None
     while True:
         try:
             function, hold, arguments, named = line.recv()
@@ -184,9 +184,9 @@ def _work(line: Connection) -> None:
             line.send((error, None))
             continue
         if function is None:
-            function = held
+            function = shared
         elif hold:
-            held = function
+            shared = function
         try:
             line.send((None, function(*arguments, **named)))
         except Exception as error:  # of the work, or a result that cannot be sent

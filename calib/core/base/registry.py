@@ -40,7 +40,7 @@ def _find_entry_points(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, .
 
 
 def brought(group: str, name: str) -> Any:
-    """Return what is installed under a name of a group.
+    """Return the object installed under a name of a group.
 
     Raises:
         KeyError: Nothing is.
@@ -52,11 +52,11 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
     """Classes by name; first this package's in their order, then those that were registered, then other packages'.
 
     Args:
-        what: What such a class is, in words, such as `joint term`.
+        what: Kind of such a class, in words, such as `joint term`.
         group: Group of the entry points.
-        base: What each derives from.
+        base: Base class of each.
         built_in: This package's.
-        either: Methods of `base`, of which a class must define one.
+        either: Methods of `base`; a class must define one of them.
     """
 
     def __init__(
@@ -146,7 +146,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
 
 
 def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
-    """Return what reads an entry by the section of the class that its key names: metadata of `Annotated`.
+    """Return a validator that reads an entry by the section class that its key names: metadata of `Annotated`.
 
     Reading raises `ValueError` where the key names none.
     """

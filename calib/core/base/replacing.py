@@ -1,4 +1,4 @@
-"""Files and folders that are completed beside their place, and then take it in one step.
+"""Files and folders that are completed under another name, and then take their place in one step.
 
 A program can be ended at any moment, and two can write to one place. So what is at a place is only ever replaced as a
 whole: by renaming where nothing is there, and otherwise by exchanging the two names, which Linux does in one step
@@ -9,7 +9,7 @@ program that is killed between these two steps leaves the old one, whole, in a f
 writes there puts it back.
 
 Whoever completes something holds a lock on it, which ends with the program, however it ends. What nobody holds is a
-leftover of a program that was killed, and the next one that writes beside it removes it. While a folder is replaced,
+leftover of a program that was killed, and the next one that writes there removes it. While a folder is replaced,
 the folder above it is locked, so that what one program has set aside is never missing to another. File systems without
 locks keep their leftovers, and only the exchange is safe for two programs at once there.
 """

@@ -1,7 +1,7 @@
-"""What the sections of a robot description are made of: components of an origin, quantities with units.
+"""Parts of the sections of a robot description: components of an origin, quantities with units.
 
-Own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown. And how the YAML
-is read, so that a mistake is an error with its line, and a key given twice is a mistake.
+Own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown. And the reader of
+YAML: a mistake is an error with its line, and so is a key given twice.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Component = Literal["x", "y", "z", "rx", "ry", "rz"]
 LENGTH_COMPONENTS: tuple[Component, ...] = ("x", "y", "z")
 ANGLE_COMPONENTS: tuple[Component, ...] = ("rx", "ry", "rz")
 COMPONENTS = LENGTH_COMPONENTS + ANGLE_COMPONENTS
-_SCALE = 0.01  # by which an unknown length without any expectation is scaled [m]
+_SCALE = 0.01  # scale of an unknown length without any expectation [m]
 _KEYS = ("value", "sigma")
 _MERGE = "tag:yaml.org,2002:merge"
 _OPENCV_MATRIX = "tag:yaml.org,2002:opencv-matrix"
@@ -105,7 +105,7 @@ class FrameSection(Section):
 
 
 class PlaceSection(FrameSection):
-    """A frame on a link, of which position and orientation are known or not.
+    """A frame on a link; position and orientation are each known or not.
 
     Attributes:
         position: `known`: it is right there; `unknown`: found from the measurements, starting from `xyz`.
@@ -136,7 +136,7 @@ class PlaceSection(FrameSection):
 
 
 class PosedSection(FrameSection):
-    """A frame on a link, of which the whole pose is known or not.
+    """A frame on a link whose pose is known or not.
 
     Attributes:
         pose: `known`: it is right there; `unknown`: found from the measurements, starting from there.
@@ -166,7 +166,7 @@ class OwnLength:
     """A length that belongs to an instrument.
 
     Attributes:
-        value: What it is, or is expected to be [m].
+        value: Its actual or expected length [m].
         unknown: Whether the measurements must find it.
         sigma: How far an unknown one may be from `value`, one standard deviation [m]; None: the value says nothing.
     """
@@ -179,7 +179,7 @@ class OwnLength:
         """Return it as an unknown of an instrument; nothing if it is known.
 
         Args:
-            name: Of the parameter.
+            name: Name of the parameter.
             start: Nominal value where nothing is expected [m].
         """
         if not self.unknown:
@@ -227,11 +227,11 @@ def _positive(length: OwnLength) -> OwnLength:
 
 
 PositiveLengthOrUnknown = Annotated[LengthOrUnknown, AfterValidator(_positive)]
-"""The same of what begins at a positive length."""
+"""The same for a positive length."""
 
 
 class _Loader(yaml.SafeLoader):
-    """The YAML that is read here: no key twice, of which YAML silently keeps the last, and no boundless aliases."""
+    """The YAML that is read here: without boundless aliases, and without a key twice (YAML silently keeps the last)."""
 
     def compose_document(self) -> yaml.Node | None:
         """Return the nodes of a document; aliases that make much more of it, or contain themselves, are an error."""
@@ -290,7 +290,7 @@ def read_yaml(path: Path | str, what: str = "a robot description (YAML) or a URD
 
     Args:
         path: The file.
-        what: It should be, for messages.
+        what: Expected content, for messages.
 
     Raises:
         DescriptionError: Missing or unreadable file, or broken YAML; the message names the line.

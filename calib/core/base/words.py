@@ -1,4 +1,4 @@
-"""What people read: numbers and lists in sentences, tables as plain text, for notebooks (HTML) and for pandas."""
+"""Text for people: numbers and lists in sentences, tables as plain text, for notebooks (HTML) and for pandas."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def joints_named(*names: str, separator: str = ", ", shown: int = _LISTED) -> st
     """Return joints by their names, after the word `joint` unless their names begin with it.
 
     Args:
-        names: Of the joints.
-        separator: What stands between them.
+        names: Names of the joints.
+        separator: Text between them.
         shown: How many are named.
 
     Examples:
@@ -92,7 +92,7 @@ def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) 
 
     Args:
         parts: In the order of printing.
-        width: Of the tables, in characters.
+        width: Width of the tables, in characters.
         wrap: Whether lines of text are broken at this width too.
     """
     stream = io.StringIO()
@@ -119,9 +119,9 @@ def text_table(
     """Return an empty table for `plain_text`.
 
     Args:
-        headers: Of its columns.
+        headers: Headers of its columns.
         left: Those of them whose cells stand on the left; numbers stand on the right.
-        title: What stands above it.
+        title: Title above it.
         plain: Whether it has no lines.
     """
     style: dict[str, Any] = {"box": None, "pad_edge": False} if plain else {}

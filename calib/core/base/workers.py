@@ -35,7 +35,7 @@ Progress = Callable[[int, int], None]
 
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
 _AHEAD = 256  # pieces of work sent at a time: each carries what it needs, and its result waits for those before it
-_LOSSES = 3  # of the same piece of work in a row; the work itself then ends its workers
+_LOSSES = 3  # losses of the same piece of work in a row; the work itself then ends its workers
 
 
 def results_in_order(
@@ -51,8 +51,8 @@ def results_in_order(
 
     Args:
         function: Of a module, so that other processes find it. Neither it nor the caller may change what it works on.
-        items: What to call it with.
-        executor: Who works; this process if not given.
+        items: Its arguments.
+        executor: The executor; this process if not given.
         progress: Told after each item.
 
     Raises:
@@ -96,9 +96,9 @@ def _result(
         except Exception as lost:
             if losses == _LOSSES:
                 raise ComputationError(
-                    f"workers were lost {losses} times at the same work ({type(lost).__name__}: {lost}); is there"
-                    " enough memory for each of them, are functions of your own in a module, and does a program that"
-                    " starts processes do so under `if __name__ == '__main__':`?"
+                    f"workers ended {losses} times at the same work ({type(lost).__name__}: {lost}). Give each of them"
+                    " more memory; put functions of your own into a module; start processes under"
+                    " `if __name__ == '__main__':`"
                 ) from lost
             for other, sent in futures.items():
                 if _is_lost(sent):
@@ -111,7 +111,7 @@ def _result(
 
 
 def _sender(executor: Executor, function: Callable[[Item], Result]) -> _Send[Item]:
-    """How an item is sent: without the function, where the workers hold it."""
+    """An item as it is sent: without the function, where the workers hold it."""
     if isinstance(executor, Processes):
         return executor.holding(partial(_answer, function))
     client = getattr(executor, "_client", None)  # of Dask
@@ -145,7 +145,7 @@ def _is_lost(future: _Sent) -> bool:
 
 
 class Steps:
-    """Tells how many steps of a long call are done, and of how many: of those known by now.
+    """Counts the steps of a long call: how many are done, of how many that are known so far.
 
     Args:
         progress: Called after each step; no call if not given.
@@ -167,7 +167,7 @@ class Steps:
 
 
 class Workers:
-    """Who works inside a `with` block, which gives the executor; None where this process does the work.
+    """Workers for a `with` block, which gives the executor; None where this process does the work.
 
     Processes of its own live as long as the block. They start at once, so that they are ready when the work is.
     Programs that start some need the usual `if __name__ == "__main__"`, because each process imports them again.

@@ -43,8 +43,8 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.terms import parse_terms
 
 PROVING = 5
-"""Folds if none are asked for, and only poses left out can prove the result."""
-_OF_ONE_FIT = 3  # steps that are told: base and targets placed, the minimum found, the result judged
+"""Folds if none are requested, and only poses left out can prove the result."""
+_OF_ONE_FIT = 3  # steps that are reported: base and targets placed, the minimum found, the result judged
 _EXCLUSION_ROUNDS = 5
 
 
@@ -63,8 +63,8 @@ def calibrate(
         robot: The nominal robot.
         data: Measurements to identify with.
         validation: Measurements to judge the result with, or None.
-        settings: How.
-        executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
+        settings: Options of the fit.
+        executor: Executor of the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
         progress: Told after each step how many are done, and of how many that are known by then. Steps are: base and
             targets placed, the minimum found, its uncertainty and errors known; the sizes of terms, with a fit of its
@@ -102,7 +102,7 @@ def _run_steps(
                 robot = entry.load()(robot, data, settings, section)
         if minimum is None or minimum.robot is not robot or settings.starts > 1 or unseen(robot, data, validation):
             minimum = minimum_of(robot, settings, data, validation, workers, steps, nearby)
-        else:  # what was found without further terms is the minimum
+        else:  # the fit without further terms is the minimum
             steps.advance()
             steps.advance()
         fit = fit_at(minimum, settings, validation, steps)
@@ -156,7 +156,7 @@ def _with_terms(
 
 
 def _require_measurements(data: object, validation: object) -> None:
-    """Say what was expected of a caller whose types were not checked."""
+    """Raise an error that states the expected types, for callers without type checks."""
     for name, given in (("data", data), ("validation", validation)):
         if not isinstance(given, Measurements) and not (given is None and name == "validation"):
             raise InputError(
@@ -190,7 +190,7 @@ def _without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Me
             excluded.append(replace(outlier, reading=reading, pose=int(own[number])))
         for name, gone in readings_of_outliers(outliers, now).items():
             left = np.delete(kept[name], gone)
-            kept[name] = left[np.argsort(data.readings[name].visits[left], kind="stable")]  # as a subset has them
+            kept[name] = left[np.argsort(data.readings[name].visits[left], kind="stable")]  # order of a subset
         current = again(data.with_readings(kept))
     if not excluded:
         return first

@@ -41,8 +41,8 @@ from calib.core.robots.robot_files import lost_by, without_terms
 from calib.core.robots.terms.one_coefficient import Zero
 from calib.core.robots.terms.term import Joint, TermSection
 
-_NOTHING = 1e-12  # of a joint zero, and of how far joints moved, squared [m or rad]
-_SAME = 1.0 + 1e-6  # times the error of the nominal robot, beside `COMPUTED`: where rounding would decide
+_NOTHING = 1e-12  # joint zero, or squared motion of joints, that counts as none [m or rad]
+_SAME = 1.0 + 1e-6  # times the error of the nominal robot, and `COMPUTED`: where rounding would decide
 
 
 @one_blas_thread
@@ -54,7 +54,7 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
     Args:
         fit: The fit.
         settings: How it was done.
-        executor: Who does the fits of other starts and of folds, as in `calib.core.calibrating.calibrate.calibrate`.
+        executor: Executor of the fits of other starts and of folds, as in `calib.core.calibrating.calibrate.calibrate`.
     """
     started, reduced = time.perf_counter(), dict[Holds, Fit]()
     kinds = [holds for holds in (Holds.TABLES, Holds.ORIGINS) if lost_by(fit.robot, holds)]
@@ -63,14 +63,14 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
         for holds in kinds:
             robot = start_of(fit, holds)
             if robot.terms or holds is Holds.ORIGINS:
-                with suppress(CalibrationError):  # then there is no such file, and who asks for one is told
+                with suppress(CalibrationError):  # then there is no such file, and asking for one is an error
                     reduced[holds] = _refit(fit, robot, settings, workers)
     fit = replace(fit, reduced=reduced, seconds=fit.seconds + time.perf_counter() - started)
     return JudgedFit.from_fit(replace(fit, robot=replace(fit.robot, files=FitFiles(fit, settings))))
 
 
 def start_of(fit: Fit, holds: Holds) -> Robot:
-    """Return the robot that a fit began with, without the joint terms that files lose which hold so much.
+    """Return the robot that a fit began with, without the joint terms that such files lose.
 
     The nominal one, where its values belong to these terms, as those of an earlier result.
     """
@@ -93,7 +93,7 @@ def _refit(
         fit: The fit.
         robot: The robot.
         settings: How the fit was done.
-        workers: Who does the fits of other starts and of folds.
+        workers: Workers for the fits of other starts and of folds.
         signs: With which sign joints count, (n_actuated,).
         intervals: Whether anybody reads its intervals.
     """
@@ -176,11 +176,11 @@ class FitFiles(Mapping[Holds, FileRobot]):
         nominal, signs = without_terms(self._fit.nominal, Holds.ZEROS).with_nominal_values(), self._signs()
         fitted = self._refit(with_zeros(nominal), signs)
         offsets = fitted.robot.values[fitted.robot.coefficients]
-        offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)  # what base and targets took up
+        offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)  # errors that base and targets took up
         return replace(file_robot(fitted), values={}, signs=signs, offsets=offsets)
 
     def _signs(self) -> FloatArray:
-        """With which sign joints count, (n_actuated,): -1 where one moves against its commands."""
+        """Signs of the joints, (n_actuated,): -1 where one moves against its commands."""
         fit, commands = self._fit, self._fit.identification.data.joints
         actual = actual_joints(fit.robot, commands, fit.configurations.term_columns)[:, : commands.shape[1]]
         moved, errors = commands - commands.mean(axis=0), actual - commands
@@ -201,7 +201,7 @@ def with_zeros(nominal: Robot) -> Robot:
 
 
 def file_robot(fit: Fit) -> FileRobot:
-    """Return the robot of a fit as files get it that hold all of that.
+    """Return the robot of a fit for files that hold all of this.
 
     If only places were sought, it is the nominal robot, and no worse than that.
     """

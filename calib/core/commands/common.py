@@ -1,4 +1,4 @@
-"""What all commands share: options, one-line errors with exit codes, JSON output, progress, files of poses."""
+"""Options, one-line errors with exit codes, JSON output, progress and files of poses, for all commands."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _LINE_EVERY = 60.0  # [s] between lines on how far long work is, where no termin
 
 @dataclass(frozen=True)
 class Output:
-    """Where a command prints, and what it may write.
+    """Output of a command: its stream, and the files that it may write.
 
     Attributes:
         quiet: Print nothing but errors.
@@ -99,9 +99,9 @@ class Output:
         """Raise `InputError` now if something could not be written later. All that is read has been read by then.
 
         Args:
-            files: Files to write, beside that of --json.
+            files: Files to write, other than that of --json.
             folders: Folders to write.
-            names: What will be in them, as far as it is known.
+            names: Their content, as far as it is known.
         """
         targets = [file for file in (*files, self.json_target) if file not in (None, "-")]
         for file in targets:
@@ -111,13 +111,13 @@ class Output:
             check_folder(folder, names, force=self.force)
         places = [Path(str(file)).resolve() for file in targets]
         places += [Path(folder, name).resolve() for folder in given for name in names]
-        for place in places:
-            if places.count(place) > 1 and (place.is_file() or not place.exists()):
-                raise InputError(f"{place}: is to be written twice; give each output a place of its own")
+        for path in places:
+            if places.count(path) > 1 and (path.is_file() or not path.exists()):
+                raise InputError(f"{path}: is to be written twice; give each output a place of its own")
 
     @contextmanager
     def working(self, what: str) -> Iterator[Progress]:
-        """Show a spinner on a terminal while something takes its time; tell what is given how far it is.
+        """Show a spinner on a terminal during long work; yields a function that takes the progress.
 
         Where standard error is a file, it gets a line a minute.
         """
@@ -152,7 +152,7 @@ def shared_options(
 
     Args:
         json_output: Whether the command prints a table, and so takes --json FILE.
-        forced: What --force does.
+        forced: Effect of --force.
 
     Returns:
         A decorator. The command that it makes raises `OneLineError` for every error, but with --debug the error itself.
@@ -208,7 +208,7 @@ def shared_options(
 
 
 class _ToStandardError(logging.Handler):
-    """Prints what the library warns of, in one line, as other notes."""
+    """Prints warnings of the library as notes, one line each."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print it."""

@@ -1,4 +1,4 @@
-"""Where a robot comes from that is no URDF: what a capability or another package brings to `calib init`.
+"""Sources of robots other than URDFs: the plug-ins of capabilities and other packages for `calib init`.
 
 An entry of the group `calib.first_descriptions` is a `FirstFiles`, called like its option.
 """
@@ -18,9 +18,9 @@ class FirstFiles:
 
     Attributes:
         help: Of the option.
-        target: What to tell who names a target, such as `a printer has its nozzle`.
+        target: Message where a target is named, such as `a printer has its nozzle`.
         write: Writes description, URDF and measurements: the file, the texts of `--length`, the description to write.
-        lengths: What to say of `--length` for such files; empty: they take none.
+        lengths: Text on `--length` for such files; empty: they take none.
     """
 
     help: str

@@ -180,7 +180,7 @@ def command(
 
 
 def _result_lines(folder: Path) -> str:
-    """Where the result is, and its files that people open first."""
+    """Place of the result, and its files that people open first."""
     names = ("report.html", "viewer.html", "calibrated.urdf", "result.json")
     return f"Written to {folder}: {', '.join(name for name in names if (folder / name).exists())} and others"
 

@@ -144,14 +144,14 @@ def command(
             raise InputError(f"--target is for a URDF or a table; {_SOURCES[name].target}")
         _SOURCES[name].write(file, lengths, Path(out), output)
         return
-    beside = Path(out).with_suffix(".urdf") if dh or template else None
-    if template and beside:
-        output.check(out, str(beside))
-        _write_template(template, lengths, beside, Path(out), output)
-        output.say(f"{beside} and {out} written; they work as they are, and comments say what to change")
+    urdf_out = Path(out).with_suffix(".urdf") if dh or template else None
+    if template and urdf_out:
+        output.check(out, str(urdf_out))
+        _write_template(template, lengths, urdf_out, Path(out), output)
+        output.say(f"{urdf_out} and {out} written; they work as they are, and comments say what to change")
         return
-    if dh and beside:
-        text = parse_urdf(urdf_text(read_dh(dh, convention), Path(dh).stem).encode(), str(beside))
+    if dh and urdf_out:
+        text = parse_urdf(urdf_text(read_dh(dh, convention), Path(dh).stem).encode(), str(urdf_out))
     else:
         text = read_urdf(str(urdf), arguments)
     how = MEASURES[measure] if measure else None
@@ -159,11 +159,11 @@ def command(
     to_print = (
         Path(out).with_name(f"{Path(out).stem}_board.yaml") if measure == "camera" and not _is_file(board) else None
     )
-    output.check(out, *(str(file) for file in (beside, sheet, to_print) if file is not None))
+    output.check(out, *(str(file) for file in (urdf_out, sheet, to_print) if file is not None))
     relative = os.path.relpath(Path(text.path).resolve(), Path(out).resolve().parent)
     described, remark = first_description(text, relative, target or (LAST_LINK if dh else None))
     described = described.model_copy(update={"xacro": arguments}) if arguments else described
-    files, words = {beside: text.source} if beside else {}, None
+    files, words = {urdf_out: text.source} if urdf_out else {}, None
     if measure == "camera":
         plain = _load_unwritten(text, description_text(text, described))
         boards, words = brought("calib.measures", measure)(plain, board, camera, to_print, Path(out))
@@ -174,8 +174,8 @@ def command(
         filled = plain if how.read_apart else _load_unwritten(text, description.decode())
         files[sheet] = _empty_sheet(filled, how).encode()
     write_files(files, force=output.force)
-    if beside:
-        output.say(f"{beside} written, from the table")
+    if urdf_out:
+        output.say(f"{urdf_out} written, from the table")
     output.say(f"{out} written; it works as it is, and its comments say what to change")
     if to_print is not None:
         output.say(f"{to_print} written: the board; change it to yours, then print it: calib board --board {to_print}")

@@ -1,4 +1,4 @@
-"""What commands say at the end: what the grade means, and the next command to type."""
+"""The end of a command's output: meaning of the grade, and the next command to type."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ def advice_after_fit(
     Args:
         fit: The fit.
         robot: ROBOT, as it was typed.
-        data: DATA, likewise.
-        out: Where the result is.
+        data: DATA, as it was typed.
+        out: Folder of the result.
         typed: Options, as `options_as_typed` has them.
-        written: Whether it is there, and is not only a proposal.
+        written: Whether the result was written; if not, `out` is a proposal.
     """
     grade, step = judge(fit).grade, next_step(fit)
     noise = {name: typed[name] for name in NOISE if name in typed}

@@ -24,7 +24,7 @@ from calib.core.robots.configurations import near_singularities
 from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 _FURTHER = 1.05
-"""Errors expected at the poses asked for, over those at poses like those measured, from which both are told apart."""
+"""Ratio of errors expected at these poses to those at poses like those measured, from which both are reported."""
 
 
 @click.command("predict")
@@ -78,7 +78,7 @@ def _expected_error(claim: dict[str, Any] | None, known: dict[str, Any]) -> tupl
     """Return how far off the tool is at these poses, as data and in words; None, and nothing, where that is not known.
 
     Args:
-        claim: What the fit claims, as in `result.json`.
+        claim: The claim of the fit, as in `result.json`.
         known: Summary of how well positions are known at these poses [mm].
     """
     if not claim or not claim.get("is_position") or None in (claim["limit95"], claim.get("known")):
@@ -97,6 +97,6 @@ def _with_uncertainty(
 ) -> tuple[str, dict[str, Any], str]:
     """Return the CSV text with standard deviations, their summary [mm], and what to add to it."""
     predicted = known.predict(poses.joints, poses.conditions)
-    measured = predicted.measured or predicted  # what is written is where the instruments see it
+    measured = predicted.measured or predicted  # positions are written as the instruments see them
     text = format_positions(known.robot, poses, measured.positions, comment, measured.std)
     return text, predicted.table() | {"worst_pose": poses.names[predicted.worst]}, predicted.remark()

@@ -32,7 +32,7 @@ def _usage(error: click.UsageError, path: str) -> str:
     """The error of a command line in one line; with what to write in place of an option or a command of other packages.
 
     Args:
-        error: What was wrong.
+        error: The error.
         path: The command with the program's name, such as `calib fit`.
     """
     typed = error.option_name if isinstance(error, click.NoSuchOption) else getattr(error, "command_name", "")

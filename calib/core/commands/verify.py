@@ -21,7 +21,7 @@ from calib.core.results.result_reading import load_result
 from calib.core.robots.robot import Robot
 
 _NOT_AS_PROMISED = 3
-_DIGITS = 8  # of joint values that are the same in two files [m or rad]
+_DIGITS = 8  # decimals to which joint values of two files are compared [m or rad]
 
 
 @click.command("verify")
@@ -77,8 +77,8 @@ def command(
     again = sum(tuple(q) in used for q in np.round(measured.joints, _DIGITS))
     if again:
         output.note(
-            f"note: {again} of {count_noun(len(measured), 'visit')} have joint values that the calibration used;"
-            " readings taken anew there show whether the robot has changed; those that it used prove nothing"
+            f"note: {again} of {count_noun(len(measured), 'visit')} have joint values that the calibration used. New"
+            " readings there show whether the robot has changed; readings that it used do not"
         )
     with output.working(f"judging {count_noun(measured.n_readings, 'reading')}"):
         acceptance = verify(promise, measured, same_setup=same_setup)

@@ -1,1 +1,1 @@
-"""Files of poses, measurements and parameters, and what they hold."""
+"""Files of poses, measurements and parameters, and their content."""

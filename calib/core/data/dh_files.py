@@ -3,8 +3,8 @@
 One row for each joint, in the order of the chain: `joint`, `type` (revolute, prismatic or fixed), `theta`, `d`, `a`,
 `alpha` and, where it is needed, `beta`, with units in the header; `offset` (added to theta or d), `sign` (1 or -1),
 `lower`, `upper`. Cells of `offset`, `lower` and `upper` may carry their own unit, such as `250 mm`, because they are
-lengths in one row and angles in another. A comment `# convention: standard` or `# convention: modified` says how the
-rows are meant, because nothing else in a table does.
+lengths in one row and angles in another. A comment `# convention: standard` or `# convention: modified` says which
+convention the rows follow, because nothing else in a table does.
 """
 
 from __future__ import annotations

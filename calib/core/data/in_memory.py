@@ -34,7 +34,7 @@ def as_poses(robot: RobotLike, poses: PosesLike, names: Sequence[str] | None = N
     """Return joint values as `Poses`, named by their row if they have no names.
 
     Args:
-        robot: Whose joints they are; loaded, or its description or URDF.
+        robot: Robot with these joints; loaded, or its description or URDF.
         poses: Poses with names; a file or a data frame, with headers as in files; or actuated joints alone,
             (n_poses, n_actuated) [m or rad].
         names: Pose names of joint values, n_poses of them.
@@ -68,10 +68,10 @@ def as_measurements(
     readings: ArrayLike | Mapping[str, ArrayLike | Readings] | None = None,
     names: Sequence[str] | None = None,
 ) -> Measurements:
-    """Return what was read as `Measurements`; rows with the same pose name repeat that pose.
+    """Return readings as `Measurements`; rows with the same pose name repeat that pose.
 
     Args:
-        robot: Whose joints and instruments they are.
+        robot: Robot with these joints and instruments.
         poses: Poses with names, or actuated joints alone, (n, n_actuated) [m or rad]. Without `readings`: measurements,
             which are returned as they are; or a file or a data frame of them (`read_measurements`); or several.
         readings: Readings by the instrument's name, a row for each pose, (n, n_values) [SI], NaN where there is none.
@@ -125,7 +125,7 @@ def _as_measurements(robot: Robot, given: object) -> Measurements:
 
 
 def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measurements:
-    """Return measurements of which every row states the noise of its positions.
+    """Return measurements whose rows all state the noise of their positions.
 
     Args:
         robot: Its instruments say what else is read, and how well that is known.
@@ -134,7 +134,7 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
 
     Raises:
         DataError: Not one for each row, or not positive.
-        InputError: Nothing measures positions, or what is read beside them states no noise.
+        InputError: Nothing measures positions, or other readings state no noise.
     """
     values = np.asarray(sigma, dtype=float)
     if values.shape not in ((len(data),), (len(data), 3)):

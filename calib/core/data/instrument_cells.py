@@ -96,7 +96,7 @@ def labels_of_rows(table: Table) -> list[str]:
 
 
 def _is_labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArray:
-    """Which rows belong to an instrument by its label column; all rows without one, (n_table_rows,)."""
+    """Mask of an instrument's rows by its label column, (n_table_rows,); all rows without one."""
     column = instrument.label_column
     if column is None:
         return np.ones(len(table.rows), dtype=bool)

@@ -1,6 +1,6 @@
-"""Where the table begins in files of other programs: lines above the header, a row of units below it, worksheets.
+"""Begin of the table in files of other programs: lines above the header, a row of units below it, worksheets.
 
-Programs of trackers and coordinate machines write what was measured with what above the table: SpatialAnalyzer behind
+Programs of trackers and coordinate machines write facts about the measurement above the table: SpatialAnalyzer behind
 `//`, others as plain lines. A header is a line without a number, and the lines below it have as many cells, with a
 number in the first few. The first line is the header if it is one, and no other is wider; else the widest, and the
 lines above it are comments. Two that are as wide are refused.
@@ -43,12 +43,12 @@ def cells_of(line: str, separator: str) -> tuple[str, ...]:
     """
     if '"' in line or len(line) > csv.field_size_limit():
         return tuple(next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)))
-    cells = line.split(separator)  # what csv does, in a third of the time
+    cells = line.split(separator)  # as csv does, in a third of the time
     return tuple([cell.lstrip(" ") for cell in cells] if " " in line else cells)
 
 
 def separator_of(line: str) -> str:
-    """Return what stands between the cells of a header: comma, semicolon or tab."""
+    """Return the separator of the cells of a header: comma, semicolon or tab."""
     return max(SEPARATORS, key=re.sub('"[^"]*"', "", line).count)
 
 
@@ -94,7 +94,7 @@ def _unit(cell: str) -> str | None:
 
 
 def _header_width(lines: Sequence[str], line_numbers: Sequence[int]) -> int:
-    """How many columns a line has if it is a header, 0 if it is none; of it and the lines below it."""
+    """Number of columns of a header; 0 if the first of these lines is none."""
     separator = separator_of(lines[line_numbers[0]])
     names, *below = [_split_cells(lines[k], separator) for k in line_numbers]
     filled = [name.strip() for name in names if name.strip()]
@@ -116,7 +116,7 @@ def _has_only_numbers(cells: Sequence[str]) -> bool:
 def _split_cells(line: str, separator: str) -> tuple[str, ...]:
     try:
         return cells_of(line, separator)
-    except csv.Error:  # of which the table says where, when it is read
+    except csv.Error:  # the table says where, when it is read
         return (line,)
 
 
@@ -147,20 +147,20 @@ def workbook_lines(path: Path | str) -> list[str]:
         ) from None
     content = read_bytes(path, "a workbook", DataError)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of styles and checks that are not read
+        warnings.simplefilter("ignore")  # warnings of styles and checks that are not read
         try:
             book = load_workbook(io.BytesIO(content), read_only=True, data_only=True)
             sheets = {sheet.title: [tuple(row) for row in sheet.iter_rows()] for sheet in book.worksheets}
             book.close()
-        except Exception as error:  # of zip files and XML, whatever a broken file makes of them
+        except Exception as error:  # errors of zip files and XML, for any broken file
             reason = f"{type(error).__name__}: {error}".splitlines()[0]
             raise DataError(f"{path}: is not a workbook that can be read ({reason:.120})") from None
     filled = {title: rows for title, rows in sheets.items() if any(cell.value is not None for r in rows for cell in r)}
     if len(filled) != 1:
         names = ", ".join(f"'{title}'" for title in filled)
         raise DataError(
-            f"{path}: {f'the sheets {names} have cells' if filled else 'has no cells'}; give a workbook with one sheet"
-            " of measurements, or save that sheet as CSV"
+            f"{path}: {f'several sheets have data: {names}' if filled else 'has no data'}; give a workbook with one"
+            " sheet of measurements, or save that sheet as CSV"
         )
     ((title, rows),) = filled.items()
     return _as_lines(f"{path}, sheet '{title}'", rows)

@@ -46,7 +46,7 @@ def cells_of(values: FloatArray) -> list[object]:
 def condition_columns(
     robot: Robot, n_visits: int, setups: IntArray | None, context: Mapping[str, FloatArray]
 ) -> dict[str, list[object]]:
-    """Return in which setup and under which conditions visits were made; see `calib.core.data.measurements.Poses`."""
+    """Return setups and conditions of visits; see `calib.core.data.measurements.Poses`."""
     columns: dict[str, list[object]] = {}
     names = list(robot.description.setups)
     if names:
@@ -59,7 +59,7 @@ def condition_columns(
 
 
 def approach_columns(robot: Robot, approach: FloatArray | None) -> dict[str, list[object]]:
-    """Return directions of approach (n, n_actuated) where they are given, of the joints of which any is known.
+    """Return directions of approach (n, n_actuated), for joints with at least one known direction.
 
     A column says that they are given, also where none is known.
     """
@@ -102,7 +102,7 @@ def _noise_columns(instrument: Instrument, covariance: FloatArray) -> dict[str, 
 def reading_columns(
     robot: Robot, n_visits: int, all_readings: Mapping[str, Readings]
 ) -> tuple[IntArray, dict[str, list[object]]]:
-    """Return the visit of each line of the table, (n_lines,), and what was read, by instrument.
+    """Return the visit of each line of the table, (n_lines,), and the readings, by instrument.
 
     Raises:
         DataError: Simulated readings of an instrument that reads no numbers.
@@ -135,7 +135,7 @@ def reading_columns(
 
 
 def _lines(robot: Robot, n_visits: int, all_readings: Mapping[str, Readings]) -> tuple[IntArray, dict[str, IntArray]]:
-    """The visit of each line, and the line of each reading; what shares columns needs lines of its own."""
+    """The visit of each line, and the line of each reading; instruments that share columns need lines of their own."""
     sharing: dict[str, list[str]] = {}
     for instrument in robot.instruments:
         if instrument.name in all_readings:

@@ -63,7 +63,7 @@ def read_poses(path: Source, robot: RobotLike) -> Poses:
 def read_measurements(
     path: Source | Sequence[Source], robot: RobotLike, *, growing: Sequence[str] | None = None
 ) -> Measurements:
-    """Read joint values and what the instruments read; rows with the same `pose` repeat one pose.
+    """Read joint values and readings; rows with the same `pose` repeat one pose.
 
     Args:
         path: The file, or several that belong together; see the module docstring. Or data frames of pandas or polars,
@@ -122,7 +122,7 @@ def read_measurements(
 
 
 def sources(given: Source | Sequence[Source]) -> list[Source]:
-    """Return the tables that are given, one or several; what is no table is an `InputError`."""
+    """Return the given tables, one or several; anything else is an `InputError`."""
     if isinstance(given, (str, Path)) or is_columns(given):
         return [given]
     several = list(cast(Sequence[Source], given))
@@ -140,8 +140,8 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
 
     Args:
         table: The table.
-        robot: Whose joints they are.
-        used: Columns that something is read from, beside joints and what is known of a visit.
+        robot: Robot with these joints.
+        used: Columns that something is read from, other than joints and conditions of a visit.
         first: Visits before the first row.
 
     Raises:
@@ -189,15 +189,15 @@ def _check_gravity(poses: Poses, robot: Robot, table: Table) -> None:
 
 
 def stands_of_table(table: Table, robot: Robot, setups: IntArray | None) -> dict[str, FloatArray]:
-    """Return what joints are that inclinometers read, where the others are to be found, (n,) [rad] by name.
+    """Return the joint values that inclinometers read, where the other joints are unknown, (n,) [rad] by name.
 
     Args:
         table: The table, with columns of these joints or of their sensors.
-        robot: Whose joints they are.
+        robot: Robot with these joints.
         setups: The setup of each row, (n,); None: the first.
 
     Raises:
-        DataError: Nothing says what they are, or a sensor does whose readings depend on what is to be found.
+        DataError: Nothing states them, or only a sensor whose readings depend on unknowns does.
     """
     mechanism, turning = robot.nominal, [n for n in robot.commanded_names if robot.nominal.dimensions[n] == "angle"]
     for sensor, section in robot.description.inclinometers.items():
@@ -276,7 +276,7 @@ def _check_tilts(robot: Robot, sensor: str, tilts: FloatArray, table: Table) -> 
 def conditions_of_table(
     table: Table, robot: Robot, joints: FloatArray | None = None
 ) -> tuple[dict[str, FloatArray], FloatArray | None]:
-    """Return under which conditions the robot is in each row of a table.
+    """Return the conditions of the robot in each row of a table.
 
     Args:
         table: The table.

@@ -1,4 +1,4 @@
-"""Measurements: the visits of a robot to its poses, and what each instrument read there.
+"""Measurements: the visits of a robot to its poses, and the readings of each instrument there.
 
 A visit is one row: joint values, and what else is known of that moment (context). Rows with one pose name repeat that
 pose; nothing is averaged. An instrument may have read nothing at a visit, and several may have read at one.
@@ -35,11 +35,11 @@ class Poses(ReadOnlyArrays, HintedObject):
 
     Attributes:
         joints: Actuated joints in the robot's order, (n, n_actuated) [m or rad].
-        labels: What to call each in messages: file, line and pose name.
+        labels: Name of each in messages: file, line and pose name.
         names: The pose names of the file, or their running number; rows of one name repeat one pose.
-        path: Where they came from.
+        path: Their file.
         ignored: Columns of the file that were not used.
-        comments: What the file says about itself, line by line.
+        comments: Comments of the file, line by line.
         context: Conditions of each visit, (n,) [SI] by name, of `CONTEXT` of columns; NaN where not known.
         approach: Direction in which each joint moved last before the visit, +1 or -1, 0 where not known,
             (n, n_actuated); None: not given.
@@ -159,10 +159,10 @@ class Poses(ReadOnlyArrays, HintedObject):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurements(Poses):
-    """Visits with what was read.
+    """Visits with their readings.
 
     Attributes:
-        readings: Of each instrument, by its name; visits are indices into the rows.
+        readings: Readings of each instrument, by its name; visits are indices into the rows.
         approach_assumed: Whether `approach` was taken from the order of the rows of a larger file.
         order: Place of each visit in the order of measurement, from 0, (n,). If not given: the order of the rows.
     """
@@ -200,7 +200,7 @@ class Measurements(Poses):
         return ([{"instrument": name, "readings": len(readings)} for name, readings in self.readings.items()],)
 
     def to_dict(self, robot: Robot | None = None) -> dict[str, list[object]]:
-        """Return a table of what was read, in mm and degrees: the cells below each header, as in files.
+        """Return a table of the readings, in mm and degrees: the cells below each header, as in files.
 
         Args:
             robot: Names joints and instruments; that of the visits if not given.
@@ -322,12 +322,12 @@ def readings_of_visits(readings: Readings, index: IntArray) -> Readings:
 
 
 def setup_pairs(robot: Robot, instrument: Instrument, setups: IntArray) -> IntArray:
-    """Return what the setup of each visit (n,) adds to the number of the pair that an instrument looks along, (n,)."""
+    """Return the offset by each visit's setup (n,) on the number of the pair that an instrument looks along, (n,)."""
     return setups * (len(robot.pairs(instrument)) // max(1, len(robot.description.setups)))
 
 
 def states_by_order(robot: Robot, joints: FloatArray) -> dict[str, FloatArray]:
-    """Return what joint terms depend on and the order of commands (n, n_actuated) tells, (n,) each by column."""
+    """Return the states of joint terms that follow from the order of commands (n, n_actuated), (n,) each by column."""
     commands = dict(zip(robot.joint_names, joints.T, strict=True))  # no one commands passive joints
     states = [term.states_by_order(commands[term.joint]) for term in robot.terms if term.joint in commands]
     return {column: values for own in states for column, values in own.items()}

@@ -24,12 +24,12 @@ _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (code
 
 @dataclass(frozen=True)
 class SomeFile:
-    """A file, of which the head is read first.
+    """A file whose head is read first.
 
     Attributes:
         path: The file.
         head: Its first bytes.
-        renamed: What columns stand for, by the robot's description.
+        renamed: Meanings of columns, by the robot's description.
     """
 
     path: Path
@@ -38,7 +38,7 @@ class SomeFile:
 
     @cached_property
     def encoding(self) -> str:
-        """How its text is written: by its mark, else UTF-8 if it is that, else Latin-1."""
+        """Encoding of its text: by its mark, else UTF-8 if it is that, else Latin-1."""
         marked = next((name for mark, name in _MARKS if self.head.startswith(mark)), None)
         if marked is not None:
             return marked
@@ -68,9 +68,9 @@ class OtherFormat:
     """A format of files.
 
     Attributes:
-        name: Of the format, as messages have it.
-        head: How it is known, in words.
-        taken: What becomes of it, in words; or if it is not read, what to do.
+        name: Name of the format, as messages have it.
+        head: Marks by which it is known, in words.
+        taken: How it is read, in words; or if it is not, what to do.
         fits: Whether a file is one.
         read: Returns lines of a table of this program, or its columns by header; None: it is not read.
     """
@@ -88,7 +88,7 @@ def other_formats() -> list[OtherFormat]:
 
 
 def read_other(path: Path | str, renamed: Mapping[str, str]) -> list[str] | dict[str, Sequence[object]] | None:
-    """Return what a file of another format holds, as lines of a table or columns by header; None: it is of none.
+    """Return the content of a file of another format, as lines of a table or columns by header; None: it is of none.
 
     Raises:
         DataError: It is of one that is not read: the message says which, and what to do.

@@ -22,7 +22,7 @@ def read_parameters(path: Path | str, robot: RobotLike, *, complete: bool = Fals
 
     Args:
         path: The file.
-        robot: Whose parameters; loaded, or its description or URDF.
+        robot: Robot with these parameters; loaded, or its description or URDF.
         complete: Whether a parameter that the file does not name is an error.
 
     Raises:

@@ -88,7 +88,7 @@ def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None =
 
 
 def _is_measured(table: Table, robot: Robot) -> BoolArray:
-    """Which rows have all cells of some instrument, (n_rows,)."""
+    """Mask of the rows that have all cells of some instrument, (n_rows,)."""
     measured = np.zeros(len(table.rows), dtype=bool)
     for instrument in robot.instruments:
         names = [*(column.name for column in instrument.columns()), *instrument.text_columns()]
@@ -106,7 +106,7 @@ def _repeats(table: Table) -> bool:
 
 
 def _reading(robot: Robot, table: Table) -> dict[str, BoolArray]:
-    """Which rows of a plan each instrument is to read at, (n_table_rows,) by name."""
+    """Mask of each instrument's rows in a plan, (n_table_rows,) by name."""
     n, names = len(table.rows), [instrument.name for instrument in robot.instruments]
     result = {name: np.ones(n, dtype=bool) for name in names}
     for k, cell in enumerate(_instrument_cells(robot, table)):

@@ -1,4 +1,4 @@
-"""Which rows repeat one pose (one name, or joint values that agree), and which poses lie apart from others."""
+"""Rows that repeat one pose (one name, or joint values that agree), and poses that lie apart from others."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def is_apart(joints: FloatArray, used: FloatArray) -> BoolArray:
 
     Args:
         joints: The poses, (n, n_actuated) [m or rad].
-        used: Those used, (n_used, n_actuated) [m or rad].
+        used: Poses used, (n_used, n_actuated) [m or rad].
     """
     first = np.unique(pose_labels(used), return_index=True)[1]
     unit = np.maximum(np.std(used, axis=0), SAME_JOINTS)
@@ -120,7 +120,7 @@ def are_drawn_alike(joints: FloatArray, used: FloatArray) -> bool:
 
     Args:
         joints: The poses, (m, n_actuated) [m or rad].
-        used: Those used, (n, n_actuated) [m or rad].
+        used: Poses used, (n, n_actuated) [m or rad].
 
     Reference: schilling1986.
     """

@@ -3,9 +3,9 @@
 Columns are taken for joints where no joint has a column of its name, and there is one for each: of the same letters and
 figures (`Joint 1` for `joint_1`), or numbered from 1. Columns X, Y, Z are the position that is read, where one
 instrument reads positions and has no columns; so are NAME_x, NAME_y, NAME_z of the only NAME. U95 X, U95 Y, U95 Z
-beside them are twice the standard deviations of a reading. A column needs its unit for that, because it is not known
-whether a robot's program writes degrees. What was guessed is told, as a warning of the logger `calib`; under `columns`
-a robot description says what files call their columns, and then nothing is guessed.
+next to them are twice the standard deviations of a reading. A column needs its unit for that, because it is not known
+whether a robot's program writes degrees. Guesses are warnings of the logger `calib`. A robot description may
+name the columns of files under `columns`; then nothing is guessed.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | N
     Args:
         source: The file or the table in memory.
         robot: The robot.
-        growing: Of a file that is still written, its lines so far.
+        growing: Lines so far of a file that is still written.
 
     Raises:
         DataError: What `read_table` raises; a column that would be guessed has no unit, or one that is not written as
@@ -94,7 +94,7 @@ def _check_units(robot: Robot, table: Table) -> None:
 
 
 def odd_unit(table: Table, column: str) -> str | None:
-    """Return what to do about a column that may be the one of this name, or coordinate, if its unit were readable."""
+    """Return advice on a column that would be the one of this name, or coordinate, if its unit were readable."""
     same = {_plain(column), column.rpartition("_")[2]}
     return next((_hint(name, *odd) for name, odd in _odd_units(table).items() if _plain(odd[0]) in same), None)
 
@@ -136,7 +136,7 @@ def _joints(robot: Robot, table: Table) -> dict[str, str]:
 
 
 def _positions(robot: Robot, table: Table) -> dict[str, str]:
-    """Columns X, Y, Z, and the coordinates that they stand for; none where it is not plain whose they are."""
+    """Columns X, Y, Z, and the coordinates that they stand for; none where their meaning is unclear."""
     reading = [instrument for instrument in robot.instruments if instrument.reads_positions]
     units = dict(zip(table.names, table.units, strict=True))
     axes = {name: _plain(name) for name in table.names if _plain(name) in _AXES and units[name]}

@@ -68,7 +68,7 @@ def _format_cells(values: Sequence[object] | FloatArray) -> list[str]:
 
 
 def _format_numbers(values: FloatArray) -> list[str]:
-    """Return what `repr` makes of each number, in a fifth of the time; empty where it is not finite.
+    """Return the text by `repr` of each number, in a fifth of the time; empty where it is not finite.
 
     JSON has the same digits; it writes others where `repr` has an exponent.
     """
@@ -90,5 +90,5 @@ def _quote_text(text: str) -> str:
 
 
 def text_of(cell: str) -> str:
-    """Return what was written as this cell: an apostrophe before a formula is taken away."""
+    """Return the text behind a cell: an apostrophe before a formula is taken away."""
     return cell[1:] if cell.startswith("'") and _like_formula(cell[1:]) else cell

@@ -2,8 +2,8 @@
 
 A column is `name` or `name [unit]`; without a unit the numbers are SI. Lines that start with # or // are comments.
 Commas, semicolons or tabs part the columns, whichever the header has; where it is not the comma, that may be the
-decimal mark. `calib.core.data.layouts` knows what other programs write around a table; what was guessed is told to the
-logger.
+decimal mark. `calib.core.data.layouts` knows what other programs write around a table; guesses are warnings of
+the logger.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from calib.core.data.rosbag import is_bag, read_bag
 from calib.core.data.table_writing import text_of
 
 _LARGEST = {"length": 1e6, "angle": 1e6, "pixel": 1e6}  # [SI]
-_LARGEST_NUMBER = 1e30  # of anything else: squares and sums of many stay finite
+_LARGEST_NUMBER = 1e30  # largest number of other columns: squares and sums of many stay finite
 IN_MEMORY = "table in memory"
-"""What a table that is no file is called in messages."""
+"""Name in messages of a table that is no file."""
 _WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?", re.ASCII)
 _SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
@@ -77,13 +77,13 @@ class Table:
     """A CSV file as text.
 
     Attributes:
-        path: Where it came from, for messages.
+        path: Its file, for messages.
         names: Column names without units.
         units: Unit of each column, None where none is written.
         rows: Cells of each row.
         lines: Line number in the file of each row.
         comments: Comment lines without their #.
-        separator: What stands between the cells.
+        separator: Separator of the cells.
         maps: Columns whose cells are not the values, by name.
     """
 
@@ -101,11 +101,12 @@ class Table:
 
         Args:
             name: The column.
-            dimension: What it measures; None: pure numbers.
+            dimension: Its dimension; None: pure numbers.
             gaps: Whether cells may be empty; these are NaN.
 
         Raises:
-            DataError: No such column, wrong unit, a cell that is not a finite number, or decimal commas beside points.
+            DataError: No such column, wrong unit, a cell that is not a finite number, or decimal commas mixed with
+                points.
         """
         if name not in self.names:
             raise DataError(f"{self.path}: no column '{name}'{nearest_column(name, self.names)}")
@@ -153,7 +154,7 @@ class Table:
             if np.all(np.isfinite(values)) and not any("_" in cell for cell in cells):  # float() also reads 1_000
                 return values
         except ValueError:
-            pass  # which cell it is, is said below
+            pass  # the error below names the cell
         return np.array(
             [
                 np.nan if gaps and not cell.strip() else read_number(cell, self._where(k, index), self.separator)
@@ -182,7 +183,7 @@ def read_number(cell: str, where: str, separator: str = ",") -> float:
     Args:
         cell: Its text.
         where: For the message.
-        separator: What stands between cells; if that is not the comma, the comma may be the decimal mark.
+        separator: Separator of cells; if that is not the comma, the comma may be the decimal mark.
 
     Raises:
         DataError: It is empty, no number, or not finite.
@@ -210,9 +211,9 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
 
     Args:
         value: The number [m or rad].
-        dimension: What it measures.
+        dimension: Its dimension.
         where: For the message.
-        place: Where the unit should be written, such as `into the header`.
+        place: Place for the unit, such as `into the header`.
     """
     if dimension not in _SUSPICIOUS:
         return
@@ -235,7 +236,7 @@ def read_table(
     Args:
         path: The file, or the folder of a bag; or a table in memory.
         renamed: Foreign column names and the `name` or `name [unit]` they stand for.
-        growing: Of a file that is still written, its lines so far.
+        growing: Lines so far of a file that is still written.
 
     Raises:
         DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.
@@ -348,7 +349,7 @@ def _cells(path: str, line: str, number: int, separator: str) -> tuple[str, ...]
 def _header(
     path: str, cells: tuple[str, ...], renamed: Mapping[str, str]
 ) -> tuple[tuple[str, ...], tuple[str | None, ...], dict[str, MappedColumn]]:
-    """Names and units of columns, and what a description says of those whose cells are not the values."""
+    """Names and units of columns, and the meanings that a description gives to cells."""
     names, units, maps = [], [], dict[str, MappedColumn]()
     for number, cell in enumerate(cells, start=1):
         cell = text_of(cell.strip())

@@ -1,1 +1,1 @@
-"""The parameter values that explain measurements best, and how sure they are."""
+"""The parameter values that explain measurements best, and their uncertainty."""

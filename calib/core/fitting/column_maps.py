@@ -91,7 +91,7 @@ class ColumnMap:
         return any(abs(factor) != 1 for factor in self.factors)
 
     def words(self, robot: Robot, std: Sequence[float] = ()) -> str:
-        """Return what is wrong in words.
+        """Return the mistakes in words.
 
         Args:
             robot: The robot.

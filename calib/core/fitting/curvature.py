@@ -1,4 +1,4 @@
-"""How far parameters are off because readings are no linear function of what only priors hold.
+"""Errors of parameters by the curvature of readings along directions that only priors hold.
 
 Along a direction that readings do not see, an origin and the base turned against each other, say, the values that read
 the same lie on a curve. The linear model follows its tangent. Readings know a parameter to micrometres at one place of
@@ -44,7 +44,7 @@ from calib.core.numerics.statistics import prior_directions
 from calib.core.rows.rows import Rows
 
 _HELD = 0.1  # share of the priors in a direction above which its square counts
-_STEP = 0.1  # of a difference of Jacobians, in standard deviations
+_STEP = 0.1  # step of a difference of Jacobians, in standard deviations
 _POSES = 250  # poses of each look that tell the step back
 
 

@@ -26,7 +26,7 @@ class ErrorSet(ReadOnlyArrays):
 
     Attributes:
         data: The measurements.
-        instruments: What read them.
+        instruments: Their instruments.
         before, after: Errors before and after calibration of each instrument, by name, (n, n_rows) [SI]; NaN where a
             component was not read.
         singular_value: Each visit's distance to a singularity of the loops; infinite without loops, (n_visits,).
@@ -142,7 +142,7 @@ def error_table(errors: FloatArray, part: Part | None = None) -> dict[str, objec
 
     Args:
         errors: Predicted minus read, (n, k) [SI]; NaN where a component was not read.
-        part: What the rows are; a position if not given.
+        part: Part of the rows; a position if not given.
 
     Returns:
         `mean`, `max`, `rms`, `std`, `median`, `p90`, `p95`, `p99` of the length; and for each axis the `mean`, `max`

@@ -1,4 +1,4 @@
-"""What a fit found, by the names of parameters."""
+"""The parameters found by a fit, by name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from calib.core.base.words import data_frame, pandas, table_html
 from calib.core.numerics.statistics import Statistics, status
 
 NUMBERS = ("nominal", "value", "std", "low95", "high95")
-"""What tables tell of a parameter, in its unit."""
+"""Columns of tables of parameters, in the parameter's unit."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Estimate:
         nominal_si: Value before [m or rad].
         value_si: Value found.
         std_si: Standard deviation; NaN where it was held.
-        half95_si: Half the 95 % interval; NaN likewise.
+        half95_si: Half the 95 % interval; NaN where it was held.
         status: `identified`, `partly`, `prior`, `placed`, or `held`.
         family: Name of the coefficients that it belongs to, if their common size is found.
         per_si: How many of `unit` make one SI unit.
@@ -116,7 +116,7 @@ class Estimates(Mapping[str, Estimate]):
 
     Args:
         by_name: The parameters.
-        contains: What their intervals contain; nothing where that is not known.
+        contains: Contributions to their intervals; none where these are not known.
     """
 
     def __init__(self, by_name: Mapping[str, Estimate], contains: Contributions = frozenset()) -> None:
@@ -159,9 +159,9 @@ class Covariance(ReadOnlyArrays):
     """Covariance of the free parameters, by name.
 
     Attributes:
-        names: Of the free parameters, (n_free,).
+        names: Names of the free parameters, (n_free,).
         values: (n_free, n_free) [products of m and rad].
-        contains: What it contains; nothing where that is not known.
+        contains: Contributions to it; none where these are not known.
     """
 
     names: tuple[str, ...]
@@ -200,7 +200,7 @@ class Correlation(Covariance):
 def estimates(
     parameters: tuple[Parameter, ...], values: FloatArray, free: BoolArray, statistics: Statistics
 ) -> Estimates:
-    """Return what was found.
+    """Return the estimates of all parameters.
 
     Args:
         parameters: All parameters.

@@ -55,12 +55,13 @@ class WarmStart:
 
     Attributes:
         names: Parameters, (n,).
-        beyond_linear: That of `Statistics`, of these; 0 where no intervals are requested, None where it is not known.
+        beyond_linear: The attribute of `Statistics`, of these; 0 where no intervals are requested, None where it is not
+            known.
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
         placed: The nominal robot with base and targets placed, and residuals of these visits, (n_readings, n_rows) [SI]
             by instrument.
-        whitening: What whitens the readings, where these are the same, too; it takes as much memory as they do.
+        whitening: Whitening of the readings, where these are the same, too; it takes as much memory as they do.
     """
 
     names: tuple[str, ...] = ()
@@ -72,13 +73,13 @@ class WarmStart:
 
     @staticmethod
     def from_fit(fit: Fit) -> WarmStart:
-        """Return what this fit leaves."""
+        """Return the start values that this fit leaves."""
         known, seen = (fit.free_names, fit.statistics.beyond_linear), fit.identification
         return WarmStart(*known, seen.data.joints, fit.configurations.passive, (fit.placed, seen.before))
 
     @staticmethod
     def without_intervals(robot: Robot, fit: Fit | None = None) -> WarmStart:
-        """Return what a fit of this robot takes over, from another one if given, that needs no intervals."""
+        """Return start values for a fit of this robot without intervals, from another fit if given."""
         names = tuple(parameter.name for parameter in robot.parameters)
         nothing = BeyondLinear(partial(np.zeros, len(names)))
         return replace(WarmStart() if fit is None else WarmStart.from_fit(fit), names=names, beyond_linear=nothing)
@@ -102,13 +103,13 @@ class WarmStart:
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Where a fit ends, before anything is said about it.
+    """The end of the iteration of a fit, before its statistics.
 
     Attributes:
         robot: The nominal robot.
         later: Free parameters of places that the measurements do not show, and validation does.
         start: With base and targets placed.
-        determined: What the measurements determine there.
+        determined: Determination by the measurements there.
         solved: The minimum.
     """
 
@@ -135,9 +136,9 @@ def fit_data(
         settings: How; outliers, folds and the choice of terms are the caller's.
         data: Measurements to identify with.
         validation: Measurements to judge the result with, or None.
-        workers: Who does the fits of other starts; this process if not given.
+        workers: Workers for fits from other starts; this process if not given.
         steps: Told of each step that is done; of nothing if not given.
-        nearby: What another fit of these visits leaves to take over.
+        nearby: Start values from another fit of these visits.
 
     Raises:
         UnreachablePoseError, DataError, NotIdentifiableError, NotConvergedError: See
@@ -156,7 +157,7 @@ def minimum_of(
     steps: Steps | None = None,
     nearby: WarmStart | None = None,
 ) -> Minimum:
-    """Return where `fit_data` ends, which says what is given."""
+    """Return the minimum of a fit; arguments as in `fit_data`."""
     steps = steps or Steps()
     later = unseen(robot, data, validation)
     seen = robot.fix(*later) if later else robot
@@ -226,11 +227,11 @@ def fit_at(
 
 
 def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements], Fit]:
-    """Return what fits a part of the measurements of a fit and predicts the rest; from one start.
+    """Return a function that fits a part of the measurements of a fit and predicts the rest; from one start.
 
     Args:
         fit: The fit of all of them.
-        settings: How it was done.
+        settings: Its options.
     """
     nearby = replace(
         WarmStart.without_intervals(fit.nominal, fit), placed=None
@@ -241,7 +242,7 @@ def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measu
 def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
     """O1 to O5 of the scaled Jacobian of readings in SI units, as measured: of metres, where only positions are."""
     units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
-    own = problem.unknowns.select(problem.unknowns.family < 0)  # of families, priors decide what counts
+    own = problem.unknowns.select(problem.unknowns.family < 0)  # priors decide which rows of families count
     factor = problem.compressed(final, units, own).jacobian
     return observability(linalg.singular_values(factor)[:rank], len(problem.data))
 
@@ -287,7 +288,7 @@ def _origins(robot: Robot, data: Measurements) -> set[str]:
     names, origins = ("", *robot.mechanism.origin_names), set[str]()
     for name, readings in data.readings.items():
         pairs = robot.pairs(robot.instrument(name))
-        for pair in {int(k) for k in readings.pairs} if pairs else ():  # what reads a joint looks along none
+        for pair in {int(k) for k in readings.pairs} if pairs else ():  # a reading of a joint looks along none
             origins |= {names[pairs[pair].a], names[pairs[pair].b]}
     return origins
 

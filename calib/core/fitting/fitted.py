@@ -1,4 +1,4 @@
-"""A finished fit: what was found, and what follows from that alone. What it is worth, `calib.core.judging` says."""
+"""A finished fit: its results, and what follows from them alone. `calib.core.judging` judges it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
-from calib.core.base.contributions import Contribution, Contributions, Sureness, contributions_to
+from calib.core.base.contributions import Contribution, Contributions, Uncertainty, contributions_to
 from calib.core.base.other_words import HintedObject
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.fitting.error_sets import Errors, ErrorSet, Folds, Residuals
@@ -44,11 +44,11 @@ COMPUTED = 1e-7
 
 @dataclass(frozen=True)
 class Convergence:
-    """How the iteration ended.
+    """End of the iteration.
 
     Attributes:
         converged: Whether the solver met a stopping rule, robust weights stand, and no step is left.
-        message: Which rule ended it; or what is left, where that decides.
+        message: The rule that ended it; or the residuals, where these decide.
         step_left: Largest Gauss-Newton step left, over the standard deviation of its parameter.
         parameter: That parameter.
         weights_stand: Whether the weights of a robust loss have settled; True without one.
@@ -93,11 +93,11 @@ class Fit(ReadOnlyArrays, HintedObject):
         configurations: The assembled visits of `identification`, at the solution.
         unknowns: The free parameters.
         statistics: Their uncertainty.
-        determination: What poses and priors determine, at `placed`: as `calib check` tells.
+        determination: Ranks of poses and priors at `placed`, as in `calib check`.
         observability: O1 to O5 on scaled columns.
         rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
-        whitening: What whitened them.
-        scales: What was assumed about the noise.
+        whitening: Their whitening.
+        scales: Assumed scales of the noise.
         seconds: Duration of the whole computation.
         convergence: How the iteration ended.
         loss: Robust loss.
@@ -161,7 +161,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @property
     def message(self) -> str:
-        """How the iteration ended."""
+        """End of the iteration."""
         return self.convergence.message
 
     @property
@@ -176,7 +176,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @property
     def free(self) -> BoolArray:
-        """Which parameters were free, (n_parameters,)."""
+        """Mask of the free parameters, (n_parameters,)."""
         return np.isin(np.arange(len(self.nominal.parameters)), self.unknowns.index)
 
     @cached_property
@@ -187,7 +187,7 @@ class Fit(ReadOnlyArrays, HintedObject):
             known = known.with_more(np.sum(self.undecided.sensitivity_of(self.free_names) ** 2, axis=1))
         by_name = estimates(self.nominal.parameters, self.robot.values, self.free, known)
         later = {name: replace(by_name[name], status="placed") for name in self.placed_later}
-        return Estimates({**by_name, **later}, self.contains(Sureness.INTERVAL))
+        return Estimates({**by_name, **later}, self.contains(Uncertainty.INTERVAL))
 
     @cached_property
     def covariance(self) -> Covariance:
@@ -196,7 +196,7 @@ class Fit(ReadOnlyArrays, HintedObject):
         Intervals of parameters also include terms that `--terms auto` left undecided.
         """
         values = self.interval_factor**2 * self.statistics.covariance
-        return Covariance(self.free_names, values, self.contains(Sureness.COVARIANCE))
+        return Covariance(self.free_names, values, self.contains(Uncertainty.COVARIANCE))
 
     @cached_property
     def regions(self) -> Regions | None:
@@ -206,8 +206,8 @@ class Fit(ReadOnlyArrays, HintedObject):
         depths = self.robot.mechanism.depths
         return disagreeing(self.identification.data, depths, self.weighted_rows, self.statistics)
 
-    def contains(self, number: Sureness) -> Contributions:
-        """Return what a number of this fit that says how sure something is contains.
+    def contains(self, number: Uncertainty) -> Contributions:
+        """Return the contributions that a measure of uncertainty of this fit contains.
 
         Whether positions are reported in another frame, these say themselves.
         """
@@ -357,7 +357,7 @@ class Fit(ReadOnlyArrays, HintedObject):
     @property
     def uncertainty(self) -> ParameterUncertainty:
         """Uncertainty of the free parameters."""
-        factor, contains = self.statistics.coverage_factor, self.contains(Sureness.POSITION)
+        factor, contains = self.statistics.coverage_factor, self.contains(Uncertainty.POSITION)
         known = self.covariance.values
         return ParameterUncertainty(self.free, known, factor, self.undecided, self.joint_error, contains)
 
@@ -370,7 +370,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @property
     def joint_error(self) -> float:
-        """Error of each joint that residuals show beside noise, another one at each pose.
+        """Error of each joint that residuals show in addition to noise, another one at each pose.
 
         In rad, of a joint that slides in characteristic lengths; 0 where there is none.
         """
@@ -407,7 +407,7 @@ class Fit(ReadOnlyArrays, HintedObject):
         """Return whitened residuals before calibration (n_rows,), and the rows after it, by the noise as found.
 
         Args:
-            errors: Of visits that were not used, or that were left out in turn.
+            errors: Errors of visits that were not used, or that were left out in turn.
         """
         data = errors.data
         before, after, whitening, factors = self._whitened(errors)
@@ -426,7 +426,7 @@ class Fit(ReadOnlyArrays, HintedObject):
         known = {
             (estimate.group.name, estimate.group.part.name, estimate.group.stated): estimate for estimate in self.noise
         }
-        factors = whitening.start(errors.after)  # of instruments that the fit has not seen
+        factors = whitening.start(errors.after)  # noise of instruments that the fit has not seen
         for g, group in enumerate(whitening.groups):
             estimate = known.get((group.name, group.part.name, group.stated))
             if estimate is not None:

@@ -1,4 +1,4 @@
-"""What the residuals of a fit say of its noise: scales of groups, sizes of families, offsets that readings share.
+"""The noise found from residuals: scales of groups, sizes of families, offsets that readings share.
 
 All of it follows from the linear model around an evaluation (`calib.core.numerics.variance_components`), of a few rows
 that have the products of all (`Problem.compressed`) where these are enough.
@@ -57,7 +57,7 @@ def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
 
 
 def left_out_rms(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-    """Return how far off readings are of poses that are left out in turn: their root mean square, (n_groups,).
+    """Return the root mean square error of readings of poses left out in turn, (n_groups,).
 
     By the linear model around the evaluation, in units of what is stated. Every pose counts the same, however many
     readings it has.

@@ -28,11 +28,11 @@ def uncounted_turns(robot: Robot, joints: FloatArray) -> list[str]:
 
 
 def may_be_wrapped(joints: Sequence[str], wrong: Sequence[str]) -> str:
-    """Return what is wrong, and what to do, where the values of some joints may be wrapped.
+    """Return the problem and its remedy, where the values of some joints may be wrapped.
 
     Args:
         joints: The joints.
-        wrong: What follows them and counts turns.
+        wrong: Terms that follow them and count turns.
     """
     return (
         f"all values of {joints_named(*joints)} lie within one turn, and the URDF"
@@ -43,7 +43,7 @@ def may_be_wrapped(joints: Sequence[str], wrong: Sequence[str]) -> str:
 
 
 def wrapped_terms(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
-    """Say what is wrong with joint terms that count turns of joints whose values (n_poses, n_actuated) may not."""
+    """Return the problem with joint terms that count turns, where joint values (n_poses, n_actuated) may not."""
     uncounted = uncounted_turns(robot, joints)
     followed = [
         (term.driving_joint(robot.joint_names), term.parameters[0].name) for term in robot.terms if term.counts_turns

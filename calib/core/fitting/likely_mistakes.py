@@ -1,4 +1,4 @@
-"""What may be wrong with measurements that nothing fits.
+"""Likely mistakes in measurements that no robot fits.
 
 Each usual mistake is undone in turn, and the nominal robot compared.
 
@@ -40,12 +40,12 @@ _CLOSER = 0.2  # miss of the nominal robot with the mistake undone, over that wi
 _NEAR = 0.2  # the same over the spread of the measured positions
 _HALF = 0.5  # noise of a fit with other scales of joints, over that without
 _AS_GOOD = 1.5  # miss over that of the best, up to which another mistake explains the data as well
-_POSES = 20  # of many poses, so many are enough to see a gross mistake
+_POSES = 20  # poses that are enough to see a gross mistake
 _GLANCE = 4  # one in so many of these shows whether the loops close at all
 _FEW = 3  # rows that may agree by chance, or that a shift must leave
 _SHIFTS = 5
 _RANGES = ((-100, 100), (0, 100), (-1, 1), (0, 1), (0, 1023), (0, 4095), (0, 65535))
-_NO_SIZE = 1e-6  # of what the robot reaches over what was measured: the target is described where nothing moves it
+_NO_SIZE = 1e-6  # reach over the size of the measured space: the target is described where nothing moves it
 _ANOTHER_UNIT = 0.1  # change of all lengths that is more than a robot's own errors
 _READ = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _WRITTEN = dict(_READ, inches=0.0254, feet=0.3048, cm=1e-2) | {"tenths of an inch": 2.54e-3}
@@ -60,7 +60,7 @@ class Trial:
         words: The mistake.
         data: Some of the measurements without it.
         changes: How many joints it takes; 0 where it is one mistake.
-        column_map: Of which map of the columns of joint values it is.
+        column_map: Its map of the columns of joint values.
     """
 
     words: str
@@ -76,7 +76,7 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
     Args:
         robot: The nominal robot.
         data: Measurements that do not fit it.
-        noise: What a fit to them leaves, per axis [m]; infinite where there is none.
+        noise: Noise that a fit to them finds, per axis [m]; infinite where there is none.
         gross: Whether nothing fits; if not, only the scales of joints are looked at.
     """
     copied = equal_columns(data, robot)
@@ -109,7 +109,7 @@ def _nominal_fits(
     Args:
         robot: The nominal robot.
         data: The measurements.
-        sound: Those that are no readings of zero.
+        sound: Visits without readings of zero.
         zeros: Visits that are.
     """
     now = min(_misses(robot, [_some_visits(data) if len(zeros) == 0 else data])[0], 1.0)
@@ -181,7 +181,7 @@ def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> 
 
 
 def _closed_poses(robot: Robot, joints: list[FloatArray]) -> list[tuple[BoolArray, FloatArray]]:
-    """Which poses of each list close, and how."""
+    """Mask of the poses of each list that close, and their passive joints."""
     if not joints:
         return []
     closed = robot.close(np.vstack(joints), thorough=False)
@@ -236,7 +236,7 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
 
 
 def _shifted_trials(measured: Measurements) -> Iterator[Trial]:
-    """Joint values beside other rows, as they were measured: rows between may be held out, or left out."""
+    """Joint values shifted to other rows, in the order measured: rows between may be held out, or left out."""
     places = measured.places
     for rows, sign in product(range(1, _SHIFTS + 1), (1, -1)):
         _, of_joints, of_points = np.intersect1d(places + sign * rows, places, return_indices=True)
@@ -263,7 +263,7 @@ def _rescaled_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
 
 
 def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
-    """Which units the size of what was measured speaks for, and what makes lengths right."""
+    """The units that fit the size of the measured positions, and the factor that corrects lengths."""
     closed = robot.close(data.joints, thorough=False)
     if not _closes(closed.ok):
         return
@@ -313,7 +313,7 @@ def zero_visits(data: Measurements, robot: Robot) -> IntArray:
 
 
 def zeros_in_words(data: Measurements, robot: Robot) -> str:
-    """Return what to do about readings of 0, 0, 0 (`zero_visits`); empty if there are none."""
+    """Return the advice on readings of 0, 0, 0 (`zero_visits`); empty if there are none."""
     zeros = zero_visits(data, robot)
     if len(zeros) == 0:
         return ""

@@ -1,4 +1,4 @@
-"""Validation poses that were read from elsewhere: a frame that moved, and what the robot is off beside that.
+"""Validation poses that were read from elsewhere: a frame that moved, and the error of the robot without that motion.
 
 Where one rigid motion explains most of the errors at validation poses that are far apart, the tracker, the base or its
 frame stands elsewhere than when the robot was calibrated. Where it stands says nothing about the robot. So the frames
@@ -33,7 +33,7 @@ EXPLAINED = 0.3
 
 @dataclass(frozen=True, eq=False)
 class MovedFrame:
-    """How the frame of validation poses moved.
+    """Motion of the frame of the validation poses.
 
     Attributes:
         shift: How far, at the centre of their points [m].

@@ -1,4 +1,4 @@
-"""Whether measurements can determine a robot at all: told before anything is fitted, in terms of what was measured.
+"""Checks before a fit whether measurements can determine a robot at all, in terms of the measurements.
 
 Checked are the numbers themselves, that they are enough for the unknowns, that positions do not lie on one line where
 the base is unknown, and that data and priors together determine every free parameter (`calib.core.rows.determination`).
@@ -130,7 +130,7 @@ def tied_joints(robot: Robot, joints: FloatArray) -> list[tuple[tuple[str, ...],
 
     Args:
         robot: The robot.
-        joints: Of all poses, (n_poses, n_actuated) [m, rad].
+        joints: Joints of all poses, (n_poses, n_actuated) [m, rad].
     """
     reach = np.ptp(joints, axis=0)
     moved = np.flatnonzero(reach >= _STILL)
@@ -149,7 +149,7 @@ def tied_joints(robot: Robot, joints: FloatArray) -> list[tuple[tuple[str, ...],
 
 
 def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: bool = False) -> Determination:
-    """Return what the data determine; raise unless data and priors together determine every free parameter.
+    """Return the determination; an error unless data and priors together determine every free parameter.
 
     Args:
         problem: The problem.

@@ -330,7 +330,7 @@ class Problem(ReadOnlyArrays):
         """Minimise over some parameters, the others staying as in `start`.
 
         Args:
-            start: Where to begin.
+            start: Start.
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: The parameters that may move; the free ones if not given.
             tolerance: See `calib.core.numerics.least_squares`.
@@ -390,7 +390,7 @@ class _SolverRows:
     def jacobian(self, u: FloatArray) -> RowStack:
         """Return the derivative of the residuals by u, (n_rows, n_unknowns), and make u the current point."""
         evaluation = self._evaluation(u)
-        if evaluation is None:  # derivatives are asked for only where the residuals were finite
+        if evaluation is None:  # derivatives are requested only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
         self.current, self._looked_at = evaluation, [(u, evaluation)]  # the others take memory
         problem, groups, unknowns = self._problem, self._groups, self._unknowns

@@ -1,4 +1,4 @@
-"""By how much parameters disagree from region to region: boxes of joint space, and setups, left out in turn.
+"""Differences of parameters from region to region: boxes of joint space, and setups, left out in turn.
 
 A model that leaves something out is pulled one way here and another way there. The fit of all poses then stands between
 them, and the scatter of single poses does not show it: `calib.core.numerics.clusters` compares what parameters move by
@@ -30,10 +30,10 @@ BLOCKS = 8
 
 @dataclass(frozen=True)
 class Regions:
-    """How parameters move where regions are left out in turn.
+    """Changes of parameters where regions are left out in turn.
 
     Attributes:
-        where: On what the parameters depend, in words.
+        where: Region on which the parameters depend, in words.
         ratio: How many times as much as noise explains they move.
         surely: Whether chance does not explain it.
     """
@@ -50,7 +50,7 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
         data: The visits that were used.
         depths: `Mechanism.depths` of the robot, (n_actuated,).
         rows: Whitened rows at the solution, with the weights of a robust loss.
-        statistics: What is known of the parameters.
+        statistics: Statistics of the parameters.
     """
     block = np.zeros(len(data), dtype=np.intp)
     for k, visits in enumerate(boxes(data.joints, data.pose_numbers, BLOCKS, depths)):

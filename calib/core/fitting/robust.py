@@ -46,15 +46,15 @@ _TOO_FEW_LEFT = (
 
 @dataclass(frozen=True, eq=False)
 class RobustSolution:
-    """A minimum, and what weighed its rows.
+    """A minimum, and the weights of its rows.
 
     Attributes:
         problem: As it was solved: with the noise and the sizes of families that were found.
         evaluation: The parameters there, and what they say of the readings.
         groups: Scale of the noise of each group, (n_groups,).
         solution: Last report of the solver.
-        weights: Of each reading, (n_readings,); None without a robust loss.
-        factors: What the residuals say about the noise, with a robust loss.
+        weights: Weight of each reading, (n_readings,); None without a robust loss.
+        factors: Factors on the noise, by the residuals, with a robust loss.
         settled: Whether the weights of a robust loss stand.
         starts: Ends of perturbed starts, if requested.
     """
@@ -73,7 +73,7 @@ def solve_robust(solved: RobustSolution, loss: Loss) -> RobustSolution:
     """Minimise with a robust loss, from a least-squares solution.
 
     Args:
-        solved: That solution.
+        solved: The least-squares solution.
         loss: Not `none`.
 
     Raises:
@@ -144,7 +144,7 @@ def _levels(rows: Rows) -> FloatArray:
 
 
 def _median_scales(rows: Rows, groups: FloatArray, noise_found: BoolArray) -> FloatArray:
-    """Bring the scale of each group whose noise is found, beside the first, to where its median reading says."""
+    """Set the scale of each group whose noise is found, other than the first, by its median reading."""
     if len(groups) == 1 or not np.any(noise_found):
         return groups
     return groups * np.where(noise_found, np.maximum(_levels(rows), EXACT), 1.0)

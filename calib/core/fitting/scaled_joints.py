@@ -1,7 +1,7 @@
 """Joints whose values are on another scale than stated: their factors, by a fit in which each joint has a gain.
 
 A controller may count in gon, a range may be mapped, or a gear ratio may be wrong. Then the file has x, and the joint
-is at q = g x + b. The nominal robot is fitted with a gain of each joint that moved, beside its own parameters, which
+is at q = g x + b. The nominal robot is fitted with a gain of each joint that moved and its own parameters, which
 absorb b. A factor is reported if it differs from one by more than one percent and by more than its uncertainty allows.
 
 When it fails. The fit starts from the values of the file, or from those of a search. If a joint is scaled by two, the

@@ -1,4 +1,4 @@
-"""How to fit: what users choose, checked where it is chosen."""
+"""The options of a fit, checked where they are chosen."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class RequestedOptions:
 
 @dataclass(frozen=True)
 class Settings:
-    """How to fit: the arguments of `calib.fit` of these names, which says what each means.
+    """Settings of a fit: the arguments of `calib.fit` of these names, which says what each means.
 
     Here `sigma` is one number for all readings [m], and `terms` are text.
 

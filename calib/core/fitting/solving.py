@@ -14,7 +14,7 @@ robust loss no offsets are looked for: a gross error is one, too.
 Where priors are to be weighed against noise that is stated, what counts is all that the model leaves out: of a robot
 with gear errors, the noise of a good tracker is the least part. By a statement that residuals contradict, they would
 pull parameters hundreds of sigmas away from where they are expected, and slowly, along bent valleys. So the noise of
-such a group is found as well, where chance explains what is left in less than one case of a thousand. The linear model
+such a group is found as well, where chance explains the residuals in less than one case of a thousand. The linear model
 around the start tells; where what it leaves is its curvature, and the minimum contradicts nothing, the statement holds
 again. (The statement itself is judged by `calib.core.judging.rules_noise`.)
 """
@@ -54,9 +54,9 @@ _LOOSE = 1e-3  # tolerance of the solver where another solve follows
 _PLACED = 1e-6  # the same for the state before: its errors then hold to a millionth
 _NOISE_ROUNDS = 20
 _NOISE_STANDS = 0.01  # relative change of scales below which they are found
-_FAMILIES_STAND = 5.0  # how much less exactly the sizes of families need to be found
+_FAMILIES_STAND = 5.0  # factor of the tolerance for sizes of families
 _RATIOS_STAND = 0.05  # the same of offsets over noise, from 1 on; they change weights and nothing else
-_GAINED = 1.0  # by how much weights must better the log error of poses left out, summed over the poses
+_GAINED = 1.0  # least gain by weights in the log error of poses left out, summed over the poses
 _NO_NOISE = (
     "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
     " --sigma-mm)"
@@ -64,8 +64,8 @@ _NO_NOISE = (
 _ALIKE = 1e-12  # difference of residuals of robots that move alike: rounding [SI]
 STEP_LEFT = 0.05
 """Standard deviations that a converged fit may be away from its minimum."""
-_FAR = 0.5  # of the farthest way left, for which parameters are named
-_BLIND = 1e-6  # of the longest column, in units of what is expected: such a place is not seen
+_FAR = 0.5  # part of the farthest way left: such parameters are named
+_BLIND = 1e-6  # part of the longest column, in units of what is expected: such a place is not seen
 ROUNDING = 1e-8
 """10 nm and 10 nrad: below, rounding decides about a step."""
 
@@ -101,12 +101,12 @@ def place(problem: Problem) -> Evaluation:
 
 
 def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, FloatArray]) -> Evaluation | None:
-    """Return what `place` does, from another robot that was placed by the same readings; None if it moves otherwise.
+    """Return the result of `place` from another robot placed by the same readings; None if it moves otherwise.
 
     Args:
         problem: The problem.
         other: The other robot, base and targets placed.
-        residuals: Those of the other robot, (n_readings, n_rows) [SI] by instrument.
+        residuals: Residuals of the other robot, (n_readings, n_rows) [SI] by instrument.
     """
     unknowns, readings = problem.unknowns, problem.data.readings
     known = dict(zip((parameter.name for parameter in other.parameters), other.values, strict=True))
@@ -123,7 +123,7 @@ def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, Floa
 
 
 def reset_unseen(problem: Problem, placed: Evaluation) -> Evaluation:
-    """Return a placed robot with what no reading sees from just there put back to where the description has it.
+    """Return a placed robot with places that no reading sees put back to where the description has them.
 
     The nominal robot's own errors may place a point where its instrument is blind, such as the end of a draw wire in
     the very plane in which a planar robot moves. A solver would not leave it, and its rank would not be that of the
@@ -172,8 +172,8 @@ def solve_from(
     Args:
         problem: The problem.
         placed: Where to begin.
-        settings: How.
-        workers: Who does the other starts; this process if not given.
+        settings: Options of the fit.
+        workers: Workers for the other starts; this process if not given.
         progress: Told after each of them.
 
     Raises:
@@ -335,8 +335,8 @@ def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weig
         rows: At the minimum, without the weights of a robust loss.
         span: U = J T of them, with T of what they, with the slope of a robust loss, and the priors determine,
             (n_rows, rank).
-        factors: What the residuals say about the noise.
-        weights: Of each reading, (n_readings,); None without a robust loss.
+        factors: Factors on the noise, by the residuals.
+        weights: Weight of each reading, (n_readings,); None without a robust loss.
     """
     layout = rows.layout
     noise = factors.slope * np.where(layout.group >= 0, factors.effective[layout.group], 1.0)

@@ -1,7 +1,7 @@
-"""Errors of joints that residuals show beside noise, and that no parameter describes.
+"""Errors of joints that residuals show in addition to noise, and that no parameter describes.
 
 Residuals larger than the noise say that something is left out: gears, play, a bending link. Where the robot will be off
-by it at another pose is not known; how much, is. It is told as an error of each joint that is another one at each pose,
+by it at another pose is not known; how much, is. It is stated as an error of each joint that differs at each pose,
 so that a position feels it by its lever, in the directions in which joints move it:
 
     covariance of x(q) = B C B^T + delta^2 sum over joints of (s_j dx/dq_j)(s_j dx/dq_j)^T

@@ -1,4 +1,4 @@
-"""How far off a calibrated robot is at poses that its fit has not seen: one definition for a whole model and for files.
+"""Errors of a calibrated robot at poses that its fit has not seen: one definition for a whole model and for files.
 
 The covariance of the parameters says what noise leaves uncertain. Of a robot without the terms that its joints need, or
 with joint zeros alone, that is the least part: it leaves out what it cannot hold. So what can be relied on is taken
@@ -51,11 +51,11 @@ from calib.core.rows.rows import Rows
 COVERED = 0.95
 """Chance of `Accuracy.limit95`."""
 _DECIDES = 1.0 - 1e-6
-"""Part of a direction that one pose decides, from which the others cannot foretell it."""
+"""Part of a direction that one pose decides, from which the others cannot predict it."""
 
 
 def accuracy(fit: Fit) -> Accuracy:
-    """Return how far off the robot of a fit is at poses that it has not seen; at those used if there are no others."""
+    """Return the error of the robot of a fit at poses that it has not seen; at those used if there are no others."""
     validation = validation_errors(fit)
     if validation is not None:
         return accuracy_of_errors(validation, PoseUse.VALIDATION)
@@ -66,7 +66,7 @@ def accuracy(fit: Fit) -> Accuracy:
 
 
 def predicted_accuracy(fit: Fit) -> Accuracy | None:
-    """Return how far off poses like those used are, by the module docstring; None where no pose tells."""
+    """Return the predicted error at poses like those used, by the module docstring; None where no pose tells."""
     predicted = leave_one_out_errors(fit)
     if predicted is None:
         return None
@@ -87,7 +87,7 @@ def accuracy_of_errors(errors: ErrorSet, poses: PoseUse) -> Accuracy:
 
 
 def limit95(lengths: FloatArray) -> float:
-    """Return what one more length, drawn like these (n,), stays below with a chance of 95 % or more.
+    """Return the limit that one more length, drawn like these (n,), keeps with a chance of 95 % or more.
 
     NaN where they are fewer than 19.
     """

@@ -80,7 +80,7 @@ def cross_validate(
         count: Number of folds, 2 or more; or `setups`, each of which is one.
         seed: Seed of the random choice.
         fit: Fits one part and predicts the other; of a module, so that other processes find it.
-        executor: Who fits; this process if not given.
+        executor: Executor of the fits; this process if not given.
         progress: Told after each fold.
 
     Raises:

@@ -1,1 +1,1 @@
-"""What instruments read: kinds of measurement, one file each, and the noise that they state."""
+"""Instruments: kinds of measurement, one file each, and the noise that they state."""

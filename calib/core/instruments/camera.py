@@ -9,9 +9,9 @@ the image, as OpenCV has it. With m = (x / z, y / z) and r^2 = |m|^2,
 The order of intrinsics is fx fy cx cy k1 k2 p1 p2 k3. Pixels are counted as OpenCV does: the centre of the first one is
 at (0, 0).
 
-A solver may try a camera with a point beside or behind it, where there is no image. So that the solver can return, the
-cosine z / |p| is then replaced by a function that stays positive and keeps falling, and distortion stops growing at
-r^2 = 4 (63 degrees from the axis), since no such polynomial is valid beyond.
+A solver may try a camera with a point outside of its view or behind it, where there is no image. So that the solver can
+return, the cosine z / |p| is then replaced by a function that stays positive and keeps falling, and distortion stops
+growing at r^2 = 4 (63 degrees from the axis), since no such polynomial is valid beyond.
 
 Poses of a body in the camera follow from a few points in each view, for many views at once (`view_poses`). Each view is
 a least-squares problem in six unknowns: points X_j of the body, seen along rays m_j. Damped Gauss-Newton steps, taken

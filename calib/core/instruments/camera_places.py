@@ -45,7 +45,7 @@ class Sightings:
         links: L_i of each sighting, (n, 4, 4) [m].
         points: X in the body's frame, (n, 3) [m].
         rays: m of `calib.core.instruments.camera`, (n, 2).
-        view: Which of them were seen at one time, (n,), counted from 0.
+        view: Number of the time at which each was seen, (n,), from 0.
     """
 
     links: FloatArray
@@ -62,7 +62,7 @@ def guesses(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list
     """Return guesses at the places of camera and body, best first.
 
     Args:
-        sightings: What was seen.
+        sightings: The sightings.
         now: The places as they are.
         known: Which of them are known.
     """

@@ -15,7 +15,7 @@ from calib.core.base.errors import ComputationError
 from calib.core.instruments.kind import Comparison, Instrument, JointComparison, Readings, View
 
 _STEP = 1e-6  # m, rad, and of unknown numbers relative to their expected error
-_NEAR = 1e-5  # of the largest derivative of a row: 1e-16 / 1e-6 of rounding, and what digits of residuals take
+_NEAR = 1e-5  # part of the largest derivative of a row: 1e-16 / 1e-6 of rounding, and what digits of residuals take
 _TWIST = ("dp_x", "dp_y", "dp_z", "dw_x", "dw_y", "dw_z")
 
 
@@ -31,7 +31,7 @@ def check_kind(
         instrument: The instrument.
         seen: n views in which it reads something; of a `JointInstrument`, values of the joint (n,) [m or rad].
         unknowns: Its unknown numbers, (n_unknowns,); nominal if not given.
-        details: Of readings, (n, n_details); none if not given.
+        details: Details of readings, (n, n_details); none if not given.
 
     Raises:
         ComputationError: Shapes are wrong, a number is not finite, columns of a file do not lead back to the values, a

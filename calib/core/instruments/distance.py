@@ -45,9 +45,9 @@ class EndSection(Section):
 
     Attributes:
         frame: Link that it is fixed to.
-        xyz: Where it is in that link [m].
+        xyz: Its position in that link [m].
         position: `known`: it is there; `unknown`: found from the measurements.
-        sigma: How far an unknown one may be from `xyz`, one standard deviation [m]; left out, `xyz` says nothing.
+        sigma: Expected distance of an unknown one from `xyz`, one standard deviation [m]; left out, `xyz` says nothing.
     """
 
     frame: str
@@ -66,9 +66,9 @@ class DistanceSection(InstrumentSection):
     """An instrument that measures how far a target is from a fixed point.
 
     Attributes:
-        target: Which one; the instrument's own name if left out.
+        target: Name of its target; the instrument's own name if left out.
         end: The fixed point; the origin of the measurement frame if left out.
-        offset: How much more it reads than the distance: a length; `{value, sigma}`; or `unknown`.
+        offset: What it reads beyond the distance: a length; `{value, sigma}`; or `unknown`.
         sigma: Its noise [m].
     """
 
@@ -150,7 +150,7 @@ def distances(vectors: FloatArray, what: str) -> tuple[FloatArray, FloatArray]:
 
     Args:
         vectors: From fixed points to a target.
-        what: What to call the target in the message.
+        what: Name of the target in the message.
 
     Raises:
         ComputationError: One has no length.

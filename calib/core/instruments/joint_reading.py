@@ -32,9 +32,9 @@ class JointReadingSection(InstrumentSection):
         joint: The joint.
         dimension: `angle` for a joint that turns, `length` for one that slides.
         sigma: Noise of a reading.
-        offset: What it reads where the joint is at zero.
+        offset: Its reading where the joint is at zero.
         zero: Whether that is right, or found from the measurements.
-        sigma_zero: How far an unknown zero may be from `offset`; left out, `offset` says nothing.
+        sigma_zero: Expected distance of an unknown zero from `offset`; left out, `offset` says nothing.
     """
 
     joint: str

@@ -1,4 +1,4 @@
-"""What a kind of measurement is.
+"""Base class of a kind of measurement.
 
 An instrument looks from one frame a at another frame b (`FrameInstrument`); a reading is a few numbers about T_ab, b
 seen from a. Or it reads the value of a joint (`JointInstrument`). All that the engine needs of a kind is here: which
@@ -35,14 +35,14 @@ class Part:
 
     Attributes:
         name: Such as `position`.
-        axes: What its rows are called.
-        dimension: What they measure.
+        axes: Names of its rows.
+        dimension: Their dimension.
         usual: The largest noise that such instruments have [SI]: more is what the model leaves out.
         largest: Noise beyond which the numbers mean something else, whatever robot they are of [SI].
         is_position: Whether its rows are the coordinates of the target: where they are read, how accurate a robot is
             is told in them, and the noise of positions is theirs.
         is_distance: Whether its row is how far its two frames are apart: pictures show it as a wire.
-        plural: What its readings are called in a sentence; the name with an s if not given.
+        plural: Name of its readings in a sentence; the name with an s if not given.
     """
 
     name: str
@@ -92,11 +92,11 @@ class Place:
 
 
 def placed(name: str, section: PlaceSection | PosedSection, unknown: tuple[Component, ...] | None = None) -> Place:
-    """Return what a description says of a place, as a place of this name.
+    """Return a place of this name as the description states it.
 
     Args:
         name: Its name.
-        section: What the description says.
+        section: Its entry in the description.
         unknown: Components that the measurements must find; those that the section calls unknown if not given.
     """
     found = section.unknown if unknown is None else unknown
@@ -122,7 +122,7 @@ class Readings(ReadOnlyArrays):
 
     Attributes:
         visits: To which visit of the robot each reading belongs, (n,).
-        pairs: Which of the instrument's pairs of frames it looked at, (n,).
+        pairs: Number of the pair of frames that it looked at, (n,).
         values: The numbers, (n, n_values); NaN where a component was not read.
         covariance: Their noise where the file states it, (n, n_rows, n_rows) [SI]; None where it does not.
         details: Further numbers of each reading that a kind needs, (n, n_details).
@@ -187,10 +187,10 @@ class Scene:
     """Data for a first guess at unknown places, before anything is fitted.
 
     Attributes:
-        readings: Of the instrument, n of them.
+        readings: Readings of the instrument, n of them.
         links: Pose of the link of frame b in the link of frame a for each reading, by the robot as it is, (n, 4, 4).
         pairs: Names of the places (a, b) of each pair.
-        places: Where each of these places is in its link now, (4, 4) [m].
+        places: Present pose of each of these places in its link, (4, 4) [m].
         unknown: Components of each place that the measurements must find.
         unknowns: Unknown numbers of the instrument now, (n_unknowns,).
     """
@@ -239,7 +239,7 @@ class Instrument(ABC):
         may_see_nothing: Whether there are poses at which it reads nothing, such as those at which a camera does not see
             the board; then predictions are NaN (class attribute).
         name: Its name in the description, and the beginning of its columns.
-        noise: What is stated of its noise.
+        noise: Its stated noise.
         unknowns: Unknown numbers of its own.
     """
 
@@ -290,7 +290,7 @@ class Instrument(ABC):
         return len(self.parts) == 1 and self.parts[0].is_position and len(self.columns()) == 3
 
     def places(self) -> tuple[Place, ...]:
-        """Return places of its own, beside the measurement frame and the targets."""
+        """Return its own places, other than the measurement frame and the targets."""
         return ()
 
     def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
@@ -316,7 +316,7 @@ class Instrument(ABC):
 
         Args:
             texts: Text columns by name, n cells each.
-            where: What to call each row in messages.
+            where: Name of each row in messages.
 
         Returns:
             (n,) whether a row is a reading; pairs (n,); details (n, n_details).
@@ -348,9 +348,9 @@ class Instrument(ABC):
         """Return what it reads, (n, n_values).
 
         Args:
-            seen: What it has before it: the frames, a `View`; or values of its joint, (n,) [m or rad].
+            seen: Its input: the frames, a `View`; or values of its joint, (n,) [m or rad].
             unknowns: Its unknown numbers, (n_unknowns,).
-            details: Of `Readings`, (n, n_details).
+            details: Details of `Readings`, (n, n_details).
         """
 
     @abstractmethod
@@ -397,7 +397,7 @@ class FrameInstrument(Instrument, ABC):
 
         Args:
             view: The frames.
-            details: Of `Readings`, (n, n_details).
+            details: Details of `Readings`, (n, n_details).
         """
         return view.translation
 
@@ -407,8 +407,8 @@ class FrameInstrument(Instrument, ABC):
         None where it reads something in most views, or cannot say; then poses are tried at random.
 
         Args:
-            count: How many.
-            generator: Of random numbers.
+            count: Number of views.
+            generator: Generator of random numbers.
 
         Returns:
             Of frame b seen from frame a; a rotation of NaN: any.
@@ -416,7 +416,7 @@ class FrameInstrument(Instrument, ABC):
         return None
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
-        """Return first guesses at what is unknown, the best of which is kept; none where there is nothing to guess.
+        """Return first guesses at what is unknown; the best is kept. None if there is nothing to guess.
 
         Measurement frame and targets that points show are placed before (`calib.core.rows.registration`).
         """

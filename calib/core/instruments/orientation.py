@@ -64,9 +64,9 @@ class OrientationSection(InstrumentSection):
     """An instrument that measures how a target frame is turned.
 
     Attributes:
-        target: Which one; the instrument's own name if left out.
+        target: Name of its target; the instrument's own name if left out.
         axes: `all`: its rotation in the measurement frame; `gravity`: two tilts against the vertical.
-        rotation: How the file writes rotations; see `calib.core.instruments.pose`.
+        rotation: Form of rotations in the file; see `calib.core.instruments.pose`.
         sigma: Noise: one number, or one for each of three axes.
     """
 
@@ -186,7 +186,7 @@ class Orientation(FrameInstrument):
 
 
 def _down(rotation: FloatArray) -> FloatArray:
-    """Where down is in sensor frames R_ab, (n, 3, 3) -> (n, 3)."""
+    """Direction of down in sensor frames R_ab, (n, 3, 3) -> (n, 3)."""
     return -rotation[:, 2, :]
 
 
@@ -205,7 +205,7 @@ def _tilt_derivative(down: FloatArray) -> FloatArray:
 
 
 def _directions(tilts: FloatArray) -> FloatArray:
-    """Where down is in the sensor frame, from its tilts, (n, 2) -> (n, 3)."""
+    """Direction of down in the sensor frame, from its tilts, (n, 2) -> (n, 3)."""
     upright = np.where(np.cos(tilts[:, 0]) + np.cos(tilts[:, 1]) < 0, -1.0, 1.0)
     bounded = np.clip(np.tan(tilts), -1e6, 1e6)
     down = upright[:, None] * np.stack([bounded[:, 1], -bounded[:, 0], -np.ones(len(tilts))], axis=1)

@@ -1,6 +1,7 @@
 """Pixels: where a camera sees points of a body in its image.
 
-The camera (frame a: an own place, fixed to a link beside the robot or on it) looks at points X of the target frame (b):
+The camera (frame a: an own place, fixed to a link of the robot or next to it) looks at points X of the target frame
+(b):
 
     p = R_ab X + p_ab          (u, v) = image of p (`calib.core.instruments.camera`)          dp = dp_ab - [R_ab X]x dw
 
@@ -45,10 +46,10 @@ from calib.core.numerics.rigid import cross_matrices
 
 PIXEL = Part("pixel", ("u", "v"), "pixel", usual=2.0)
 _STEEPEST = np.cos(np.deg2rad(65.0))
-_MARGIN = 0.02  # of the larger side of the image
+_MARGIN = 0.02  # margin, over the larger side of the image
 _LEAST_SEEN = 6  # points
 _SMALLEST = 16.0  # side of a marker, square or spacing of dots [px]
-_WIDER = 1.1  # how far beyond its edge an image may reach whose middle is only guessed, in half widths
+_WIDER = 1.1  # half width of an image whose middle is only guessed, over the guessed one
 _FEW_AWAY = 0.02  # part of the readings that may lie outside: mistakes
 _MOSTLY = 0.5  # part of the sightings that must not lie behind the camera
 
@@ -200,7 +201,7 @@ class Pixel(FrameInstrument):
             guessed = [now] if all(known) else guesses(sightings, now, known)
             self._check(sightings, guessed)
             some = [dict(zip(names, places, strict=True)) for places in guessed]
-            result = some if not result else [some[0] | result[0]]  # of several setups: as the first one says
+            result = some if not result else [some[0] | result[0]]  # with several setups: as in the first one
         return tuple(Guess(places) for places in result)
 
     def doubts(self, readings: Readings) -> tuple[str, ...]:
@@ -225,9 +226,9 @@ class Pixel(FrameInstrument):
         away = min(int(np.sum(~is_in_front(seen_points(sightings, places)))) for places in guessed)
         if away > _MOSTLY * len(sightings.view):
             raise DataError(
-                f"camera '{self.name}': {away} of the {len(sightings.view)} points that it saw lie behind it as it is"
-                f" placed; check where camera and target '{self.target}' are said to be, and that z of the camera's"
-                " frame is its viewing direction"
+                f"camera '{self.name}': {away} of the {len(sightings.view)} points that it saw would lie behind it."
+                f" Check the poses of the camera and of target '{self.target}' in the description, and that z of the"
+                " camera's frame points where it looks"
             )
 
     def body(self, details: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What a robot description says of a camera and of the points that it sees.
+"""The entry of a camera in a robot description, and the points that it sees.
 
 Points of a body come by name from a CSV file: columns `point`, `x`, `y`, `z`, with units in the header.
 """
@@ -25,7 +25,7 @@ _COLUMNS = ("point", "x", "y", "z")
 
 
 def _folder(info: ValidationInfo) -> Path:
-    """Folder of the description, beside which the files are that it names."""
+    """Folder of the description; files that it names are relative to it."""
     folder: Path = (info.context or {}).get("folder", Path())
     return folder
 
@@ -43,7 +43,7 @@ def _board(given: Any, info: ValidationInfo) -> Any:
 
 
 class CameraSection(PosedSection):
-    """Where a camera stands: its optical frame, z along the optical axis, x to the right and y down in the image."""
+    """Pose of a camera: its optical frame, z along the optical axis, x to the right and y down in the image."""
 
     what = "a camera"
     pose: Literal["known", "unknown"] = "unknown"
@@ -64,7 +64,7 @@ class IntrinsicsSection(Section):
 
 
 class UnknownIntrinsicsSection(Section):
-    """How far intrinsics may be off; those that are left out are right."""
+    """Expected errors of intrinsics; those that are left out are right."""
 
     fx: _Positive | None = None
     fy: _Positive | None = None
@@ -82,16 +82,16 @@ class PixelSection(InstrumentSection):
 
     Attributes:
         target: The frame of the body that carries the points.
-        camera: Where the camera stands.
+        camera: Place of the camera.
         intrinsics: The camera's model.
-        unknown_intrinsics: How far intrinsics may be off that the measurements must find.
-        points: Where each point is in the target frame, by name [m].
+        unknown_intrinsics: Expected errors of intrinsics that the measurements must find.
+        points: Position of each point in the target frame, by name [m].
         points_file: A CSV file that says so, columns point, x, y, z; its path as seen from the description.
         board: A printed board (`calib.core.instruments.board`), or the YAML file that describes it, in place of points;
             the target frame is then the board's.
         image: Width and height [px]; points outside are not seen. Only predictions need it.
         focus: From which to which distance along its axis the camera sees sharply [m]. Only predictions need it.
-        columns: How the columns begin: `<columns>_u`, `<columns>_v`; the instrument's name if left out.
+        columns: Begin of the columns' names: `<columns>_u`, `<columns>_v`; the instrument's name if left out.
         sigma: Noise of a coordinate [px].
     """
 

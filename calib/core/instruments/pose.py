@@ -34,8 +34,8 @@ class PoseSection(InstrumentSection):
     """An instrument that measures the pose of a target frame.
 
     Attributes:
-        target: Which one; the instrument's own name if left out.
-        rotation: How the file writes rotations: `quaternion` (columns qx qy qz qw, in any order), `rpy` (roll, pitch,
+        target: Name of its target; the instrument's own name if left out.
+        rotation: Form of rotations in the file: `quaternion` (columns qx qy qz qw, in any order), `rpy` (roll, pitch,
             yaw about fixed axes, as URDF), `intrinsic_xyz`, `intrinsic_zyx`, `intrinsic_zyz` (angles about moving
             axes), `rotation_vector`, or `matrix` (r11 to r33).
         sigma: Noise of the position: one number, three, or a tracker's `{range, angle}`.

@@ -18,7 +18,7 @@ class PositionSection(InstrumentSection):
     """An instrument that measures the position of a target.
 
     Attributes:
-        target: Which one; the instrument's own name if left out.
+        target: Name of its target; the instrument's own name if left out.
         sigma: Its noise: one number, three, or a tracker's `{range, angle}`.
     """
 

@@ -37,7 +37,7 @@ from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Gue
 
 _STEP = 1e-4  # m, rad; of unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
-_ROUNDING = 1e-11  # of the largest derivative: less is none
+_ROUNDING = 1e-11  # part of the largest derivative that counts as none
 _STAY = 1e-3  # weight of leaving where a place is said to be by its scale, against the median residual
 _FEW = 60  # readings from which starts are compared
 _TRIED, _IMPROVED = 5, 50  # evaluations of a start, and of the best ones
@@ -68,7 +68,7 @@ class Relation(FrameInstrument):
 
     @abstractmethod
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return what it reads, (n, n_values); of a kind that touches, how far it is from that."""
+        """Return what it reads, (n, n_values); for a touch, the distance from contact."""
 
     def misses(self, view: View, unknowns: FloatArray, readings: Readings) -> FloatArray:
         """Return f, (n, n_rows) [SI]: prediction minus reading, unless a kind says more."""
@@ -169,7 +169,7 @@ class Relation(FrameInstrument):
         return tuple(guess for _, guess in best)
 
     def _starts(self, scene: Scene, names: list[str]) -> Iterator[Guess]:
-        """Where places are said to be, and turned as a cube may be where no orientation is expected."""
+        """Places as described; without an expected orientation, turned in each of a cube's ways."""
         places = {name: scene.places[name] for name in names}
         yield Guess(places, scene.unknowns)
         sigmas = {place.name: place.sigma_angle for place in self.own}

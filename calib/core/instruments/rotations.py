@@ -1,4 +1,4 @@
-"""How files write rotations, and the rows that a measured orientation gives.
+"""Rotations in files, and the rows of a measured orientation.
 
 Rows are the rotation error as a rotation vector in the axes of the measurement frame,
 
@@ -36,7 +36,7 @@ _COLUMNS: dict[Form, tuple[str, ...]] = {
     "matrix": tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)),
 }
 _EULER: dict[str, str] = {"rpy": "xyz", "intrinsic_xyz": "XYZ", "intrinsic_zyx": "ZYX", "intrinsic_zyz": "ZYZ"}
-_UNIT_LENGTH = 0.05  # how far a quaternion may be from unit length, or a matrix from a rotation: rounded digits
+_UNIT_LENGTH = 0.05  # allowed deviation of a rounded quaternion from unit length, or of a matrix from a rotation
 
 
 def rotation_columns(name: str, form: Form) -> tuple[Column, ...]:

@@ -38,7 +38,7 @@ _PARTS: dict[Surface, Part] = {
     "plane": Part("gap", ("gap",), "length", plural="distances from the touched surface"),
     "sphere": Part("gap", ("gap",), "length", plural="distances from the touched surface"),
 }
-_RADIUS = 0.01  # where an unknown radius starts [m]
+_RADIUS = 0.01  # initial value of an unknown radius [m]
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,12 @@ class Touch(Relation):
     """Touches of sockets, planes or spheres by one target. The one detail of a reading says which was touched.
 
     Attributes:
-        surface: What is touched.
+        surface: Kind of the touched surface.
         touched: Names of what is touched, in the order of the detail; `own` has the place of each, or of the artefact.
         points_of_artefact: In the artefact [m]; none without one.
         ball: Radius of the ball [m].
-        radii: Of each sphere; or the one of all spheres of the artefact.
-        tolerance: Of the coordinates of the points of the artefact [m]; None: they are right.
+        radii: Radius of each sphere; or the one of all spheres of the artefact.
+        tolerance: Tolerance of the coordinates of the points of the artefact [m]; None: they are right.
     """
 
     section = TouchSection
@@ -136,13 +136,13 @@ class Touch(Relation):
         return gap, by_motion, by_unknown
 
     def _point_unknown(self, which: IntArray) -> IntArray:
-        """Which unknown is the error of each coordinate of the point touched, (n, 3); -1: it has none."""
+        """Number of the unknown that is the error of each coordinate of the point touched, (n, 3); -1: none."""
         if self.tolerance is None:
             return np.full((len(which), 3), -1)
         return 3 * which[:, None] + np.arange(3)
 
     def radius_unknown(self, which: IntArray) -> IntArray:
-        """Which unknown is the radius of the sphere touched, (n,); -1: it is known."""
+        """Number of the unknown that is the radius of the sphere touched, (n,); -1: it is known."""
         first = 3 * len(self.points_of_artefact) if self.tolerance is not None else 0
         unknown = np.array([radius.unknown for radius in self.radii], dtype=bool)
         number = np.where(unknown, first + np.cumsum(unknown) - 1, -1)

@@ -139,8 +139,8 @@ def _artefacts(
             index = [k for k, (name, _) in enumerate(keys) if name == a]
             turns = [k for k, name in enumerate(ANGLE_COMPONENTS) if name not in scene.unknown[a]]
             points = inside[[keys[k][1] for k in index]]
-            held = turns[0] if len(turns) == 1 else None
-            places[a] = posed_artefact(points, positions[index], scene.places[a], held)
+            fixed_component = turns[0] if len(turns) == 1 else None
+            places[a] = posed_artefact(points, positions[index], scene.places[a], fixed_component)
     return places
 
 
@@ -166,7 +166,7 @@ def _moved_places(scene: Scene, names: list[str], positions: FloatArray) -> dict
 
 
 def _open(scene: Scene, names: list[str]) -> BoolArray:
-    """Which coordinates of places are unknown, (m, 3)."""
+    """Mask of the unknown coordinates of places, (m, 3)."""
     return np.array([[axis in scene.unknown[name] for axis in LENGTH_COMPONENTS] for name in names], dtype=bool)
 
 
@@ -175,8 +175,8 @@ class Points:
     """Points of links.
 
     Attributes:
-        xyz: Where they are, or are believed to be, (m, 3) [m].
-        unknown: Which coordinates are not known, (m, 3).
+        xyz: Their known or believed coordinates, (m, 3) [m].
+        unknown: Mask of the unknown coordinates, (m, 3).
     """
 
     xyz: FloatArray
@@ -213,14 +213,14 @@ def sockets_and_targets(
     return found_sockets, found_targets
 
 
-def posed_artefact(points: FloatArray, seen: FloatArray, now: FloatArray, held: int | None) -> FloatArray:
+def posed_artefact(points: FloatArray, seen: FloatArray, now: FloatArray, fixed_component: int | None) -> FloatArray:
     """Return the pose of an artefact, (4, 4) [m], from the positions of its points.
 
     Args:
         points: Points in the frame of the artefact, (m, 3) [m].
         seen: The same points in the link that carries it, (m, 3) [m].
         now: Believed pose, kept where the points do not determine it, (4, 4) [m].
-        held: Component of the rotation vector from `now` that stays zero where the points lie on a line.
+        fixed_component: Component of the rotation vector from `now` that stays zero where the points lie on a line.
     """
     result = now.copy()
     from_centre, seen_from_centre = points - points.mean(axis=0), seen - seen.mean(axis=0)
@@ -230,7 +230,7 @@ def posed_artefact(points: FloatArray, seen: FloatArray, now: FloatArray, held: 
     elif sizes[0] > 0:
         line = directions[0]
         turned_line = now[:3, :3].T @ (seen_from_centre.T @ (from_centre @ line))
-        axis = int(np.argmax(np.abs(line))) if held is None else held
+        axis = int(np.argmax(np.abs(line))) if fixed_component is None else fixed_component
         result[:3, :3] = now[:3, :3] @ _turn(line, turned_line / np.linalg.norm(turned_line), axis)
     result[:3, 3] = seen.mean(axis=0) - result[:3, :3] @ points.mean(axis=0)
     return result

@@ -1,4 +1,4 @@
-"""What a robot description says of touches: the places that are touched, one by one or as an artefact."""
+"""The entry of touches in a robot description: the places that are touched, one by one or as an artefact."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class TouchedSection(PlaceSection):
     Attributes:
         xyz: Socket or centre of a sphere, or a point of a plane, in its link [m].
         rpy: Turns the z axis to where the ball is above a plane [rad].
-        radius: Of a sphere: a length; `{value, sigma}`; or `unknown`.
+        radius: Radius of a sphere: a length; `{value, sigma}`; or `unknown`.
     """
 
     what = "place"
@@ -63,8 +63,8 @@ class ArtefactSection(PosedSection):
     Attributes:
         pose: `known`, or `unknown`: found from the measurements, as far as its points tell.
         points: Each socket, or centre of a sphere, in the artefact [m].
-        tolerance: How far each coordinate of the points may be off, one standard deviation [m]; they are found then.
-        radius: Of its spheres, all alike: a length; `{value, sigma}`; or `unknown`.
+        tolerance: Expected error of each coordinate of the points, one standard deviation [m]; they are found then.
+        radius: Radius of its spheres, all alike: a length; `{value, sigma}`; or `unknown`.
     """
 
     what = "an artefact"
@@ -94,8 +94,8 @@ class ArtefactSection(PosedSection):
             return ()
         if width[1] > _ON_A_LINE:
             return ANGLE_COMPONENTS
-        held = int(np.argmax(np.abs(directions[0])))
-        return tuple(turn for k, turn in enumerate(ANGLE_COMPONENTS) if k != held)
+        fixed = int(np.argmax(np.abs(directions[0])))
+        return tuple(turn for k, turn in enumerate(ANGLE_COMPONENTS) if k != fixed)
 
 
 class TouchSection(InstrumentSection):
@@ -103,11 +103,12 @@ class TouchSection(InstrumentSection):
 
     Attributes:
         target: The centre of the ball, or the tip, that touches; the instrument's own name if left out.
-        surface: What is touched: `socket`, which holds the centre of the ball in one point; `plane`; `sphere`.
-        radius: Of the ball, for planes and spheres [m].
-        places: What is touched, by name.
+        surface: Kind of the touched surface: `socket`, which holds the centre of the ball in one point; `plane`;
+            `sphere`.
+        radius: Radius of the ball, for planes and spheres [m].
+        places: The touched places, by name.
         artefact: In place of `places`: what is touched is one piece.
-        sigma: How well the ball touches, each coordinate or the gap [m].
+        sigma: Noise of a touch, each coordinate or the gap [m].
     """
 
     target: str | None = None

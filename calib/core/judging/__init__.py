@@ -1,1 +1,1 @@
-"""What a fit is worth: what its residuals hide, the verdict, and new readings against what it predicts."""
+"""The worth of a fit: patterns in its residuals, the verdict, and new readings against its predictions."""

@@ -15,13 +15,13 @@ did not know exactly; residuals against the noise alone would condemn every cali
 
 Where the readings of a pose shared errors in the calibration, so that poses scattered rho times as much as independent
 readings (`calib.core.numerics.clusters`), m readings tell as much as m / rho^2 of them: so many degrees of freedom
-count beside nu, and z is divided by rho.
+count in addition to nu, and z is divided by rho.
 
 Drift. A change d of one parameter, or of one joint's zero, adds its column: y = X b + B d + e. With B' what of [B; 0]
 is orthogonal to X, d = B'.y / |B'|^2, and z = B'.y / |B'| is Student's t with nu degrees of freedom if nothing changed.
 The smallest p-value times the number of distinct candidates (Holm's first step; parallel columns count once) is the
 chance of such a z by accident. A robot has drifted if that is below the level and the rest agrees; candidates whose z^2
-is within 3.84 of the largest explain the readings about as well, and are named beside it. If one change does not
+is within 3.84 of the largest explain the readings about as well, and are named with it. If one change does not
 explain them, the robot needs a new calibration. The level of either test is half of `FALSE_ALARM`.
 
 Power. With n poses a change d gives z the noncentrality |d| |B'|, so that the smallest change that is seen with a
@@ -35,7 +35,7 @@ off there as if k of the N rows used had decided them: N / k times C. If the rea
 the robot has changed, and the verdict is about the poses. If a change stands out even so, the robot has drifted.
 
 Millimetres. The mean square of distances sums squares of unequal size. It is judged as an F of the same mean and
-variance, at a chance of 0.1 %, so that no verdict contradicts the distances beside it.
+variance, at a chance of 0.1 %, so that no verdict contradicts the distances shown with it.
 
 Noise. Readings that repeat a pose show noise without model. Where they scatter more than promised, and with that
 scatter as noise the readings agree, the instrument or the robot's repeatability is worse, and no calibration helps.
@@ -62,7 +62,7 @@ from calib.core.judging.settling import poses_that_settle
 from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.rows.simulate import simulate
 
-_LEVEL = FALSE_ALARM / 2  # of either test
+_LEVEL = FALSE_ALARM / 2  # level of each of two tests
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
 
@@ -77,18 +77,18 @@ class Acceptance:
         low95, high95: Limits of the ratio in 95 of 100 cases, if the robot is as calibrated.
         p_value: Chance of so large a ratio, if the robot is as calibrated.
         p_drift: Chance of so large a largest change of a single parameter, if the robot is as calibrated.
-        p_rest: Chance of so large residuals beside that change.
+        p_rest: Chance of so large residuals after that change.
         freedom: Degrees of freedom of the ratio.
-        placed: How many degrees of freedom placing base and targets took.
+        placed: Degrees of freedom of placing base and targets.
         changes: Every candidate, the one with the largest z first.
         like_before: Significant changes that explain the readings as well as the first one, itself included.
         outliers: Labels of readings that were left out.
         errors: Prediction minus read, without the outliers, after placing base and targets where they are unknown.
         promised: Expected root mean square distance of measured from predicted positions [m]; NaN without positions.
         left_open: The part of it from the uncertainty of the calibration, without noise of the readings [m].
-        limit: What the distance exceeds in one of a thousand cases, if the robot is as calibrated [m].
-        coverage_factor: How many standard deviations of a change make half its 95 % interval.
-        unlike: Whether the poses lie otherwise than those of the calibration, and that counted.
+        limit: Distance that is exceeded in one of a thousand cases, if the robot is as calibrated [m].
+        coverage_factor: Half the 95 % interval of a change, in standard deviations.
+        unlike: Whether the poses are unlike those of the calibration, and that counted.
         repeated_visits: Poses of the calibration that settle it if they are measured again; none if nothing is left to
             settle.
     """
@@ -136,12 +136,12 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
     """Judge a calibrated robot by new measurements.
 
     Args:
-        calibrated: The fit, or what `load_result` loads; or the `promise` of a result.
+        calibrated: The fit, or a result of `load_result`; or the `promise` of a result.
         data: Measurements that the calibration has not used; or files or data frames of them.
         same_setup: Whether unknown base and targets are where the calibration found them; else they are placed anew.
 
     Raises:
-        InputError: What is given is not a calibration.
+        InputError: The argument is not a calibration.
         DataError: Too few readings to judge anything.
         UnreachablePoseError: A pose cannot be assembled.
     """
@@ -190,11 +190,11 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
 
 @dataclass(frozen=True)
 class _Tests:
-    """Chances of what new readings show, if the robot is as calibrated.
+    """Chances of the new readings, if the robot is as calibrated.
 
     Attributes:
         p_value, p_drift, p_rest, changes: Chances and candidates of an `Acceptance`.
-        independent: How many independent squares stand behind the ratio.
+        independent: Number of independent squares behind the ratio.
         far: Whether distances are larger than in one of a thousand cases.
     """
 
@@ -207,7 +207,7 @@ class _Tests:
 
     @staticmethod
     def from_system(system: System) -> _Tests:
-        """Make them."""
+        """Return the tests of a system."""
         promise, changes = system.promise, system.changes()
         independent = system.freedom / promise.shared**2
         p_value = float(scipy.special.fdtrc(independent, promise.freedom, system.square / system.freedom))
@@ -244,11 +244,11 @@ def visible_changes(
 ) -> tuple[Change, ...]:
     """Return the smallest change of every candidate that readings at these poses will show.
 
-    The first ones are the smallest beside what the description expects of them.
+    The first ones are the smallest in units of what the description expects.
 
     Args:
-        calibrated: What the calibration promises, or the fit itself.
-        poses: Where will be measured, or joint values (n, n_actuated) [m or rad].
+        calibrated: The promise of the calibration, or the fit itself.
+        poses: Poses that will be measured, or their joint values (n, n_actuated) [m or rad].
         same_setup: As in `verify`.
     """
     promise = Promise.from_calibration(calibrated)
@@ -267,8 +267,8 @@ def poses_needed(
     """Return how many of these poses, from the first, show a change with the chance `POWER`; None: all do not.
 
     Args:
-        calibrated: What the calibration promises, or the fit itself.
-        poses: Where will be measured, or joint values (n, n_actuated) [m or rad].
+        calibrated: The promise of the calibration, or the fit itself.
+        poses: Poses that will be measured, or their joint values (n, n_actuated) [m or rad].
         name: A parameter, or `zero of JOINT`.
         size: The change [m or rad].
         same_setup: As in `verify`.

@@ -1,4 +1,4 @@
-"""Whether a calibration makes poses that were not used better or worse, against chance.
+"""Whether a calibration makes errors at unused poses smaller or larger, beyond chance.
 
 For the same readings k, whitened by the noise that was found, the errors before b_k and after a_k:
 
@@ -55,9 +55,9 @@ class UnusedErrors:
     """Errors on one set of poses that were not used.
 
     Attributes:
-        name: What to call these poses.
+        name: Name of these poses.
         before, after: Root mean square error of the main part of the readings [SI].
-        dimension: What that part measures.
+        dimension: Dimension of that part.
         better, worse: Whether the calibration made them so, beyond chance.
     """
 

@@ -1,4 +1,4 @@
-"""What could be wrong without any trace in the measurements, so that no verdict on them covers it."""
+"""Errors that leave no trace in the measurements, so that no verdict on them covers them."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ LARGE_SCALE = 1e-3
 """Error of the scale that would be noticed otherwise."""
 LIKE_SHUFFLED = 0.8
 """Way from row to row, over that between rows far apart, from which rows may have been shuffled."""
-_FEW = 10  # rows from which their order can be told
+_FEW = 10  # rows from which their order shows
 
 
 def not_covered(fit: Fit) -> tuple[str, ...]:
-    """Return what the measurements of a fit cannot show, a line each."""
+    """Return the errors that the measurements of a fit cannot show, a line each."""
     if fit.computed:
         return ()
     seen_in_order = any(Trait.IN_COURSE in p.kind.traits for p in findings.patterns(fit) if p.significant)
@@ -49,7 +49,7 @@ def _scale(fit: Fit) -> Iterator[str]:
 
 
 def _whose_noise(fit: Fit) -> Iterator[str]:
-    """Lines on errors beside the model, where the noise was neither stated nor measured by repeats."""
+    """Lines on errors that the model leaves out, where the noise was neither stated nor measured by repeats."""
     estimate = fit.first_noise
     measured = repeatability(fit.identification)[1] >= ENOUGH_REPEATS
     if estimate.stated is None and not measured and estimate.group.part.is_position:

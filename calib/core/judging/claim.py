@@ -1,4 +1,4 @@
-"""What a calibration claims of the robot where it was measured, and whether poses that it has not used bear it out.
+"""The claim of a calibration on the error of the robot where it was measured, and its test at unused poses.
 
 The claim. Each pose that was used is predicted by the fit of all others (`calib.core.fitting.unseen_errors`). Of
 these errors, 95 in 100 at further poses like them stay below `limit95`, whatever their distribution. They count what
@@ -50,7 +50,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.contributions import Contributions, Sureness, contributions_to
+from calib.core.base.contributions import Contributions, Uncertainty, contributions_to
 from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.core.base.words import listing
 from calib.core.data.pose_groups import APART, is_apart
@@ -73,7 +73,7 @@ from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
 
 MORE = 1.25
 """Errors at poses that were not used, over those claimed, up to which a claim holds."""
-_HALF = 0.5  # part of what a joint's limits allow, below which its reach is told
+_HALF = 0.5  # part of a joint's range between its limits below which its motion is reported
 
 
 class Benefit(Enum):
@@ -86,11 +86,11 @@ class Benefit(Enum):
 
 @dataclass(frozen=True)
 class ErrorElsewhere:
-    """How far off a robot is expected to be at other poses than those measured.
+    """Expected error of a robot at other poses than those measured.
 
     Attributes:
         rms, limit95: Root mean square and 95 % limit of the error, in the unit of the claim.
-        times: How many times as far as at the poses measured.
+        times: Ratio to the error at the poses measured.
     """
 
     rms: float
@@ -112,7 +112,7 @@ class ErrorElsewhere:
 
 @dataclass(frozen=True)
 class SeenUnused:
-    """How far off the robot is at poses that had no part in the fit.
+    """Errors of the robot at poses that had no part in the fit.
 
     Attributes:
         accuracy: At all of them.
@@ -132,9 +132,9 @@ class Claim:
     Attributes:
         at_measured_poses: Error at poses like those measured. `before` is NaN if only places were sought, which
             the robot before has by all poses, those left out among them.
-        unused: The same as seen at poses that had no part in the fit.
-        gain: What becomes of poses that were not used.
-        region: Which poses it is about, in words.
+        unused: The errors seen at poses that had no part in the fit.
+        gain: Change of the errors at these poses.
+        region: The poses that it is about, in words.
         joints_moved_little: Joints that moved through less than half of their range, and how far.
         find_known: Returns `known`, which takes as long as half of the rest of a verdict.
     """
@@ -155,17 +155,17 @@ class Claim:
         return self.find_known()
 
     def error_at(self, known: float) -> ErrorElsewhere:
-        """Return how far off the robot is at poses where positions are known to `known` (root mean square) [m]."""
+        """Return the expected error at poses where positions are known to `known` (root mean square) [m]."""
         return ErrorElsewhere.from_claim(self.at_measured_poses.rms, self.at_measured_poses.limit95, self.known, known)
 
     @property
     def contains(self) -> Contributions:
         """Contributions that the numbers contain."""
-        return contributions_to(Sureness.CLAIM)
+        return contributions_to(Uncertainty.CLAIM)
 
     @property
     def holds(self) -> bool:
-        """Whether poses that were not used are as far off as claimed."""
+        """Whether the errors at unused poses are as claimed."""
         return all(seen.holds for seen in self.unused)
 
     @property
@@ -253,7 +253,7 @@ class Claim:
 
 
 def claim_of(fit: Fit) -> Claim | None:
-    """Return what a fit claims; None where its data do not tell (they were computed, or each pose stands alone)."""
+    """Return the claim of a fit; None where its data do not tell (they were computed, or each pose stands alone)."""
     predicted = None if fit.computed else leave_one_out_errors(fit)
     measured = predicted_accuracy(fit)
     if predicted is None or measured is None:
@@ -280,7 +280,7 @@ def claim_of(fit: Fit) -> Claim | None:
 def _accuracy_without_outliers(
     fit: Fit, measured: Accuracy, errors: ErrorSet, where: PoseUse, outliers: Sequence[Outlier]
 ) -> Accuracy | None:
-    """Return how far off unused poses are without a few outliers, if the claim holds for them; else None."""
+    """Return the error at unused poses without a few outliers, if the claim holds for them; else None."""
     gone = {outlier.pose for outlier in outliers}
     if not 0 < len(gone) <= (1.0 - COVERED) * len(errors.data):
         return None
@@ -318,7 +318,7 @@ def _known(fit: Fit, measured: Accuracy) -> float:
 
 
 def _most(fit: Fit, measured: Accuracy, seen: Accuracy) -> float:
-    """Return how many times the error claimed another one may be."""
+    """Return the largest ratio of another error to the claimed one."""
     coordinates = 1 if fit.statistics.shared_scatter is not None else len(fit.identification.main_part.axes)
     bound = scipy.special.fdtri(coordinates * seen.n_poses, coordinates * measured.n_poses, 1.0 - UNLIKELY)
     return max(MORE, float(np.sqrt(bound)))

@@ -2,7 +2,7 @@
 
 A copy has the joint values and the readings of another visit, to the last digit. Honest repeats may have them, too,
 where readings are written in coarse steps: with a step d and a scatter s of each reading, two of them are the same
-with a chance of about d / (2 sqrt(pi) s). The step is the largest one of which all readings are multiples; the scatter
+with a chance of about d / (2 sqrt(pi) s). The step is the largest one that divides all readings; the scatter
 is that of repeats that differ, and at least that of the best instruments and robots. Visits are copies where chance
 does not explain so many.
 
@@ -76,7 +76,7 @@ def _chance_of_same(robot: Robot, data: Measurements, pairs: list[tuple[int, int
 
 
 def _step(numbers: FloatArray, digit: float) -> float:
-    """Return the largest step of which all differences of numbers (n,) are multiples, but for rounding to `digit`."""
+    """Return the largest step that divides all differences of numbers (n,), but for rounding to `digit`."""
     known = np.unique(numbers[np.isfinite(numbers)])
     return digit * float(np.gcd.reduce(np.round((known - known[:1]) / digit).astype(np.int64)))
 

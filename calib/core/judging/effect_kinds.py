@@ -1,4 +1,4 @@
-"""The kinds of effects that a model may leave out, what is true of each, its sentence, and patterns of these kinds."""
+"""The kinds of effects that a model may leave out, their traits and sentences, and patterns of these kinds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Trait(Enum):
     """A property that some kinds of effects have."""
 
     IN_COURSE = "changes in the course of the measurement, and goes on changing after it"
-    MOVED = "is of what moved beside the robot: its base, an instrument or a target"
+    MOVED = "is of something else than the robot that moved: its base, an instrument or a target"
     MISPLACED = "is of a target that sits elsewhere than the description says"
     FOLLOWS_JOINTS = "follows the values of joints: at poses like those measured it stays as it is"
     BY_THE_DOZEN = "is tried by the dozen for each joint or target, and the best is kept"
@@ -35,9 +35,9 @@ class Kind(StrEnum):
     """A kind of effect.
 
     Attributes:
-        family: Which kinds it shares the chance of a false finding with.
-        sentence: What a pattern of it says; `describe` fills in what stands in braces.
-        traits: What is true of it.
+        family: Name of the kinds with which it shares the chance of a false finding.
+        sentence: Text on a pattern of this kind; `describe` fills in the braces.
+        traits: Its properties.
     """
 
     family: Family
@@ -120,14 +120,14 @@ class Pattern:
     """One effect that was tested.
 
     Attributes:
-        kind: Which effect.
+        kind: Kind of the effect.
         name: The axis, joint or target; `xyz` for what all axes do.
         p_value: Chance of such a pattern from noise, over all tests.
         size: Root mean square of what it explains [m]; of readings in another unit where no positions are [SI].
         amount: The shift or slip [m], half the backlash or the height of a wave [m or rad], the part by which lengths
             are off, the error for a unit of the neighbour; NaN for a curve.
         significant: Whether it counts as a finding.
-        dimension: What `size` measures.
+        dimension: Dimension of `size`.
         detail: Cycles of a wave, the first visit of a slip, in words; the other joint of a coupling, or before a link.
     """
 

@@ -1,4 +1,4 @@
-"""What a model may leave out, as columns: what each effect would add to the whitened rows of a fit.
+"""Effects that a model may leave out, as columns: their parts of the whitened rows of a fit.
 
 All are displacements of the targets through the robot, d(position)/d(joint) with loops closed, or motions of the
 frames that positions are measured in:
@@ -55,7 +55,7 @@ _VISITS_LOOKED_AT = 256
 
 @dataclass(frozen=True, eq=False)
 class EffectSetting:
-    """A fit, as what effects are made of."""
+    """The data of a fit that effects are made of."""
 
     fit: Fit
 
@@ -65,7 +65,7 @@ class EffectSetting:
         return self.fit.identification.data
 
     def whiten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
-        """Return what effects do to the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
+        """Return effects on the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
         rows: FloatArray = (
             self.fit.whitening.flatten(arrays) / self.fit.whitening.row_scale(self.fit.scales.groups)[:, None]
         )
@@ -97,7 +97,7 @@ class EffectSetting:
 
     @cached_property
     def course(self) -> FloatArray:
-        """When each visit was made, (n_visits,): by the time [s], where all have it, else by the order of the rows."""
+        """Time of each visit, (n_visits,): its time [s], where all have it, else the order of the rows."""
         return np.asarray(self.data.context["time"] if has_time(self.data) else self.data.places, dtype=float)
 
     @property
@@ -123,15 +123,15 @@ def has_time(data: Poses) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Effects:
-    """Effects of one kind on one thing, of which each adds B (x) F: every column of B times every factor of F.
+    """Effects of one kind on one thing; each adds B (x) F: every column of B times every factor of F.
 
     Attributes:
-        kind: Which one.
+        kind: The kind of effect.
         name: Its axis, joint, target or instrument; `xyz` for all axes.
         base: B, what it adds to the whitened rows, (n_rows, b).
         visit: Visit of each row, (n_rows,).
-        details: Of each effect: cycles of a wave or the first visit of a slip in words; the other joint of a coupling,
-            or before a link.
+        details: Details of each effect: cycles of a wave or the first visit of a slip in words; the other joint of a
+            coupling, or before a link.
         by_visit: F of each effect at each visit, (n_visits, n_effects, f); None: one effect, and F is 1.
     """
 
@@ -198,9 +198,9 @@ def powers(turned: NDArray[np.complex128], count: int) -> NDArray[np.complex128]
 def wave_orders(phase: FloatArray) -> range:
     """Return the numbers of cycles that count of a joint with these phases of one cycle, (n_visits,) [rad].
 
-    Only orders of which the joint went through half a cycle count: the height of less is not known. Of joint values on
-    a grid (every 5 degrees), an order is at all poses the same as a lower one beyond half the cycles of the grid in a
-    turn (36): only the lower one counts.
+    An order counts only if the joint went through half a cycle of it: otherwise its height is not known. If joint
+    values lie on a grid (every 5 degrees), an order above half the grid's cycles in a turn (36) is the same at all
+    poses as a lower one: only the lower one counts.
     """
     reach = float(np.ptp(phase))
     if reach == 0:
@@ -222,12 +222,12 @@ def effects(setting: EffectSetting) -> Iterator[Effects]:
 
 
 def scale(setting: EffectSetting) -> FloatArray:
-    """Return what the rows gain if every length is read too long, (n_rows, 1) for a part of 1."""
+    """Return the change of the rows if every length is read too long, (n_rows, 1) for a part of 1."""
     return setting.whiten({name: -lengths for name, lengths in _lengths(setting).items()})
 
 
 def gains(setting: EffectSetting) -> FloatArray:
-    """Return what the rows gain if a joint turns too far by a part of 1 of its way, (n_rows, n_actuated)."""
+    """Return the change of the rows if a joint turns too far by a part of 1 of its way, (n_rows, n_actuated)."""
     return setting.joint_columns * (setting.data.joints - np.mean(setting.data.joints, axis=0))[setting.visit]
 
 

@@ -1,4 +1,4 @@
-"""The error budget: of the error before calibration, how much each cause made, and what is left.
+"""The error budget: the parts of the error before calibration by cause, and the rest after it.
 
 Between the robot before (values p_0) and after (p_1), let e(t) be the errors of the readings at p_0 + t (p_1 - p_0),
 J(t) their derivative, and d_k the change of the parameters of cause k. By the chain rule
@@ -53,10 +53,10 @@ from calib.core.rows.unknowns import Unknowns
 
 PLACES, GEOMETRY = "base, targets and instruments", "geometry (joint origins)"
 NOISE, UNEXPLAINED = "noise", "not explained"
-REST = "noise or not explained: cannot be told apart"
+REST = "noise and unexplained errors, not separable"
 ENOUGH_REPEATS = 10.0
 """Degrees of freedom that repeats need to count as known noise."""
-_AS_LARGE = 1.1  # left over noise (RMS) up to which the rest is as large as the noise
+_AS_LARGE = 1.1  # ratio of rest to noise (RMS) up to which the rest counts as noise
 _SURE = 0.5  # mean square not explained over that of noise, below which two standard deviations must end
 
 
@@ -74,10 +74,10 @@ class ErrorBudget:
     """Causes of the error before calibration.
 
     Attributes:
-        used: Whether of the readings that were used, corrected for that; else of those that were not.
+        used: Whether it is about the readings used by the fit, corrected for that; else about the others.
         part: The part of the readings that it is about.
         n_readings, n_poses: How many.
-        before, after: Mean square error of a reading before, and what is left of it [SI, squared].
+        before, after: Mean square error of a reading before and after [SI, squared].
         shares: The causes, then the rest; they add up to `before`.
         noise_from: `repeats` or `stated`; empty where the noise is not known.
         advice: Whether more modelling may help, in one sentence.
@@ -96,12 +96,12 @@ class ErrorBudget:
 
 @dataclass(frozen=True, eq=False)
 class _ErrorPath:
-    """Readings on the way: sums over the rows of each reading, and what the covariance needs.
+    """Integrals over the way from before to after: sums over the rows of each reading, and gradients.
 
     Attributes:
         before: |e(0)|^2 of each reading, (n_readings,).
         explained_by_cause: s_k of each reading and cause, (n_readings, n_causes).
-        gradient: Of the sum of s_k by the unknowns, (n_causes, n_free).
+        gradient: Gradient of the sum of s_k by the unknowns, (n_causes, n_free).
         pose: Pose of each reading, (n_readings,).
     """
 
@@ -189,9 +189,9 @@ def _integrate(fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, c
     Args:
         fit: The fit.
         errors: The readings.
-        members: Which parameters belong to which cause, (n_causes, n_free).
-        layout: Which row is what.
-        counted: Which rows count, (n_rows,).
+        members: Mask of the parameters of each cause, (n_causes, n_free).
+        layout: Layout of the rows.
+        counted: Mask of the rows that count, (n_rows,).
     """
     before, after, unknowns = fit.placed, fit.robot, fit.unknowns
     way = after.values - before.values

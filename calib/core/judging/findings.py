@@ -89,7 +89,7 @@ def excluded_errors(fit: Fit) -> ErrorSet | None:
 
 @memoize
 def setting(fit: Fit) -> EffectSetting:
-    """Return the data from which effects beside the model are computed."""
+    """Return the data from which effects are computed."""
     return EffectSetting(fit)
 
 
@@ -114,7 +114,7 @@ def patterns(fit: Fit) -> tuple[Pattern, ...]:
 @memoize
 @one_blas_thread
 def changes(fit: Fit) -> tuple[Pattern, ...]:
-    """Return significant changes in the course of the measurement, beside effects that follow the values of joints.
+    """Return significant changes in the course of the measurement, after effects that follow the values of joints.
 
     Where poses were measured in the order of their joint values, an error that follows a joint looks like a change. So
     errors that follow joints are parameters here.

@@ -38,7 +38,7 @@ class LinearFit:
     pose_freedom: float = np.inf
 
     def after_fit(self, effect: FloatArray) -> FloatArray:
-        """Return M Z, what a fit leaves of effects Z (n_rows, n_effects) on the residuals, (n_rows, n_effects)."""
+        """Return M Z, the remainder of effects Z (n_rows, n_effects) in the residuals, (n_rows, n_effects)."""
         return effect - self.span.times(self.span.transposed_product(effect))
 
     def with_parameters(self, effects: FloatArray) -> LinearFit:
@@ -89,7 +89,7 @@ class LinearFit:
         """Return how large an effect of one column must be for the residuals to show it; inf if they never do.
 
         Args:
-            column: What an effect of 1 does to the whitened rows, (n_rows, 1).
+            column: Change of the whitened rows by an effect of 1, (n_rows, 1).
         """
         size = float(np.linalg.norm(column))
         if size == 0.0:

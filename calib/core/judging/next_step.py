@@ -1,4 +1,4 @@
-"""What to do after a fit, as one sentence and one command to type: for the terminal, `result.json` and the viewer."""
+"""The next step after a fit, as a sentence and a command to type: for the terminal, `result.json` and the viewer."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class NextStep:
     """The next step that the user is advised to take.
 
     Attributes:
-        aim: What it is for, in words that begin with a verb.
-        command: What to type, in words; `ROBOT`, `DATA` and `DIR` stand for files.
+        aim: Its purpose, in words that begin with a verb.
+        command: The command to type, or words; `ROBOT`, `DATA` and `DIR` stand for files.
         without: Options of the fit that are not to be given again.
     """
 
@@ -74,11 +74,11 @@ class NextStep:
 
 
 def next_step(fit: Fit) -> NextStep:
-    """Return what answers the first reason of the verdict, or how the result is tested or used."""
+    """Return the answer to the first reason of the verdict, or how the result is tested or used."""
     verdict, done = judge(fit), _tried_answers(fit)
     answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
     open_answers = [answer for answer in answers if answer is not Answer.LOOK and answer not in done]
-    if Answer.CORRECT in open_answers:  # what else is seen comes from the mistake
+    if Answer.CORRECT in open_answers:  # other findings come from the mistake
         return _repeat_fit(fit, "correct the data or the description as the reasons say, and fit again")
     data = fit.identification.data
     if Answer.ADD_TERMS in open_answers and len(stretches(data, LEAST_POSES)) < LEAST_POSES:
@@ -120,7 +120,7 @@ def _repeat_fit(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stan
 
 
 def _use(fit: Fit) -> NextStep:
-    """How to use a result that nothing speaks against, by what its robot is and what files can hold of it."""
+    """The use of a result that nothing speaks against: by its robot, and by what files can hold of it."""
     if judge(fit).nothing_to_correct:
         return NextStep("keep the nominal robot, and test it again later", f"calib verify {FOLDER} measured.csv")
     if own := result_use(fit.nominal.description):

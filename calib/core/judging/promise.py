@@ -1,4 +1,4 @@
-"""What a calibration promises of new readings: the least-squares problem of `calib.core.judging.acceptance`.
+"""The promise of a calibration on new readings: the least-squares problem of `calib.core.judging.acceptance`.
 
 Symbols are those of that module: r residuals, J L what is known only so well, P base and targets, Q = |e|^2.
 """
@@ -47,13 +47,13 @@ class Promise:
 
     Attributes:
         robot: The calibrated robot.
-        covariance: Of its free parameters, (n_free, n_free) [m, rad].
+        covariance: Covariance of its free parameters, (n_free, n_free) [m, rad].
         freedom: Degrees of freedom that the noise was found with.
         sigma: Noise of one component by group and part of the instruments [SI].
-        shared: How many times as much as independent readings those of a pose scatter together (`Scatter.ratio`).
-        decided: How many parameters the readings decided.
+        shared: Scatter of the readings of a pose together, over that of independent readings (`Scatter.ratio`).
+        decided: Number of parameters that the readings decided.
         joints: At which poses it was measured, (n, n_actuated) [m or rad]; none where that is not stored.
-        names: Of these poses, (n,).
+        names: Names of these poses, (n,).
     """
 
     robot: Robot
@@ -67,7 +67,7 @@ class Promise:
 
     @staticmethod
     def from_calibration(calibrated: Fit | Promise | HasPromise) -> Promise:
-        """Return what a fit or a loaded result promises.
+        """Return the promise of a fit or a loaded result.
 
         Raises:
             InputError: It promises nothing, such as a robot alone, or the path of a result's folder.
@@ -89,7 +89,7 @@ class Promise:
         )
 
     def with_common_error(self, n_rows: int) -> Promise:
-        """Return what it promises where errors that it left unexplained may be one error of n rows, though no larger.
+        """Return the promise where errors left unexplained may be one error of n rows, though no larger.
 
         In a region of its own, such errors move parameters as if only as few rows as parameters had decided them; and
         the rows tell as much as so few. The equations are in `calib.core.judging.acceptance`.
@@ -115,8 +115,8 @@ class Change:
 
     Attributes:
         name: The parameter, or `zero of JOINT`.
-        dimension: What it measures.
-        value: How far it has changed [m or rad]; NaN where nothing was read.
+        dimension: Its dimension.
+        value: Its change [m or rad]; NaN where nothing was read.
         std: Standard deviation of that [m or rad].
         z: Their ratio.
         visible: Smallest change that is seen with the chance `POWER` [m or rad].
@@ -143,9 +143,9 @@ class PossibleChanges:
 
     Attributes:
         name: The parameter, or `zero of JOINT`.
-        dimension: What it measures.
+        dimension: Its dimension.
         index: Its place among the free parameters, or among the actuated joints.
-        is_joint: Which of these.
+        is_joint: Whether `index` counts actuated joints.
         scale: Unit in which it is looked at [m or rad].
     """
 
@@ -157,7 +157,7 @@ class PossibleChanges:
 
 
 def candidates(robot: Robot) -> list[PossibleChanges]:
-    """Return what can change: parameters of the robot's origins, and zeros of its joints."""
+    """Return the possible changes: parameters of the robot's origins, and zeros of its joints."""
     free = np.flatnonzero(robot.is_free)
     parameters = [
         PossibleChanges(p.name, p.dimension, k, False, p.sigma_si)
@@ -186,7 +186,7 @@ class ExpectedDistances:
     freedom: float
 
     def limit(self, chance: float, noise_freedom: float) -> float:
-        """Return what their root mean square exceeds with a chance [m].
+        """Return the limit that their root mean square exceeds with a chance [m].
 
         Args:
             chance: The chance.
@@ -200,11 +200,11 @@ class System:
     """The least-squares problem.
 
     Attributes:
-        promise: What is judged.
+        promise: The promise that is judged.
         rows: The linear model: r by the known unknowns J L, which have a prior, and by the places P, of length 1.
         candidate_columns: Columns of the candidates, (n_rows, n_candidates).
         errors: Errors of the readings after placing base and targets, without outliers.
-        expected: Of the distances between measured and predicted positions.
+        expected: Expectation of the distances between measured and predicted positions.
     """
 
     promise: Promise
@@ -251,7 +251,7 @@ class System:
         return numbers_by_instrument(np.setdiff1d(np.arange(self.rows.layout.n_readings), readings), self.rows.layout)
 
     def require_readings(self, data: Measurements) -> System:
-        """Return it; with nothing left to judge by, raise `DataError`."""
+        """Return the system itself; a `DataError` if nothing is left to judge by."""
         if self.promise.freedom < 1:
             raise DataError(
                 f"{self.promise.robot.path}: its calibration left {self.promise.freedom:.2g} degrees of freedom, too"
@@ -280,7 +280,7 @@ class System:
 
     @property
     def n_rows(self) -> int:
-        """How many rows count."""
+        """Number of rows that count."""
         return int(np.sum(self.rows.layout.group >= 0))
 
     @property
@@ -290,7 +290,7 @@ class System:
 
     @property
     def placement_rank(self) -> int:
-        """Rank of the columns of the places beside the known unknowns."""
+        """Rank of the columns of the places, in addition to the known unknowns."""
         return self.rows.posterior_information.root.shape[1] - int(np.sum(self.rows.prior.has))
 
     @cached_property
@@ -314,10 +314,10 @@ class System:
         return len(self.promise.joints) > 0 and not are_drawn_alike(self.errors.data.joints, self.promise.joints)
 
     def with_common_error(self, data: Measurements, same_setup: bool) -> System:
-        """Return it as it is where what the calibration left unexplained may be one error of all readings.
+        """Return the system where errors left unexplained may be one error of all readings.
 
         Args:
-            data, same_setup: Of which it was made.
+            data, same_setup: Arguments that it was made with.
         """
         return System.from_promise(self.promise.with_common_error(self.n_rows), data, same_setup)
 
@@ -363,7 +363,7 @@ def _candidate_columns(robot: Robot, columns: FloatArray, n_free: int) -> FloatA
 
 
 def six_digits(value: float) -> float:
-    """So much of a number that rounding decides about no order."""
+    """Return a number to six digits, so that rounding decides about no order."""
     return float(f"{value:.6g}")
 
 
@@ -399,7 +399,7 @@ def _expected_distances(
         promise: Says noise and shared errors.
         robot: The robot where the readings see it.
         observed: With derivatives by parameters.
-        kept: Which of the free parameters are not placed anew, (n_free,).
+        kept: Mask of the free parameters that are not placed anew, (n_free,).
         root: A root of their covariance, (n_kept, k) [m or rad].
     """
     free, slopes, square, n = np.flatnonzero(robot.is_free), [], 0.0, 0
@@ -421,7 +421,7 @@ def _expected_distances(
     spread = slope[:, kept] @ root
     spread -= basis @ (basis.T @ spread)
     left = len(slope) - basis.shape[1]
-    square *= left / len(slope)  # what placing them takes up
+    square *= left / len(slope)  # the part that placing them takes up
     along = spread.T @ spread
     left_open, total = float(np.trace(along)), square + float(np.trace(along))
     # variances of squares: of noise in `left` directions, of what is left open, and of both in one direction

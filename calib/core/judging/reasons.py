@@ -1,4 +1,4 @@
-"""What a verdict is made of: a grade, and reasons in words that say what to do.
+"""The parts of a verdict: a grade, and reasons in words that say what to do.
 
 `Code` is the table of all reasons. What makes a reason true, its limit and its sentence stand together, in one function
 of `calib.core.judging.rules_...`; `calib.core.judging.verdict` asks these functions in order.
@@ -32,15 +32,15 @@ class Answer(Enum):
 
 @dataclass(frozen=True)
 class Reason:
-    """One thing to know.
+    """A finding about a fit, and what to do about it.
 
     Attributes:
         grade: CHECK or FAIL; PASS where it is good to know and no doubt.
         code: Short name for programs.
-        text: What was found, and what to do.
+        text: The finding, and what to do.
         counted: Whether errors at poses that were not used count what was found: where these are as claimed, and the
             robot gets better, it is no doubt, and its grade becomes PASS.
-        answer: What to do about it.
+        answer: What to do.
     """
 
     grade: Grade
@@ -131,10 +131,10 @@ class Code(StrEnum):
         """Return the reason in words.
 
         Args:
-            text: What was found, and what to do.
-            grade: Where it is not that of the table; a FAIL is never counted.
-            counted: Where it is not that of the table.
-            answer: Where it is not that of the table.
+            text: The finding, and what to do.
+            grade: Grade, where it is not that of the table; a FAIL is never counted.
+            counted: Whether it counts, where that is not as in the table.
+            answer: Answer, where it is not that of the table.
         """
         applied = grade or self.grade
         counts = self.counted if counted is None else counted
@@ -148,8 +148,8 @@ class Verdict(HintedObject):
     Attributes:
         grade: The worst of its reasons; PASS without any.
         reasons: FAIL before CHECK before PASS.
-        not_covered: What could be wrong without any trace in these measurements, in words.
-        claim: How far off the robot is where it was measured; None where that is not known, or nothing is to be used.
+        not_covered: Errors that would leave no trace in these measurements, in words.
+        claim: Error of the robot where it was measured; None where that is not known, or nothing is to be used.
     """
 
     _other_words = "verdict"
@@ -160,7 +160,7 @@ class Verdict(HintedObject):
     claim: Claim | None = None
 
     def __eq__(self, other: object) -> bool:
-        """Whether two verdicts are the same; a verdict beside a text is a mistake that would go unseen."""
+        """Whether two verdicts are the same; comparing a verdict with a text is a mistake that would go unseen."""
         if isinstance(other, str):
             raise UnknownOptionError(f"Verdict: is not text; here: fit.verdict.grade == {other!r}")
         return isinstance(other, Verdict) and vars(self) == vars(other)

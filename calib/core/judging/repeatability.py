@@ -1,4 +1,4 @@
-"""What repeated readings of a pose say: the figures of ISO 9283.
+"""The figures of ISO 9283 from repeated readings of a pose.
 
 ISO 9283 asks for 30 readings of five poses, approached anew each time, and takes the commanded position where this
 takes the one that the model predicts for the reading's own joint values; what the joints say that they moved between
@@ -38,7 +38,7 @@ class IsoFigure:
     Attributes:
         name: `AP`, `RP`, `vAP`, `AD`, `RD`, `dAP` or `dRP`; of orientations with the axis, such as `AP_rx`.
         poses: The pose, or the two poses of a distance.
-        cycles: How many there were, of the pose with fewest.
+        cycles: Number of cycles, of the pose with fewest.
         figure: Value and interval [m or rad].
     """
 
@@ -59,7 +59,7 @@ class Repeats(ReadOnlyArrays):
 
     Attributes:
         poses: Pose of each, (n,).
-        readings: How many readings each has, (n,).
+        readings: Number of readings of each, (n,).
         accuracy_before, accuracy_after: AP, (n,) [m].
         repeatability: RP, (n,) [m].
     """
@@ -146,7 +146,7 @@ def repeatability(errors: ErrorSet) -> tuple[float, int]:
 
 
 def pose_error_over_repeatability(errors: ErrorSet, n_effective: float) -> tuple[float, float]:
-    """Return what pose means are off, as noise of one reading, over the scatter of repeats, and the chance of that.
+    """Return the error of pose means, as noise of one reading, over the scatter of repeats, and the chance of that.
 
     If the model leaves nothing out, the mean of n readings is off by what one reading scatters over the root of n. NaN
     and 1 where there are no repeats, or where they do not scatter at all.
@@ -166,7 +166,7 @@ def pose_error_over_repeatability(errors: ErrorSet, n_effective: float) -> tuple
 
 
 def conditions(comments: Sequence[str], keys: Sequence[str] = CONDITIONS) -> dict[str, str]:
-    """Return what comment lines `key: value` of a file say of the test, by key."""
+    """Return the conditions of the test in comment lines `key: value` of a file, by key."""
     stated = {}
     for line in comments:
         key, _, value = line.partition(":")
@@ -265,7 +265,7 @@ def _drifts(
 def _missing(
     errors: ErrorSet, several: list[PoseScatter], turned: list[PoseScatter], figures: list[IsoFigure]
 ) -> list[str]:
-    """Say what the standard asks for and the data do not have."""
+    """Return the figures of the standard for which data are missing, in words."""
     cycles = [len(scatter.after) for scatter in several]
     result = []
     if not several:
@@ -286,10 +286,12 @@ def _missing(
         result.append("no orientation was read: no AP and RP of angles")
     present = {figure.name for figure in figures}
     if "vAP" not in present:
-        result.append("no vAP: it takes cycles from several directions, told apart by columns approach_<joint>")
+        result.append("no vAP: it needs cycles from several directions, and columns approach_<joint> that state these")
     time = errors.data.context.get("time")
     if "dAP" not in present:
-        result.append(f"no drift: it takes a column time, and {2 * _BLOCK} cycles or more of a pose over {_HOURS:g} h")
+        result.append(
+            f"no drift: it needs a column 'time', and {2 * _BLOCK} or more cycles of a pose over {_HOURS:g} h"
+        )
     elif time is not None and np.ptp(time) < _HOURS * _SECONDS:
         result.append(f"drift over {np.ptp(time) / _SECONDS:.1f} h where ISO 9283 has {_HOURS:g} h")
     stated = conditions(errors.data.comments)

@@ -1,4 +1,4 @@
-"""Systematic residuals: patterns that noise does not make.
+"""Systematic residuals: patterns that are no noise.
 
 Question. Would the model explain the data significantly better with one more effect? For an effect with columns Z (what
 it would add to the measured rows) the linear model r = J du + Z c is compared with the fit:
@@ -49,9 +49,9 @@ from calib.core.numerics.tall import slices
 
 SMALLEST_EFFECT = 0.1
 """Least root mean square of an effect, over that of the noise, that is worth a finding."""
-_NUMBERS_AT_ONCE = 1 << 24  # of what findings explain
+_NUMBERS_AT_ONCE = 1 << 24  # numbers of what findings explain
 _VISITS_AT_ONCE = 512  # their factors stay in the processor's cache
-_ALIKE = 9.2  # of the noise squared: chance makes a sine and cosine explain more in 1 % of cases
+_ALIKE = 9.2  # times the noise squared: chance makes a sine and cosine explain more in 1 % of cases
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +76,8 @@ class _EffectTests:
     """Results of the tests of m effects with k columns each.
 
     Attributes:
-        effects: Of one kind and name.
-        numbers: Which of them, (m,).
+        effects: Effects of one kind and name.
+        numbers: Their numbers, (m,).
         p_values: Chance of such a gain if readings are independent, (m,).
         ratios: F of the module docstring, (m,).
         ranks: Columns left after M, (m,).
@@ -124,8 +124,8 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
 
     Args:
         residuals: The fit.
-        setting: What effects are made of.
-        kinds: Which of them are tested.
+        setting: Data that effects are made of.
+        kinds: Kinds that are tested.
     """
     if residuals.factor * setting.metre < EXACT:
         return ()
@@ -150,7 +150,7 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
 
 
 def _kept(tested: Iterable[_EffectTests]) -> list[tuple[_EffectTests, int]]:
-    """Of the kinds that are tried by the dozen, keep the most significant of each name; of the others, all."""
+    """Keep the most significant effect of each name of kinds that are tried by the dozen, and all of the others."""
     kept: dict[tuple[Kind, str, int], tuple[_EffectTests, int]] = {}
     for tests in tested:
         kind, name = tests.effects.kind, tests.effects.name
@@ -224,7 +224,7 @@ def _sums_of_visits(base: FloatArray, others: list[FloatArray], firsts: IntArray
 
     Args:
         base: B of rows of visits, one visit after the other, (n, b).
-        others: Of these rows, (n, ...) each, k columns together.
+        others: Arrays of these rows, (n, ...) each, k columns together.
         firsts: First row of each visit, (n_visits,).
     """
     n_visits, length = len(firsts), len(base) // len(firsts)

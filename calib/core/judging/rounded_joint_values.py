@@ -32,7 +32,7 @@ from calib.core.numerics.clusters import blocks_of_equal_length
 from calib.core.robots.robot import Robot
 
 _STEPS = tuple(round(figure * 10.0**power, 12) for power in range(2, -6, -1) for figure in (5.0, 2.0, 1.0))
-_CLOSE = 1e-6  # of a step, by which a value that stands on it may be off
+_CLOSE = 1e-6  # part of a step by which a value on the grid may be off
 _DIFFERENT = 8  # values that a joint must take for its steps to show
 _UNITS: dict[Dimension, tuple[str, ...]] = {"angle": ("deg", "rad"), "length": ("mm", "m")}
 
@@ -42,9 +42,9 @@ class Rounding:
     """Rounding of joint values, by their digits and by the residuals.
 
     Attributes:
-        steps: Of the joints that have any, in words.
+        steps: Steps of the joints that have any, in words.
         part: Part of the noise, squared, that rounding to them makes.
-        chance: Chance of residuals that scatter so much along the joints without it.
+        chance: Chance that residuals scatter as much along the joints without rounding.
     """
 
     steps: str
@@ -75,7 +75,7 @@ def joint_steps(robot: Robot, joints: FloatArray) -> FloatArray:
     """Return the step in which all values of each joint stand, (n_actuated,) [m or rad]; 0 for none.
 
     Args:
-        robot: Whose joints they are.
+        robot: Robot with these joints.
         joints: (n, n_actuated) [m or rad].
     """
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]

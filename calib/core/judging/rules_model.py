@@ -31,7 +31,7 @@ ELSEWHERE = 0.2
 """Errors of the nominal robot with base or targets placed by the data, over those where they are stated, if they are
 elsewhere."""
 NEAR = 0.1
-"""The same errors, over the spread of the measured positions, up to which the robot fits at all."""
+"""The largest of the same errors, over the spread of the measured positions, of a robot that fits."""
 BELIEVED = 0.5
 """Weight of a robust loss from which a reading counts."""
 AT_END = 0.55
@@ -240,8 +240,8 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
         before, after = (millimetres(errors.rms("after")) for errors in (fit.validation, moved.errors))
         placed = f". Placed anew, its error falls from {before:.3g} to {after:.3g} mm RMS, by which it is judged here"
     yield Code.FRAME_MOVED.says(
-        "the validation poses look as if the tracker, the base or its frame had moved between the two files, by"
-        f" {millimetres(moved.shift):.3g} mm and {np.degrees(moved.angle):.2g} deg: such a motion explains all but"
+        "the tracker, the base or its frame probably moved between the two files, by"
+        f" {millimetres(moved.shift):.3g} mm and {np.degrees(moved.angle):.2g} deg: this explains all but"
         f" {millimetres(moved.left):.3g} mm RMS{placed}. Measure both from one place, or hold out poses of one file"
         " (--validate 0.25)"
     )
@@ -293,8 +293,8 @@ def _chance_of_gain(fit: Fit) -> float:
 
 
 def files_hold_less(fit: Fit) -> Iterator[Reason]:
-    """Say what `calibrated.urdf` is worth where it is not the whole model; and if it is not written, why."""
-    if fit.reduced is None:  # no files were asked for
+    """State the error of `calibrated.urdf` where it is not the whole model; and if it is not written, why."""
+    if fit.reduced is None:  # no files were requested
         return
     why = why_no_origins(fit)
     if why:
@@ -327,7 +327,7 @@ def systematic(fit: Fit) -> Iterator[Reason]:
     """List patterns in the residuals: those that change in the course of the measurement, misplaced targets, others.
 
     The claim includes them, but for changes that go on. Where a pattern is more than a healthy robot leaves, or a
-    misplaced target makes most of what is left, the description is wrong, and there is doubt all the same.
+    misplaced target makes most of the residuals, the description is wrong, and there is doubt all the same.
     """
     if impossible(fit):  # parts of what does not fit at all
         return

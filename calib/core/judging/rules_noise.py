@@ -40,7 +40,7 @@ NOT_STATED = 2.0
 """How many times as much may be left where the noise of the instrument is not stated, as it is in there: a camera that
 looks at a small space has 1 % of it."""
 _CLOSER = 0.2  # error with another meaning over that with the present one
-_TRIED = 20  # of many poses, so many are enough
+_TRIED = 20  # poses that are tried, of many
 _FEWEST_READINGS = 4
 
 
@@ -72,7 +72,7 @@ def noise(fit: Fit) -> Iterator[Reason]:
 
 
 def misread(fit: Fit) -> Iterator[Reason]:
-    """Look for noise that no such instrument has, whatever robot it reads, and for what the numbers mean then."""
+    """Look for noise that no such instrument has, whatever robot it reads, and for another meaning of its numbers."""
     for estimate in fit.noise:
         if not estimate.sigma > DOUBTFUL * estimate.group.part.largest:
             continue
@@ -137,10 +137,8 @@ def _check_usual_noise(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
         none_fits = all(other.stated is None and other.sigma > GROSS * other.group.part.usual for other in fit.noise)
         yield Code.NOISE.says(
             f"noise found{_group_noise_in_words(fit, estimate)} is {noise_in_words(estimate, estimate.sigma)} per"
-            f" axis, more than such an"
-            f" instrument has ({noise_in_words(estimate, usual)} at most): the model does not explain the"
-            f" measurements, and"
-            " what it leaves out may have changed the parameters; look for what is missing or wrong in the"
+            f" axis, more than such an instrument has ({noise_in_words(estimate, usual)} at most): the model does not"
+            " explain the measurements, and the parameters may be wrong. Look for what is missing or wrong in the"
             " description of the instrument, and check the result with another instrument",
             grade="FAIL" if none_fits and not _proven_by_another(fit) else "CHECK",
             counted=False,
@@ -148,7 +146,7 @@ def _check_usual_noise(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
 
 
 def _proven_by_another(fit: Fit) -> bool:
-    """Whether poses get better that an instrument judged with which nothing was fitted."""
+    """Whether errors get smaller at poses read by an instrument that was not used for the fit."""
     used = fit.identification.data.readings.keys()
     another = fit.validation is not None and bool(fit.validation.data.readings.keys() - used)
     return another and any(comparison.better for comparison in comparisons(fit))

@@ -43,12 +43,12 @@ MOST = 0.5
 like it."""
 _NOTHING = 1e-6  # part of its length to which a robot has shrunk to a point
 MANIFOLD = 0.3
-"""Scale of lengths beyond which their ratio is told, and not percent."""
+"""Scale of lengths beyond which their ratio is stated, and not percent."""
 UNUSUAL = 10.0
 """Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
 JOINT_SCALED = 0.01
 """Part by which no joint moves further than its values say: gears, belts and screws are off by a thousandth."""
-_SUREST = 0.2  # of the standard deviations of the surest scale: what bends with it looks like smaller ones of others
+_SUREST = 0.2  # standard deviations of the surest scale: what bends with it looks like smaller ones of others
 LOOSE_ANGLE = 0.1
 """Standard deviation of an angle beyond which its effect is not linear [rad]."""
 
@@ -59,7 +59,7 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
     Where priors share an error between parameters that the data cannot tell apart, each moves by less than the error: a
     deviation u scatters by the root of the share that the data decide, so that is what it is compared with. Without a
     prior, noise alone moves a parameter too: two standard deviations of that are allowed for. The place of a target is
-    never impossible: what the description says of it may be no more than a guess.
+    never impossible: its place in the description may be no more than a guess.
     """
     far, impossible = [], []
     for parameter, away in _deviations(fit):
@@ -88,10 +88,11 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     """See whether one scale of all lengths explains why parameters are far from nominal: then the unit is off.
 
     In the linear model around the solution, with deviations u over the sigmas of all that are no places, a scale s of
-    everything that was measured is tried beside the parameters: |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. Noise is
-    scaled as well: else a robot whose lengths are all free is explained best by lengths of nothing. Residuals are over
-    the noise found, so that without a scale the squares add up to about the rows less the places. Joints that turn too
-    far draw larger arcs, which look like longer links: no scale is the cause where gains of all joints explain as much.
+    everything that was measured is tried together with the parameters: |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2.
+    Noise is scaled as well: else a robot whose lengths are all free is explained best by lengths of nothing. Residuals
+    are over the noise found, so that without a scale the squares add up to about the rows less the places. Joints that
+    turn too far draw larger arcs, which look like longer links: no scale is the cause where gains of all joints explain
+    as much.
     """
     if fit.computed:
         return
@@ -120,7 +121,7 @@ def _residuals_of_scales(fit: Fit) -> tuple[FloatArray, int]:
 
 
 def _scale_sentence(part: float) -> str:
-    """Say how long measured lengths are beside those of the description, which fit once they are scaled by 1 + part."""
+    """Return a clause on the ratio of measured to described lengths, which fit once scaled by 1 + part."""
     if abs(part) > MANIFOLD:
         return f"{1.0 / max(1.0 + part, _NOTHING):.3g} times as long as"
     return f"{100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than"
@@ -131,7 +132,7 @@ def _residuals_beside_parameters(fit: Fit, columns: FloatArray) -> tuple[FloatAr
 
     Args:
         fit: The fit.
-        columns: What is tried, (n_rows, k).
+        columns: Columns to try, (n_rows, k).
 
     Returns:
         Few rows with the same products as all that were measured, above one for each deviation of a parameter,
@@ -152,11 +153,11 @@ def _residuals_beside_parameters(fit: Fit, columns: FloatArray) -> tuple[FloatAr
 def _cost_with(
     columns: FloatArray, right: FloatArray, n_measured: int, *, is_scale: bool = False
 ) -> tuple[float, float]:
-    """Return the least cost with some of these columns (n, k) beside the residuals (n,), and the first's size.
+    """Return the least cost of the residuals (n,) with some of these columns (n, k) fitted, and the first's size.
 
     Args:
-        columns, right: What the parameters leave of them.
-        n_measured: How many of the rows were measured; the others are priors.
+        columns, right: Their remainders after the parameters.
+        n_measured: Number of measured rows; the others are priors.
         is_scale: Whether the column scales all lengths, and noise with them.
     """
     unit, size = unit_columns(columns)
@@ -171,7 +172,7 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
     """Look for joints that move by another factor than their values say, by joint terms or by what the model leaves.
 
     Joint origins hide most of it: a robot may fit to a tenth of a millimetre although a motor turns three percent too
-    far. What is left still tells the factors of all joints, each beside all others.
+    far. What is left still tells the factors of all joints, each with all others fitted.
     """
     if fit.computed:
         return
@@ -193,7 +194,7 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
 
 
 def _gain_errors(fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """By which part each joint moves too far by the terms of its own error, and its standard deviation, (n_actuated,).
+    """Part by which each joint moves too far, by the terms of its own error, and its std, (n_actuated,).
 
     That is the slope of the straight line through its errors at the poses used.
     """
@@ -229,7 +230,7 @@ def large_terms(fit: Fit) -> Iterator[Reason]:
 
 
 def unlike_fleet(fit: Fit) -> Iterator[Reason]:
-    """Say in what a robot is unlike the others of its model, so that these said nothing of it."""
+    """Say which parameters are unlike those of the fleet, so that the fleet's prior was not used for them."""
     fleet = fit.nominal.description.fleet
     if fleet is not None and fleet.unlike:
         whole = len(fleet.unlike) == len(fleet.parameters)

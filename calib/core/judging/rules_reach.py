@@ -1,5 +1,5 @@
-"""Rules of the verdict about what a calibration reaches: where it holds, by how far joints moved and where it was
-validated, and a stated tolerance.
+"""Rules of the verdict about the region where a calibration holds, by the motion of joints and by validation, and about
+a stated tolerance.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LESS_KNOWN = 3.0
 WIDENED = np.sqrt(2.0)
 """Uncertainty of positions with joint terms over that without them, from which most of it is theirs."""
 _TRIED = 50  # poses at which a joint is moved through its limits in the model
-_NO_VARIANCE = 1e-9  # of a variance, nothing
+_NO_VARIANCE = 1e-9  # part of a variance that counts as none
 _SAMPLED = 200  # poses at which uncertainties are looked at
 
 
@@ -174,7 +174,7 @@ def check_curve_ranges(fit: Fit) -> Iterator[Reason]:
 
 
 def blocks_disagree(fit: Fit) -> Iterator[Reason]:
-    """See whether the parameters stand where boxes of joint space, or whole setups, are left out in turn."""
+    """See whether the parameters stay where boxes of joint space, or whole setups, are left out in turn."""
     apart = fit.regions
     if apart is not None and apart.surely:
         yield Code.BLOCKS_DISAGREE.says(
@@ -196,7 +196,7 @@ def terms_untested(fit: Fit) -> Iterator[Reason]:
 
 
 def terms_beyond(fit: Fit) -> Iterator[str]:
-    """Say how sure positions are where joints go beyond the values from which terms were learned."""
+    """Report the uncertainty of positions beyond the joint values from which terms were learned."""
     q = fit.identification.data.joints
     lower, upper = fit.nominal.urdf.limits(fit.nominal.joint_names)
     half = _joint_ranges(fit.nominal) / 2
@@ -207,13 +207,11 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
     sample = halton(_SAMPLED, len(low))[:, order]
     accuracy = _widening_sentence(fit, low + (high - low) * np.where(signs < 0, 1 - sample, sample))
     if accuracy:
-        yield (
-            f"joint values beyond those measured: over what the joints' limits allow, positions are known to {accuracy}"
-        )
+        yield (f"not all of the joints' range was measured: over all of it, positions are known to {accuracy}")
 
 
 def _widening_sentence(fit: Fit, q: FloatArray) -> str:
-    """How sure positions at q (n, n_actuated) are beside those at the poses used, where joint terms widen them so much.
+    """The uncertainty of positions at q (n, n_actuated) against that at the poses used, if joint terms widen it.
 
     Base and tool placed anew: where they stand is no matter of the terms.
     """
@@ -232,7 +230,7 @@ def _widening_sentence(fit: Fit, q: FloatArray) -> str:
 
 
 def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
-    """How positions move with the unknowns beside what moves all of them as one body, (3 n, n_unknowns)."""
+    """Derivative of positions by the unknowns, without the motion of all as one body, (3 n, n_unknowns)."""
     linear, targets = linearise(fit.robot, configurations), fit.robot.reported_targets
     rows = without_common_motion(linear.positions[:, targets], linear.jacobian[:, targets])
     return rows.reshape(-1, rows.shape[-1])[:, fit.unknowns.index]

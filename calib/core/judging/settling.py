@@ -1,9 +1,9 @@
 """Poses of a calibration that settle whether a robot has changed, if they are measured again.
 
 At a pose that was used the model is off now as it was then: what differs there is the robot, whatever the model leaves
-out. Of all poses used, those are chosen one by one that make the information on the change beside base and targets,
-which are placed anew, grow most (its determinant: `calib.core.numerics.observability`, O1); and so many of them that
-the change shows with the chance `POWER`.
+out. Of all poses used, those are chosen one by one that make the information on the change, base and targets
+eliminated, which are placed anew, grow most (its determinant: `calib.core.numerics.observability`, O1); and so many of
+them that the change shows with the chance `POWER`.
 
 When it fails. Of more poses than `MOST`, evenly chosen ones are looked at. The change is taken as large as it was
 found: a smaller one takes more poses.
@@ -22,7 +22,7 @@ from calib.core.rows.simulate import simulate
 
 MOST = 300
 """Poses that are looked at."""
-_COUNTS = (8, 12, 16, 24, 32)  # of poses to measure again
+_COUNTS = (8, 12, 16, 24, 32)  # numbers of poses to measure again
 _NOTHING = 1e-6  # information before any pose was chosen, of columns of length 1
 
 
@@ -30,7 +30,7 @@ def poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
     """Return the names of poses of the calibration that show a change, best first; none where none do.
 
     Args:
-        promise: What the calibration promises.
+        promise: The promise of the calibration.
         change: The change, as it was found.
     """
     if not len(promise.joints):

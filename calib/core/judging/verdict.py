@@ -89,7 +89,7 @@ _ORDER = ("FAIL", "CHECK", "PASS")
 _IN_MISTAKE = {Code.ZERO_READINGS, Code.EQUAL_COLUMNS, Code.JOINT_SCALED}
 """Reasons that the likely mistake says already."""
 _NOTHING_FITS = {Code.NOT_CONVERGED, Code.NOT_ASSEMBLED, Code.NOISE_AS_LARGE_AS_ROBOT, Code.FAR_FROM_NOMINAL}
-_MOVED = {Code.AT_BOUNDS}  # what a base that stands a little elsewhere does
+_MOVED = {Code.AT_BOUNDS}  # effect of a base that stands a little elsewhere
 
 
 @memoize
@@ -108,7 +108,7 @@ def judge(fit: Fit) -> Verdict:
     if claim is not None:
         reasons += rules_reach.check_tolerance(fit, claim)
     reasons = [reason for reason in reasons if reason.code not in _superseded_codes(reasons)]
-    nothing_fits = bool(codes & _NOTHING_FITS) and not fit.convergence.receding  # of these the poses are the cause
+    nothing_fits = bool(codes & _NOTHING_FITS) and not fit.convergence.receding  # the poses are the cause of these
     gross = nothing_fits or rules_noise.is_noise_too_large(fit)
     scaled = any(reason.code == Code.JOINT_SCALED for reason in reasons)
     mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma, gross=False) if scaled else ""
@@ -126,7 +126,7 @@ def judge(fit: Fit) -> Verdict:
         reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
     reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.counted, reason.code != Code.FRAME_MOVED))
     grade = reasons[0].grade if reasons else "PASS"
-    if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
+    if grade == "FAIL":  # other findings say nothing about numbers that must not be used
         return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))
     return Verdict(grade, tuple(reasons), not_covered(fit), claim)
 
@@ -173,7 +173,7 @@ class JudgedFit(Fit):
 
     @classmethod
     def from_fit(cls, fit: Fit) -> Self:
-        """Return a fit with what it is worth."""
+        """Return a fit with its findings and its verdict."""
         values = {field.name: getattr(fit, field.name) for field in fields(fit)}
         if fit.with_all is not None:
             values["with_all"] = JudgedFit.from_fit(fit.with_all)
@@ -234,6 +234,6 @@ class JudgedFit(Fit):
 
     @property
     def known(self) -> KnownRobot:
-        """The calibrated robot, with how well it is known and where it was measured."""
+        """The calibrated robot, with its uncertainty and the poses measured."""
         joints, needless = self.identification.data.joints, self.verdict.nothing_to_correct
         return KnownRobot(self.robot, self.uncertainty, joints, needless)

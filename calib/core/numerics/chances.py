@@ -1,4 +1,4 @@
-"""Chances and scales that decide in every room what counts as found."""
+"""Chances and scales by which every room decides about findings."""
 
 UNLIKELY = 1e-3
 """Chance below which what one test finds is no accident: shared errors, noise other than stated, a gain, harm."""

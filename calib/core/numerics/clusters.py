@@ -42,14 +42,14 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.tall import Span
 
-_OWN = 0.99  # part of a direction that a block decides, from which the other blocks cannot foretell it
+_OWN = 0.99  # part of a direction that a block decides, from which the other blocks cannot predict it
 _ROWS_AT_ONCE = 30_000
 _NONE = 1e-150  # noise of data that were computed, not measured
 
 
 @dataclass(frozen=True, eq=False)
 class Scatter(ReadOnlyArrays):
-    """How the rows of blocks scatter together.
+    """Scatter of the rows of blocks.
 
     Attributes:
         core: Covariance of U^T e of the module docstring, (k, k).
@@ -66,10 +66,10 @@ class Scatter(ReadOnlyArrays):
     total_freedom: float
 
     def ratio_to(self, finer: Scatter) -> tuple[float, float]:
-        """Return the ratio beside that of the smaller blocks within, and the chance of it.
+        """Return the ratio over that of the smaller blocks within, and the chance of it.
 
         Args:
-            finer: Of blocks, several of which make one of these.
+            finer: Scatter of smaller blocks; several make one of these.
         """
         ratio = self.ratio / finer.ratio
         return ratio, float(scipy.special.fdtrc(self.total_freedom, finer.total_freedom, ratio**2))
@@ -92,7 +92,7 @@ def scatter(
     moved = mean = squares = decided_parts = fourth = 0.0
     for rows in blocks_of_equal_length(block):
         values, errors, turned = directions(span[rows], residuals[rows])
-        along = turned.reshape(-1, k)  # of all blocks, one after another
+        along = turned.reshape(-1, k)  # rows of all blocks, one after another
         level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
         alone = values >= _OWN
         left = np.where(alone, 1.0, 1.0 - values)

@@ -1,4 +1,4 @@
-"""Graphs as matrices: which nodes hang together. For the small ones of robots; SciPy's take longer to import."""
+"""Graphs as matrices: connected parts. For the small ones of robots; SciPy's take longer to import."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def pose_accuracy(errors: FloatArray, tail: float = _TAIL) -> Figure:
     """Return AP of attained minus commanded positions, (n, 3), n of 2 or more [m].
 
     Args:
-        errors: Of the cycles.
+        errors: Errors of the cycles.
         tail: Chance on either side of the interval.
     """
     return _length(errors.mean(axis=0), np.cov(errors.T) / len(errors), len(errors) - 1, tail)
@@ -81,7 +81,7 @@ def pose_repeatability(errors: FloatArray, rng: np.random.Generator) -> Figure:
     """Return RP of attained minus commanded positions, (n, 3), n of 2 or more [m].
 
     Args:
-        errors: Of the cycles.
+        errors: Errors of the cycles.
         rng: Source of the draws that make the interval.
     """
     value = repeatability(errors)

@@ -5,7 +5,7 @@ Minimise |r(x)|^2. With J = dr/dx the gradient is 2 J^T r and the Hessian is
     2 (G + S)      G = J^T J      S = sum of r_i d^2 r_i / dx^2
 
 Gauss and Newton's step f = -G^-1 J^T r leaves S out. Near a minimum each such step multiplies the error by -G^-1 S: it
-converges fast only where S is small beside G, that is where residuals are small or directions are well seen. In
+converges fast only where S is small compared with G, that is where residuals are small or directions are well seen. In
 directions that priors alone hold, G is 1 whatever the noise. Residuals that hold what the model leaves out, divided by
 the small noise of a good instrument, bring S to 1 there; then plain steps converge slowly or not at all.
 
@@ -100,17 +100,17 @@ MAX_EVALUATIONS = 200
 TOLERANCE = 1e-12
 """Promised decrease, relative to the cost, that ends the iteration: 1e-4 standard deviations at ten thousand rows."""
 _SMALL_STEP = 1e-12
-_ROUNDING = 10.0  # how many tolerances may be left where a step did not lower the cost
+_ROUNDING = 10.0  # allowed rest where a step did not lower the cost, in tolerances
 _KEPT = 8  # steps whose Jacobians are remembered
-_SHORTER = 0.25  # how much of the radius is left after a step that failed
+_SHORTER = 0.25  # factor of the radius after a step that failed
 _GOOD, _POOR = 0.75, 0.25  # part of the promised decrease that came, beyond which the radius changes
 _BEND = 0.5  # length of what takes a bend away, over that of the step, at most
 _ABSURD = 3.5  # root mean square of a first step in units of the unknowns
-_REACH = 0.5  # how far the steps may then go at first, in the same units
-_LONGER = 2.0  # how far a step away from the bottom of a valley may go, over the length of the last one
+_REACH = 0.5  # first limit of the steps after that, in the same units
+_LONGER = 2.0  # longest step away from the bottom of a valley, over the length of the last one
 _AWAY = 8  # further steps away from the bottom
 _PATIENCE = 20  # trial points that a minimum that recedes is followed at least
-_RECEDED = 3  # steps in a row that made what is left longer
+_RECEDED = 3  # steps in a row after which the remaining step was longer
 _LIMIT, _RECEDES, _COST_STANDS, _STEP_VANISHES = (
     "the limit of evaluations was reached",
     "the best values recede",
@@ -121,7 +121,7 @@ _LIMIT, _RECEDES, _COST_STANDS, _STEP_VANISHES = (
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresSolution:
-    """Where the iteration ended.
+    """The end of the iteration.
 
     Attributes:
         x: The unknowns, (n,).
@@ -129,8 +129,8 @@ class LeastSquaresSolution:
         jacobian: J(x) as it was given, (m, n).
         cost: |r|^2.
         converged: Whether a stopping rule was met before the evaluations ran out.
-        evaluations: How many points were evaluated.
-        message: Which rule ended it.
+        evaluations: Number of evaluated points.
+        message: The rule that ended it.
         recedes: Whether the minimum was given up because it recedes.
     """
 
@@ -159,7 +159,7 @@ def minimise(
         residuals: x (n,) -> r (m,); NaN where r has no value.
         jacobian: x (n,) -> dr/dx (m, n), as an array or above a prior; computed only where r was finite, and where the
             iteration goes back to.
-        start: Where to begin, (n,).
+        start: Start, (n,).
         scaling: D of the module docstring.
         tolerance: Promised decrease, relative to the cost, that ends the iteration.
         max_evaluations: Number of trial points after which it ends as not converged.
@@ -196,10 +196,10 @@ def _cost(values: FloatArray) -> float:
 
 
 class _Iteration:
-    """Where the iteration is, and what it remembers.
+    """The state of the iteration, and its memory.
 
     Args:
-        start: Where it begins.
+        start: Its start.
         scaling: D of the module docstring.
         tolerance: Relative change of the cost that counts as none.
     """
@@ -221,7 +221,7 @@ class _Iteration:
         self._left: tuple[LinearPoint, float] | None = None  # where it left the bottom of a valley, length of that step
         self._away = 0  # steps since then
         self._stays = self._by_columns  # whether it does not leave it any more
-        self._receded = 0  # steps in a row that made what is left longer
+        self._receded = 0  # steps in a row after which the remaining step was longer
         self._step: FloatArray = np.zeros(len(start.x))
         self._taken: FloatArray = self._step
         self._promised = start.cost
@@ -247,7 +247,7 @@ class _Iteration:
 
     @property
     def recedes(self) -> bool:
-        """Whether what is left, which promises little, is absurdly long and becomes ever longer."""
+        """Whether the remaining step, which promises little, is absurdly long and becomes ever longer."""
         current = self.current
         if self._by_columns or self._left is not None or self._receded < _RECEDED:
             return False
@@ -263,7 +263,7 @@ class _Iteration:
         return self.current if self._left is None else self._left[0]
 
     def stopping_rule(self) -> str:
-        """Return which stopping rule is met; nothing if none is."""
+        """Return the stopping rule that is met; empty if none is."""
         if self._left is not None:
             return ""
         allowed = (_ROUNDING if self._undone else 1.0) * self._tolerance
@@ -273,7 +273,7 @@ class _Iteration:
         return _STEP_VANISHES if min(self._length(self.current.newton), self._radius) <= _SMALL_STEP * size else ""
 
     def trial(self) -> FloatArray:
-        """Return where to look next, (n,)."""
+        """Return the next trial point, (n,)."""
         current = self.current
         curvature = current.curvature(self._past) if 2.0 * current.decrease <= current.cost else None
         self._step, self._promised = current.step(curvature, self._radius, self._scale)
@@ -282,7 +282,7 @@ class _Iteration:
         return np.asarray(current.x + self._taken)
 
     def _extrapolated_curvature(self) -> FloatArray:
-        """Return how the rows bend along the next step if they bend as along the last one, (m,)."""
+        """Return the curvature of the rows along the next step if it is that along the last one, (m,)."""
         before = self._past[-1]
         last = self.current.x - before.x
         along = float(last @ self._step) / float(last @ last)
@@ -290,11 +290,11 @@ class _Iteration:
         return self.current.jacobian.times(way) - before.jacobian.times(way)
 
     def _back(self, bend: FloatArray) -> FloatArray | None:
-        """Return what takes a bend away, (n,)."""
+        """Return the step that takes a bend away, (n,)."""
         return self.current.correct_curvature(bend, _BEND * self._length(self._step), self._scale)
 
     def curved_trial(self, values: FloatArray) -> FloatArray | None:
-        """Return where to look as well, (n,), after a trial point with these residuals (m,); None for nowhere."""
+        """Return a second trial point, (n,), after one with these residuals (m,); None for none."""
         reached, promised = _cost(values), self.current.cost - self._promised
         if self._left is not None or (np.isfinite(self._radius) and not self._stays) or self._promises_little:
             return None

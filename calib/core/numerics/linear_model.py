@@ -1,11 +1,11 @@
-"""The linear model of a fit: residuals r + J d of whitened rows around a point, and what is known of d before them.
+"""The linear model of a fit: residuals r + J d of whitened rows around a point, and the prior of d.
 
 Unknowns are scaled, u = (p - p_expected) / s; d is their change from where they are. The rows are those of all readings
 (`calib.core.rows.rows`), or a few that have the same products. Its use:
 
     factor       the triangular factor of [J r], from which all sums over rows follow
     known        what rows and priors determine, with T T^T = (J^T J + P^T P)^-1
-    span         U = J T, of which leverages are the squares
+    span         U = J T; leverages are sums of its squares
     left_out     the model with blocks of rows left out in turn (`calib.core.numerics.clusters`)
 """
 
@@ -27,7 +27,7 @@ from calib.core.numerics.tall import Span
 
 @dataclass(frozen=True, eq=False)
 class RowGroups(ReadOnlyArrays):
-    """Which rows have noise of one scale.
+    """The groups of rows whose noise has one scale.
 
     Attributes:
         group: Group of each row; -1 for one that was not read, (n_rows,).
@@ -39,7 +39,7 @@ class RowGroups(ReadOnlyArrays):
 
     @staticmethod
     def from_groups(group: IntArray, n_groups: int) -> RowGroups:
-        """Return that of rows (n_rows,) which stand for themselves."""
+        """Return the groups of rows (n_rows,) which stand for themselves."""
         return RowGroups(group, np.bincount(group[group >= 0], minlength=n_groups))
 
 
@@ -50,9 +50,9 @@ class LinearModel:
     Attributes:
         residuals: r, (n_rows,).
         jacobian: J, by the scaled free parameters, (n_rows, n_free).
-        prior: Of these.
+        prior: Prior of these.
         deviations: u there, (n_free,).
-        layout: Which row is of which group.
+        layout: Group of each row.
     """
 
     residuals: FloatArray

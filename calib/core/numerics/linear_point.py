@@ -1,6 +1,6 @@
 """The linear model of residuals at a point of an iteration, and steps to its minimum.
 
-r(x + d) is taken as r + J d, with J = Q R; what is known of the curvature of r stands beside it as K. Symbols and
+r(x + d) is taken as r + J d, with J = Q R; what is known of the curvature of r is K. Symbols and
 derivation are those of `calib.core.numerics.least_squares`, which goes from point to point.
 
 R is that of rotations, which lose nothing. Of many columns it is the Cholesky factor of J^T J, in a third of the time.
@@ -24,8 +24,8 @@ from calib.core.numerics.prior import Prior
 
 ON_RADIUS = 0.1
 """Relative length within which a step counts as being on the ball that holds it."""
-_BOLD = 4.0  # how far to go where the model has no minimum, in lengths of Newton's step
-_DEPENDENT = 1e-4  # part of a remembered step that later ones do not say, below which it says nothing
+_BOLD = 4.0  # length of a step where the model has no minimum, in lengths of Newton's step
+_DEPENDENT = 1e-4  # part of a remembered step outside of later ones, below which it tells nothing
 _SINGULAR = 1e-14  # the same for directions that the rows do not see
 _MANY = 128  # columns from which products are used
 _EXACT = 1e-6  # inverse of the condition down to which they are exact enough
@@ -38,7 +38,7 @@ class RowStack:
 
     Attributes:
         rows: J, (n_rows, n).
-        prior: Of the unknowns.
+        prior: Prior of the unknowns.
         factor: Returns the triangular factor of [J r], (n + 1, n + 1) or fewer rows, where that is known.
         products: Returns J^T J (n, n) and J^T r (n,), where these are known.
     """
@@ -50,7 +50,7 @@ class RowStack:
 
     @staticmethod
     def from_matrix(matrix: FloatArray | RowStack) -> RowStack:
-        """Return a matrix (m, n) as such a one without a prior."""
+        """Return a stack of a matrix (m, n) without a prior."""
         if isinstance(matrix, RowStack):
             return matrix
         return RowStack(matrix, Prior(np.zeros(matrix.shape[1], dtype=bool)))

@@ -1,4 +1,4 @@
-"""Robust losses: how much a measured point counts, given how far it is from where the fit puts it.
+"""Robust losses: the weight of a reading by its distance from the fit.
 
 A reading is k whitened rows of one instrument at one visit. With d = |r| / scale the length of its residual over a
 scale found from the data, its squares count with the weight
@@ -112,7 +112,7 @@ def weights(loss: Loss, distance: FloatArray, c: FloatArray | float) -> FloatArr
     """Return the weight of readings at these distances, in units of the scale.
 
     Args:
-        loss: Which one.
+        loss: Name of the loss.
         distance: d >= 0, (n_readings,); the weights have its shape.
         c: Constant of each, or of all.
     """
@@ -172,7 +172,7 @@ def robust_factors(loss: Loss, distances: FloatArray, widths: IntArray, scale: f
         loss: The loss that weighed them.
         distances: Lengths of whitened residuals, (n_readings,).
         widths: Rows of each reading, (n_readings,).
-        scale: What they were divided by for the weights.
+        scale: Divisor of the lengths in the weights.
         n_effective: Effective parameters.
 
     Raises:
@@ -229,7 +229,7 @@ class StudentisedErrors(ReadOnlyArrays):
     Attributes:
         ratio: T over its scale, (n_readings,).
         leverage: Mean over the rows, (n_readings,).
-        largest_leverage: That of the worst direction, (n_readings,).
+        largest_leverage: Leverage along the worst direction, (n_readings,).
         chance: Chance of such a reading where it is the only one, (n_readings,).
         scale: Scale of T.
     """

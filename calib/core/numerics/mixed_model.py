@@ -1,7 +1,7 @@
 """One linear model with coefficients whose sizes are found: all kinds of columns at once, in place of a choice of them.
 
 Problem. Rows y of a linear problem have columns of many kinds: some of them are surely there (origins, places), others
-may be (gears, bending), and beside them is what no column describes. Which kinds are there, and how large, is to be
+may be (gears, bending), and the rest is what no column describes. Which kinds are there, and how large, is to be
 found from the same rows, and what is not known of it is to be counted.
 
 Model. With u the coefficients of all columns X,
@@ -44,8 +44,8 @@ Another row, of derivatives b by the components, has the variance  b S A^-1 S b^
 predicted by all others: with Q_kk the block of its rows, the error of that is Q_kk^-1 (Q y)_k, and its covariance
 Q_kk^-1, the noise of the pose included.
 
-When it fails. What is far from linear, and families of which the sizes are as large as the rows are (`size_search` has
-priors for them). A family of a size says: its coefficients are about as large as each other.
+When it fails. Far from the linear model, and where the sizes of families are as large as the rows (`size_search` has
+priors for them). A family with one size has coefficients that are about as large as each other.
 
 Reference: patterson1971; harville1977; mackay1992.
 """
@@ -64,8 +64,8 @@ from calib.core.numerics import linalg
 from calib.core.numerics.clusters import blocks_of_equal_length
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
-_DECIDES = 1e-6  # part of a direction that other poses decide, from which they foretell it
-_RIDGE = 1e-12  # of its diagonal, added to a matrix that rounding might make singular
+_DECIDES = 1e-6  # part of a direction that other poses decide, from which they predict it
+_RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding might make singular
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +74,14 @@ class MixedModel(ReadOnlyArrays):
 
     Attributes:
         rows: As they were given.
-        parts: What columns are made of, in their order.
+        parts: Groups of columns and their components, in their order.
         x: Columns of all parts, rows rotated, (n_rows, n).
         y: Values, rotated, (n_rows,).
         spread: l of the module docstring, (n_rows,).
-        family: Of each column, as of `MixedRows`, (n,).
+        family: Family of each column, as of `MixedRows`, (n,).
         n_families: Number of families.
         poses: Rows of each pose, (k,).
-        turns: Of the rows of each pose: rows are Q times the rotated ones, (k, k).
+        turns: Rotations Q of the rows of each pose: rows are Q times the rotated ones, (k, k).
     """
 
     rows: MixedRows
@@ -141,7 +141,7 @@ class MixedModel(ReadOnlyArrays):
         return np.exp(logs[: self.n_families]), noise, float(np.exp(logs[-1])) if self.scatters else 0.0
 
     def coefficients(self, condensed: FloatArray) -> FloatArray:
-        """Return those of all columns (n_columns,), from those of the condensed ones (n,)."""
+        """Return the coefficients of all columns (n_columns,), from those of the condensed ones (n,)."""
         result, start = np.zeros(self.rows.columns.shape[1]), 0
         for part in self.parts:
             end = start + part.kept.shape[1]
@@ -287,7 +287,7 @@ class SolvedModel(ReadOnlyArrays):
 
         Args:
             block: Block of each pose in the order of `MixedModel.poses`, from 0 on, (n_poses,).
-            weight: Of each group of rows, (n_groups,).
+            weight: Weight of each group of rows, (n_groups,).
         """
         weights, squares = weight[self.model.rows.group], np.zeros(int(np.max(block)) + 1)
         for k in range(len(squares)):

@@ -12,7 +12,7 @@ from calib.core.numerics.linear_model import LinearModel
 
 FLAT, KNOWN = -2, -1
 """In place of the number of a family: a column without a prior, and one whose prior is N(0, 1)."""
-_ASIDE = 1e-4  # of the largest singular value of a family, below which its components are put aside
+_ASIDE = 1e-4  # part of the largest singular value of a family below which its components are put aside
 _UNSEEN = 1e-11  # the same of flat columns: what rounding leaves of columns that depend on others
 
 
@@ -26,7 +26,7 @@ class MixedRows(ReadOnlyArrays):
         family: Family of each column from 0 on, or `FLAT` or `KNOWN`, (n_columns,).
         group: Group of the noise of each row, (n_rows,).
         has_stated_noise: Whether the noise of each group is 1, (n_groups,).
-        pose: Of each row, (n_rows,).
+        pose: Pose of each row, (n_rows,).
         levers: H: derivatives by what scatters from pose to pose, (n_rows, n_scattering); no columns without scatter.
     """
 
@@ -45,7 +45,7 @@ class MixedRows(ReadOnlyArrays):
         """Return the rows of a linear model around some deviations from what is expected.
 
         Args:
-            model: Its residuals are predicted minus read.
+            model: Linear model; residuals are predicted minus read.
             family: Family of each parameter whose size is found, -1 for others, (n_columns,).
             stated: Whether the noise of each group is stated, (n_groups,).
             pose, levers: Attributes of the rows.
@@ -78,7 +78,7 @@ class FamilyPart(ReadOnlyArrays):
 
     @staticmethod
     def from_columns(members: IntArray, columns: FloatArray, family: int, least: float = 0.0) -> FamilyPart:
-        """Return that of the columns of a family, (n_rows, n); without components shorter than `least`."""
+        """Return the part of the columns of a family, (n_rows, n); without components shorter than `least`."""
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
             lengths[lengths == 0.0] = 1.0

@@ -1,4 +1,4 @@
-"""Which parameters move together without moving any measured position, in the smallest groups.
+"""The smallest groups of parameters that move together without moving any measured position.
 
 The null space of the scaled Jacobian says which changes of parameters no measurement sees. Any basis of it from an SVD
 mixes everything with everything. What a reader wants are its vectors with the fewest non-zero entries: "xb with dq1",
@@ -40,7 +40,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
 from calib.core.numerics.identifiability import rank_of, reduce_rows
 
-_SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter by which a group is told
+_SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter by which a group is described
 ZERO = 1e-6
 """Entries of a vector below this part of its largest are zero."""
 _DEPENDENT = 1e-9  # smallest singular value of rows of an orthonormal basis that counts as none
@@ -54,7 +54,7 @@ class UnseenGroup(ReadOnlyArrays):
 
     Attributes:
         members: Column indices; the one that speaks for the group comes first.
-        coefficients: How much each moves when the first moves by one sigma, in sigmas, (n_members,); the first is 1.
+        coefficients: Motion of each when the first moves by one sigma, in sigmas, (n_members,); the first is 1.
     """
 
     members: tuple[int, ...]
@@ -70,7 +70,7 @@ def null_groups(
         scaled_jacobian: (n_rows, n_columns).
         dropped: Columns that are held or dropped. Groups are listed with one of them first where one moves enough, and
             with as few others of them as possible.
-        lengths: What each column was divided by after it was scaled by its sigma, (n_columns,); 1 if not given.
+        lengths: Divisor of each column after it was scaled by its sigma, (n_columns,); 1 if not given.
     """
     null = _null_space(scaled_jacobian)
     projector = null @ null.T
@@ -85,10 +85,10 @@ def null_groups(
 
 
 def describe_group(group: UnseenGroup, parameters: Sequence[Parameter]) -> str:
-    """Return in words which changes look alike, such as `d41 + dq1 from d42 + xt`, or `1 deg of dq2 from 3 mm of yb`.
+    """Return the changes that look alike in words: `d41 + dq1 from d42 + xt`, or `1 deg of dq2 from 3 mm of yb`.
 
     Args:
-        group: Of `null_groups`.
+        group: One of `null_groups`.
         parameters: The parameters of the columns.
     """
     first = parameters[group.members[0]]

@@ -15,7 +15,7 @@ the same number); the others are meaningful on scaled columns. None of them is w
 
 for poses where the robot will work, given the poses that were measured and the noise; and its largest value.
 
-Information, what rows and priors say about the unknowns, is how sure everything that follows from them is. With u = (p
+The information of rows and priors on the unknowns decides the uncertainty of everything that follows. With u = (p
 - p_expected) / s the scaled free parameters, J the whitened rows (each with noise 1) and P the rows of the prior
 (`calib.core.numerics.prior`: a unit row for each parameter that has one), all rows carry the same noise. So priors,
 readings already there and new readings simply stack,
@@ -186,7 +186,7 @@ class Information(ReadOnlyArrays):
 
     @cached_property
     def undetermined(self) -> BoolArray:
-        """Which parameters depend on a direction that nothing determines, (n_parameters,)."""
+        """Mask of the parameters that depend on a direction that nothing determines, (n_parameters,)."""
         return np.sqrt(np.maximum(0.0, 1.0 - np.sum(self.directions**2, axis=1))) > OUTSIDE
 
     def standard_deviations(self) -> FloatArray:
@@ -218,7 +218,7 @@ class Information(ReadOnlyArrays):
 
 
 def information(rows: FloatArray, priors: FloatArray | None = None) -> Information:
-    """Say what rows, and priors, determine.
+    """Return the information of rows and priors.
 
     Args:
         rows: Whitened, of scaled parameters, (..., n_parameters); leading axes are flattened.

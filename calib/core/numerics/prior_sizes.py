@@ -1,12 +1,12 @@
-"""How large the coefficients of a family are, found from the data, and what else is uncertain by that.
+"""The size of the coefficients of a family, found from the data, and the uncertainty that this adds.
 
 Coefficients of a family f have the prior u ~ N(0, a_f^2) in units of their sigma. They are random effects, whose
 variance obeys the same equation as that of noise (`calib.core.numerics.variance_components`), by MacKay's iteration. It
 works on products of the rows: hundreds of columns, however many rows there are.
 
-What else is uncertain because a_f was found from the same data: the covariance C = (J^T J + P)^-1 holds for a size that
-is known; of one that is itself N(log a, V) on the logarithmic scale, by the law of total covariance and to second order
-in V,
+The uncertainty that is added because a_f was found from the same data: the covariance C = (J^T J + P)^-1 holds for a
+size that is known; of one that is itself N(log a, V) on the logarithmic scale, by the law of total covariance and to
+second order in V,
 
     cov u  =  C  +  G V G^T  +  sum over f of V_ff / 2  d^2 C / d(log a_f)^2
     G_f = d u / d log a_f = 2 C_f u_f,         d^2 C / d(log a_f)^2 = 8 C_f C_ff C_f^T - 4 C_f C_f^T
@@ -42,7 +42,7 @@ _ROUNDS = 100
 _STANDS = 0.01  # relative change of a size at which it is found
 _SMALLEST = 1e-3  # size below which a family does not fall at once
 _SEEN = 0.05  # coefficients that the data must decide of a family for its size to be found
-_RIDGE = 1e-12  # of its diagonal, added to a matrix that rounding has made singular
+_RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding has made singular
 
 
 def spread_of_sizes(covariance: FloatArray, family: IntArray) -> FloatArray:
@@ -62,7 +62,7 @@ def spread_of_sizes(covariance: FloatArray, family: IntArray) -> FloatArray:
 
 
 def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: FloatArray) -> FloatArray:
-    """Return what the found sizes of families add to the covariance of the scaled parameters, (n_free, n_free).
+    """Return the addition by found sizes of families to the covariance of the scaled parameters, (n_free, n_free).
 
     Args:
         covariance, family: As for `spread_of_sizes`.
@@ -102,7 +102,7 @@ class Products:
 
     @staticmethod
     def from_rows(jacobian: FloatArray, residuals: FloatArray, group: IntArray, n_groups: int) -> Products:
-        """Return those of rows (n_rows, n_free) and residuals (n_rows,), by the group of each row (n_rows,)."""
+        """Return the products of rows (n_rows, n_free) and residuals (n_rows,), by the group of each row (n_rows,)."""
         n = jacobian.shape[1]
         gram, pull, square = np.zeros((n_groups, n, n)), np.zeros((n_groups, n)), np.zeros(n_groups)
         for g in range(n_groups):
@@ -113,20 +113,20 @@ class Products:
 
     @staticmethod
     def from_model(model: LinearModel) -> Products:
-        """Return those of the rows of a linear model."""
+        """Return the products of the rows of a linear model."""
         counts = model.layout.counts
         return replace(
             Products.from_rows(model.jacobian, model.residuals, model.layout.group, len(counts)), count=counts
         )
 
     def times(self, scales: FloatArray) -> Products:
-        """Return those of rows times the scales of their groups, (n_groups,)."""
+        """Return the products of rows times the scales of their groups, (n_groups,)."""
         squares = scales**2
         gram, pull = squares[:, None, None] * self.gram, squares[:, None] * self.pull
         return Products(gram, pull, squares * self.square, self.count)
 
     def scale_columns(self, factor: FloatArray) -> Products:
-        """Return those of columns times a factor of each, (n_free,)."""
+        """Return the products of columns times a factor of each, (n_free,)."""
         return Products(factor[:, None] * self.gram * factor, self.pull * factor, self.square, self.count)
 
     def weigh(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -170,9 +170,9 @@ def find_noise_with_families(
     that the data do not see keep an interval.
 
     Args:
-        products: Of the rows, whitened by what is stated.
+        products: Products of the rows, whitened by what is stated.
         prior, deviations: Prior of the columns, and u at the rows, (n_free,).
-        sought: Which groups' scales are to be found, (n_groups,).
+        sought: Mask of the groups whose scales are to be found, (n_groups,).
         family: Family of each parameter, -1 for none, (n_free,).
         start: Scales of the groups to start from, (n_groups,).
 
@@ -192,7 +192,7 @@ def find_noise_with_families(
         inverse = None if alone else root @ root.T
         change = np.ones(len(start))
         for g in map(int, np.flatnonzero(sought & (products.count > 0))):
-            if inverse is None:  # what the rows determine is all that priors do not
+            if inverse is None:  # the rows determine all that priors do not
                 used = len(factor) - prior.share(root[known] / factor[known, None], variances)
             else:
                 used = float(np.sum(inverse * products.gram[g])) / scales[g] ** 2

@@ -1,4 +1,4 @@
-"""Points carried to where they were seen, and a point from its distances.
+"""The best rigid transform between two sets of points, and a point from its distances.
 
 The best rigid transform: R, t that make
 
@@ -11,7 +11,7 @@ are not on one line.
 
 References: kabsch1976, umeyama1991.
 
-Where a point is whose distances from known points were measured, without a first guess.
+Position of a point whose distances from known points were measured, without a first guess.
 
 For points p_k with centroid p0, q_k = p_k - p0, the unknown centre p0 + x and distances d_k that all may be too long by
 one unknown length o, |q_k - x| = d_k - o; squares minus their mean are linear in x and o:
@@ -70,7 +70,7 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
     Args:
         points: (n, 3) [m].
         lengths: (n,) [m].
-        near: Where it may be: decides between mirror images, and stands for what nothing tells, (3,) [m].
+        near: A place near it: decides between mirror images, and stands for what nothing tells, (3,) [m].
     """
     middle = points.mean(axis=0)
     q = points - middle
@@ -110,8 +110,8 @@ def common_offset(points: FloatArray, distances: FloatArray, near: FloatArray, o
     Args:
         points: (n, 3) [m].
         distances: (n,) [m].
-        near: Where the point may be, (3,) [m].
-        offset: What o may be, where nothing tells [m].
+        near: A place near the point, (3,) [m].
+        offset: Value of o where nothing determines it [m].
     """
     middle = points.mean(axis=0)
     q = points - middle

@@ -38,9 +38,9 @@ from calib.core.numerics.mixed_rows import FLAT
 
 _LEAST = -6.0  # logarithm of the least size of a family
 _MOST = 4.0
-_LEAST_PART = 1e-3  # of noise and scatter, over what would explain all that is left
-_SMALL = 0.1  # of where a search begins, below which a size that falls is put to its bound
-_AT_BOUND = 1e-9  # of a logarithm
+_LEAST_PART = 1e-3  # least noise and scatter, over what would explain all residuals
+_SMALL = 0.1  # part of the start of a search below which a falling size is set to its bound
+_AT_BOUND = 1e-9  # difference of a logarithm from its bound
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
 _STANDS = 0.03  # gradient of twice the cost by a logarithm at which a size is found
@@ -82,7 +82,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: Bo
 
 
 def scatter_beside_noise(at: SolvedModel) -> float:
-    """Return the scatter, with what rows cannot tell of it from noise; 0 where they show neither.
+    """Return the scatter, including what rows cannot tell from noise; 0 where they show neither.
 
     Of d^2, rows say that it is normal about the likeliest one, with a standard deviation t, and not negative; if noise
     was known, with t_0. With p and F the normal density and distribution, its mean is d^2 + e(t), e(t) = t p(d^2 / t) /
@@ -109,7 +109,7 @@ def _mean_beyond(value: float, variance: float) -> float:
 def _try_step(
     at: SolvedModel, gradient: FloatArray, information: FloatArray, free: BoolArray, bounds: _Bounds, damping: float
 ) -> tuple[SolvedModel | None, float]:
-    """Where a step leads that lowers the cost, and its damping; None if none does."""
+    """End of a step that lowers the cost, and its damping; None if no step does."""
     inner = information[np.ix_(free, free)]
     while damping <= _HOPELESS:
         step = np.zeros(len(gradient))
@@ -128,7 +128,7 @@ def draw_sizes(at: SolvedModel, n: int, rng: np.random.Generator) -> FloatArray:
 
     Args:
         at: The likeliest ones.
-        n: How many.
+        n: Number of draws.
         rng: Generator of the random numbers.
     """
     lower = np.linalg.cholesky(information_by_size(at))
@@ -157,7 +157,7 @@ class _Bounds(ReadOnlyArrays):
     """Logarithms of the sizes that a search keeps to, (n_sizes,) each.
 
     Attributes:
-        least: As good as zero.
+        least: A value that is as good as zero.
         most: Of a family, much more than is expected; of noise and scatter, what explains all that flat columns leave.
     """
 
@@ -177,7 +177,7 @@ class _Bounds(ReadOnlyArrays):
 
     @property
     def first(self) -> FloatArray:
-        """Where a search begins."""
+        """Start of a search."""
         return np.where(self.most == _MOST, np.log(0.5), self.most - 1.0)
 
 

@@ -1,4 +1,4 @@
-"""How sure the parameters are: covariance, intervals and the found noise of a least-squares fit with priors.
+"""The uncertainty of parameters: covariance, intervals and the found noise of a least-squares fit with priors.
 
 Unknowns u = (p - p_expected) / s with scales s (the parameters' sigma). Whitened data rows J u ~ N(r, f^2), each with
 the noise that the fit assumed, f being by how much that was off (1 where it was found from the residuals, about 1 where
@@ -62,7 +62,7 @@ from calib.core.numerics.variance_components import require_freedom
 DECIDED_BY_DATA = 0.9
 """Share of a parameter's expected variance that the data must remove for `identified`; up to 1 - this, `prior`."""
 Status = Literal["identified", "partly", "prior", "weak", "placed", "held"]
-"""What a parameter's value rests on; see `status`."""
+"""The source of a parameter's value; see `status`."""
 _BY_PRIOR = 1.0 - DECIDED_BY_DATA
 _ENOUGH = 0.5  # degrees of freedom of a group below which its own rows say nothing about its noise
 
@@ -76,7 +76,7 @@ class Factors(ReadOnlyArrays):
         freedom: Degrees of freedom of each group, (n_groups,).
         effective: Noise that gives the scatter of the parameters, in place of f in C; `values`, except with a robust
             loss, (n_groups,).
-        slope: How much less the data weigh against priors than without a robust loss; 1 without one.
+        slope: Weight of the data against priors, over that without a robust loss; 1 without one.
     """
 
     values: FloatArray
@@ -91,7 +91,7 @@ class Factors(ReadOnlyArrays):
 
 
 class BeyondLinear:
-    """Mean square of what parameters are off beyond the linear model, computed at first use.
+    """Mean square error of parameters beyond the linear model, computed at first use.
 
     Args:
         compute: Returns it, (n_free,) [m^2, rad^2].
@@ -102,12 +102,12 @@ class BeyondLinear:
 
     @cached_property
     def values(self) -> FloatArray:
-        """It, (n_free,) [m^2, rad^2]."""
+        """The excess, (n_free,) [m^2, rad^2]."""
         values = one_blas_thread(self._compute)()
         hold(values)
         return values
 
-    def __reduce__(self) -> tuple[Any, ...]:  # what it is computed from would go to other processes, too
+    def __reduce__(self) -> tuple[Any, ...]:  # values alone, without the data that `compute` holds
         return _excess_from, (self.values,)
 
 
@@ -120,15 +120,15 @@ class Statistics(ReadOnlyArrays):
     """Uncertainty of the free parameters.
 
     Attributes:
-        factors: What the residuals say about the assumed noise.
+        factors: Factors on the assumed noise, by the residuals.
         freedom: Degrees of freedom, rows minus effective parameters.
-        covariance: Of the free parameters, (n_free, n_free) [m, rad].
+        covariance: Covariance of the free parameters, (n_free, n_free) [m, rad].
         std: Their standard deviations, (n_free,) [m, rad].
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
-        effective_parameters: How many parameters the data decide, n_eff of the module docstring.
-        poses: How the readings of each pose scatter together; None: independently.
-        beyond_linear: What they are off beyond the linear model, part of `half_width` alone; None for nothing.
-        wider: Factor by which standard deviations and intervals are wider than all of this says, (n_free,).
+        effective_parameters: Number of parameters that the data decide, n_eff of the module docstring.
+        poses: Common scatter of the readings of each pose; None: they are independent.
+        beyond_linear: Their errors beyond the linear model, part of `half_width` alone; None for none.
+        wider: Further factor on standard deviations and intervals, (n_free,).
     """
 
     factors: Factors
@@ -151,7 +151,7 @@ class Statistics(ReadOnlyArrays):
 
     @property
     def shared_scatter(self) -> Scatter | None:
-        """How poses scatter, where that is by more than independent readings would; else None."""
+        """Scatter of poses, where it is larger than that of independent readings; else None."""
         return _scatter_beyond_chance(self.poses)
 
     @property
@@ -161,15 +161,15 @@ class Statistics(ReadOnlyArrays):
 
     @property
     def coverage_factor(self) -> float:
-        """How many standard deviations make half a 95 % interval."""
+        """Half a 95 % interval, in standard deviations."""
         return float(scipy.special.stdtrit(self.interval_freedom, 0.975))
 
     def widen(self, factor: float) -> Statistics:
-        """Return them with deviations and intervals so many times as wide; see `calib.core.fitting.regions`."""
+        """Return the statistics, deviations and intervals multiplied by a factor; see `calib.core.fitting.regions`."""
         return replace(self, std=factor * self.std, wider=factor * self.wider)
 
     def with_more(self, variances: FloatArray) -> Statistics:
-        """Return them with standard deviations and intervals that include further variances, (n_free,)."""
+        """Return the statistics with standard deviations and intervals that include further variances, (n_free,)."""
         std = np.sqrt(self.std**2 + variances)
         wider = np.divide(std, self.std, out=np.ones_like(std), where=self.std > 0)
         return replace(self, std=std, wider=wider * self.wider)
@@ -186,7 +186,7 @@ def _scatter_beyond_chance(poses: Scatter | None) -> Scatter | None:
 
 
 def status(data_share: float, relative_std: float, *, prior: bool, placement: bool) -> Status:
-    """Return what a free parameter's value rests on.
+    """Return the source of a free parameter's value.
 
     With a prior: `identified`, `partly` or `prior`, by the share of the prior's variance that the data removed. Without
     one the measurements alone decide, so that only their precision can be judged: `identified` where the same share of
@@ -194,7 +194,7 @@ def status(data_share: float, relative_std: float, *, prior: bool, placement: bo
     or target has neither a prior nor a drawing to compare with: `placed`.
 
     Args:
-        data_share: Of `Statistics`.
+        data_share: The attribute of `Statistics`.
         relative_std: Standard deviation over the sigma of the description.
         prior: Whether the parameter has a prior.
         placement: Whether it is part of an unknown place of base or target.
@@ -212,7 +212,7 @@ class ChiSquare:
 
     Attributes:
         value: |r|^2 of whitened residuals.
-        freedom: What it is on average if the statement is right.
+        freedom: Its mean if the statement is right.
         p_larger, p_smaller: Chance of a value at least as large, or as small, if the statement is right.
     """
 
@@ -223,7 +223,7 @@ class ChiSquare:
 
 
 def chi_square(factor: float, freedom: float) -> ChiSquare:
-    """Compare a found noise with the stated one, of which it is `factor`."""
+    """Compare a found noise with the stated one; `factor` is their ratio."""
     value = freedom * factor**2
     return ChiSquare(
         value, freedom, float(scipy.special.chdtrc(freedom, value)), float(scipy.special.chdtr(freedom, value))
@@ -234,8 +234,8 @@ def prior_shares(known: Information, prior: Prior) -> FloatArray:
     """Return S of the module docstring, (rank, rank).
 
     Args:
-        known: What rows and priors determine.
-        prior: Of the parameters.
+        known: Information of rows and priors.
+        prior: Prior of the parameters.
     """
     held = prior.times(known.root)
     return held.T @ held
@@ -253,8 +253,8 @@ def effective_parameters(known: Information, prior: Prior) -> float:
     """Return n_eff of the module docstring: how many parameters the rows decide, not the priors.
 
     Args:
-        known: What rows and priors determine.
-        prior: Of the parameters.
+        known: Information of rows and priors.
+        prior: Prior of the parameters.
     """
     return float(known.root.shape[1] - np.trace(prior_shares(known, prior)))
 
@@ -266,7 +266,7 @@ def find_factors(
     n_groups: int,
     confirmed: FloatArray | None = None,
 ) -> Factors:
-    """Return by how much the assumed noise of each group of rows is off.
+    """Return the factors by which the assumed noise of each group of rows is off.
 
     Args:
         residuals: Whitened, (n_rows,).
@@ -284,7 +284,7 @@ def find_factors(
     if confirmed is not None:
         squares, freedom = squares + confirmed, freedom + confirmed
     require_freedom(float(np.sum(freedom)), int(np.sum(groups >= 0)))
-    total = np.sum(squares) / np.sum(freedom)  # where a group's own rows say nothing about it
+    total = np.sum(squares) / np.sum(freedom)  # a group whose own rows say nothing about it
     factor = np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
     return Factors(factor, freedom, factor)
 
@@ -305,13 +305,13 @@ def statistics(
     Args:
         span: J T of the whitened rows, with T of `known`, (n_rows, rank).
         groups: Group of each row, (n_rows,); -1 for rows that were not read.
-        known: What these rows (times the root of `factors.slope`) and the priors determine.
-        factors: What the residuals say about the noise.
+        known: Information of these rows (times the root of `factors.slope`) and of the priors.
+        factors: Factors on the noise, by the residuals.
         scales: s of the module docstring, (n_free,) [m, rad].
-        prior: Of the parameters.
-        poses: How the readings of each pose scatter together; None: independently.
-        by_sizes: What is added to the covariance of u where sizes of priors were found, (n_free, n_free).
-        beyond_linear: What parameters are off beyond the linear model; nothing if not given.
+        prior: Prior of the parameters.
+        poses: Common scatter of the readings of each pose; None: they are independent.
+        by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
+        beyond_linear: Errors of parameters beyond the linear model; nothing if not given.
     """
     root = known.root
     share = prior_shares(known, prior)
@@ -319,7 +319,7 @@ def statistics(
     shared = _scatter_beyond_chance(poses)
     if shared is not None:
         core += shared.core
-    elif len(factors.effective) == 1:  # what the priors have no share in is of these rows
+    elif len(factors.effective) == 1:  # the rows have all that the priors have no share in
         core += factors.slope * factors.effective[0] ** 2 * (np.eye(len(share)) - share)
     else:
         for part in slices(len(span)):

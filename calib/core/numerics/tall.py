@@ -1,4 +1,4 @@
-"""The product of a matrix of very many rows with a small one, of which no more is ever there than is looked at."""
+"""The product of a matrix of very many rows with a small one, computed a part at a time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 
 ROWS_AT_ONCE = 1 << 13
-_KEPT = 1 << 15  # rows that a product of rows may have to be kept
+_KEPT = 1 << 15  # rows up to which a product is kept
 Places = IntArray | slice
 """Which rows."""
 
@@ -32,7 +32,7 @@ class Span:
     def _whole(self) -> FloatArray:
         return self.jacobian @ self.root
 
-    def __getstate__(self) -> dict[str, object]:  # what is kept does not go to other processes
+    def __getstate__(self) -> dict[str, object]:  # cached values do not go to other processes
         return {name: value for name, value in vars(self).items() if name != "_whole"}
 
     def __len__(self) -> int:
@@ -64,7 +64,7 @@ class Span:
 
 
 def slices(n_rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
-    """Yield which rows to look at together, one part after another; none of no rows."""
+    """Yield slices of rows to be computed together; none of no rows."""
     return (slice(start, min(start + at_once, n_rows)) for start in range(0, n_rows, at_once))
 
 

@@ -48,8 +48,8 @@ def require_freedom(freedom: float, n_rows: int) -> None:
     """Raise `NotIdentifiableError` unless at least one degree of freedom is left of n_rows coordinates."""
     if freedom < 1 - 1e-9:
         raise NotIdentifiableError(
-            f"{n_rows} measured coordinates for {n_rows - max(freedom, 0.0):.0f} parameters: too few to say how sure"
-            " the result is. Measure more poses"
+            f"{n_rows} measured coordinates for {n_rows - max(freedom, 0.0):.0f} parameters: too few to find the"
+            " uncertainty of the result. Measure more poses"
         )
 
 

@@ -153,8 +153,8 @@ def _errors(acceptance: Acceptance) -> list[str]:
         )
         if rms <= promised < np.sqrt(2.0) * left_open and acceptance.ratio > 1.0 and acceptance.verdict != "agrees":
             lines.append(
-                "Judge by the ratio: most of the millimetres are along the few directions that the calibration leaves"
-                " uncertain, where errors in the other directions do not show"
+                "Judge by the ratio: most of these millimetres lie along the few directions that the calibration leaves"
+                " uncertain, and hide errors in the others"
             )
     return lines
 
@@ -178,7 +178,7 @@ def _drift(acceptance: Acceptance) -> list[str]:
     chances = f"p = {acceptance.p_drift:.2g}, the rest {acceptance.p_rest:.2g}"
     lines = [f"{first.name} has changed by {size}, {interval}; {chances}"]
     if acceptance.ratio <= acceptance.high95:
-        lines.append("Residuals are no larger than chance explains, but what they have in common is this change")
+        lines.append("Residuals are no larger than chance explains, but they have the pattern of this change")
     if others:
         lines.append(f"These readings cannot tell it from a change of {listing(others)}")
     return lines

@@ -37,7 +37,7 @@ def read_array_file(file: bytes) -> Any:
         with np.load(io.BytesIO(file), allow_pickle=False) as entries:
             content = json.loads(entries[_CONTENT].tobytes())
             return _with_arrays(content, {name: entries[name] for name in entries.files if name != _CONTENT})
-    except Exception as error:  # what zip, zlib, NumPy and JSON raise of damage is no short list
+    except Exception as error:  # zip, zlib, NumPy and JSON raise many kinds of errors for damage
         raise ValueError(f"it is damaged: {error}") from None
 
 

@@ -2,7 +2,7 @@
 
 Two fits a and b of robots with the same true parameters x, from measurements of their own, err by
 
-    v_a - x = S_a (J_a^T e_a - L (x - m))        and b likewise,
+    v_a - x = S_a (J_a^T e_a - L (x - m))        and the same for b,
 
 with covariances S, noise e, and the prior of both: mean m and precision L (zero where there is none). Noise of
 different measurements is independent; what the shared prior pulls is not. So their difference has the covariance
@@ -47,7 +47,7 @@ from calib.core.results.result_content import to_dict
 from calib.core.results.result_reading import load_result
 from calib.core.robots.robot import Robot
 
-_OWN = 1e-3  # of the variance of both, from which on a difference is more than what the prior leaves of it
+_OWN = 1e-3  # part of the variance of both above which a difference is more than the prior leaves of it
 _ERRORS = {
     "validation": "readings that it did not use",
     "cross_validation": "poses left out in turn",
@@ -173,7 +173,7 @@ def difference_covariance(first: FloatArray, second: FloatArray, precision: Floa
 
     Args:
         first, second: Covariances of the two, (n, n).
-        precision: Of the prior that they share, (n,); 0 for none.
+        precision: Precision of the prior that they share, (n,); 0 for none.
     """
     shared = first @ (precision[:, None] * second)
     return first + second - shared - shared.T

@@ -1,4 +1,4 @@
-"""What a comparison of results says: parameters with their intervals, errors, and which differences are real.
+"""The page of a comparison of results: parameters with their intervals, errors, and the real differences.
 
 `calib.core.results.comparing_results` makes it, and derives its tests.
 """
@@ -45,7 +45,7 @@ class Pair:
     """Two of the results.
 
     Attributes:
-        names: Of the two.
+        names: Names of the two.
         real: Parameters of the robot that differ.
         moved: The same of places: where base, targets or instruments stand.
         together: p-value of all parameters of the robot together, places left out, corrected for the number of pairs;
@@ -82,17 +82,17 @@ class ResultComparison:
     """Results side by side, compared in pairs.
 
     Attributes:
-        names: What the folders of the results differ in; `fit 1` of a fit.
-        folders: Of the results, as they were given; None of a fit.
-        verdicts, n_poses: Of each.
+        names: Parts of the folders' names that differ; `fit 1` of a fit.
+        folders: Folders of the results, as they were given; None of a fit.
+        verdicts, n_poses: Verdict and number of poses of each.
         errors: Root mean square error after calibration of each, on readings not used where there are any.
         unit: Unit of these errors.
         errors_on: On which readings each was found.
         sizes: Size of the error of each reading after calibration, in that unit, of each result on the same readings
             that none of them used; empty where there are none.
         differences: One for each parameter.
-        pairs: What the two results of each pair differ in, pairs with the first result first.
-        notes: What to know before using it.
+        pairs: Differences of the two results of each pair, pairs with the first result first.
+        notes: Remarks for users of it.
     """
 
     names: tuple[str, ...]

@@ -35,7 +35,7 @@ from calib.core.rows.known_robot import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty
 from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
-_DIGITS = 9  # of joint values and readings that are the same in two files [SI]
+_DIGITS = 9  # decimals to which joint values and readings of two files are compared [SI]
 
 
 class CalibratedRobot:
@@ -62,8 +62,8 @@ class LoadedResult(HintedObject, CalibratedRobot):
         path: Its folder.
         nominal: The robot as it was described to the fit.
         robot: The calibrated robot.
-        content: What its `result.json` says, in mm and degrees, as the fit wrote it.
-        saved: What the folder keeps of the fit (`calib.core.results.saved_fit`).
+        content: Content of its `result.json`, in mm and degrees, as the fit wrote it.
+        saved: The saved fit of the folder (`calib.core.results.saved_fit`).
     """
 
     _other_words = "a fit"
@@ -242,7 +242,7 @@ def reading_keys(instrument: str, joints: FloatArray, values: FloatArray) -> lis
     Args:
         instrument: Its name.
         joints: Joint values of each reading, (n, n_actuated) [m or rad].
-        values: What was read, (n, n_values).
+        values: The readings, (n, n_values).
     """
     numbers = np.round(np.hstack([joints, values]), _DIGITS) + 0.0  # no -0.0
     return [instrument.encode() + row.tobytes() for row in np.where(np.isnan(numbers), np.nan, numbers)]

@@ -27,7 +27,7 @@ def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
 
     Args:
         fit: The fit.
-        width: Of the text, in characters.
+        width: Width of the text, in characters.
         verbose: All reasons, tables and remarks; otherwise the answer on at most 40 lines: the verdict, the errors
             before and after, and the parameters that changed most.
     """
@@ -59,7 +59,7 @@ def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
 
     Args:
         verdict: The verdict.
-        most: How many reasons at most, and then how many others there are; all if not given.
+        most: Largest number of reasons; a line then counts the others. All if not given.
     """
     claimed = [] if verdict.claim is None else [f"  {verdict.claim.words}"]
     names = {"PASS": "remark"}

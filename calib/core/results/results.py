@@ -52,7 +52,7 @@ _PAGES = ("report.html", "viewer.html")
 _VERSION_1 = ("undecided_terms.csv", *(f"{name}{end}.csv" for name in ("without_terms", "with_tables", "to_last_axis")
               for end in ("", "_covariance")))  # fmt: skip
 _NOT_ALWAYS = (_URDF, *_PAGES, *_VERSION_1)
-"""Files that must not stay beside a new result that has none."""
+"""Files that a new result replaces or removes."""
 _ALWAYS = ("result.json", SAVED, "parameters.csv", "covariance.csv", "residuals.csv", NOMINAL_YAML, NOMINAL_URDF)
 RESULT_FILES = (*_ALWAYS, *_NOT_ALWAYS)
 """What a result folder may hold of a fit."""
@@ -67,7 +67,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
 
     Args:
         fit: The fit.
-        folder: Where to; files of other names in it stay.
+        folder: Folder to write; files of other names in it stay.
         force: Export a failed fit all the same; its files say so. Replace what this program did not write, too.
         pages: Further files for people, name -> content.
 

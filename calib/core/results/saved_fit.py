@@ -1,4 +1,4 @@
-"""What a result folder keeps of a fit, and the fit that comes back from it: `fit.npz`.
+"""The saved fit of a result folder, `fit.npz`, and the fit restored from it.
 
 Kept is what cannot be computed: description, measurements, settings, where the fit ended and what it assumed there of
 the noise, what it was judged to be, and the robots that files get. Everything else (residuals, covariance, intervals)
@@ -62,7 +62,7 @@ def saved_bytes(
 
     Args:
         fit: The fit.
-        content: What `result.json` says.
+        content: Content of `result.json`.
         nominal: Files of the nominal robot, by name.
         files: The robots that files of the fit get.
     """
@@ -82,7 +82,7 @@ def saved_bytes(
 
 
 def read_saved(folder: Path | str) -> dict[str, Any] | None:
-    """Return what `saved_bytes` was given of a result folder, as data; None where it has none of it.
+    """Return the content of `fit.npz` of a result folder, as data; None where there is none.
 
     Raises:
         DataError: It is damaged, or of a later version; or a file of the nominal robot was changed.
@@ -160,7 +160,7 @@ def _errors_entry(errors: ErrorSet) -> dict[str, Any]:
 
 
 def saved_files(saved: Mapping[str, Any]) -> dict[Holds, FileRobot]:
-    """Return the robots that files of a result get; of one that failed, who has them has forced them already."""
+    """Return the robots that files of a result get; those of a failed result were forced already."""
     failed, files = saved["content"]["verdict"]["grade"] == "FAIL", {}
     for name, entry in saved["files"].items():
         accuracy = Accuracy(**entry["accuracy"] | {"poses": PoseUse[entry["accuracy"]["poses"]]})
@@ -181,7 +181,7 @@ def evaluate_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedFi
 
     Args:
         robot: The nominal robot, with or without its joint terms.
-        entry: Of `fit` in what `read_saved` returns.
+        entry: Entry of `fit` in what `read_saved` returns.
         where: The result folder, for messages.
 
     Raises:

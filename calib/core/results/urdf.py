@@ -20,7 +20,7 @@ from calib.core.robots.urdf.writing import quote_attribute
 _MARK = "calib: calibrated origins"
 _MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")
 _ROUNDING = 1e-9
-"""Change of a parameter in its unit [mm, deg], up to which it is not told: a thousandth of a nanometre or 2e-11 rad."""
+"""Change of a parameter in its unit [mm, deg], up to which it is not shown: 1e-3 nm or 2e-11 rad."""
 _EARLIER = re.compile(rb"\r?\n?<!-- " + _MARK.encode() + rb".*?-->", re.DOTALL)
 
 
@@ -48,14 +48,14 @@ def with_mesh_prefix(source: bytes, prefix: str) -> bytes:
 
 
 def source_lines(robot: Robot) -> list[str]:
-    """Return what a file was made from: program, and nominal file with its checksum."""
+    """Return the origin of a file: program, and nominal file with its checksum."""
     digest = hashlib.sha256(robot.urdf.source).hexdigest()
     hashed = "the URDF that it was read as" if robot.urdf.path.endswith((".xacro", ".xml")) else "that file"
     return [f"written by {PROGRAM} from {robot.urdf.path}", f"sha256 of {hashed}: {digest}"]
 
 
 def provenance_lines(robot: Robot) -> list[str]:
-    """Return what a file was made from, and every value in it that was changed by more than rounding."""
+    """Return the origin of a file, and every value in it that was changed by more than rounding."""
     lines, changed = source_lines(robot), []
     places = {robot.mechanism.origin(place) for place in robot.mechanism.places}
     own = [p.name.rpartition(".")[0] not in places for p in robot.parameters]  # a URDF has no instrument and no target

@@ -37,7 +37,7 @@ Answer = TypeVar("Answer")
 
 
 def _readable(read: Callable[..., Answer]) -> Callable[..., Answer]:
-    """Say in one line of what stands otherwise than a fit writes it that it cannot be read."""
+    """Decorate a reader: content that no fit wrote is an error in one line."""
 
     @wraps(read)
     def reading(self: Any, *words: Any) -> Answer:

@@ -1,4 +1,4 @@
-"""When kinematics are computed by compiled code (`calib.core.robots.kernels`), and what it is given.
+"""The choice between compiled code (`calib.core.robots.kernels`) and Python for kinematics.
 
 That needs numba (the extra `fast`), which takes half a second to load, more than most fits take, and about five to
 compile, once for each version. So compiled code is used only on request by `compile_kinematics()`, or if the number of
@@ -60,7 +60,7 @@ def pays(n_poses: int, many: int = _MANY_OPEN) -> bool:
 
 
 def many(mechanism: Mechanism) -> int:
-    """Return how many poses of a robot, at once or batch after batch, are worth loading code that is compiled."""
+    """Return the number of poses of a robot, at once or batch after batch, from which loading compiled code pays."""
     return _MANY if mechanism.loops else _MANY_OPEN
 
 

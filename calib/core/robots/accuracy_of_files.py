@@ -1,9 +1,10 @@
-"""What files of a robot hold, and the robot that each kind of file gets.
+"""The part of a robot that a file holds, and the robot that each kind of file gets.
 
 A calibrated robot may have more than a file has room for: terms of its joints' errors, origins behind the last axis,
-all but the zeros of its joints. Its other values belong to those that are lost: joint origins that were found beside a
-joint's curve are wrong without it. So a file never gets a part of the robot. It gets the robot that is best among those
-that it can hold whole, fitted to the same measurements; and how good that one is, at poses that it has not seen.
+all but the zeros of its joints. Its other values belong to those that are lost: joint origins that were found together
+with a joint's curve are wrong without it. So a file never gets a part of the robot. It gets the robot that is best
+among those that it can hold whole, fitted to the same measurements; and how good that one is, at poses that it has not
+seen.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from calib.core.robots.terms.term import JointTerm
 
 
 class Holds(Enum):
-    """How much of a calibrated robot a file holds, in words."""
+    """The part of a calibrated robot that a file holds, in words."""
 
     EVERYTHING = "the whole model"
     TABLES = "joint origins, and a table of each joint's own error"
@@ -35,7 +36,7 @@ class Holds(Enum):
 
 
 class PoseUse(Enum):
-    """At which poses errors were seen, in words."""
+    """The poses of the errors, in words."""
 
     VALIDATION = "validation"
     FOLDS = "left out in turn"
@@ -45,21 +46,21 @@ class PoseUse(Enum):
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How far off a robot is at a set of poses, and the nominal one there.
+    """Error of a robot at a set of poses, and of the nominal one there.
 
     `calib.core.fitting.unseen_errors` has the definitions.
 
     Attributes:
         poses: At which poses.
         n_poses: How many.
-        part: What was read there, such as `position`.
-        dimension: What that measures.
+        part: Part of the readings there, such as `position`.
+        dimension: Its dimension.
         before: Root mean square error of the nominal robot, base and targets placed alone [SI].
         rms: Root mean square error of the robot [SI].
-        limit95: What the error at one more such pose stays below with a chance of 95 % or more [SI]; NaN where the
+        limit95: Limit that the error at one more such pose keeps with a chance of 95 % or more [SI]; NaN where the
             poses are too few to say.
         is_position: Whether positions were read (`calib.core.instruments.kind.Part`).
-        readings: What was read there in a sentence, such as `distances`.
+        readings: Name of the readings there in a sentence, such as `distances`.
     """
 
     poses: PoseUse
@@ -86,17 +87,17 @@ class Accuracy:
 
     @property
     def words(self) -> str:
-        """One clause: its error, what nearly all errors stay below, and where."""
+        """One clause: its error, the limit of nearly all errors, and where."""
         limit = f", 95 % within {self.in_unit(self.limit95)}" if np.isfinite(self.limit95) else ""
         return f"{self.in_unit(self.rms)} RMS{limit} ({self.pose_words})"
 
 
 @dataclass(frozen=True, eq=False)
 class FileRobot(ReadOnlyArrays):
-    """The robot that files get which hold so much of one.
+    """The robot for files of one kind (`Holds`).
 
     Attributes:
-        values: Of all its parameters, by name [SI]; none where it is the nominal robot with joint zeros.
+        values: Values of all its parameters, by name [SI]; none where it is the nominal robot with joint zeros.
         accuracy: How good it is.
         withheld: Why it is not to be used without being forced; empty where it may.
         signs, offsets: Joint zeros: joints are at sign * q + offset at command q, (n_actuated,) [m or rad];

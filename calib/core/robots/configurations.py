@@ -24,7 +24,7 @@ class Configurations(ReadOnlyArrays):
     """Assembled configurations of a robot.
 
     Attributes:
-        actuated: What the driven joints really are, (n, n_driven) [m or rad]: commands and the joints' errors, then
+        actuated: Actual values of the driven joints, (n, n_driven) [m or rad]: commands and the joints' errors, then
             how links are tilted (`calib.core.robots.mechanism`).
         passive: (n, n_passive) [m or rad].
         slope: Derivative of the closures by the passive joints, (n, n_passive, n_passive), where it is known.
@@ -125,8 +125,8 @@ def near_singularities(robot: RobotData, configurations: Configurations, labels:
     There small errors of parameters and joints move the passive joints far.
 
     Args:
-        configurations: Of `assemble`.
-        labels: What to call each, n of them.
+        configurations: Configurations of `assemble`.
+        labels: Name of each, (n,).
     """
     limit, values = robot.description.singularity_limit, distances(robot, configurations)
     return [near_singularity(labels[k], values[k], limit) for k in map(int, np.flatnonzero(values < limit))]

@@ -43,12 +43,12 @@ LARGEST_STEP = 0.5
 """Of any passive joint in one correction [rad, or characteristic lengths]."""
 _MAX_NEWTON = 12
 _SURE = 0.1  # part of the tolerance that a residual which is not computed must come to
-_SMALLEST_PART = 1 / 256  # of the way from start to goal, before continuation gives up
+_SMALLEST_PART = 1 / 256  # part of the way from start to goal, before continuation gives up
 _SMALLEST_AT_ONCE = 1 / 16  # the same where a pose that is hard to reach may be left out
 _SMALLEST_CHANGE = 1 / 64  # part of the change of the origins that is not halved any more
 _TOGETHER = 64  # steps that are tried at once while few poses are left
 _NEIGHBOURS = 3  # solved poses to start from
-_MOST_KNOWN = 10_000  # of the poses solved together: more are no nearer by much, and looking among them takes longer
+_MOST_KNOWN = 10_000  # poses solved together that serve as starts: more are hardly nearer, and take longer to search
 _STONES, _FROM_STONES = 64, 6
 
 
@@ -226,7 +226,7 @@ def carry(
     solutions = _Solutions(len(actuated), passive.shape[1])
 
     def go(index: IntArray, at: FloatArray, low: float, high: float) -> tuple[IntArray, FloatArray]:
-        """From the part `low` of the change to `high`; return who arrived, and their passive joints."""
+        """Go from the part `low` of the change to `high`; return which poses arrived, and their passive joints."""
         partway = mechanism if high == 1 else mode.mechanism.interpolated(mechanism, high)
         solved, slope, _, ok = newton(partway, mode, actuated[index], at)
         ok &= np.max(np.abs(scaled_passive(partway, solved - at)), axis=1, initial=0.0) < 4 * LARGEST_STEP
@@ -348,8 +348,8 @@ def _continue(
     """
     start_a, at_p = start[0], start[1].copy()
     way = goal - start_a
-    _, slope, slope_a, _ = newton(mechanism, mode, start_a, at_p)  # of solved poses: only their slopes
-    tangent = solve_each(slope, np.matmul(slope_a, way[:, :, None])[:, :, 0])  # of the passive joints, for the way
+    _, slope, slope_a, _ = newton(mechanism, mode, start_a, at_p)  # slopes of solved poses
+    tangent = solve_each(slope, np.matmul(slope_a, way[:, :, None])[:, :, 0])  # of passive joints, for the way
     done, part = np.zeros(len(goal)), np.ones(len(goal))
     active, lengths = np.arange(len(goal)), 1
     while len(active):

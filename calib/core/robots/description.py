@@ -60,7 +60,7 @@ class TargetSection(PlaceSection):
     leave the point loosely determined.
 
     Attributes:
-        shape: What stands there, in the target's axes: a nest with its reflector, a board, a camera.
+        shape: Shape there, in the target's axes: a nest with its reflector, a board, a camera.
         acceptance: In which directions it is seen; an angle is about its z axis.
     """
 
@@ -96,7 +96,7 @@ class OriginSection(Section):
         return "length" if self.components[0] in LENGTH_COMPONENTS else "angle"
 
 
-_FORMS = ("number", "axes", "beam")  # of `calib.core.instruments.noise`
+_FORMS = ("number", "axes", "beam")  # forms of noise (`calib.core.instruments.noise`)
 
 
 def _origin_or_joint(value: Any) -> str:
@@ -246,7 +246,7 @@ def validate_description(content: Mapping[str, Any], where: Path | str) -> Descr
 
     Args:
         content: Its keys and values.
-        where: Its file, for messages; files that it names are beside this one.
+        where: Its file, for messages; files that it names are relative to this one.
 
     Raises:
         DescriptionError: Unknown key, wrong value; the message names the place.

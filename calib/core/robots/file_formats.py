@@ -26,7 +26,7 @@ class FormatFile:
 
     Attributes:
         content: Its bytes.
-        statement: What it holds, and what it leaves.
+        statement: Its content, and the error that it leaves, in words.
     """
 
     content: bytes
@@ -40,7 +40,7 @@ class Format:
     Attributes:
         name: As `calib export --format` has it.
         holds: How much of a robot it holds.
-        fits: Whether it can hold a robot with its loops and terms at all.
+        fits: Whether it can hold a robot with its loops and terms.
         write: The robot with its current values and lines for the comment in, the file out; raises `InputError` where
             it does not fit. None: the format is one of `calib.exporting.formats`.
         comment: How comments of its files begin, if not as in tables or XML.
@@ -59,7 +59,7 @@ def formats() -> dict[str, Format]:
 
 
 def formats_that_hold(holds: Holds, robot: Robot) -> list[str]:
-    """Return the formats that hold so much of a robot, and can hold one with its loops and terms at all."""
+    """Return the formats of this kind that can hold a robot with its loops and terms."""
     return [name for name, each in formats().items() if each.holds is holds and each.fits(robot)]
 
 
@@ -73,7 +73,7 @@ def held_of(robot: Robot, file_format: str) -> Holds:
 
 
 def robot_for(robot: Robot, file_format: str, *, force: bool = False) -> Robot:
-    """Return the robot that a file of a format gets; of joint zeros, the robot itself, which knows them.
+    """Return the robot for a file of a format; for joint zeros, the robot itself, which knows them.
 
     Args:
         robot: The robot; one of a fit knows which robot is best in each kind of file.
@@ -101,19 +101,19 @@ def robot_for(robot: Robot, file_format: str, *, force: bool = False) -> Robot:
 
 
 def loses(robot: Robot, holds: Holds) -> bool:
-    """Whether a file that holds so much has something to say of what it is not: what it loses, or that it is forced."""
+    """Whether such a file must state a limit: what it loses, or that it was forced."""
     known = robot.files.get(holds)
     return bool(lost_by(robot, holds)) or (known is not None and bool(known.withheld))
 
 
 def remarks_on_file(robot: Robot, holds: Holds) -> list[str]:
-    """Return what a file that holds so much of a robot says: what it loses, and how good it is, as far as known."""
+    """Return the remarks in such a file of a robot: what it loses, and its error, as far as known."""
     lost, known = lost_by(robot, holds), robot.files.get(holds)
     if known is None:
         without = f"joint terms of {listing(lost)}, which are not in this file"
         return [f"exported by force: these values belong to {without}"] if lost and holds is not Holds.ZEROS else []
     lines = [f"exported by force: {known.withheld}"] if known.withheld else []
-    if holds is Holds.ZEROS:  # what that format says by itself has the rest
+    if holds is Holds.ZEROS:  # the format's own remarks have the rest
         return lines
     if lost:
         lines.append(
@@ -124,7 +124,7 @@ def remarks_on_file(robot: Robot, holds: Holds) -> list[str]:
 
 
 def error_comparison(robot: Robot, holds: Holds) -> str:
-    """Return the error of the robot that a file gets, beside the nominal one and the whole model; one clause."""
+    """Return the error of the robot in a file, of the nominal one and of the whole model, as one clause."""
     accuracy, whole = robot.files[holds].accuracy, robot.files.get(Holds.EVERYTHING)
     others = f"; the nominal robot has {accuracy.in_unit(accuracy.before)}"
     if whole is not None and whole.accuracy != accuracy:

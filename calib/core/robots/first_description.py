@@ -92,15 +92,15 @@ targets:
 
 @dataclass(frozen=True)
 class Measure:
-    """A way to measure: what a description says of it, and the file that it fills.
+    """A way to measure: its part of a description, and the file that it fills.
 
     Attributes:
         text: Base, targets and instruments, as the description has them.
         point: Name of the measured point.
-        comments: What to know while the file is filled, line by line; none of what writes a file of its own.
-        read_apart: Whether what is read comes in another file, so that this one has the joint values alone.
+        comments: Advice for filling in the file, line by line; none where a program writes it.
+        read_apart: Whether readings come in another file, so that this one has the joint values alone.
         column: A column of what is read, as an example.
-        between_ends: Whether it is read where the end of the robot stands to its beginning, both unknown places.
+        between_ends: Whether it reads the end of the robot from its beginning, both at unknown places.
     """
 
     text: str
@@ -230,10 +230,10 @@ def description_text(
 
     Args:
         urdf: The URDF.
-        description: What it stands for.
-        remark: What to say about the joints that it leaves out.
+        description: Its description.
+        remark: Remark on the joints that it leaves out.
         measure: How is measured, of `MEASURES`; positions of the target if not given.
-        words: What else the text of this measure has places for, as YAML.
+        words: Further texts of this measure, as YAML.
     """
     target = next(iter(description.targets))
     lengths, angles = default_sections()

@@ -1,8 +1,8 @@
-"""What other robots of a model are like: the key `fleet` of a robot description, which `calib fleet` writes.
+"""The prior from other robots of a model: the key `fleet` of a robot description, which `calib fleet` writes.
 
 Robots of a fleet differ in every parameter by its spread s_k, each by itself, from a mean that is itself known only so
 well. In units of the spreads, the mean is unsure by G z with z ~ N(0, I): a column of G is one combination of
-parameters that the fleet leaves open, a row is what `unsure` says of one parameter. So one more robot of the model is
+parameters that the fleet leaves open, a row is `unsure` of one parameter. So one more robot of the model is
 
     p_k = nominal_k + offset_k + s_k u_k,        u ~ N(0, I + G G^T)
 
@@ -43,11 +43,11 @@ class FleetSection(Section):
     """Parameters of other robots of the model, as a prior.
 
     Attributes:
-        robots: Of how many robots it was learned.
+        robots: Number of robots from which it was learned.
         noise_freedom: With how many degrees of freedom results of the fleet confirmed the noise that is stated, so that
             few readings need not find it; 0 where they did not.
-        parameters: What is known of each parameter, by name.
-        unlike: Those in which this robot is unlike the others: the fleet says nothing of them.
+        parameters: Prior of each parameter, by name.
+        unlike: Parameters in which this robot is unlike the others: they have no prior of the fleet.
     """
 
     robots: Annotated[int, Field(ge=2)]
@@ -83,10 +83,10 @@ class FleetSection(Section):
                 )
 
     def expected(self, parameters: Iterable[Parameter], where: str) -> tuple[Parameter, ...]:
-        """Return parameters with what is expected of them, those that the fleet does not know as they are.
+        """Return parameters with their priors from the fleet; those that the fleet does not know stay as they are.
 
         Args:
-            parameters: Of the robot.
+            parameters: Parameters of the robot.
             where: File of the description, for messages.
 
         Raises:
@@ -107,11 +107,11 @@ class FleetSection(Section):
         return replace(parameter, sigma_si=sigma, prior=True, mean_si=parameter.nominal_si + offset)
 
     def widen(self, factor: float, parameters: Iterable[Parameter]) -> FleetSection:
-        """Return it with all that it says so many times as uncertain.
+        """Return it with all uncertainties multiplied by a factor.
 
         Args:
             factor: How many times.
-            parameters: Of the robot, whose dimensions tell what spreads mean.
+            parameters: Parameters of the robot, whose dimensions tell what spreads mean.
         """
         dimension = {p.name: p.dimension for p in parameters}
         wide = {

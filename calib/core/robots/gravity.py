@@ -30,16 +30,16 @@ from calib.core.robots.terms.gravity import STANDARD, GravitySection, Inclinomet
 from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm
 from calib.core.robots.urdf.text import UrdfText
 
-_ROUNDS = 30  # of Newton's method
+_ROUNDS = 30  # steps of Newton's method
 _SETTLED = 1e-12  # [rad]
-_MISSED = 1e-9  # how far a direction may end beside what was read
+_MISSED = 1e-9  # allowed distance of a direction from what was read
 _CONTRADICTS = np.radians(45.0)  # from here on a reading and a statement are not of the same direction [rad]
-_SAME_AXIS = 1e-3  # of two axes, seen across gravity, that turn a link alike
+_SAME_AXIS = 1e-3  # difference of two axes, seen across gravity, that turn a link alike
 
 
 @dataclass(frozen=True)
 class GravityTurn(JointTerm):
-    """Two turns of gravity's direction. They move every joint that gives way under it, by what it gives way.
+    """Two turns of gravity's direction. They move every joint that yields under gravity, by its compliance.
 
     Attributes:
         driven: Names of the driven joints that give way.
@@ -119,7 +119,7 @@ def check_inclinometers(description: Description, mechanism: Mechanism, where: s
 def turned_joints(
     mechanism: Mechanism, section: InclinometerSection, q: FloatArray, read: FloatArray, down: FloatArray
 ) -> FloatArray:
-    """Return how far two joints are turned if a sensor sees gravity as it read it, (n, 2) [rad]; NaN if they cannot.
+    """Return the angles of two joints at which a sensor would read gravity as it did, (n, 2) [rad]; NaN if none.
 
     Newton's method from where they are: with g as read, R of the sensor's link and axes e of the joints in the root
     link, R g = d, and its derivative by a joint is e x R g. Of three equations, two count: all vectors have length 1.
@@ -128,7 +128,7 @@ def turned_joints(
         mechanism: The nominal mechanism.
         section: The sensor.
         q: Actuated joints, (n, n_actuated); the two are where to start.
-        read: What it read, (n, 3).
+        read: Its readings, (n, 3).
         down: Direction of gravity in the root link, (n, 3).
     """
     model, index = mechanism.model, mechanism.joint(section.frame)
@@ -166,11 +166,11 @@ def accelerations(
     """Return the acceleration by gravity at each visit in the root link's axes, and its derivative by each turn.
 
     Args:
-        section: What a description says.
+        section: Entry of a description.
         setups: Names of the setups.
         mechanism: The nominal mechanism.
         joints: All joints, (n, n_joints) [m or rad].
-        context: What sensors read, and in which setup.
+        context: Readings of sensors, and their setups.
         turns: As they are found, (2,) [rad], or none, (0,).
 
     Returns:
@@ -208,10 +208,10 @@ def contradiction_angles(description: Description, mechanism: Mechanism, q: Floa
     NaN, too, where the sensor's link is in a loop.
 
     Args:
-        description: Of the robot.
+        description: Description of the robot.
         mechanism: The nominal mechanism.
         q: Actuated joints, (n, n_actuated) [m or rad].
-        context: What sensors read, and in which setup.
+        context: Readings of sensors, and their setups.
     """
     section, result = description.gravity, np.full(len(q), np.nan)
     if section is None or context.down is None:
@@ -241,7 +241,7 @@ def _turn(axis: int, angle: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _rotations(mechanism: Mechanism, frame: str, joints: FloatArray) -> FloatArray:
-    """How a link is turned in the root link, (n, 3, 3)."""
+    """Orientation of a link in the root link, (n, 3, 3)."""
     pair = RelativeFrame(frame, 0, mechanism.joint(frame), True, ())
     return kinematics.seen_frame(kinematics.sweep(mechanism, joints, (pair,), poses_only=True), pair)[0]
 
@@ -304,7 +304,7 @@ def gravity_torque(
         load: Mass of the payload, (n,) [kg].
         payload: Frame at whose origin it hangs; None: that of the first target that motors move.
         acceleration: By gravity in the root link's axes, (n, 3) [m/s^2].
-        where: What to call the robot in messages.
+        where: Name of the robot in messages.
 
     Raises:
         DescriptionError: The URDF has no masses, and it is not stated that a payload alone loads the joints.

@@ -17,7 +17,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.numerics.halton import halton
 from calib.core.robots.closure import AssemblyMode, actuated_jacobian
 
-_DIRECTIONS = np.array([0.083, 0.131, 0.179, 0.777, 1.139, 1.621])  # of velocities and turns of a target
+_DIRECTIONS = np.array([0.083, 0.131, 0.179, 0.777, 1.139, 1.621])  # directions of velocities and turns of a target
 
 
 def joint_samples(mode: AssemblyMode, count: int) -> FloatArray:
@@ -25,7 +25,7 @@ def joint_samples(mode: AssemblyMode, count: int) -> FloatArray:
 
     Args:
         mode: Home of the nominal robot.
-        count: How many.
+        count: Number of points.
     """
     mechanism = mode.mechanism
     motion = np.zeros(len(mechanism.driven))

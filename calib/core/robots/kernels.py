@@ -74,7 +74,7 @@ class Loops(NamedTuple):
     Attributes:
         a, b: Frames of the loop that each row belongs to, (n_rows,).
         axis: Which coordinate, in the axes of a, (n_rows,).
-        signs: What each joint moves: +1 only b, -1 only a, else 0, (n_rows, n_joints).
+        signs: Effect of each joint: +1 moves only b, -1 only a, else 0, (n_rows, n_joints).
         leader: Which coordinate each joint follows, or -1, (n_joints,).
         factor: And by what factor, (n_joints,).
     """
@@ -88,12 +88,12 @@ class Loops(NamedTuple):
 
 
 def tree(mechanism: Mechanism, reduced: JointSubset) -> Tree:
-    """Return what is left of a mechanism as arrays."""
+    """Return the joints that count of a mechanism as arrays."""
     return Tree(reduced.parents, mechanism.placements[reduced.joints], mechanism.axes[reduced.joints])
 
 
 def loops(mechanism: Mechanism, reduced: JointSubset) -> Loops:
-    """Return the loops of a mechanism, none of which constrains directions, in what is left of it."""
+    """Return the loops of a mechanism by its joints that count; no loop constrains directions."""
     (a, b, axis), select = mechanism.loop_rows.T, mechanism.select_moving[reduced.joints]
     factor, leader = select.sum(axis=1), np.argmax(select != 0.0, axis=1)  # a joint follows one coordinate at most
     signs = np.ascontiguousarray(mechanism.loop_signs[:, reduced.joints])
@@ -154,7 +154,7 @@ def _dot(row: FloatArray, V: FloatArray) -> float:
 def _add_slopes(
     tree: Tree, loops: Loops, T: FloatArray, rows: FloatArray, signs: FloatArray, V: FloatArray, C: FloatArray
 ) -> None:
-    """Add the derivative of rows, of which joints move what signs say, by the first coordinates to C (n_rows, n)."""
+    """Add the derivative of rows by the first coordinates to C (n_rows, n); signs say which rows a joint moves."""
     for j in range(len(loops.leader)):
         c = loops.leader[j]
         if c < 0 or c >= C.shape[1]:
@@ -238,7 +238,7 @@ def close(
 
     Args:
         tree: The model.
-        loops: What must be zero.
+        loops: The loops, whose gaps must be zero.
         blocks, signs: `places` and `signs` of the assembly mode.
         rest: Joint values without the passive ones, (n, n_joints).
         passive: Where to start; where it ends, (n, n_passive).
@@ -325,11 +325,11 @@ def motion(
     Args:
         tree: The model.
         loops: Its loops.
-        T: Of `poses`.
+        T: Result of `poses`.
         places: Frames a and b of each row, which coordinate, and whether it is a turn, not a position, (4, n_rows).
-        signs: What each joint moves: +1 only b, -1 only a, else 0; of each row, then of each row of the loops,
+        signs: Effect of each joint: +1 moves only b, -1 only a, else 0; of each row, then of each row of the loops,
             (n_rows + n_passive, n_joints).
-        direct: The derivative of the rows by the passive joints beside that, (n_rows, n_passive).
+        direct: The further derivative of the rows by the passive joints, (n_rows, n_passive).
         entries: Twists of origins along which to differentiate: joint and column of each, (n_entries,), and twist in
             the frame before the origin, (n_entries, 6).
         result: Where to put the derivative, (n, n_rows, width).

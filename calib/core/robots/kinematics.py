@@ -130,13 +130,13 @@ class TwistMap:
 
     @cached_property
     def signs_of_entries(self) -> tuple[FloatArray, FloatArray]:
-        """By which sign each entry moves each row, (n_rows, n_entries), and each row of the loops."""
+        """Sign by which each entry moves each row, (n_rows, n_entries), and each row of the loops."""
         signs = self.signs[:, self.entries[0]]
         return signs[: self.n_rows], signs[self.n_rows :]
 
     @cached_property
     def sums(self) -> FloatArray | None:
-        """Which column each entry belongs to, as ones, (n_entries, k); None: no two to the same."""
+        """Column of each entry, as ones, (n_entries, k); None: no two share one."""
         columns, every = self.entries[1], np.arange(self.before.shape[2])
         return None if len(np.unique(columns)) == len(columns) else (columns[:, None] == every).astype(float)
 
@@ -161,7 +161,7 @@ class Coordinates:
 
         Args:
             reduced: The joints that count.
-            signs: What each joint that counts moves: +1 only b, -1 only a, else 0, (n_rows or 1, n_reduced).
+            signs: Effect of each joint that counts: +1 moves only b, -1 only a, else 0, (n_rows or 1, n_reduced).
             select: E of the coordinates, (n_joints, n_coordinates).
         """
         left = select[reduced.joints]
@@ -216,7 +216,7 @@ class SweepCache:
 
         Args:
             twists: (6 n_joints, k), or None for every origin twist.
-            signs: What each joint moves in each row, (n_rows, n_joints).
+            signs: Effect of each joint on each row, (n_rows, n_joints).
         """
         last, counts, n_rows = self._along, self.reduced.joints, len(signs)
         signs = np.concatenate([signs, self.mechanism.loop_signs])[:, counts]
@@ -231,7 +231,7 @@ class Sweep:
     """Kinematics of `n` configurations.
 
     Attributes:
-        shared: What it shares with the sweeps of other poses.
+        shared: Data shared with the sweeps of other poses.
         poses: `flat_poses` of the world, then of each frame of a joint that counts, (n, n_reduced + 1, 12).
         jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced); None where it is not needed, as by
             compiled code.
@@ -264,7 +264,7 @@ class Sweep:
 
     @cached_property
     def loop_frames(self) -> tuple[FloatArray, FloatArray]:
-        """Of each row of the loops, its axis and where its frame b is, in the world, (n, n_loop_rows, 3)."""
+        """Axis of each row of the loops, and position of its frame b, in the world, (n, n_loop_rows, 3)."""
         a, b, axis = self.shared.loop_rows
         return self.rotation.transpose(0, 1, 3, 2)[:, a, axis], self.translation[:, b]
 
@@ -295,7 +295,7 @@ def sweep(
         mechanism: The robot.
         joints: Configurations.
         pairs: Frames that are needed.
-        shared: What other sweeps for these pairs have computed.
+        shared: Data that other sweeps for these pairs have computed.
         poses_only: Whether the Jacobian is not needed.
     """
     shared = SweepCache(mechanism, pairs) if shared is None else shared
@@ -396,7 +396,7 @@ def motion_map(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool)
     dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
 
     Args:
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         pairs: The frames.
         angular: Whether dw is wanted too.
 
@@ -418,7 +418,7 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
     """Return d(value)/d(coordinates), (n, n_rows, n_coordinates).
 
     Args:
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         mapping: From `twist_map` or `motion_map`.
         coordinates: In the model of the same joints.
     """
@@ -433,11 +433,11 @@ def origin_derivative(
     """Compute map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
 
     Args:
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         mapping: From V_b - V_a to the rows, (n, n_rows, 6).
         loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
         along: The twists, and what they move.
-        result: Where to put it, (n, n_rows, k).
+        result: Array to fill, (n, n_rows, k).
     """
     n, n_rows = mapping.shape[:2]
     world, (own, in_loops) = along.world.in_world(swept), along.signs_of_entries

@@ -1,4 +1,4 @@
-"""How robots are made: from a robot description, from a plain URDF, or from a URDF and keywords."""
+"""Ways to make a robot: from a robot description, from a plain URDF, or from a URDF and keywords."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def load(path: str | Path) -> Robot:
 
 
 def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None) -> tuple[Description, str]:
-    """Return the description that a file of a robot stands for, and what to say of what was chosen.
+    """Return the description that a file of a robot stands for, and a remark on the choice.
 
     That is its arm; with the loops of an MJCF or SDF file, the whole robot.
 
@@ -190,7 +190,7 @@ def as_robot(robot: RobotLike) -> Robot:
 
 
 def with_model(robot: Robot, model: str) -> Robot:
-    """Return a robot with what is known of its model (`calib.core.robots.fleet_prior`) before it is measured.
+    """Return a robot with the prior of its model (`calib.core.robots.fleet_prior`).
 
     Args:
         robot: Not calibrated yet; names of its joints may have a prefix before those of the model.
@@ -231,7 +231,7 @@ def build(description: Description, urdf: UrdfText, where: str) -> Robot:
     Args:
         description: The description.
         urdf: The URDF that it names.
-        where: What messages call it.
+        where: Its name in messages.
 
     Raises:
         DescriptionError: They do not fit each other.

@@ -10,8 +10,8 @@ to its minimum it does: a limit would be a wall there, behind which the minimum 
 The home configuration itself must close and be regular; it decides the assembly mode (`check_home`).
 
 When it fails. A pose without a solution, or one that no way reaches without passing a singularity, is not closed, and
-it is said why: a loop stays open, a passive joint passes its limit, or the assembly mode differs. Closures must be as
-many as passive joints and independent at home.
+the error says why: a loop stays open, a passive joint passes its limit, or the assembly mode differs. Closures must be
+as many as passive joints and independent at home.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray)
 
 
 def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> str:
-    """Say in words why a pose could not be closed.
+    """Return the reason why a pose could not be closed, in words.
 
     Args:
         mechanism: The robot.
@@ -186,7 +186,7 @@ def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> 
     if closes[0]:
         passive = wrap_turns(mechanism, mode, passive)
         if are_within_limits(mechanism, passive)[0]:
-            return "it can be reached alone, but by way of the other poses its loops close beyond the limits of a joint"
+            return "it closes if solved alone, but followed from the other poses it ends beyond the limits of a joint"
         return "its loops close only with " + _joint_beyond_limits(mechanism, passive[0])
     lengths, angles = smallest_gap(mechanism, mode, actuated)
     loop = int(np.argmax(lengths / mechanism.length + angles))

@@ -1,4 +1,4 @@
-"""The robot as Pinocchio sees it: one placement per URDF origin, and which joints each frame depends on.
+"""The robot as a Pinocchio model: one placement per URDF origin, and which joints each frame depends on.
 
 Pinocchio folds fixed joints into their parents, so their origins could not be calibrated. Here every joint of the URDF
 becomes a joint of one degree of freedom, those that do not move being held at zero; joint `i` then has exactly one
@@ -61,7 +61,7 @@ class JointSubset:
         joints: Which origins stay, parents first, (n_reduced,).
         places: Where each frame is among them, 1 and up, or 0: it does not move, (n_joints + 1,).
         parents: `places` of the frame before each origin that stays, (n_reduced,).
-        model: Them alone, all origins at nought.
+        model: The model of these alone, all origins at zero.
     """
 
     joints: IntArray
@@ -80,7 +80,7 @@ def flat_poses(poses: Any) -> FloatArray:
 
 
 def _bytes_of_pose() -> int:
-    """How far apart poses in a vector of Pinocchio are [byte], checked."""
+    """Distance of poses in a vector of Pinocchio [byte], checked."""
     poses = pin.StdVec_SE3()
     poses.extend([pin.SE3.Identity()] * 2)
     first, position, second = (
@@ -136,7 +136,7 @@ class Mechanism(ReadOnlyArrays):
         loops: Closures, in the order of the description.
         targets: Each target seen from the measurement frame.
         places: Joint index of every place that instruments look from or at, by name.
-        views: What instruments look along.
+        views: Pairs of frames that instruments look along.
         support: `support[i, j]` is 1.0 where joint j + 1 moves frame i, (n_joints + 1, n_joints).
         axes: Motion of each joint per unit of its value, [linear; angular] in its own frame, (n_joints, 6).
         length: Characteristic length that makes metres and radians comparable [m].
@@ -174,12 +174,12 @@ class Mechanism(ReadOnlyArrays):
 
     @cached_property
     def is_tilt(self) -> BoolArray:
-        """Which of the driven joints tilt links, (n_driven,)."""
+        """Mask of the driven joints that tilt links, (n_driven,)."""
         return np.arange(len(self.driven)) >= len(self.actuated)
 
     @cached_property
     def depths(self) -> IntArray:
-        """How many actuated joints move the link behind each of them, itself included, (n_actuated,)."""
+        """Number of actuated joints that move the link behind each of them, itself included, (n_actuated,)."""
         moving = np.any(self.select_actuated[:, : len(self.actuated)] != 0.0, axis=1)
         return np.rint(self.support[[self.frames[name] for name in self.actuated]] @ moving).astype(np.intp)
 
@@ -209,7 +209,7 @@ class Mechanism(ReadOnlyArrays):
         return self._with(forgotten=("placements", "_models"), model=model)
 
     def reduced_to(self, pairs: tuple[RelativeFrame, ...]) -> JointSubset:
-        """Return what is left of the model where only these pairs count."""
+        """Return the part of the model that decides these pairs."""
         if pairs not in self._reductions:
             signs = np.array([self.direction_signs(pair) for pair in pairs]).reshape(-1, self.n_joints)
             moving, frames = signs.any(axis=0), self.model.parents.tolist()
@@ -224,7 +224,7 @@ class Mechanism(ReadOnlyArrays):
         return self._reductions[pairs]
 
     def model_around(self, pairs: tuple[RelativeFrame, ...]) -> pin.Model:
-        """Return Pinocchio's model of what is left, with the origins of this mechanism; nobody may change it."""
+        """Return Pinocchio's model of this part, with the origins of this mechanism; nobody may change it."""
         if pairs not in self._models:
             reduced = self.reduced_to(pairs)
             model = reduced.model.copy()
@@ -301,7 +301,7 @@ class Mechanism(ReadOnlyArrays):
 
     @cached_property
     def is_seen(self) -> BoolArray:
-        """Which joints move a target, a view or a loop, (n_joints,)."""
+        """Mask of the joints that move a target, a view or a loop, (n_joints,)."""
         pairs = self.targets + self.views + self.loops
         return np.any([self.direction_signs(pair) != 0 for pair in pairs], axis=0)
 
@@ -318,10 +318,10 @@ class Mechanism(ReadOnlyArrays):
 
     @cached_property
     def is_metre_row(self) -> BoolArray:
-        """Which closure rows are lengths, (n_rows,)."""
+        """Mask of the closure rows that are lengths, (n_rows,)."""
         return np.array([row < 3 for loop in self.loops for row in loop.rows], dtype=bool)
 
     @cached_property
     def is_metre_column(self) -> BoolArray:
-        """Which passive joints slide, (n_passive,)."""
+        """Mask of the passive joints that slide, (n_passive,)."""
         return np.array([self.dimensions[name] == "length" for name in self.passive], dtype=bool)

@@ -1,4 +1,4 @@
-"""From a URDF and its description to a `Mechanism`: the tree in Pinocchio, and which joint is what."""
+"""From a URDF and its description to a `Mechanism`: the tree in Pinocchio, and the role of each joint."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def build_mechanism(
 
     Args:
         urdf: The URDF.
-        description: What the URDF cannot say.
-        instruments: What is measured.
+        description: The robot description.
+        instruments: Its instruments.
         where: File of the description, for messages.
 
     Raises:
@@ -90,7 +90,7 @@ def build_mechanism(
 
 
 def tilted_joints(description: Description) -> tuple[str, ...]:
-    """Return the actuated joints of which a term tilts the link behind."""
+    """Return the actuated joints with a term that tilts the link behind them."""
     named = {section.joint for section in description.terms if TERMS[section.term].tilts}
     return tuple(name for name in description.name_mot if named & {name, "all"})
 
@@ -118,7 +118,7 @@ def home_values(urdf: UrdfText, description: Description, where: str) -> dict[st
 
 
 def _entry(place: Place, description: Description) -> str:
-    """Where the description speaks of a place."""
+    """The place in the description, in words."""
     if place.name in description.targets:
         return f"targets.{place.name}"
     return "base" if place.inverted else f"place '{place.name}'"
@@ -209,7 +209,7 @@ def _loop(description: Description, frames: Mapping[str, int], index: int, where
 
 @dataclass(frozen=True)
 class _JointGroups:
-    """Which joint is what: given by the user, decided by the loops, following another one; the others are held.
+    """The role of each joint: given by the user, decided by the loops, following another one; the others are held.
 
     Attributes:
         moving: Joints that can move, by name.
@@ -224,7 +224,7 @@ class _JointGroups:
 
 
 def _moves_one_side(support: FloatArray, loops: Loops) -> list[bool]:
-    """Which joints move one side of a closure and not the other."""
+    """Joints that move one side of a closure and not the other."""
     inside = [support[loop.b] != support[loop.a] for loop in loops]
     return [bool(moves) for moves in np.any(inside, axis=0)] if inside else [False] * support.shape[1]
 

@@ -25,7 +25,7 @@ class NamedComponent:
         origin, component: Which it is.
         sign: +1, or -1 where the trade counts the other way.
         sigma: Expected error [m or rad].
-        unit: Of tables.
+        unit: Unit of tables.
     """
 
     name: str
@@ -51,7 +51,7 @@ class NamedOrigins:
     def __post_init__(self) -> None:
         missing = next((each.origin for each in self.components if each.origin not in self.origins), None)
         if missing is not None:
-            raise DescriptionError(f"the URDF has no joint '{missing}', of which this parametrisation has components")
+            raise DescriptionError(f"the URDF has no joint '{missing}', but this parametrisation has components of it")
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -1,4 +1,4 @@
-"""Parameters: what may be wrong with a robot, and what a parameter does to the joint origins.
+"""Parameters: possible errors of a robot, and how they move the joint origins.
 
 A parametrisation maps a vector of values to joint origins and gives the derivative as twists. The twist xi_i of origin
 i is the right perturbation `placement_i * exp6(xi_i)`, [linear; angular] in the joint's own frame, so
@@ -66,12 +66,12 @@ class Parametrisation(Protocol):
 
 @dataclass(frozen=True)
 class ResultUse:
-    """How robots of a parametrisation are used, once calibrated; its attribute `result_use`, if it has one.
+    """Use of calibrated robots of a parametrisation, in words: its attribute `result_use`, if it has one.
 
     Attributes:
-        aim: What to do, in words that begin with a verb.
-        command: What to type; `DIR` stands for the result folder.
-        held_by_controller: What to tell who wants programs compensated, where the controller has the result itself.
+        aim: The aim, in words that begin with a verb.
+        command: Command to type; `DIR` stands for the result folder.
+        held_by_controller: Message to users who compensate programs, where the controller has the result itself.
     """
 
     aim: str

@@ -1,4 +1,4 @@
-"""Which parameters a robot description means: the origin components that it lists, or a named plugin.
+"""The parameters of a robot description: the origin components that it lists, or a named plugin.
 
 Other packages add parametrisations of their own under the entry point group `calib.parametrisations`: a callable that
 takes the nominal origins by name and returns a `calib.core.robots.parameters.Parametrisation`.
@@ -40,7 +40,7 @@ def build_parametrisation(
         description: The robot description.
         urdf: The URDF, whose numbers the nominal origins are.
         mechanism: The nominal mechanism.
-        places: What instruments look from and at.
+        places: Places that instruments look from and at.
         where: File of the description, for messages.
 
     Raises:
@@ -63,7 +63,7 @@ def build_parametrisation(
 def _without_names(
     description: Description, urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...], where: str
 ) -> Parametrisation:
-    """The parametrisation before what `prior` says of single parameters."""
+    """The parametrisation without the `prior` of single parameters."""
     origins = _nominal_origins(urdf, mechanism, places)
     unknown = [entry for place in places for entry in _unknown_components(place, mechanism.origin(place.name))]
     inverted = frozenset(mechanism.origin(place.name) for place in places if place.inverted)
@@ -85,7 +85,7 @@ def _without_names(
 
 
 def _nominal_origins(urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...]) -> dict[str, Origin]:
-    """Nominal origins by name: the numbers of the two files, not what is left of them after a computation."""
+    """Nominal origins by name: the exact numbers of the two files."""
     result = {joint.name: Origin(np.array(joint.xyz), np.array(joint.rpy)) for joint in urdf.joints}
     for place in places:
         result[mechanism.origin(place.name)] = Origin(np.array(place.xyz), np.array(place.rpy))
@@ -122,7 +122,7 @@ def _components(
 
 
 def result_use(description: Description) -> ResultUse | None:
-    """Return how a calibrated robot is used whose named parametrisation says so (`result_use`); None elsewhere."""
+    """Return the `result_use` of a named parametrisation: how the calibrated robot is used; None if it has none."""
     if not isinstance(description.parametrisation, str):
         return None
     use: ResultUse | None = getattr(brought(ENTRY_POINTS, description.parametrisation), "result_use", None)
@@ -210,7 +210,7 @@ def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism,
 
 
 def with_prior(robot: SomeRobot, names: str | Sequence[str], sigma: str) -> SomeRobot:
-    """Return a robot of which parameters are expected to be off by `sigma`; see `Robot.with_prior`."""
+    """Return a robot with the expected error `sigma` of parameters; see `Robot.with_prior`."""
     priors = dict(robot.description.prior)
     for name in [names] if isinstance(names, str) else names:
         place = index_of(robot.parameters, name)

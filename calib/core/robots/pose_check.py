@@ -1,4 +1,4 @@
-"""Which poses are free: the answer that a capability gives to whoever plans poses, shows them, or sends a robot there.
+"""Poses free of collisions: the interface of the capability that checks them.
 
 `calib.motion` knows shapes; it is found by the entry point `check_poses` of the group `calib.methods`.
 """
@@ -25,7 +25,7 @@ class PoseCheck:
     Attributes:
         hits: The pair that touches at each pose, such as `forearm - table`, or what hides a target; "" where it is
             free, (n,).
-        remarks: What stands for links, and which pairs are not checked.
+        remarks: Shapes that stand for links, and pairs that are not checked.
         unchecked: Why nothing was checked; "" where it was.
     """
 
@@ -35,12 +35,12 @@ class PoseCheck:
 
     @property
     def is_free(self) -> BoolArray:
-        """Which poses are free, (n,)."""
+        """Mask of the free poses, (n,)."""
         return np.array([not hit for hit in self.hits], dtype=bool)
 
     @property
     def n_blocked(self) -> int:
-        """How many poses are not free."""
+        """Number of poses that are not free."""
         return sum(map(bool, self.hits))
 
     @property
@@ -64,7 +64,7 @@ def blocking_sentence(pairs: Counter[str], n: int) -> str:
 
 
 def check_poses(robot: RobotData, joints: FloatArray) -> PoseCheck:
-    """Return what hits at actuated joints (n, n_actuated) [m or rad].
+    """Return the check at actuated joints (n, n_actuated) [m or rad].
 
     Raises:
         DescriptionError: An obstacle or a mesh that the description names cannot be.

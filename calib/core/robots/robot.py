@@ -158,7 +158,7 @@ class Robot(RobotData, HintedObject):
         Args:
             q: Commanded joints, (n, n_actuated) [m or rad].
             seed: Passive joints to start from, (n, n_passive).
-            columns: Of `term_columns`, if they are known.
+            columns: Columns of `term_columns`, if they are known.
             thorough: Whether to try every way; False is faster, and may miss poses that close.
         """
         return close(self, q, seed, columns, thorough=thorough)
@@ -176,7 +176,7 @@ class Robot(RobotData, HintedObject):
             q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
             seed: Passive joints of the same poses under slightly different parameters, to start from,
                 (n, n_passive) [m or rad].
-            labels: What to call each pose in messages, n of them.
+            labels: Name of each pose in messages, (n,).
             context: Conditions of the commands, on which joint terms may depend.
 
         Raises:
@@ -264,7 +264,7 @@ class Robot(RobotData, HintedObject):
         These poses are not at contact: `calib.sample` brings them there, and gives poses with names.
 
         Args:
-            count: How many.
+            count: Number of configurations.
             seed: Seed, or a generator of random numbers.
             within: Ranges to stay in, inside the joint limits: by name [SI], or joint values that span them,
                 (n, n_actuated) [m or rad].

@@ -1,4 +1,4 @@
-"""What a robot is: its description, its mechanism, its parameters and their values, and what follows by name.
+"""The data of a robot: its description, its mechanism, its parameters and their values.
 
 What is done with it are functions: joints from commands (`calib.core.robots.joint_errors`), closed loops
 (`calib.core.robots.configurations`), what files hold of it (`calib.core.robots.robot_files`). Users hold a `Robot`,
@@ -42,7 +42,7 @@ class RobotData(ReadOnlyArrays):
         nominal: Mechanism with nominal origins.
         mechanism: Mechanism with the origins that `values` give.
         parametrisation: Its parameters.
-        instruments: What is measured.
+        instruments: Its instruments.
         terms: Terms of the joints' errors.
         values: Current parameter values, (n_parameters,) [m or rad]: of the parametrisation, then unknown numbers of
             the instruments, then coefficients of the terms.
@@ -146,17 +146,17 @@ class RobotData(ReadOnlyArrays):
 
     @property
     def is_free(self) -> BoolArray:
-        """Which parameters a fit may change: all but the held ones, (n_parameters,)."""
+        """Mask of the parameters that a fit may change: all but the held ones, (n_parameters,)."""
         return np.array([parameter.name not in self.description.held for parameter in self.parameters])
 
     @cached_property
     def n_origin_parameters(self) -> int:
-        """How many of the parameters move origins; they come first."""
+        """Number of parameters that move origins; they come first."""
         return len(self.parametrisation.parameters)
 
     @cached_property
     def coefficients(self) -> slice:
-        """Which parameters are coefficients of joint terms; they come last."""
+        """Mask of the coefficients of joint terms; they come last."""
         n = len(self.parameters)
         return slice(n - sum(len(term.parameters) for term in self.terms), n)
 

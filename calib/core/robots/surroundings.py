@@ -1,6 +1,6 @@
-"""What a robot description says of shapes: what stands around the robot, what it carries, and from where it is seen.
+"""Shapes in a robot description: around the robot, on it, and the line of sight to it.
 
-Only what is written: `calib.motion` makes shapes of it, and says which poses are free.
+Only the entries: `calib.motion` makes shapes of them, and checks which poses are free.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class ShapeSection(Section):
 
     @property
     def kind(self) -> str:
-        """Which of `KINDS` it is."""
+        """Its kind, one of `KINDS`."""
         return next(kind for kind in KINDS if getattr(self, kind, None) not in (None, False))
 
     @model_validator(mode="after")
@@ -74,7 +74,7 @@ class ObstacleSection(ShapeSection):
 
 
 class AcceptanceSection(Section):
-    """In which directions a target is seen.
+    """Directions in which a target is seen.
 
     Attributes:
         angle: How far off its axis [rad].
@@ -92,7 +92,7 @@ class AcceptanceSection(Section):
 
 
 class SightSection(Section):
-    """Where the instrument stands that sees the targets in a straight line, such as a laser tracker.
+    """Position of an instrument that sees the targets in a straight line, such as a laser tracker.
 
     Attributes:
         frame: The link that it stands on; the root link if left out.

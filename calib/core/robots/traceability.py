@@ -1,4 +1,4 @@
-"""What a robot description says of where its measurements come from: the key `traceability`.
+"""The traceability of measurements in a robot description: the key `traceability`.
 
 Nothing of it is needed, and nothing changes a fit: `calib certificate` makes an uncertainty budget of it, and writes it
 down. Free text goes through as it is.
@@ -93,7 +93,7 @@ class ReflectorSection(Section):
     """The target that is read.
 
     Attributes:
-        diameter: Of it [m].
+        diameter: Its diameter [m].
         centring: Standard uncertainty of where its centre is, another one at each reading [m].
     """
 
@@ -119,7 +119,7 @@ class TemperatureSection(Section):
 
     @property
     def difference(self) -> float:
-        """Of use, less calibration [K]; 0 where either is not stated."""
+        """Temperature of use less that of calibration [K]; 0 where either is not stated."""
         return 0.0 if self.use is None or self.calibration is None else self.use - self.calibration
 
 
@@ -128,7 +128,7 @@ class TraceabilitySection(Section):
 
     Attributes:
         date: Day of the measurements, ISO 8601.
-        country: Of the laboratory, two letters of ISO 3166-1.
+        country: Country of the laboratory, two letters of ISO 3166-1.
     """
 
     date: Day | None = None

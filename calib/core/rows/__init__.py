@@ -1,1 +1,1 @@
-"""Readings beside what the robot predicts: whitened rows, their Jacobian, and what follows without a fit."""
+"""Readings compared with what the robot predicts: whitened rows, their Jacobian, and what follows without a fit."""

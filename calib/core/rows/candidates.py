@@ -39,12 +39,12 @@ _MIXING = 0x9E3779B97F4A7C15 - 2**64  # odd, and far from a power of two
 
 @dataclass(frozen=True, eq=False)
 class PoseRows:
-    """Rows that measurements at poses would give, and Jacobians of the positions there.
+    """Rows of planned measurements at poses, and Jacobians of the positions there.
 
     Attributes:
         rows: Whitened rows of all that the instruments are to read at each pose, instrument by instrument, (n,
             n_rows_per_pose, n_parameters); 0 where one reads less there than elsewhere.
-        read: Which rows are read, (n, n_rows_per_pose).
+        read: Mask of the rows that are read, (n, n_rows_per_pose).
         blocks: Rows of each instrument, by name.
         positions: Targets at the robot's present values, (n, n_targets, 3) [m].
         position_rows: Derivative by the scaled parameters of those whose accuracy counts
@@ -74,7 +74,7 @@ def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
     Without instruments that measure positions: that of other lengths, such as distances; without these: `WHITENED`.
 
     Args:
-        robot: Its instruments may state their noise.
+        robot: Robot whose instruments may state their noise.
         sigma: The noise of positions, if the caller knows it [m].
 
     Raises:
@@ -112,9 +112,9 @@ def rows_of_poses(
         configurations: The poses.
         sigma: Noise of positions per axis in place of what is stated [m], or None.
         unknowns: The parameters of the columns; the free ones if not given.
-        looks: What each instrument is to read, of `calib.core.rows.observed.planned_readings`; all that it can in the
-            first setup, if not given.
-        blocks: Where the rows of each instrument shall be; as needed, if not given.
+        looks: Planned readings of each instrument, of `calib.core.rows.observed.planned_readings`; all that it can in
+            the first setup, if not given.
+        blocks: Places for the rows of each instrument; as needed, if not given.
     """
     chosen = Unknowns.chosen_by_poses(robot) if unknowns is None else unknowns
     n = len(configurations.actuated)
@@ -179,8 +179,8 @@ class Candidates:
         joints: (n, n_actuated) [m or rad].
         pose_rows: Rows and positions of all; rows 0 and positions NaN where not usable. Of the rows of positions
             only their R (`calib.core.numerics.identifiability.reduce_rows`), (at most n_parameters, n_parameters) [m].
-        usable: Which can be assembled far enough from singularities, (n,).
-        skipped: What to call each pose that is not usable, and why.
+        usable: Mask of those that can be assembled far enough from singularities, (n,).
+        skipped: Label of each pose that is not usable, and the reason.
     """
 
     joints: FloatArray
@@ -192,7 +192,7 @@ class Candidates:
 def configurations_at(
     robot: Robot, q: FloatArray, closed: LoopSolution, columns: tuple[FloatArray, ...], which: IntArray
 ) -> Configurations:
-    """Return some of the closed poses (k,) of commands q (n, n_actuated), of whose joint terms the columns are."""
+    """Return some of the closed poses (k,) of commands q (n, n_actuated), with the columns of their joint terms."""
     return solve_configurations(robot, q[which], closed.select(which), tuple(phi[which] for phi in columns))
 
 

@@ -1,7 +1,7 @@
-"""A robot laid on another one: base and tools are moved until the two agree best at the same joint values.
+"""A robot aligned with another one: base and tools are moved until the two agree best at the same joint values.
 
 Where the measurement frame or a tool on its link stands is not known, an error that moves all positions as one body,
-or the tool on its link, cannot be told from that place. So a nominal robot is compared with a calibrated one beside
+or the tool on its link, cannot be told from that place. So a nominal robot is compared with a calibrated one without
 such common motion. With x the positions of its targets over a set of poses, b and w a shift and a turn of all of them
 about their centroid c, t a shift of a tool on its link (and u a turn of it, where that is unknown too), L the robot's
 characteristic length, the motion m = (b, L w, t, L u) of the nominal robot is the one that makes
@@ -13,7 +13,7 @@ the other way, are left out: m = V z, V the right singular vectors of the deriva
 over poses and targets) whose singular values are above 0.03.
 
 For a small change d of the parameters of the calibrated robot, with J the derivative of its positions by them, z
-follows by z = (A V)^+ J d, so that at other poses (A', J') its positions move by (J' - A' V (A V)^+ J) d beside common
+follows by z = (A V)^+ J d, so that at other poses (A', J') its positions move by (J' - A' V (A V)^+ J) d without common
 motion. A is that of the nominal robot, and so known.
 
 When it fails. From few poses the motion is as uncertain as they leave it; that is counted.
@@ -58,9 +58,9 @@ class UnknownPlaces:
 
     @staticmethod
     def from_robot(robot: Robot) -> UnknownPlaces:
-        """Return what measurements leave open of base and tools: what the description calls unknown.
+        """Return the unknown components of base and tools, by the description.
 
-        The measurement frame is held where some instrument looks, from a place that is known beside the base, at
+        The measurement frame is held where some instrument looks, from a known place other than the base, at
         something that motors move (or the other way round).
         """
         mechanism, names = robot.mechanism, ("", *robot.mechanism.origin_names)
@@ -99,11 +99,11 @@ class UnknownPlaces:
 
 @dataclass(frozen=True, eq=False)
 class CommonMotion(ReadOnlyArrays):
-    """A robot laid on another one; symbols as in the module docstring.
+    """A robot aligned with another one; symbols as in the module docstring.
 
     Attributes:
-        robot: It, with base and tools moved.
-        loose: What was moved.
+        robot: The robot, with base and tools moved.
+        loose: The places that were moved.
         joints: The poses, (n, n_actuated) [m or rad].
         centre: c, (3,) [m].
         basis: V, (n_motions, k); none where nothing was moved.
@@ -117,12 +117,12 @@ class CommonMotion(ReadOnlyArrays):
 
     @staticmethod
     def from_robots(robot: Robot, onto: Robot, loose: UnknownPlaces, joints: FloatArray) -> CommonMotion:
-        """Lay a robot on another one.
+        """Align a robot with another one.
 
         Args:
             robot: The robot.
             onto: The other one.
-            loose: What of the robot's places is moved, from where the other one has it.
+            loose: The places of the robot that are moved, from where the other one has them.
             joints: Poses that both can assemble, (n, n_actuated) [m or rad].
         """
         motion = CommonMotion(robot, loose, joints, np.zeros(3), np.zeros((loose.n_motions, 0)))
@@ -163,8 +163,8 @@ class CommonMotion(ReadOnlyArrays):
         """Return A V: how positions and turns of all targets move with z, (n, n_targets, 6, k).
 
         Args:
-            positions: Of the targets, (n, n_targets, 3) [m].
-            rotations: Of the targets, (n, n_targets, 3, 3).
+            positions: Positions of the targets, (n, n_targets, 3) [m].
+            rotations: Rotations of the targets, (n, n_targets, 3, 3).
         """
         (n, n_targets, _), length, loose = positions.shape, self.robot.mechanism.length, self.loose
         columns = np.zeros((n, n_targets, 6, loose.n_motions))
@@ -205,7 +205,7 @@ class CommonMotion(ReadOnlyArrays):
 
     @staticmethod
     def _places(targets: tuple[int, ...], first: int) -> dict[int, slice]:
-        """Which components of m belong to each target, from `first` on."""
+        """Components of m that belong to each target, from `first` on."""
         return {t: slice(first + 3 * k, first + 3 * k + 3) for k, t in enumerate(targets)}
 
     def _origins(self) -> list[str]:

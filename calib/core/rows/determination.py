@@ -1,4 +1,4 @@
-"""What poses and priors determine: one computation, and one wording, for every command that speaks of it.
+"""Ranks of poses and priors: one computation, and one wording, for every command that states them.
 
 Whether a combination of parameters is seen is a fact of the mechanism and the poses. How large an error the description
 expects (sigma) has no say in it, so each column is divided by its own length before ranks are judged
@@ -23,11 +23,11 @@ class Determination(ReadOnlyArrays):
     """Ranks of one set of poses.
 
     Attributes:
-        everything: Of all parameters, poses alone.
-        free: Of the free ones, poses alone.
-        together: Of the free ones, poses and priors.
+        everything: Rank of all parameters, poses alone.
+        free: Rank of the free ones, poses alone.
+        together: Rank of the free ones, poses and priors.
         columns: Unit columns of all parameters, or their triangular factor, (n, n_parameters).
-        lengths: What each column was divided by, (n_parameters,) [m per m or rad].
+        lengths: Divisor of each column, (n_parameters,) [m per m or rad].
         open_columns: Unit columns of the free ones, and a row for each prior, (n, n_free).
     """
 
@@ -48,11 +48,11 @@ class Determination(ReadOnlyArrays):
 
     @property
     def missing(self) -> int:
-        """How many combinations of the free parameters neither poses nor priors determine."""
+        """Number of combinations of the free parameters that neither poses nor priors determine."""
         return self.together.n_columns - self.together.rank
 
     def words(self) -> str:
-        """Return what poses and priors determine of the free parameters, as a clause."""
+        """Return the number of combinations of free parameters that poses and priors determine, as a clause."""
         poses, n_free = self.free.rank, self.free.n_columns
         if poses == n_free:
             return f"all {n_free} free parameters can be found from these poses"
@@ -70,7 +70,7 @@ def determination(columns: FloatArray, parameters: Sequence[Parameter], free: Bo
     Args:
         columns: d(coordinates)/d(parameters), not scaled, (n_rows, n_parameters) [m per m or rad].
         parameters: All parameters.
-        free: Which of them are not held, (n_parameters,).
+        free: Mask of those that are not held, (n_parameters,).
     """
     unit, lengths = unit_columns(columns)
     unit = reduce_rows(unit)

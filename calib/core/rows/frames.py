@@ -1,4 +1,4 @@
-"""The frames in which places are meant, the calibrated robot in them, and how sure its positions are there.
+"""The frames of places, the calibrated robot in them, and the uncertainty of its positions there.
 
 The frame of a program. Where the base is known, and some instrument looks from a known place, a program is meant in
 the measurement frame: all that the robot's links are off there counts. What cannot be told from the place of a measured
@@ -10,11 +10,11 @@ robot agree best over the poses that were measured (`calib.core.rows.common_moti
 point whose place on its link is unknown is laid on the nominal robot's link. So no error is corrected that base or tool
 may as well have, and none is counted.
 
-The measurement frame. Goals that are meant where the instruments see them are places of the measured point itself, in
+The measurement frame. Goals in the measurement frame are places of the measured point itself, in
 the frame in which it was measured, wherever the calibration found base and target.
 
 What a fit gave an error of the robot, and readings would as well have where the measured point is on its link, is not
-corrected. Where a program is meant in the measurement frame, it is counted: the robot is most likely off by it.
+corrected. If a program is in the measurement frame, it is counted: the robot is most likely off by it.
 
 With d the error of the parameters and J' the derivative of positions by them, these are off by J' d: in the measurement
 frame with all parameters; of a program there with those of the robot itself; and in its own base frame beside the
@@ -46,15 +46,15 @@ _MOST = 400  # poses over which robots agree
 
 @dataclass(frozen=True, eq=False)
 class CorrectionFrame(ReadOnlyArrays):
-    """A calibrated robot and the frame in which places are meant. Both robots are seen from the measurement frame.
+    """A calibrated robot and the frame of its places. Both robots are seen from the measurement frame.
 
     Attributes:
-        known: What is known of the calibrated robot.
-        robot: It; its own parameters are as near to nominal as readings allow.
+        known: The calibrated robot with its uncertainty.
+        robot: The calibrated robot; its own parameters are as near to nominal as readings allow.
         meant: The nominal robot, its base and tools where they are in this frame.
         nominal: The robot as its description has it.
-        words: Which frame it is.
-        counts: Which of the free parameters move positions in this frame, (n_free,).
+        words: Name of the frame in a sentence.
+        counts: Mask of the free parameters that move positions in this frame, (n_free,).
         motion: The common motion that does not count; None where all counts.
     """
 
@@ -97,7 +97,7 @@ class CorrectionFrame(ReadOnlyArrays):
         )
 
     def uncorrected_errors(self, q: FloatArray, context: Context) -> FloatArray:
-        """Return by how much positions [m] and turns [rad] are off that the fit found and that are not corrected.
+        """Return the errors of positions [m] and turns [rad] that the fit found and that are not corrected.
 
         Args:
             q: Commands, (n, n_actuated) [m or rad].
@@ -117,7 +117,7 @@ class CorrectionFrame(ReadOnlyArrays):
 
     @cached_property
     def _common(self) -> Callable[[UncertaintyJacobian], FloatArray] | None:
-        """The common motion that follows what is uncertain; None where all counts."""
+        """The common motion that follows errors of uncertain parameters; None where all counts."""
         if self.motion is None or self.known.uncertainty is None:
             return None
         return following_motion(self.motion, self.robot, self.known.uncertainty)
@@ -126,14 +126,14 @@ class CorrectionFrame(ReadOnlyArrays):
 def following_motion(
     motion: CommonMotion, robot: Robot, uncertainty: ParameterUncertainty
 ) -> Callable[[UncertaintyJacobian], FloatArray]:
-    """Return the common motion of each target, (n, n_targets, 6, n_uncertain), that follows what is uncertain."""
+    """Return the common motion of each target by errors of uncertain parameters, (n, n_targets, 6, n_uncertain)."""
     linear = uncertainty.linearise(robot, motion.joints, Context.neutral(*motion.joints.shape))
     following = motion.following(linear.jacobian) * uncertainty.lasting(robot)
     return partial(_common, motion, following)
 
 
 def _common(motion: CommonMotion, following: FloatArray, linear: UncertaintyJacobian) -> FloatArray:
-    """How all moves together as common motion (k, n_uncertain) follows what is uncertain."""
+    """Derivative of the common motion by what is uncertain, (k, n_uncertain)."""
     return motion.columns(*target_poses(linear.robot, linear.configurations)) @ following
 
 
@@ -182,7 +182,7 @@ def measurement_frame(known: KnownRobot) -> CorrectionFrame:
 
 
 def _is_of_robot(known: KnownRobot) -> BoolArray:
-    """Which of the free parameters belong to the robot itself, and are no mere places, (n_free,)."""
+    """Mask of the free parameters of the robot itself, without those of places, (n_free,)."""
     of_robot = np.array([not parameter.placement for parameter in known.robot.parameters])
     return of_robot[:0] if known.uncertainty is None else of_robot[known.uncertainty.free]
 

@@ -1,4 +1,4 @@
-"""Poses without those at which the robot hits something, and what leaving these out costs."""
+"""Poses without those at which the robot hits something, and the loss by leaving these out."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def free_poses(robot: Robot, poses: Poses) -> tuple[Poses, tuple[str, ...]]:
 
 
 def worth_sentence(robot: Robot, kept: Poses, every: Poses) -> str:
-    """Say what poses are worth beside those that there would be with nothing in the way: O1, or what they determine."""
+    """Compare poses with those that there would be with nothing in the way: by O1, or by what they determine."""
     if not np.any(robot.is_free):
         return "nothing is free to be identified"
     ranks = [numerical_rank(rows_of_measured(robot, poses, None)[0]) for poses in (kept, every)]

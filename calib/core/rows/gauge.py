@@ -1,9 +1,9 @@
-"""Parameters that only trade against where the instruments and targets stand: they say nothing of the robot.
+"""Parameters that only compensate places of instruments and targets: they say nothing of the robot.
 
 If the base is unknown, the origin of the first joint can move and the base with it, and no measurement changes; the
 same holds for the last origin and an unknown target. A fit puts such motion where the priors have it cheapest, so that
-a reflector that sits 2 mm off its stated place leaves some hundredths of a millimetre in the last joint's origin. Who
-corrects the robot must not correct that.
+a reflector that sits 2 mm off its stated place leaves some hundredths of a millimetre in the last joint's origin. A
+correction of the robot must not include that.
 
 Let r be what the readings at many poses have changed, J their derivative by the scaled parameters u = (p - p_nominal) /
 s, N the combinations of u that no reading sees (J N = 0), and D what picks the parameters of the robot itself. The
@@ -32,8 +32,8 @@ from calib.core.rows.observed import Observed, observe, predict_readings
 
 _POSES = 256
 _ROUNDS = 10
-_STANDS = 1e-6  # change of a scaled parameter; what is left of it shrinks by its square
-_AROUND_HOME = 0.5  # what no pose here sees, no pose sees: motion is analytic [rad, or characteristic lengths]
+_STANDS = 1e-6  # change of a scaled parameter; the next one is about its square
+_AROUND_HOME = 0.5  # motion is analytic: what these poses do not show, none does [rad, or characteristic lengths]
 
 
 @one_blas_thread
@@ -51,7 +51,7 @@ def nearest_to_nominal(robot: Robot) -> Robot:
     sigma = np.array([parameters[k].sigma_si for k in free])
     expected = np.array([parameters[k].expected_si for k in free])
     q = poses_around_home(robot)
-    predicted = predict_readings(robot, robot.assemble(q))  # NaN beside an image: as if the image went on
+    predicted = predict_readings(robot, robot.assemble(q))  # NaN outside of an image: as if the image went on
     readings = {name: replace(reading, values=np.nan_to_num(reading.values)) for name, reading in predicted.items()}
     before, _ = _stack(observe(robot, robot.assemble(q), readings))
     for _ in range(_ROUNDS):

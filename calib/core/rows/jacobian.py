@@ -9,8 +9,8 @@ found first, so that one small solve per pose serves all frames and origins; the
 times the twists that the parametrisation has for each origin, seen in the world. Moving an actuated joint by dq is the
 same as turning its origin by dq about the joint's own axis, so that derivatives by joints are columns of the same kind.
 
-x is the twist [dp; dw] of b seen from a, in the axes of a (`calib.core.instruments.kind`): what every kind of
-measurement is differentiated by. Poses are processed in chunks that stay in the processor's cache.
+x is the twist [dp; dw] of b seen from a, in the axes of a (`calib.core.instruments.kind`): every kind of
+measurement is differentiated by it. Poses are processed in chunks that stay in the processor's cache.
 """
 
 from __future__ import annotations
@@ -157,11 +157,11 @@ def relative_motion(
 
     Args:
         mechanism: The mechanism.
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         pairs: The frames.
         twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
         angular: Whether dw is wanted too.
-        out: Where to put it, if that is known.
+        out: Array for the result, if there is one.
 
     Returns:
         (n, n_pairs, 3 or 6, 6 n_joints or k).
@@ -188,7 +188,7 @@ def passive_motion(
 
     Args:
         mechanism: The mechanism.
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         coordinate: d(q_j)/d(passive joints), (n_passive,); zero throughout for a joint that the user gives.
         twists: Combinations to take the derivative along, (6 n_joints, k).
     """
@@ -214,10 +214,10 @@ def _fill_motion_compiled(
     """Do the same as `_fill_motion`, by compiled code.
 
     Args:
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         rows: Places of frames a and b, coordinate, and whether it is a turn, of each row, (4, n_rows).
         along, direct: Twists, and rows of the passive joints (n_rows, n_passive), of `_fill_motion`.
-        result: Where to put it, (n, n_rows, k).
+        result: Array to fill, (n, n_rows, k).
     """
     shared = swept.shared
     signs = np.ascontiguousarray(along.signs)
@@ -236,11 +236,11 @@ def _fill_motion(
 
     Args:
         mechanism: The mechanism.
-        swept: Of the poses.
+        swept: Kinematics of the poses.
         mapping: From V_b - V_a to x, (n, n_rows, 6).
         along: The twists, and what they move.
-        direct: What passive joints do to x beside that, (n_rows, n_passive).
-        result: Where to put it, (n, n_rows, k).
+        direct: Further derivative of x by the passive joints, (n_rows, n_passive).
+        result: Array to fill, (n, n_rows, k).
     """
     if not mechanism.loops:
         kinematics.origin_derivative(swept, mapping, None, along, result)
@@ -271,7 +271,7 @@ def derivative_by_parameters(
         robot: Knows the joints of the terms.
         derivative: By the parameters that are no coefficients, then by the driven joints, (n, n_rows, k + n_driven).
         columns: phi of each joint term, (n, n_moved, n_coefficients) each.
-        index: Which parameters, in rising order, (n_index,).
+        index: Numbers of the parameters, in rising order, (n_index,).
     """
     first = k = robot.coefficients.start
     filled = int(np.sum(index < first))

@@ -1,4 +1,4 @@
-"""A calibrated robot with all that is known of it: what corrects a robot has to know how sure that is, and where."""
+"""A calibrated robot with its uncertainty and the poses measured, for all that corrects a robot."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class KnownRobot(ReadOnlyArrays):
 
     Attributes:
         robot: With the parameters that were found.
-        uncertainty: How well they are known; None where not stated.
+        uncertainty: Their uncertainty; None where not stated.
         joints: Joint values of the visits that the fit used, (n, n_actuated) [m or rad].
         nothing_to_correct: Whether the verdict says that the nominal values are as good as any.
     """
@@ -40,7 +40,7 @@ class Calibrated(Protocol):
 
 
 def known_robot(calibrated: RobotLike | Calibrated | KnownRobot) -> KnownRobot:
-    """Return what is known of a robot; of a robot alone no more than its values.
+    """Return a known robot; of a robot alone, only its values are known.
 
     Raises:
         InputError: It is none of them.

@@ -1,4 +1,4 @@
-"""What instruments would read of a robot, how that differs from what they read, and how it moves with parameters.
+"""Predicted readings of a robot, compared with the readings, and their derivatives by parameters.
 
 For a reading of kind g at a visit, with x the motion [dp; dw] of the frame that it looks at, seen from the frame that
 it looks from (`calib.core.rows.jacobian`):
@@ -40,8 +40,8 @@ class Observed:
     Attributes:
         robot: The robot.
         residuals: Predicted minus read, (n, n_rows) [SI]; NaN where a component was not read.
-        derivative: Of these by the parameters that are no coefficients of joint terms, then by the driven joints where
-            these were wanted, (n, n_rows, k + n_driven); (n, n_rows, 0) where no derivatives were wanted.
+        derivative: Derivative of these by the parameters that are no coefficients of joint terms, then by the driven
+            joints where these were wanted, (n, n_rows, k + n_driven); (n, n_rows, 0) where no derivatives were wanted.
         term_columns: phi of each joint term at each reading, (n, n_moved, n_coefficients) each.
     """
 
@@ -81,9 +81,9 @@ def observe(
     Args:
         robot: The robot, at its current values.
         configurations: Its assembled visits.
-        readings: Of each instrument, by name; visits are indices into the configurations.
+        readings: Readings of each instrument, by name; visits are indices into the configurations.
         joints: Whether derivatives by the actuated joints are wanted too.
-        derivatives: Whether derivatives are wanted at all.
+        derivatives: Whether derivatives are wanted.
         index: By which parameters they are wanted, (k,), if not by all: those by the other ones are left 0.
     """
     mechanism = robot.mechanism
@@ -195,7 +195,7 @@ class _Work:
             self._columns[chosen, :, unknowns] += comparison.by_unknown
 
     def result(self, configurations: Configurations) -> Observed:
-        """Return what was filled in."""
+        """Return the filled arrays."""
         visits = as_slice(self.readings.visits)
         phi = tuple(columns[visits] for columns in configurations.term_columns)
         return Observed(self.robot, self._residuals, self._columns, phi)
@@ -248,7 +248,7 @@ def predict_readings(
 def views_of_instruments(
     robot: Robot, configurations: Configurations, looks: Mapping[str, Readings]
 ) -> dict[str, View | FloatArray]:
-    """Return what each instrument has before it at each of its readings, by name: frames, or values of a joint (n,).
+    """Return the input of each instrument at each of its readings, by name: frames, or values of a joint (n,).
 
     Args:
         robot: The robot, at its current values.
@@ -274,7 +274,7 @@ def views_of_instruments(
 
 
 def planned_readings(robot: Robot, poses: Poses) -> dict[str, Readings]:
-    """Return what each instrument is to read at poses, no values: what they say, else all that it can.
+    """Return the planned readings of each instrument at poses, no values: as stated by the poses, else all that it can.
 
     Of measurements: touches that were made. A touch is of the pose, and no pose tells by itself what it touches.
     """
@@ -282,7 +282,7 @@ def planned_readings(robot: Robot, poses: Poses) -> dict[str, Readings]:
 
 
 def touches_without_target(robot: Robot, poses: Poses) -> list[Instrument]:
-    """Return the instruments that touch, and of which poses do not say what."""
+    """Return the touching instruments whose poses do not say what they touch."""
     planned = poses.planned.keys() | (poses.readings.keys() if isinstance(poses, Measurements) else set())
     return [instrument for instrument in robot.instruments if instrument.touches and instrument.name not in planned]
 

@@ -1,4 +1,4 @@
-"""How well a calibrated robot knows where its targets are: the parameters' covariance, carried to poses.
+"""The uncertainty of a calibrated robot's positions: the parameters' covariance, carried to poses.
 
     covariance of x(q)  =  B C B^T,      B = d(position)/d(free parameters) at the pose
 
@@ -13,7 +13,7 @@ of each joint that is another one at each pose, as large as residuals show it (`
 What residuals cannot tell from noise counts. What the robot does not repeat comes on top.
 
 Joint terms that a choice left out, and that the data do not exclude, have coefficients that are zero and uncertain
-(`UndecidedTerms`). They stand beside the free parameters, in C and in B, and the free parameters follow them.
+(`UndecidedTerms`). They join the free parameters, in C and in B, and the free parameters follow them.
 
 Reference: jcgm100 (GUM), section 5.2.
 """
@@ -43,23 +43,24 @@ CHUNK = 1024
 """Poses at once."""
 ROWS = (slice(3), slice(3, 6))
 """Rows of positions and of turns."""
-_DIFFERS = 1.5  # uncertainty in the measurement frame over that predicted, above which both are said
-_CERTAIN = 1e-12  # of the square of a length, its variance that does not show
+_DIFFERS = 1.5  # uncertainty in the measurement frame over that predicted, above which both are reported
+_CERTAIN = 1e-12  # variance of a length that does not show, over its square
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
-    """Predicted positions and how sure they are; read as an array, it is `positions`.
+    """Predicted positions and their uncertainty; read as an array, it is `positions`.
 
     Attributes:
         positions: (n_poses, n_targets, 3) [m].
         covariance: (n_poses, n_targets, 3, 3) [m^2].
-        coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
-        turn_covariance: Of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not computed.
+        coverage_factor: Half a 95 % interval of one coordinate, in standard deviations.
+        turn_covariance: Covariance of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not
+            computed.
         left_out: Targets that summaries leave out (`RobotData.unreported_targets`), and their places among the targets.
-        frame: In which frame the covariances are, in words; empty for the measurement frame.
+        frame: Frame of the covariances, in words; empty for the measurement frame.
         measured: The same positions with their covariance in the measurement frame, where that is another one.
-        contains: What the covariances contain; nothing where that is not known.
+        contains: Contributions to the covariances; nothing where these are not known.
     """
 
     positions: FloatArray
@@ -114,7 +115,7 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
         return int(np.argmax(np.max(self.reported_distance, axis=1)))
 
     def remark(self) -> str:
-        """Return what to add to a summary, of its frame and of targets that it leaves out; empty if nothing."""
+        """Return remarks on a summary, on its frame and on targets that it leaves out; empty if there are none."""
         frame = f"; {self.frame}" if self.frame else ""
         if self.measured is not None and self.measured.summary()["mean"] > _DIFFERS * self.summary()["mean"]:
             frame += f" (in the measurement frame to {self.measured.summary()['mean']:.2g} mm on average)"
@@ -161,7 +162,7 @@ def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor:
     Args:
         jacobian: B of each position, (n_poses, n_targets, 3, n_free).
         covariance: C, (n_free, n_free).
-        coverage_factor: Of the fit's 95 % intervals.
+        coverage_factor: Coverage factor of the fit's 95 % intervals.
     """
     flat = jacobian.reshape(-1, jacobian.shape[-1])
     product = covariance @ (flat.T @ flat) / (len(flat) / 3)
@@ -200,12 +201,12 @@ def recombined_joints(q: FloatArray, most: int) -> FloatArray:
 
 
 def without_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return derivatives of positions beside what moves all of them as one body, in the shape of `rows`.
+    """Return derivatives of positions without the motion of all of them as one body, in the shape of `rows`.
 
     Where base and tool are placed anew, nothing else is seen of an error of the parameters.
 
     Args:
-        positions: Where they are, (n, n_targets, 3) [m].
+        positions: Their positions, (n, n_targets, 3) [m].
         rows: Their derivatives, (..., n_parameters), three rows for each position.
     """
     points = positions.reshape(-1, 3)
@@ -230,7 +231,7 @@ def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | 
 
     Args:
         covariance: C, (..., 3, 3).
-        coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
+        coverage_factor: Half a 95 % interval of one coordinate, in standard deviations.
         mean: m, (..., 3); zero if not given.
     """
     trace, squares = np.trace(covariance, axis1=-2, axis2=-1), np.sum(covariance**2, axis=(-2, -1))
@@ -271,7 +272,7 @@ class UndecidedTerms(ReadOnlyArrays):
     spread: FloatArray
 
     def with_terms(self, robot: Robot) -> Robot:
-        """Return a robot with these terms beside its own, coefficients zero."""
+        """Return a robot with these terms added, coefficients zero."""
         return robot.with_terms((*robot.description.terms, *self.terms))
 
     def sensitivity_of(self, names: Sequence[str]) -> FloatArray:
@@ -289,8 +290,8 @@ class UncertaintyJacobian(ReadOnlyArrays):
         robot: The robot, with joint terms that are undecided, coefficients zero.
         configurations: Its poses, loops closed.
         positions: (n_poses, n_targets, 3) [m].
-        jacobian: Of positions and, if wanted, small turns, (n_poses, n_targets, 3 or 6, n_uncertain): by the free
-            parameters, by coefficients of undecided terms, then by the joints that are off.
+        jacobian: Derivative of positions and, if wanted, small turns, (n_poses, n_targets, 3 or 6, n_uncertain): by the
+            free parameters, by coefficients of undecided terms, then by the joints that are off.
     """
 
     robot: Robot
@@ -301,16 +302,16 @@ class UncertaintyJacobian(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class ParameterUncertainty(ReadOnlyArrays):
-    """How well the parameters of a calibrated robot are known.
+    """The uncertainty of the parameters of a calibrated robot.
 
     Attributes:
-        free: Which of them were found, (n_parameters,); the others are taken as they are.
-        covariance: Of these, if it has no other joint terms, (n_free, n_free) [m, rad].
-        coverage_factor: How many standard deviations make half a 95 % interval.
+        free: Mask of those that were found, (n_parameters,); the others are taken as they are.
+        covariance: Covariance of these, if it has no other joint terms, (n_free, n_free) [m, rad].
+        coverage_factor: Half a 95 % interval, in standard deviations.
         undecided: Joint terms that it may have, too; None if a choice left none undecided.
         joint_error: Standard deviation of an error of each joint, another one at each pose [rad; of a joint that slides
             in characteristic lengths].
-        contains: What positions that are predicted by it contain.
+        contains: Contributions to the uncertainty of positions.
     """
 
     free: BoolArray
@@ -322,23 +323,23 @@ class ParameterUncertainty(ReadOnlyArrays):
 
     @property
     def coverage_sentence(self) -> str:
-        """Say of positions whether they count what the model leaves out."""
+        """Say whether the uncertainty of positions counts what the model leaves out."""
         if self.joint_error == 0.0:
             return "without what the model leaves out"
         return "counting what the model leaves out"
 
     def lasting(self, robot: Robot) -> BoolArray:
-        """Return what of all that is uncertain is the same at every pose, (n_uncertain,)."""
+        """Return which uncertain quantities are the same at every pose, (n_uncertain,)."""
         n_changing = self._n_errors(robot)
         n_lasting = int(np.sum(self.free)) + len(self._undecided_names(robot))
         return np.arange(n_lasting + n_changing) < n_lasting
 
     def counting(self, robot: Robot, counts: BoolArray) -> BoolArray:
-        """Return which of all that is uncertain counts, (n_uncertain,): beside free parameters all of it.
+        """Return which of all that is uncertain counts, (n_uncertain,).
 
         Args:
             robot: The calibrated robot.
-            counts: Which of the free parameters do, (n_free,).
+            counts: Mask of the free parameters that do, (n_free,).
         """
         return np.append(counts, np.ones(len(self._undecided_names(robot)) + self._n_errors(robot), dtype=bool))
 
@@ -391,7 +392,7 @@ class ParameterUncertainty(ReadOnlyArrays):
     def linearise_in_parts(
         self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None, *, turns: bool = True
     ) -> Iterator[tuple[slice, UncertaintyJacobian]]:
-        """Yield which poses, and what `linearise` returns of these.
+        """Yield the indices of some poses, and the result of `linearise` for these.
 
         Args:
             robot, context, turns: The calibrated robot, conditions of the commands, and whether turns are wanted.
@@ -436,7 +437,7 @@ class ParameterUncertainty(ReadOnlyArrays):
             context: Under which conditions they are given; joint terms may depend on it.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
             turns: Whether the covariance of the orientations is wanted.
-            counts: Which of all that is uncertain counts, (n_uncertain,); all if not given.
+            counts: Mask of what counts of all that is uncertain, (n_uncertain,); all if not given.
             common: Returns how positions and turns move together in a way that does not count, (n, n_targets, 6,
                 n_uncertain); then the covariance with it is `measured`.
 

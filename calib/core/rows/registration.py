@@ -67,7 +67,7 @@ def registration(
     Args:
         robot: The robot; its current values are what an open place stays near.
         data: Measurements.
-        frame_known: Whether the measurement frame is where the robot has it, whatever the description says.
+        frame_known: Whether the measurement frame is where the robot has it, even if the description says otherwise.
         targets_known: Whether targets that the description calls known are where the robot has them.
 
     Raises:
@@ -173,10 +173,10 @@ def _registration(
 
 
 def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed: list[str]) -> Robot:
-    """Return the robot with what an instrument alone can guess.
+    """Return the robot with the first guess of an instrument.
 
-    Of its guesses, that counts which explains best what it and the instruments placed before have read: two cameras may
-    look at one body.
+    Of several guesses, the one is taken that best explains the readings of this instrument and of those placed before:
+    two cameras may look at one body.
     """
     if type(instrument).first_values is FrameInstrument.first_values:  # it guesses nothing
         return robot
@@ -209,7 +209,7 @@ def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed
 
 
 def _guess_joint_numbers(robot: Robot, data: Measurements, instrument: JointInstrument) -> Robot:
-    """Return the robot with what an instrument that reads a joint can guess of its unknown numbers."""
+    """Return the robot with first guesses at the unknown numbers of an instrument that reads a joint."""
     readings, configurations = (
         data.readings[instrument.name],
         robot.assemble(data.joints, labels=data.labels, context=data.conditions),
@@ -269,7 +269,7 @@ def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Fr
 
 
 def _expected_place(robot: Robot, target: str, origin: str, *, known: bool) -> tuple[FloatArray, FloatArray]:
-    """Where a target is expected in its link, and how sure that is, (3,) each [m]; see `MovingPoint`."""
+    """Expected position of a target in its link, and its sigma, (3,) each [m]; see `MovingPoint`."""
     point, sigma = robot.mechanism.placement(origin).translation.copy(), np.zeros(3)
     if robot.description.targets[target].position == "known":
         return point, sigma if known else np.full(3, np.inf)

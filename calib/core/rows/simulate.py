@@ -38,7 +38,7 @@ from calib.core.rows.observed import (
 )
 from calib.core.rows.whitening import stated_noise
 
-_LONGEST_STEP = 0.2  # of a joint at once [rad, or characteristic lengths]
+_LONGEST_STEP = 0.2  # step of a joint [rad, or characteristic lengths]
 _ROUNDS, _STEPS = 3, 100
 _LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a step that gains less, further away [m], leads nowhere
 MET = 1e-10
@@ -61,7 +61,7 @@ def simulate(
 
     Args:
         robot: The true robot.
-        poses: Where to measure: poses, or joint values alone, (n, n_actuated) [m or rad].
+        poses: Poses to measure: poses, or joint values alone, (n, n_actuated) [m or rad].
         sigma: Standard deviation of the noise of positions per axis [m]; 0 for no noise at all; None for what the
             description states.
         seed: Seed of the noise, or a generator of random numbers.
@@ -108,15 +108,15 @@ def noisy_readings(
 
     Args:
         robot: Knows the noise of its instruments.
-        exact: What they would read without noise; not of touches, whose noise is in the joints.
+        exact: Readings without noise; not of touches, whose noise is in the joints.
         sigma: As in `simulate`.
-        rng: Where the noise comes from.
+        rng: Source of the noise.
     """
     return {name: _noisy(robot.instrument(name), readings, sigma, rng) for name, readings in exact.items()}
 
 
 def unstated_noise(robot: Robot, sigma: float | None) -> list[str]:
-    """Return the instruments of whose noise neither the description nor `sigma` says anything."""
+    """Return the instruments whose noise neither the description nor `sigma` states."""
     return [
         instrument.name
         for instrument in robot.instruments
@@ -154,13 +154,13 @@ def _touches(
 def touching_configurations(
     robot: Robot, poses: Poses, touches: Mapping[str, Readings], off: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Bring the robot to what it touches; see the module docstring.
+    """Move the robot to contact; see the module docstring.
 
     Args:
         robot: The robot.
         poses: Poses to start from; those that touch nothing stay, or go with a touch that repeats the same pose.
-        touches: What each instrument that touches is to touch, and by how much it shall miss.
-        off: What the joints are off, in their commands unseen, (n, n_actuated) [m or rad]; nothing if not given.
+        touches: Planned touches of each instrument that touches, and by how much it shall miss.
+        off: Errors of the joints, which their commands do not show, (n, n_actuated) [m or rad]; nothing if not given.
 
     Returns:
         Commands, (n, n_actuated) [m or rad]; how far each is from contact, (n,) [m]: less than `MET` where it is there.
@@ -223,7 +223,7 @@ def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held
 
 
 def _limits(robot: Robot, poses: Poses) -> tuple[FloatArray, FloatArray]:
-    """Where the joints may go, (n, n_actuated) each: within the URDF's limits, or where they stand already."""
+    """Limits of the joints, (n, n_actuated) each: those of the URDF, extended to these poses."""
     lower, upper = robot.urdf.limits(robot.joint_names)
     return np.minimum(lower, poses.joints), np.maximum(upper, poses.joints)
 

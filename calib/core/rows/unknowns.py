@@ -22,9 +22,9 @@ class Unknowns(ReadOnlyArrays):
         names: Their names.
         index: Their places among all parameters, (n,).
         scales: Their sigma, (n,) [SI].
-        expected: Around which values priors lie, nominal ones unless a fleet says otherwise, (n,) [SI].
-        prior: What is known of them before measuring.
-        placement: Which only say where instruments and targets are, (n,).
+        expected: Means of the priors: nominal values, or those of a fleet, (n,) [SI].
+        prior: Their prior.
+        placement: Whether each is only a place of an instrument or a target, (n,).
         family: Number of the family of each, -1 for none, (n,).
         families: Their names.
     """
@@ -42,7 +42,7 @@ class Unknowns(ReadOnlyArrays):
         return len(self.names)
 
     def has(self, others: Unknowns) -> bool:
-        """Return whether others are some of these."""
+        """Return whether others are among these."""
         return bool(np.all(np.isin(others.index, self.index)))
 
     @staticmethod
@@ -76,7 +76,7 @@ class Unknowns(ReadOnlyArrays):
         )
 
     def rescale_families(self, factors: FloatArray) -> Unknowns:
-        """Return them with the sigma of each family multiplied by its factor, (n_families,)."""
+        """Return the unknowns with the sigma of each family multiplied by its factor, (n_families,)."""
         factor = np.append(factors, 1.0)[self.family]  # the last for -1
         return replace(self, scales=self.scales * factor)
 

@@ -1,4 +1,4 @@
-"""Whitening: from what instruments and model say to the rows of `calib.core.rows.rows`, by the stated noise."""
+"""Whitening: from residuals and derivatives to the rows of `calib.core.rows.rows`, by the stated noise."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _AGAIN = 10  # readings beyond the first of their pose from which an offset that
 
 
 class Whitening:
-    """Whitens what a robot and its readings give; knows the noise that is stated.
+    """Whitens residuals and derivatives; knows the stated noise.
 
     Args:
-        robot: Its instruments state their noise.
+        robot: Robot whose instruments state their noise.
         data: The readings.
         sigma: Noise of positions per axis that replaces what is stated [m].
     """
@@ -72,7 +72,7 @@ class Whitening:
         return self.layout.groups
 
     def flatten(self, arrays: Mapping[str, FloatArray], *, in_place: bool = False) -> FloatArray:
-        """Whiten what each instrument has, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
+        """Whiten arrays of each instrument, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
 
         Args:
             arrays: By instrument.
@@ -90,12 +90,12 @@ class Whitening:
     def whiten(
         self, name: str, array: FloatArray, chosen: IntArray | slice = slice(None), *, in_place: bool = False
     ) -> FloatArray:
-        """Whiten what some readings of an instrument have by the stated covariance, (n, n_rows) or (n, n_rows, k).
+        """Whiten arrays of some readings of an instrument by the stated covariance, (n, n_rows) or (n, n_rows, k).
 
         Args:
             name: The instrument.
-            array: What they have.
-            chosen: Which readings, (n,); all if not given.
+            array: The array.
+            chosen: Numbers of the readings, (n,); all if not given.
             in_place: Whether the array may be used up.
         """
         inverse = self._inverse[name][chosen]
@@ -105,11 +105,11 @@ class Whitening:
         return np.matmul(inverse, array) if array.ndim == 3 else np.matmul(inverse, array[:, :, None])[:, :, 0]
 
     def unwhiten_rows(self, whitened: FloatArray, scales: Scales) -> dict[str, FloatArray]:
-        """Return what whitened numbers, one of each row (n_rows,), are of readings, (n, n_rows) [SI] by instrument.
+        """Return numbers of readings, (n, n_rows) [SI] by instrument, from whitened ones of each row, (n_rows,).
 
         Args:
             whitened: The numbers.
-            scales: By which noise they are whitened.
+            scales: Noise by which they are whitened.
         """
         weighing = self.weighing(scales.ratios)
         numbers = self.row_scale(scales.groups) * (whitened if weighing is None else weighing.unwhiten(whitened))
@@ -139,7 +139,7 @@ class Whitening:
         """Return the whitened rows.
 
         Args:
-            observed: Of each instrument, by name.
+            observed: Observed rows of each instrument, by name.
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: The parameters that count.
             deviations: u of these, (n_free,).
@@ -158,10 +158,10 @@ class Whitening:
         return columns
 
     def weighing(self, ratios: FloatArray) -> SharedError | None:
-        """Return offsets as estimates are weighed for them, whatever the scales are; None without any.
+        """Return the offsets that estimates are weighted for; None without any.
 
         Args:
-            ratios: Of the standard deviation of each offset to the scale of its group, (n_offsets,).
+            ratios: Ratio of the standard deviation of each offset to the scale of its group, (n_offsets,).
         """
         weighed = ratios > 0
         if not np.any(weighed):
@@ -195,7 +195,7 @@ class Whitening:
 
     @cached_property
     def tells_offsets(self) -> BoolArray:
-        """Of which offsets enough readings share a pose with another one for them to show, (n_offsets,)."""
+        """Whether enough readings share a pose with another one to show each offset, (n_offsets,)."""
         enough: list[bool] = []
         for name, n_rows in self._n_rows.items():
             pose = self.layout.pose[self.layout.readings_of(name)] if name in self._names else np.zeros(0)
@@ -254,7 +254,7 @@ def _are_whole(data: Measurements) -> bool:
 
 
 def _absent(instrument: Instrument, readings: Readings) -> BoolArray:
-    """Which components were not read, (n, n_rows)."""
+    """Mask of the components that were not read, (n, n_rows)."""
     nothing: BoolArray = np.isnan(readings.values)
     if not nothing.any():
         return np.zeros((len(readings), instrument.n_rows), dtype=bool)

@@ -1,10 +1,10 @@
-"""A robot as the facts that a function needs which computes its tool poses: trees, joint terms, gravity.
+"""Facts from which a function computes the tool poses of a robot: trees, joint terms, gravity.
 
 Joint errors are sums of two kinds of terms (`calib.core.robots.terms.formula`), with their coefficients multiplied in;
 those that are zero are left out. The torque of gravity that some depend on is that of the nominal robot, whose tree is
 therefore a second one.
 
-Beside them stands what files in every language have alike: what they say of a robot, and the code that is the same for
+The rest is what files in every language share: what they say of a robot, and the code that is the same for
 every robot (the `.txt` files).
 """
 
@@ -38,14 +38,14 @@ CONDITIONS = {
 }
 """The condition of a command that each source needs, by the name that functions give it."""
 NEUTRAL = {"approach": 0.0, "time": 0.0, "temperature": REFERENCE_TEMPERATURE, "load": 0.0}
-"""What each condition is where nothing is said of it."""
+"""Value of each condition that is not given."""
 MEANING = {
     "approach": "direction in which each joint moved last, +1 or -1, 0 where not known, (..., n_joints)",
     "time": "as the measurements counted it [s], (...)",
     "temperature": "[degC], (...)",
-    "load": "mass at the tool, beside what the URDF has [kg], (...)",
+    "load": "mass at the tool that the URDF does not have [kg], (...)",
 }
-"""What each condition is."""
+"""Meaning of each condition."""
 SOURCES = {
     Source.ONE: "one",
     Source.COMMAND: "command",
@@ -54,7 +54,7 @@ SOURCES = {
     Source.WARMTH: "temperature",
     Source.TORQUE: "torque",
 }
-"""What joint errors are proportional to, as the code names it."""
+"""Quantities that joint errors are proportional to, by their names in the code."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,9 @@ class JointShare:
     """A driven joint is off by `rate` times a number x that is known of the command, or x / sqrt(x^2 + knee^2).
 
     Attributes:
-        driven: Which driven joint.
-        source: Which number.
-        place: Of which joint, where there is one for each.
+        driven: Number of the driven joint.
+        source: The number that it takes.
+        place: Index of the joint, where there is a number for each.
         knee: As above; 0: x itself.
         rate: The coefficient, with all constants.
     """
@@ -81,8 +81,8 @@ class Wave(ReadOnlyArrays):
     """A driven joint is off by sum over k of sine_k sin(k base q) + cosine_k cos(k base q), k = 1, 2, ...
 
     Attributes:
-        driven: Which driven joint.
-        place: Which actuated joint q is the command of.
+        driven: Number of the driven joint.
+        place: Number of the actuated joint whose command is q.
         base: Phase per unit of q [rad/rad or rad/m].
         sine, cosine: The coefficients, (n_orders,) each [m or rad].
     """
@@ -100,10 +100,10 @@ class Gravity(ReadOnlyArrays):
 
     Attributes:
         tree: The nominal robot's; its world is the root link.
-        masses: Of what each joint carries next, (n_joints,) [kg].
+        masses: Mass that each joint carries next, (n_joints,) [kg].
         moments: Mass times centre in the frame behind the joint, (n_joints, 3) [kg m].
         payload: Joint that carries the payload, from 1, and where it hangs behind it, (3,) [m].
-        acceleration: Of gravity, (3,) [m/s^2].
+        acceleration: Acceleration of gravity, (3,) [m/s^2].
     """
 
     tree: FunctionTree
@@ -149,7 +149,7 @@ class RobotFacts(ReadOnlyArrays):
 
 
 def facts_of(robot: Robot) -> RobotFacts:
-    """Return the facts of a robot with its current values, of which functions can be written.
+    """Return the facts of a robot with its current values, for functions that can be written.
 
     Raises:
         ComputationError: No configuration is known at which the loops close.
@@ -264,12 +264,12 @@ def template(name: str) -> str:
 
 
 def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str]:
-    """Return what a file says of a robot, line by line.
+    """Return the header of a file on a robot, line by line.
 
     Args:
-        facts: Of the robot.
-        lines: Where the numbers come from.
-        base: What the file calls the pose of the measurement frame.
+        facts: Facts of the robot.
+        lines: Sources of the numbers.
+        base: Name in the file of the pose of the measurement frame.
     """
     joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.joints, facts.units, strict=True))
     text = [f"The robot {facts.name}: poses of its tools from the commands of its joints.", "", *lines]

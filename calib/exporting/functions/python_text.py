@@ -1,6 +1,6 @@
 """A robot's functions as a Python file: facts as numbers, and code for numpy, jax or torch that computes with them.
 
-The three libraries share the code; what they name or do otherwise stands in a few lines of each.
+The three libraries share the code; their differences are a few lines each.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ def python_text(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
     """Return the file.
 
     Args:
-        facts: Of the robot.
+        facts: Facts of the robot.
         library: `numpy`, `jax` or `torch`.
-        lines: What it says of where the numbers come from.
+        lines: Comments on the origin of the numbers.
     """
     parts = [_docstring(facts, library, lines), template(f"python_{library}"), _numbers(facts)]
     if library == "casadi":
@@ -118,7 +118,7 @@ def _tree(tree: FunctionTree) -> dict[str, Any]:
 
 
 def _order(tree: FunctionTree) -> list[int] | None:
-    """Which joint's value each of x is; None where that is not so for each."""
+    """Index of the joint whose value each of x is; None where some are no joint's value."""
     order = {joint.coordinate: k for k, joint in enumerate(tree.joints) if joint.factor == 1.0}
     return [order[k] for k in range(len(order))] if len(tree.scale) == len(order) == len(tree.joints) else None
 

@@ -32,9 +32,9 @@ class TreeJoint(ReadOnlyArrays):
     Attributes:
         before: Number of the joint that it stands on, from 1; 0 is the world.
         slides: Whether it slides along z; else it turns about z.
-        coordinate: Which of x it follows.
+        coordinate: Coordinate of x that it follows.
         factor, offset: Its value is factor x + offset [m or rad].
-        placement: Of its frame behind the joint before, (4, 4) [m].
+        placement: Placement of its frame behind the joint before, (4, 4) [m].
     """
 
     before: int
@@ -52,7 +52,7 @@ class TreeFrame(ReadOnlyArrays):
     Attributes:
         after: Number of the joint; 0 is the world.
         placement: Behind it, (4, 4) [m].
-        moved_by: Which joints move it, (n_joints,).
+        moved_by: Mask of the joints that move it, (n_joints,).
     """
 
     after: int
@@ -66,7 +66,8 @@ class Closure:
 
     Attributes:
         a, b: Places among the tree's frames.
-        rows: Which of x, y, z; loops that constrain whole poses are refused (`calib.exporting.functions.languages`).
+        rows: Components that are zero, of x, y, z; loops that constrain whole poses are refused
+            (`calib.exporting.functions.languages`).
     """
 
     a: int
@@ -83,7 +84,7 @@ class FunctionTree(ReadOnlyArrays):
         frames: Frames of interest.
         closures: The loops.
         n_driven, n_passive: Sizes of the two parts of x.
-        scale: What one radian of each of x is compared with, (n_driven + n_passive,).
+        scale: Scale of each of x: 1 rad, or a length, (n_driven + n_passive,).
         starts: Closed configurations, home first, (n_starts, n_driven + n_passive).
         blocks: Rows and columns of each block of C_p whose determinant tells the assembly mode.
         signs: Sign of each of these determinants, (n_blocks,).
@@ -113,7 +114,7 @@ class FunctionTree(ReadOnlyArrays):
 
     @property
     def behind(self) -> BoolArray:
-        """Which joints hang behind each joint, itself included, (n_joints, n_joints)."""
+        """Mask of the joints behind each joint, itself included, (n_joints, n_joints)."""
         result = np.eye(len(self.joints), dtype=bool)
         for k, joint in enumerate(self.joints):
             if joint.before:
@@ -129,7 +130,7 @@ def tree_of(
     Args:
         mechanism: The mechanism.
         mode: Its assembly mode.
-        frames: Joint indices of frames that are needed beside those of the loops; they come first.
+        frames: Joint indices of frames that are needed in addition to those of the loops; they come first.
         starts: Closed configurations, home first, (n_starts, n_driven + n_passive) [m or rad].
         from_root: Whether the world is the root link.
     """
@@ -166,7 +167,7 @@ def tree_of(
 
 @dataclass(frozen=True)
 class _FramePlace:
-    """Where a frame of the mechanism is: behind which joint, at which constant place, and whether that joint's own."""
+    """A frame of the mechanism: its joint, its constant place behind it, and whether it is that joint's own."""
 
     after: int
     place: pin.SE3

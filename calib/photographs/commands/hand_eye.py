@@ -209,7 +209,7 @@ def _pairs(
         rows = [str(k + 1) for k in range(len(table.lines))]
         return rows, poses_of(table, places[of_tool], angles), poses_of(table, places[of_camera[0]], angles)
     if places:
-        need = "hold the marker's alone beside --poses" if poses else "give the poses of the tool with --poses FILE"
+        need = "with --poses, give the marker's alone" if poses else "give the poses of the tool with --poses FILE"
         raise DataError(f"{path}: has poses {listing(list(places))}; {need}")
     return None
 

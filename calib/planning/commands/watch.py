@@ -19,7 +19,7 @@ from calib.pictures import Live, live
 from calib.planning.progress import LEAST, Progress
 from calib.planning.watch import CANDIDATES, GrowingFile, Watch
 
-_BEGINNINGS = 8  # of a file that is there already: so many states lead to the present one
+_BEGINNINGS = 8  # earlier states of a file that is there already, before the present one
 
 
 @click.command("watch")
@@ -104,7 +104,7 @@ def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, 
     if viewer is not None:
         output.note(viewer.url)
     data = _read_changes(file, output)
-    if viewer is not None and data is not None:  # the way here, from the first poses on
+    if viewer is not None and data is not None:  # earlier states, from the first poses on
         earlier = copy.deepcopy(watch)
         for part in _beginnings(data):
             viewer.remember(earlier.update(part))

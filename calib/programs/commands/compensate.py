@@ -1,4 +1,4 @@
-"""`calib compensate`: a program for the nominal robot, changed so that the calibrated one does what was meant."""
+"""`calib compensate`: a program of the nominal robot, changed so that the calibrated robot does what it says."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Report on a program that was compensated: how far off the tool will be, without and with the correction.
+"""Report on a compensated program: the error of the tool, without and with the correction.
 
 The same for tables, G-code, controllers' programs and tables of corrections.
 """
@@ -28,7 +28,7 @@ def frame_sentences(frame: str) -> str:
     """Say where and how errors count, in two sentences.
 
     Args:
-        frame: In which frame, in words.
+        frame: Its frame, in words.
     """
     return f"Errors are {frame}.\n{COUNTED[0].upper()}{COUNTED[1:]}."
 
@@ -53,10 +53,10 @@ def expected_error_sentence(
     """Say how large an error is expected to be, with the correction and without.
 
     Args:
-        subject: Of what it is, such as `The tool`.
+        subject: The thing that it is about, such as `The tool`.
         expected: Its `summary`.
-        unit: Of this.
-        before: `summary` of what the correction takes away, of the same uncertainty; None: nothing is corrected.
+        unit: Unit of this.
+        before: `summary` of the errors without the correction, with the same uncertainty; None: nothing is corrected.
     """
     now = (
         f"{subject} is expected to be off by {expected['rms']:.4f} {unit} (RMS), {expected['max']:.4f} {unit} at worst"
@@ -85,7 +85,7 @@ class Job:
         program: File of the program.
         result: Folder of the calibration.
         out: File to write.
-        output: Where to print.
+        output: Stream to print to.
     """
 
     nominal: Robot
@@ -108,15 +108,15 @@ class Job:
         more: Sequence[str] = (),
         subjects: tuple[str, str] = ("The tool", "Its orientation"),
     ) -> None:
-        """Print what was done.
+        """Print the report.
 
         Args:
-            compensated: What was compensated.
+            compensated: The thing that was compensated.
             figures: `before_mm`, `expected_mm`, the same of angles where they count, and others for --json.
-            content: What else --json has.
-            what: What the program consists of; what was done with that; what was done where nothing is to be corrected.
-            more: Sentences on what was done.
-            subjects: What is off by a length, and by an angle.
+            content: Further content of --json.
+            what: Parts of the program; what was done with them; what was done where nothing is to be corrected.
+            more: Further sentences.
+            subjects: The things whose length, and whose angle, is off.
         """
         kept = compensated.nothing_to_correct
         common = {"frame": compensated.frame, "counted": COUNTED, "nothing_to_correct": kept}

@@ -109,7 +109,7 @@ def command(
 
 
 def _expected_error_lines(solution: Solution, reached: IntArray, source: str) -> list[str]:
-    """Say how far the real robot is expected to be off where it is sent."""
+    """Say how large the error of the real robot is expected to be at its goals."""
     expected, shown = solution.expected, solution.expected.figures()
     lines = (
         [f"The joint values are those of the nominal robot: {no_correction_sentence(source)}"]

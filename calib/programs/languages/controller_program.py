@@ -1,11 +1,11 @@
-"""Programs of controllers, compensated: what to tell a controller that knows the nominal robot.
+"""Compensated programs of controllers that know the nominal robot.
 
 Poses become joints of the nominal robot (`calib.programs.languages.postures`), in the order in which the program goes
 to them; joints are compensated as every program of joints (`calib.programs.reaching.compensation`); and of a pose the
 nominal kinematics of what was found is written: what the controller makes joints of. So it is a pose that the
 controller can reach, in the tool and frame that it had.
 
-What is written is read back: `rounding` is what the decimals of the file move the target.
+The written file is read back: `rounding` is the motion of the target by the file's decimals.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ class CompensatedProgram:
 
     Attributes:
         program: The program.
-        compensation: Of the targets that could be solved, in the program's order.
-        rows: Which targets these are, (n,).
+        compensation: Compensation of the targets that could be solved, in the program's order.
+        rows: Numbers of these targets, (n,).
         values: Numbers of each target [SI]; None where it stays as it is.
         reasons: Why a target stays; empty where it does not.
         configurations: A remark on every target whose joints are no longer as its configuration says.
-        rounding: How far the decimals of the file move the target, (n,) [m].
-        lever: How far the program's tools are from the description's target at most [m].
+        rounding: Distances by which the decimals of the file move the target, (n,) [m].
+        lever: Largest distance of the program's tools from the description's target [m].
         base, flange: Links that the controller counts from.
     """
 
@@ -79,7 +79,7 @@ def compensate_program(
         program: The program.
         base: Link of the controller's base; `base` if there is one, else that of the description.
         flange: Link of its flange; `tool0` if there is one, else that of the target.
-        third_joint: Of `COUPLED`, for joint values of FANUC; those are left where it is not given.
+        third_joint: One of `COUPLED`, for joint values of FANUC; those are left where it is not given.
 
     Raises:
         DataError: No target can be solved, or joint values of another robot.
@@ -193,7 +193,7 @@ def _solve_targets(program: RobotProgram, cell: NominalCell, joints: _Joints) ->
 def _rounding_shift(
     cell: NominalCell, joints: _Joints, target: ProgramTarget, command: FloatArray, held: tuple[float, ...]
 ) -> float:
-    """How far the file's decimals move the description's target [m]."""
+    """Distance by which the file's decimals move the description's target [m]."""
     exact = cell.flange_poses(command[None])[0]
     if target.rotation is None:
         rounded = cell.flange_poses(joints.to_joints(held)[None])[0]

@@ -1,4 +1,4 @@
-"""A table for controllers that can add a correction to a position, and no more.
+"""A table for controllers that can only add a correction to a position.
 
 At the nodes of a grid of positions, all with one orientation, the table has what to add to a nominal pose so that the
 real robot goes there: what `calib.programs.reaching.compensation` tells a nominal controller, minus the pose itself.
@@ -24,7 +24,7 @@ from calib.programs.reaching.compensation import Compensation, compensate
 from calib.programs.reaching.goals import Goals
 
 _MOST = 100_000  # nodes
-_ALIKE = 1e-6  # of orientations that are one [rad]
+_ALIKE = 1e-6  # difference of equal orientations [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +33,12 @@ class CorrectionGrid(ReadOnlyArrays):
 
     Attributes:
         nodes: Positions, x slowest and z fastest, (n, 3) [m].
-        shift: What to add to a position, (n, 3) [m].
+        shift: Correction of the position, (n, 3) [m].
         turn: Rotation vector to turn by about the axes of the measurement frame, (n, 3) [rad]; zero where the program
             has no orientations.
-        position_errors: How far linear interpolation is off where it was tried, (n_tried,) [m].
+        position_errors: Errors of linear interpolation where it was tried, (n_tried,) [m].
         angle_errors: The same of the turn, (n_tried,) [rad].
-        compensation: Of the nodes, and then of where interpolation was tried.
+        compensation: Compensation of the nodes, and then of where interpolation was tried.
     """
 
     nodes: FloatArray
@@ -50,7 +50,7 @@ class CorrectionGrid(ReadOnlyArrays):
 
     @property
     def error_before(self) -> FloatArray:
-        """How far the calibrated robot is off at the nodes without corrections, (n,) [m]."""
+        """Errors of the calibrated robot at the nodes without corrections, (n,) [m]."""
         return self.compensation.before[: len(self.nodes)]
 
     @property

@@ -1,4 +1,4 @@
-"""What a program does with its data other than to go there.
+"""Uses of a program's data other than as targets.
 
 Numbers of a target may be changed only where the program does nothing else with them. If it sets them, they are not
 what the text says. If it decides by them (a condition, a count), other numbers may lead it elsewhere. If it computes
@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 
 class DataUses:
-    """Names that a program sets, computes from each other, and decides by."""
+    """The names that a program sets, computes from each other, and decides by."""
 
     def __init__(self) -> None:
         self._set: dict[str, str] = {}

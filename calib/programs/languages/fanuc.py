@@ -74,11 +74,11 @@ class FanucReader(Reader):
         return names
 
     def decide(self, first: int, stop: int) -> None:
-        """Take in words by which the program decides."""
+        """Record that the program decides by these words."""
         self.uses.decide(self.names(first, stop), self.code.line(first))
 
     def statement(self, at: int, stop: int) -> None:
-        """Take in an instruction, behind the conditions on which it is carried out."""
+        """Process an instruction, behind its conditions."""
         code, opened = self.code, 0
         comma = code.find_mark(at, stop, ",")
         while comma < stop and code.tokens[at].text in ("IF", "SELECT", "=", "ELSE"):
@@ -122,7 +122,7 @@ class FanucReader(Reader):
                 self.call_elsewhere(code.excerpt(called, called + 1), code.line(at))
 
     def _assignment(self, at: int, stop: int, equals: int) -> None:
-        """Take in what sets registers, outputs, frames and positions."""
+        """Process an assignment to registers, outputs, frames and positions."""
         code, word = self.code, self.code.tokens[at].text
         names, value = self.names(at + 1, stop), code.excerpt(equals + 1, stop)
         positions = {name for name in names if name.startswith("P[")}
@@ -145,7 +145,7 @@ class FanucReader(Reader):
             self.call_elsewhere(code.excerpt(at, at + 1), code.line(at))
 
     def _motion(self, at: int, stop: int) -> None:
-        """Take in a motion, and what is called while the robot moves."""
+        """Process a motion, and routines called while the robot moves."""
         code, places, first = self.code, list[Span](), at + 1
         while first < stop and code.tokens[first].text in ("P", "PR") and code.is_mark(first + 1, "["):
             places.append((first, code.partner[first + 1] + 1))

@@ -1,4 +1,4 @@
-"""The positions of FANUC's programs as text: what `/POS` says. Numbers keep their decimals and their columns."""
+"""The positions in `/POS` of FANUC's programs as text. Numbers keep their decimals and their columns."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class FanucPosition:
         code: Words of the section.
         text_start: Its first word.
         groups: Its motion groups.
-        fields: Of its first group the place of the number of each field, from behind the equals sign, and its unit.
-        statements: What it says behind colons: UF, UT, CONFIG.
+        fields: Place of the number of each field of its first group, from behind the equals sign, and its unit.
+        statements: Values behind colons: UF, UT, CONFIG.
     """
 
     code: ProgramWords

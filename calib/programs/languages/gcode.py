@@ -45,7 +45,7 @@ def read_gcode(
 
     Args:
         path: The file.
-        start: Where the machine stands at first and after homing of all axes, (3,) [m]; not known if not given.
+        start: Position of the machine at first and after homing of all axes, (3,) [m]; not known if not given.
         dialect: The firmware, of `calib.programs.languages.gcode_dialects.DIALECTS`; found in the file if not given.
         harmless: Further words that leave position, coordinates, modes and tool as they are, such as a macro.
 
@@ -67,9 +67,9 @@ class _GcodeReader:
     """Modes that hold from line to line; None where they are unknown.
 
     Attributes:
-        home: Where the machine stands after homing of all axes.
+        home: Position of the machine after homing of all axes.
         harmless_words: Words that the user calls harmless.
-        at: Where it stands, axis by axis [m].
+        at: Its position, axis by axis [m].
         known: Whether the move before led there.
         selected: Whether G54 was.
         saved: Modes (relative, e_relative, unit) to restore, by name.
@@ -101,7 +101,7 @@ class _GcodeReader:
         self.at = [None] * 3 if self.home is None else list(self.home)
 
     def read(self, number: int, text: str) -> None:
-        """Take in a line."""
+        """Process a line."""
         line = read_line(text, f"{self.path}, line {number + 1}", self.dialect)
         if line is None or line.codes[:1] == [TEXT]:
             return
@@ -113,12 +113,12 @@ class _GcodeReader:
             self._take(number, line)
 
     def _lose(self, word: str, line: GcodeLine) -> None:
-        """Take in that the firmware has moved the machine."""
+        """Record that the firmware has moved the machine."""
         self.at, self.known = [None] * 3, False
         self.since = f"{word:.40} (line {line.where.rpartition(' ')[2]})"
 
     def _forget(self, word: str, line: GcodeLine) -> None:
-        """Take in a word of which nothing is known."""
+        """Process a word that is not known."""
         self._lose(word, line)
         self.relative, self.e_relative, self.e = None, None, None
         self.unit = None if self.dialect.inches else MILLIMETRE
@@ -127,11 +127,11 @@ class _GcodeReader:
         self._shift()
 
     def _shift(self) -> None:
-        """Take in that the zero or the tool may be another one."""
+        """Record that the zero or the tool may have changed."""
         self.shifted = self.shifted or (self.since if self.moves else "")
 
     def _name(self, line: GcodeLine) -> None:
-        """Take in a command that is a name."""
+        """Process a command that is a name."""
         if line.name in CONDITIONAL:
             raise line.refusal(f"{line.name} depends on what is not known here; write out what is run")
         given = {key.upper(): value for key, _, value in (part.partition("=") for part in line.rest.split())}
@@ -147,7 +147,7 @@ class _GcodeReader:
             self.tool = line.tool
 
     def _read_other_word(self, word: str, line: GcodeLine, name: str = "default") -> None:
-        """Take in a word by the lists; some save and restore modes by another name."""
+        """Process a word of the lists; some save and restore modes under a name."""
         if word in CHANGING:
             raise line.refusal(f"{word} changes the meaning of X, Y and Z; set it outside the program")
         if word in CALLING:
@@ -165,7 +165,7 @@ class _GcodeReader:
             self._forget(word, line)
 
     def _take(self, number: int, line: GcodeLine) -> None:
-        """Take in a line of words."""
+        """Process a line of words."""
         require_words(line, self.dialect)
         for word in line.codes:
             if word in ("M82", "M83"):
@@ -186,7 +186,7 @@ class _GcodeReader:
             self._extrude(float(line.argument_texts["E"]))
 
     def _g(self, code: str, line: GcodeLine) -> None:
-        """Take in a G that is not for homing; what it does not know is refused."""
+        """Process a G that is not for homing; unknown ones are refused."""
         letters = {*line.argument_texts}
         if code in ("G0", "G1"):
             self.motion = code
@@ -216,7 +216,7 @@ class _GcodeReader:
             self._read_other_word(code, line)
 
     def _home(self, line: GcodeLine) -> None:
-        """Take in homing or probing; what homes one axis may move the others."""
+        """Process homing or probing; homing one axis may move the others."""
         if line.homing != "G28":
             self._read_other_word(line.homing, line)
             return
@@ -228,7 +228,7 @@ class _GcodeReader:
             self._shift()
 
     def _extrude(self, value: float) -> tuple[float, float] | None:
-        """Take in E; return it before and after, None where what it means is not known."""
+        """Process E; return it before and after, None where its meaning is not known."""
         before = self.e
         if self.e_relative:
             self.e = None

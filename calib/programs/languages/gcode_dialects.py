@@ -1,4 +1,4 @@
-"""What firmwares make of the words of G-code: which of them leave the machine as it was, and where they differ.
+"""The meaning of G-code words in firmwares: which words leave the machine as it was, and where firmwares differ.
 
 A word that is on no list here may do anything. Lists hold what the manuals of a firmware say (Marlin's and
 RepRapFirmware's dictionaries of G-code, Klipper's page of commands, LinuxCNC's of G and M codes); a program whose
@@ -26,7 +26,7 @@ def parse_words(text: str) -> frozenset[str]:
 
 
 def _listed(name: str) -> frozenset[str]:
-    """The words of a list beside the code."""
+    """The words of a list next to the code."""
     return parse_words(" ".join(LISTS[name]))
 
 
@@ -52,7 +52,7 @@ class Dialect:
         retracting: Letters that G10 and G11 may have without moving a zero.
         saving: The word that saves modes, ...
         restoring: ... and the one that restores them.
-        once: Whether what was saved is restored once, the last first.
+        once: Whether saved modes are restored once, the last first.
     """
 
     name: str
@@ -81,15 +81,15 @@ REFUSED = {
     "G93": "speeds per move do not fit moves that are cut; write speeds per minute (G94)",
     **dict.fromkeys(("G10", "G11"), "sets offsets or tools; only a retraction, without other words, is read"),
 }
-"""What is refused wherever it stands: G, ..."""
+"""Words that are always refused: G, ..."""
 CHANGING = _listed("G-code CHANGING")
-"""... what the machine makes of X, Y and Z, ..."""
+"""... words that change the meaning of X, Y and Z, ..."""
 CALLING = parse_words("M32 M47 M97-99 M808 SDCARD_PRINT_FILE SDCARD_LOOP_BEGIN SDCARD_LOOP_END")
 """... and lines that are run elsewhere, again, ..."""
 CONDITIONAL = parse_words("IF ELIF ELSE WHILE BREAK CONTINUE ABORT")
 """... or under a condition."""
 TEXT = "M117"
-"""The word that a text follows which is no code in any firmware."""
+"""The word before a text that is no code in any firmware."""
 
 _EVERYWHERE = _listed("G-code")
 _PROBING = parse_words("G29 M420")
@@ -154,7 +154,7 @@ def find_dialect(path: Path | str, lines: Iterable[str], name: str | None = None
 
     Args:
         path: The file; `.nc` and `.ngc` are programs of milling machines.
-        lines: Its lines, some of which may say so: the flavour that slicers note, or a command that only Klipper has.
+        lines: Its lines: they may name the flavour that slicers note, or have a command that only Klipper has.
         name: The firmware, if it is known.
 
     Raises:

@@ -16,16 +16,16 @@ from calib.core.base.errors import DataError
 from calib.programs.languages.gcode_dialects import TEXT, Dialect, parse_words
 
 AXES = "XYZ"
-_LARGEST = 1e6  # of numbers in a program
-_COMMENT = re.compile(r'"[^"]*"|\([^()]*\)|;.*')  # what stands in quotation marks is none
+_LARGEST = 1e6  # largest number in a program
+_COMMENT = re.compile(r'"[^"]*"|\([^()]*\)|;.*')  # text in quotation marks is no comment
 _CODE_IN_COMMENT = re.compile(r"[XYZEFGMT]\s*[-+.\d]|(?<![A-Z_])[XYZ](?![A-Z_])|;", re.ASCII | re.IGNORECASE)
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+))\s*", re.ASCII | re.IGNORECASE)
 _NAME = re.compile(r"[A-Z_]{2}\w*(?=\s|$)", re.ASCII | re.IGNORECASE)
 _COMMAND = re.compile(r"[GM]\s*\d", re.ASCII | re.IGNORECASE)
 _EXPONENT = re.compile(r"[\d.]E\s*[-+.\d]", re.ASCII | re.IGNORECASE)
 _HOMING = parse_words("G28 G29 G30")
-_OWN_WORDS = parse_words("G4 G10 G92")  # X, Y, Z beside these are theirs, and beside an M
-_WITHOUT_WORDS = parse_words("M0-5 M7-9 M30")  # but not beside these
+_OWN_WORDS = parse_words("G4 G10 G92")  # X, Y, Z in a line with these belong to them; also with an M
+_WITHOUT_WORDS = parse_words("M0-5 M7-9 M30")  # but not with these
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class GcodeLine:
     """A line in parts.
 
     Attributes:
-        where: What to call it in messages.
+        where: Its name in messages.
         counter: Its number with N; empty without.
         name: Its command, if that is a name (`START_PRINT`).
         words: Its letters and numbers.
-        rest: What is no letter and number, or stands behind the name.
+        rest: Other text: no letter with a number, or behind the name.
         comments: Its comments.
     """
 

@@ -29,14 +29,14 @@ class GcodeMove:
 
     Attributes:
         line: Its index in the lines of the program.
-        start: Where it begins, in the program's coordinates [m]; None where that is not known.
-        end: Where it ends [m].
+        start: Its start, in the program's coordinates [m]; None where that is not known.
+        end: Its end [m].
         known: Whether the move before led to `start`; not so at the beginning, and after homing.
-        unit: What its numbers are in [m].
+        unit: Unit of its numbers [m].
         relative: Whether they count from where the machine stands.
         lead: Its words up to G0 or G1; of a line without a G, its number.
         tail: Its other words, E not among them.
-        comments: As they stand on the line.
+        comments: Comments on the line, as written.
         e: E at the beginning and at the end; None without E, or where only one piece can be written.
         e_text: E as written; empty without.
         e_relative: Whether E counts from where it stands.
@@ -66,7 +66,7 @@ class GcodeProgram:
     """A program.
 
     Attributes:
-        path: Where it came from.
+        path: Path of its file.
         lines: Its lines.
         moves: Its straight moves, in order.
     """
@@ -83,7 +83,7 @@ class GcodeProgram:
         """Return the program with other points.
 
         Args:
-            ways: Of each move the points that it shall go through in straight lines, the last of them its end,
+            ways: Points of each move, which it shall go through in straight lines; the last is its end,
                 (n_pieces, 3) [m]; None: all lines stay as they are.
             comments: Lines to put first, behind what starts a tape (`%`).
 

@@ -96,13 +96,13 @@ class KrlReader(KrlFrames):
         return self.line_end(at)
 
     def wait(self, at: int, _: int) -> int:
-        """Take in what the program waits for."""
+        """Process the condition that the program waits for."""
         stop = self.line_end(at)
         self.decide(at + 1, stop)
         return stop
 
     def modified(self, at: int, _: int) -> int:
-        """Take in what begins with DECL, GLOBAL, ..."""
+        """Process a statement that begins with DECL, GLOBAL, ..."""
         first = at
         while self.code.tokens[first].text in _MODIFIERS:
             first += 1
@@ -113,7 +113,7 @@ class KrlReader(KrlFrames):
         return stop
 
     def begin_at_any_time(self, at: int, _: int) -> int:
-        """Take in `INTERRUPT DECL ... DO` and `TRIGGER ... DO`: a statement that is run while the robot moves."""
+        """Process `INTERRUPT DECL ... DO` and `TRIGGER ... DO`: a statement that is run while the robot moves."""
         stop, do = self.line_end(at), self.word(at, "DO")
         self.decide(at, do)
         if do + 1 < stop:
@@ -121,12 +121,12 @@ class KrlReader(KrlFrames):
         return stop
 
     def resume(self, at: int, behind: int) -> int:
-        """Take in that RESUME leaves the routine that an interrupt was in."""
+        """Record that RESUME leaves the routine that an interrupt was in."""
         self.run_at_any_time(at, lambda: self.call_elsewhere("RESUME", self.code.line(at)))
         return behind
 
     def _declaration(self, file: int, at: int, stop: int) -> None:
-        """Take in a line that declares data, or gives them their first values."""
+        """Process a line that declares data, or gives them their first values."""
         code, first = self.codes[file], at
         while code.tokens[first].text in _MODIFIERS:
             first += 1
@@ -146,7 +146,7 @@ class KrlReader(KrlFrames):
             self.uses.compute(code.tokens[left].text, names)
 
     def statement(self, at: int, stop: int) -> None:
-        """Take in an assignment, a call, a motion or a declaration."""
+        """Process an assignment, a call, a motion or a declaration."""
         code, word = self.code, self.code.tokens[at].text
         equals = code.find_mark(at, stop, "=")
         is_name, after = code.tokens[at].kind == "name", code.tokens[at + 1]
@@ -165,7 +165,7 @@ class KrlReader(KrlFrames):
             self.call_elsewhere(code.excerpt(at, stop), code.line(at))
 
     def _move(self, at: int, stop: int) -> None:
-        """Take in a motion, with what holds for it alone behind WITH."""
+        """Process a motion, with its own settings behind WITH."""
         self.expression(at + 1, stop)
         end = min(self.word(at, "WITH"), stop)
         if end < stop:

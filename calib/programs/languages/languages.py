@@ -1,4 +1,4 @@
-"""The languages of controllers: which files are theirs, and who reads them. A new one is a line here."""
+"""The languages of controllers: their files and readers. A new one is a line here."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 
-_UNIT_LENGTH = 1e-3  # by how much a quaternion may miss it
+_UNIT_LENGTH = 1e-3  # allowed deviation of a quaternion from unit length
 Rotation = Literal["vector", "quaternion", "zyx", "xyz"]
 """How a language writes an orientation: rotation vector; quaternion w, x, y, z; angles about z, y', x'' (A, B, C of
 KUKA); the same angles as x, y, z about fixed axes (W, P, R of FANUC)."""

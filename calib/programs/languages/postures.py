@@ -27,10 +27,10 @@ from calib.programs.reaching.inverse import problem
 from calib.programs.reaching.reaching import GoalConfigurations, descend
 
 _STARTS = (12, 64)
-_FAR = 0.7  # of one joint, from the pose before [rad]
+_FAR = 0.7  # distance of one joint from the pose before [rad]
 _BORDER = 0.1  # so far outside of what a program says a joint may be, where borders are rounded [rad]
 _REACHED = 1e-8  # [m]
-_ROUNDED = 2e-4  # how far a robot of less than six motors may miss a pose that was rounded [m]
+_ROUNDED = 2e-4  # allowed error of a robot with fewer than six motors at a rounded pose [m]
 _ALIKE = 1e-9
 
 
@@ -38,7 +38,7 @@ class NominalCell:
     """A nominal robot with the frames that its controller counts from.
 
     Args:
-        robot: The robot as its description has it.
+        robot: The nominal robot.
         base: Link of the controller's base frame; `base` if there is one, else that of the description.
         flange: Link of the controller's flange; `tool0` if there is one, else that of the target.
 
@@ -100,7 +100,7 @@ class NominalCell:
         Args:
             flange: T_base_flange.
             before: Joints of the pose before.
-            says: What the program says of the joints.
+            says: The configuration that the program states.
             sides: The sides of the reference pose.
         """
         goal = self._base_pose * flange * self._target
@@ -148,7 +148,7 @@ class NominalCell:
         return turned
 
     def distance_to_statement(self, q: FloatArray, says: Configuration, sides: Sides) -> float:
-        """Return how far joints (n_actuated,) are from what a program says [rad]; infinite where a side is another."""
+        """Return the distance of joints (n_actuated,) from a stated configuration [rad]; inf where a side differs."""
         expected = (says.behind, says.elbow, says.flipped, says.elbow_bent)
         if any(side is not None for side in expected) and any(
             stated_side is not None and side not in (None, stated_side)
@@ -161,7 +161,7 @@ class NominalCell:
 
 
 class Sides:
-    """On which sides the wrist of an arm of six axes is, against a reference pose.
+    """The sides on which the wrist of a six-axis arm is, compared with a reference pose.
 
     Args:
         robot: The nominal robot.

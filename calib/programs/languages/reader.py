@@ -1,8 +1,8 @@
-"""What the languages of controllers have in common: expressions, assignments, calls, data and moves.
+"""The common parts of controllers' languages: expressions, assignments, calls, data and moves.
 
 A language says how it assigns, which routines and settings it knows, and what its targets, tools and frames look like.
 Reading writes down what is set and by what the program decides (`data_uses`) and the steps of each routine
-(`control_flow`); then all ways are followed, and each move is taken in with what holds there.
+(`control_flow`); then all ways are followed, and each move is processed with the settings that hold there.
 
 A routine that is not declared and not known to be harmless may set its arguments, the data that it can see, and every
 setting.
@@ -32,8 +32,8 @@ class Data:
     """Data of a program, written out or declared.
 
     Attributes:
-        name: What the program calls it; empty where it is written out.
-        file: Which of the program's files it is in.
+        name: Name in the program; empty where it is written out.
+        file: Number of its file among the program's.
         span: Its words.
         kind: Its type, in capitals.
         shared: Whether other modules can set it.
@@ -69,7 +69,7 @@ class Reader(Statements):
 
     Args:
         codes: The words of its files, the one with the statements first.
-        start: What holds at first, by setting.
+        start: First value of each setting.
         frames: Tools and frames that it does not declare, by name.
         harmless: Routines that are declared elsewhere and change nothing.
 
@@ -94,15 +94,15 @@ class Reader(Statements):
     # a language says
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
-        """Take in a call of a routine that the language has, if it is one; return whether it is."""
+        """Process a call of a routine of the language, if it is one; return whether it is."""
         return self.code.tokens[at].text in self.harmless
 
     def change(self, name: str, why: str = "is set while the program runs") -> None:
-        """Take in that data become other ones."""
+        """Record that data change."""
         self.uses.note_change(name, why)
 
     def program(self) -> RobotProgram:
-        """Read all statements, follow the program, and take in its moves.
+        """Read all statements, follow the program, and process its moves.
 
         Raises:
             DataError: A part is not ended, a statement cannot be read, or no target can be compensated.
@@ -112,25 +112,25 @@ class Reader(Statements):
         self.flow.follow()
         return program_of(self.language, self.sources, self.visits)
 
-    # what statements consist of
+    # parts of statements
 
     def names(self, first: int, stop: int) -> set[str]:
         """Return the data in some words."""
         return {self.code.tokens[at].text for at in self.code.names(first, stop)}
 
     def decide(self, first: int, stop: int) -> None:
-        """Take in words by which the program decides."""
+        """Record that the program decides by these words."""
         self.expression(first, stop)
         self.uses.decide(self.names(first, stop), self.code.line(first))
 
     def expression(self, first: int, stop: int) -> None:
-        """Take in the calls of an expression."""
+        """Process the calls of an expression."""
         for at in self.code.calls(first, stop):
             close = self.code.partner[at + 1]
             self.call(at, (at + 2, close), maybe=at > first or close + 1 < stop)
 
     def assign(self, first: int, stop: int, equals: int) -> None:
-        """Take in what an assignment computes; two in a statement are an error, see `wrong`."""
+        """Process an assignment; two in a statement are an error, see `wrong`."""
         if self.code.find_mark(equals + 1, stop, self.assigning) < stop:
             raise self.syntax_error(equals, "stands twice in a statement")
         self.expression(first + 1, equals)
@@ -138,7 +138,7 @@ class Reader(Statements):
         self.uses.compute(self.code.tokens[first].text, self.names(first + 1, stop))
 
     def call(self, at: int, span: Span, *, maybe: bool = False) -> None:
-        """Take in a call with its arguments, which may not happen."""
+        """Process a call with its arguments; the call may be left out."""
         name, shown = self.code.tokens[at].text, self.code.excerpt(at, at + 1)
         if name in self.routines:
             self.uses.compute(f"{name}()", self.names(*span))
@@ -151,13 +151,13 @@ class Reader(Statements):
             self.call_elsewhere(shown, self.code.line(at))
 
     def call_elsewhere(self, shown: str, line: int) -> None:
-        """Take in a call of a routine that is declared elsewhere."""
+        """Process a call of a routine that is declared elsewhere."""
         called, remedy = f"'{shown}' (line {line}), which is declared nowhere here and may", f"say --harmless {shown}"
         self.flow.lose(f"is not known after {called} {self.danger}; {remedy} if it does not", self.lost)
         self.foreign = self.foreign or f"{called} set data; {remedy} if it does not"
 
     def note_arguments(self, span: Span, why: str) -> None:
-        """Take in that all names that stand bare in a call may be set."""
+        """Record that all names that stand bare in a call may be set."""
         for at in self.code.names(*span) if not self.by_value else ():
             if not self.code.is_mark(at - 1, "\\", "."):
                 self.change(self.code.tokens[at].text, why)
@@ -165,7 +165,7 @@ class Reader(Statements):
     # data and moves
 
     def declare(self, key: str, data: Data) -> None:
-        """Take in a declaration."""
+        """Process a declaration."""
         if key in self.declared:
             self.uses.note_change(re.split(r"[\[{]", key)[0], "is declared in several places; name each otherwise")
             data = replace(data, span=NO_VALUE)
@@ -200,11 +200,11 @@ class Reader(Statements):
         find: Callable[[], _Goal],
         target: Callable[[_Goal, State], Reached],
     ) -> None:
-        """Take in one target of a move.
+        """Process one target of a move.
 
         Args:
             span: Its words.
-            state: What holds there; None: the program never comes there.
+            state: Settings there; None: the program never comes there.
             find: Returns its numbers; raises `LeftOutError` where they are not in the program.
             target: Returns the target, or raises `LeftOutError`.
         """

@@ -27,7 +27,7 @@ from calib.core.base.units import PER_SI
 from calib.programs.languages.orientations import Rotation, numbers_of, pose_of
 
 DEGREE, MILLIMETRE = 1 / PER_SI["angle"]["deg"], 1 / PER_SI["length"]["mm"]
-_DECIMALS = {1.0: 7, MILLIMETRE: 4, DEGREE: 5}  # at least so many, by unit
+_DECIMALS = {1.0: 7, MILLIMETRE: 4, DEGREE: 5}  # least number of decimals, by unit
 _QUATERNION_DECIMALS = 9
 _LARGEST = 1e6
 
@@ -41,12 +41,12 @@ class Number:
     """A number of a program.
 
     Attributes:
-        file: Which of the program's files it is in.
-        start, end: Where it stands in the text.
+        file: Number of its file among the program's.
+        start, end: Its span in the text.
         value: In SI.
-        unit: What one is in SI.
-        width: How many characters it has to take with its `decimals` as written; 0: as many as it needs.
-        decimals: How many decimals it is written with.
+        unit: One of its units in SI.
+        width: Number of characters that it must take with its `decimals` as written; 0: as many as it needs.
+        decimals: Number of decimals as written.
     """
 
     file: int
@@ -66,7 +66,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Configuration:
-    """Joint configuration that a program states beside a pose.
+    """Joint configuration that a program states with a pose.
 
     Attributes:
         text: As written.
@@ -91,14 +91,14 @@ class ProgramTarget:
     """A target of a program.
 
     Attributes:
-        line: Where it stands, from 1.
-        path: In which file.
-        name: What the program calls it; empty where it has no name.
+        line: Number of its line, from 1.
+        path: Path of its file.
+        name: Name in the program; empty where it has no name.
         cells: Its numbers: joint values; or a position and an orientation as the language writes it.
-        rotation: Of a pose, how it writes that; None: joint values.
+        rotation: Form in which a pose writes it; None: joint values.
         frame: T_base_frame, in which a pose is given.
         tool: T_flange_tool, of what a pose is.
-        configuration: What it says of the joints.
+        configuration: Its statement on the joints.
         near: Joint values that it says a pose is near to [m or rad]; empty if it does not.
     """
 
@@ -141,7 +141,7 @@ class NotCompensated:
 
     Attributes:
         path, line: Where.
-        text: What stands there.
+        text: The text there.
         why: The reason.
     """
 
@@ -159,8 +159,8 @@ class ProgramSource:
     """A file of a program: its bytes as text, each byte a character.
 
     Attributes:
-        path: Where it came from.
-        text: What is in it.
+        path: Path of its file.
+        text: Its text.
     """
 
     path: str
@@ -172,7 +172,7 @@ class ProgramSource:
 
         Args:
             path: The file.
-            what: What it should be.
+            what: Expected content, in words.
 
         Raises:
             DataError: It cannot be read, or is not text.
@@ -186,7 +186,7 @@ class ProgramSource:
 
     @cached_property
     def _ends(self) -> list[int]:
-        """Where lines end."""
+        """Ends of lines."""
         return [match.start() for match in re.finditer("\n", self.text)]
 
     def line(self, at: int) -> int:
@@ -207,10 +207,10 @@ class RobotProgram:
     """A program.
 
     Attributes:
-        language: What it is written in.
+        language: Its language.
         sources: Its files, the given one first.
         targets: In the order in which the text first goes to them.
-        left_out: What else it goes to.
+        left_out: Targets that it does not compensate.
     """
 
     language: str
@@ -222,7 +222,7 @@ class RobotProgram:
         """Return its files with other numbers.
 
         Args:
-            values: Of each target its numbers [SI]; None where it stays.
+            values: Numbers of each target [SI]; None where it stays.
         """
         texts = []
         for k, source in enumerate(self.sources):
@@ -254,8 +254,8 @@ def cells_at(
     Args:
         source: The text.
         file: Its number in the program.
-        spans: Where they stand.
-        units: What one of each is in SI; 0 of a quaternion's.
+        spans: Their places.
+        units: One unit of each in SI; 0 for a quaternion's.
 
     Raises:
         DataError: A number that no machine reads.

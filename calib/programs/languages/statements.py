@@ -1,4 +1,4 @@
-"""How statements of programs follow each other: routines, branches, loops and jumps, the same in all languages.
+"""The order of statements in programs: routines, branches, loops and jumps, the same in all languages.
 
 A language says which of its words begin and end them.
 """
@@ -15,7 +15,7 @@ from calib.programs.languages.data_uses import DataUses
 from calib.programs.languages.tokens import ProgramWords, Span
 
 Action = Callable[[int, int], int]
-"""What is done at a word that begins a statement: from its place, and where reading goes on, to where that then is."""
+"""A function for a word that begins a statement: from its place and the next one, to where reading goes on."""
 
 
 class Statements(ABC):
@@ -23,10 +23,10 @@ class Statements(ABC):
 
     Args:
         codes: The words of its files, the one with the statements first.
-        start: What holds at first, by setting.
+        start: First value of each setting.
 
     Attributes:
-        WORDS: What is done at words that begin statements, by the names of the methods.
+        WORDS: Methods for words that begin statements, by name.
         ROUTINES: Words that begin routines with their parameters in brackets.
         routines: Routines of the program, and whether they can set their arguments.
     """
@@ -54,7 +54,7 @@ class Statements(ABC):
 
     @abstractmethod
     def statement(self, at: int, stop: int) -> None:
-        """Take in a statement that begins with none of `words`."""
+        """Process a statement that begins with none of `words`."""
 
     @abstractmethod
     def names(self, first: int, stop: int) -> set[str]:
@@ -62,15 +62,15 @@ class Statements(ABC):
 
     @abstractmethod
     def decide(self, first: int, stop: int) -> None:
-        """Take in words by which the program decides."""
+        """Record that the program decides by these words."""
 
     @abstractmethod
     def expression(self, first: int, stop: int) -> None:
-        """Take in the calls of an expression."""
+        """Process the calls of an expression."""
 
     @abstractmethod
     def change(self, name: str, why: str = "is set while the program runs") -> None:
-        """Take in that data become other ones."""
+        """Record that data change."""
 
     def read(self, at: int = 0) -> None:
         """Read all statements from a word on.
@@ -100,7 +100,7 @@ class Statements(ABC):
         self.flow.finish()
 
     def act(self, at: int, actions: Iterable[Action]) -> int:
-        """Take in a word; return where reading goes on."""
+        """Process a word; return where reading goes on."""
         behind = at + 1
         for action in actions:
             behind = action(at, behind)
@@ -147,7 +147,7 @@ class Statements(ABC):
         return self.code.partner[bracket] + 1
 
     def begin_thread(self, at: int, behind: int) -> int:
-        """Begin a routine that runs beside the others."""
+        """Begin a routine that runs at the same time as the others."""
         return self.begin(at, behind, at_any_time=True)
 
     def finish(self, at: int, behind: int) -> int:
@@ -158,7 +158,7 @@ class Statements(ABC):
         return behind
 
     def run_at_any_time(self, at: int, take: Callable[[], None]) -> None:
-        """Take in what happens while the robot moves."""
+        """Process statements that run while the robot moves."""
         self.flow.begin(f"{self.flow.routine} {at}", at_any_time=True)
         take()
         self.flow.finish()
@@ -170,13 +170,13 @@ class Statements(ABC):
         return behind
 
     def condition(self, at: int, _: int) -> int:
-        """Take in the condition behind a word."""
+        """Process the condition behind a word."""
         stop = self.end(at)
         self.decide(at + 1, stop)
         return stop
 
     def branch(self, at: int, behind: int) -> int:
-        """Begin branches, the first of which may be passed over."""
+        """Begin branches; the first may be passed over."""
         self.flow.open_choice(self.code.tokens[at].text, self.code.line(at))
         return self.pass_over(at, behind)
 
@@ -193,7 +193,7 @@ class Statements(ABC):
         return behind
 
     def count(self, at: int, behind: int) -> int:
-        """Take in that a loop counts by the data behind its word."""
+        """Record that a loop counts by the data behind its word."""
         self.change(self.code.tokens[at + 1].text)
         return behind
 

@@ -1,4 +1,4 @@
-"""Straight moves for a controller that knows the nominal robot, cut so that the real one goes straight.
+"""Straight moves for a controller that knows the nominal robot, cut so that the real robot goes straight.
 
 A controller gets positions. For every point on the straight line between two of them, it computes joint values by its
 nominal inverse kinematics, and assumes that the tool is there. With T the position of the tool at given joint values,
@@ -44,7 +44,7 @@ from calib.programs.reaching.reaching import GoalConfigurations, descend
 from calib.programs.reaching.search import TOLERANCE
 
 _MEASURED_EVERY = 2e-3  # along a piece [m]
-_AT_LEAST = 3  # points of a piece beside its middle
+_AT_LEAST = 3  # points of a piece on each side of its middle
 _GOLDEN = 0.6180339887498949  # its multiples fall into all parts of an interval alike
 _SHORTEST = 5e-5  # a piece [m]
 _RESERVE = 1.1  # times the number of pieces that a parabola would need
@@ -71,11 +71,11 @@ class CompensatedMoves:
     """Commands for the controller.
 
     Attributes:
-        waypoints: Of each move the points to go through in straight lines, the last its end, (n_pieces, 3) [m].
-        before: How far the tool is off there without compensation, (n,) [m].
+        waypoints: Points of each move, to go through in straight lines; the last is its end, (n_pieces, 3) [m].
+        before: Errors of the tool there without compensation, (n,) [m].
         expected: Root mean square distance that is left there, from the uncertainty of the parameters, (n,) [m]; NaN
             where the uncertainty of the robot is not known.
-        deviations: How far it is off between points at most, where that was measured, as if the machine had been led to
+        deviations: Its largest errors between points, where these were measured, as if the machine had been led to
             the beginning of the move; (n,) [m], NaN where a move has no length or no known beginning.
         n_measured: At how many points it was measured.
         frame: The frame of the goals and errors, in words.
@@ -117,7 +117,7 @@ def compensate_moves(
     Args:
         calibrated: A robot of three motors, as of `calib.programs.reaching.compensation.compensate`.
         moves: Moves of the program.
-        tolerance: How far the tool may be off between points [m].
+        tolerance: Allowed error of the tool between points [m].
 
     Raises:
         DataError: The robot has not three motors.
@@ -234,7 +234,7 @@ def _driven_positions(robot: Robot, nominal: Robot, sent: Goals, near: FloatArra
 
     Args:
         robot: The robot.
-        nominal: What the controller knows.
+        nominal: The robot that the controller knows.
         sent: The positions.
         near: Joints from which the controller comes, (n, 3) [m or rad].
     """

@@ -57,14 +57,14 @@ class ProgramWords:
         source: The text.
         words: Pattern of its words.
         fold_case: Whether case does not count.
-        lines: What ends of lines are: `blank`; or ends of statements, `outside` of brackets, or of which brackets hold
+        lines: Meaning of an end of line: `blank`; or end of a statement, `outside` of brackets, or where brackets hold
             none (`all`).
         ends: Marks that end a statement outside of brackets.
-        part: Which part of the text to read.
+        part: Part of the text to read.
 
     Attributes:
         tokens: The words; the last one is an end behind the text.
-        partner: Of each word the place of the bracket that closes or opens it; its own of all others.
+        partner: Place of the bracket that closes or opens each word; its own place for all others.
 
     Raises:
         DataError: A character that is none of the language's, or a bracket that is not closed.

@@ -82,7 +82,7 @@ class UrscriptReader(Reader):
         return behind
 
     def statement(self, at: int, stop: int) -> None:
-        """Take in an assignment, or an expression."""
+        """Process an assignment or an expression."""
         code, name = self.code, self.code.tokens[at].text
         equals = code.find_mark(at, stop, "=")
         if equals == stop:
@@ -101,7 +101,7 @@ class UrscriptReader(Reader):
         return {self.code.tokens[at].text for at in self.code.names(first, stop) if at not in moved}
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
-        """Take in a move, or a change of the tool."""
+        """Process a move, or a change of the tool."""
         name = self.code.tokens[at].text
         if name in _MOVES:
             self.flow.move(self.code.tokens[at].start, lambda state: self._move(name, span, state))
@@ -157,7 +157,7 @@ class UrscriptReader(Reader):
         return (self.code.tokens[span[0]].text, (span[0] + 2, span[1])) if named else ("", span)
 
     def _move(self, word: str, span: Span, state: State | None) -> None:
-        """Take in the targets of a move, which may stand anywhere if they are named."""
+        """Process the targets of a move, which may stand anywhere if they are named."""
         given = sorted(map(self._named_argument, self.code.split(*span)), key=lambda pair: pair[0] not in _GOALS)
         for _, value in given[: _MOVES[word]]:
             self.go(value, state, lambda value=value: self._goal(value), self._target)  # type: ignore[misc]

@@ -14,7 +14,7 @@ from calib.core.base.errors import DataError
 from calib.programs.languages.robot_program import NotCompensated, ProgramSource, ProgramTarget, RobotProgram
 
 Place = tuple[int, int]
-"""Where numbers stand: the file, and their first word."""
+"""The place of numbers: the file, and their first word."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +23,11 @@ class Visit:
 
     Attributes:
         where: The file and the line that goes there.
-        text: What stands there.
-        place: Where its numbers stand; None: nowhere.
+        text: The text there.
+        place: Place of its numbers; None: nowhere.
         target: The target; None: it cannot be compensated.
         why: Why it cannot.
-        frames: Where data of the program stand that are its frame or tool.
+        frames: Places of the program's data that are its frame or tool.
     """
 
     where: tuple[str, int]
@@ -46,7 +46,7 @@ def program_of(language: str, sources: Sequence[ProgramSource], visits: Iterable
     """Return a program with the targets that can be compensated.
 
     Args:
-        language: What it is written in.
+        language: Its language.
         sources: Its files, the given one first.
         visits: In the order in which they stand in the text.
 
@@ -101,6 +101,6 @@ def _differs(first: Visit, visit: Visit) -> bool:
 
 
 def _join_visits(group: Sequence[Visit]) -> ProgramTarget:
-    """The target of visits that are alike; what one of them says of joints to be near to counts."""
+    """The target of equal visits, near the joints that the first of them states."""
     targets = [visit.target for visit in group if visit.target is not None]
     return replace(targets[0], near=next((target.near for target in targets if target.near), ()))

@@ -1,4 +1,4 @@
-"""Programs that were written for the nominal robot, changed so that the calibrated one does what was meant.
+"""Programs that were written for the nominal robot, changed so that the calibrated robot does what they say.
 
 What is meant. Told q, the nominal robot would bring its tool to T(q). The compensated command q' is where the
 calibrated robot stands there:
@@ -57,7 +57,7 @@ from calib.programs.reaching.redundancy import near_joints
 from calib.programs.reaching.search import TOLERANCE
 
 _JUMP = 0.1  # more than the program itself goes between two rows [rad, or characteristic lengths]
-_CLOSINGS = 4  # of the loops at each row
+_CLOSINGS = 4  # times that the loops are closed for each row
 _BEYOND = 1e-9  # past a limit by more than rounding [m or rad]
 
 
@@ -67,20 +67,20 @@ class Compensation(ReadOnlyArrays):
 
     Attributes:
         names: Pose name of each row.
-        labels: What to call each in messages.
+        labels: Name of each in messages.
         target: The target that it is about.
-        keep: What was kept, of `KEEP`.
+        keep: The kept components of poses, of `KEEP`.
         program: Joints with which the nominal robot reaches the goals, (n, n_actuated) [m or rad]; NaN where none.
         q: Compensated commands, (n, n_actuated) [m or rad]; NaN where there are none.
         reasons: Why a row has no command; empty if it has one.
         programmed: The goal of the target in the measurement frame, (n, 3) [m]; NaN where that is not known.
-        before: How far the calibrated robot is off there without compensation, (n,) [m]; NaN where not known.
+        before: Errors of the calibrated robot there without compensation, (n,) [m]; NaN where not known.
         expected: Root mean square distance that is left, from the uncertainty of the parameters, (n,) [m]; NaN where
             there is no command, or the uncertainty of the robot is not known.
         low95, high95: The distance lies between them in 95 of 100 cases, (n,) [m].
         before_angle, expected_angle, low95_angle, high95_angle: The same for the orientation if the pose is kept,
             for the z axis if only that is kept, (n,) [rad]; NaN if only the position is kept.
-        scale: What one radian of each joint is compared with, (n_actuated,).
+        scale: Scale of each joint: 1 rad, or its length, (n_actuated,).
         frame: The frame of the goals and errors, in words.
         nothing_to_correct: Whether the program was left as it is, because the verdict is that nothing is to be
             corrected; `expected` is then the error of the calibrated robot.
@@ -108,11 +108,11 @@ class Compensation(ReadOnlyArrays):
 
     @cached_property
     def ok(self) -> BoolArray:
-        """Which rows have a command, (n,)."""
+        """Mask of the rows that have a command, (n,)."""
         return np.asarray(np.isfinite(self.q).all(axis=1))
 
     def figures(self) -> dict[tuple[str, str], FloatArray]:
-        """Return errors and their limits by name and unit of files, (n,) each; of what is kept."""
+        """Return errors and their limits by name and unit of files, (n,) each; of the kept components."""
         names = ("before", "expected", "low95", "high95")
         endings = ("",) if self.keep == "position" else ("", "_angle")
         return shown_errors(names, [[getattr(self, f"{name}{ending}") for name in names] for ending in endings])
@@ -164,7 +164,7 @@ def compensate(
             brings a target, in the measurement frame as the nominal description has it; or poses as `robot.forward`
             gives them of the nominal robot for that target, (n, 4, 4) or (4, 4), but (4, 4) of a robot with four joints
             are joint values.
-        keep: What to keep of a program of joints, one of `KEEP`; if not given, the pose if the joints can reach any.
+        keep: Kept components of a program of joints, one of `KEEP`; if not given, the pose if the joints can reach any.
 
     Raises:
         InputError: `keep` is not one of `KEEP`, or is given with goals, which state it themselves.
@@ -187,9 +187,9 @@ def compensate_in(frame: CorrectionFrame, program: Poses | Goals, keep: str | No
     """Compensate a program in a frame; see `compensate`.
 
     Args:
-        frame: In which it is meant.
+        frame: Its frame.
         program: Joints of the nominal robot, or goals.
-        keep: What of a program of joints is kept.
+        keep: Kept components of a program of joints.
     """
     with compile_for(_CLOSINGS * len(program) if frame.nominal.mechanism.loops else 0):
         if isinstance(program, Goals):

@@ -1,6 +1,6 @@
-"""How far a target will be from its goals, at commands that were found for them: what is promised of a program.
+"""The expected distance of a target from its goals, at commands that were found for them.
 
-In the frame in which the goals are meant (`calib.core.rows.frames`). An error is normal, its covariance that of the
+In the frame of the goals (`calib.core.rows.frames`). An error is normal, its covariance that of the
 predicted position; its mean is what the calibrated robot is off at the command, as far as that was not corrected.
 """
 
@@ -30,7 +30,7 @@ class ExpectedError(ReadOnlyArrays):
         distance95: The distance lies between them in 95 of 100 cases, (2, n) [m].
         angle: Root mean square angle from the orientation or z axis of the goal, (n,) [rad]; NaN where none is.
         angle95: The same limits, (2, n) [rad].
-        frame: In which frame the goals are meant, in words.
+        frame: Frame of the goals, in words.
         nothing_to_correct: Whether commands are those of the nominal robot, because the verdict is that nothing is to
             be corrected.
     """
@@ -46,7 +46,7 @@ class ExpectedError(ReadOnlyArrays):
         return f"<expected errors of {len(self.distance)} goals>"
 
     def figures(self) -> dict[tuple[str, str], FloatArray]:
-        """Return errors and their limits by name and unit of files, (n,) each; of what is asked for."""
+        """Return errors and their limits by name and unit of files, (n,) each; of the requested components."""
         names = ("expected", "low95", "high95")
         parts = (self.distance, *self.distance95), (self.angle, *self.angle95)
         return shown_errors(names, [values for values in parts if np.any(np.isfinite(values[0]))])
@@ -58,10 +58,10 @@ class ExpectedError(ReadOnlyArrays):
         """Return them.
 
         Args:
-            frame: In which the goals are meant.
+            frame: Frame of the goals.
             goals: The goals, n of them.
             commands: Joints for some of them, (n_rows, n_actuated) [m or rad].
-            rows: Which ones, (n_rows,).
+            rows: Numbers of the rows, (n_rows,).
             context: Under which conditions these are given.
         """
         errors = np.full((6, len(goals)), np.nan)
@@ -74,8 +74,8 @@ def shown_errors(names: Sequence[str], parts: Sequence[Sequence[FloatArray]]) ->
     """Return errors by name and unit of files.
 
     Args:
-        names: Of the errors.
-        parts: These of positions, each (n,) [m]; and those of orientations, if these count, each (n,) [rad].
+        names: Names of the errors.
+        parts: Errors of positions, each (n,) [m]; and of orientations, if these count, each (n,) [rad].
     """
     kinds: tuple[tuple[str, Dimension], ...] = (("", "length"), ("_angle", "angle"))
     return {

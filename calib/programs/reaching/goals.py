@@ -1,4 +1,4 @@
-"""Goals of the inverse kinematics: where a target is wanted, and the CSV files that say so.
+"""Goals of the inverse kinematics: places for a target, and their CSV files.
 
 Columns, with units as everywhere: `<target>_x`, `_y`, `_z` (position in the measurement frame). For an orientation also
 `<target>_rx`, `_ry`, `_rz` (roll, pitch, yaw about fixed axes, as URDF's rpy, of the target's link), or for a direction
@@ -36,7 +36,7 @@ class Goals:
         rotations: Orientation of the target's link, (n, 3, 3), or None.
         directions: Direction of the z axis of the target's link, (n, 3), or None; made unit vectors.
         names: Pose name of each; a running number if not given.
-        labels: What to call each one in messages.
+        labels: Name of each in messages.
         target: Name of the measured point; the robot's first if empty.
         context: Conditions, as of `Poses`, (n,) [SI] by name.
         approach: Direction from which each joint comes, +1 or -1, (n, n_actuated); None: not known.
@@ -174,7 +174,7 @@ def _setups(table: Table, robot: Robot) -> IntArray | None:
     """The setup of each row, whose direction of gravity counts.
 
     Raises:
-        DataError: A setup that there is not, or from whose measurement frame or targets goals are not seen.
+        DataError: An unknown setup, or one whose measurement frame or targets do not show the goals.
     """
     of_setups = robot.description.setups
     if not of_setups or "setup" not in table.names:

@@ -38,16 +38,17 @@ _SETTLED = 1e-14  # change of a tilt [rad]
 
 @dataclass(frozen=True, eq=False)
 class Solution(ReadOnlyArrays):
-    """Joint values found, and how well they reach.
+    """Joint values found, and their errors at the goals.
 
     Attributes:
         q: Actuated joints, (n, n_actuated) [m or rad]; where `ok` is False the nearest that was found.
-        ok: Which goals are reached to `TOLERANCE`, at joint values at which `Robot.assemble` finds the robot, (n,).
+        ok: Mask of the goals that are reached to `TOLERANCE`, at joint values at which `Robot.assemble` finds the
+            robot, (n,).
         miss_position: Distance from the goal, (n,) [m].
         miss_angle: Angle from the orientation or direction of the goal, (n,) [rad]; 0 where there is no goal.
-        positions: Where the target is at `q`, (n, 3) [m].
-        labels: What to call each goal in messages.
-        expected: How far the real robot is expected to be off. Where the verdict is that nothing is to be corrected, it
+        positions: Positions of the target at `q`, (n, 3) [m].
+        labels: Name of each goal in messages.
+        expected: Expected errors of the real robot. Where the verdict is that nothing is to be corrected, it
             is the nominal robot that reaches the goals, and this is the error of the calibrated one.
     """
 
@@ -118,7 +119,7 @@ def solve(
 
     Raises:
         InputError: `calibrated` is not a robot, or the goals are joint values.
-        DataError: Unknown target, `near` of the wrong shape, or positions of which only some have a NaN.
+        DataError: Unknown target, `near` of the wrong shape, or a position with NaN in some of its coordinates.
     """
     frame = measurement_frame(known_robot(calibrated))
     robot, goals = frame.meant if frame.nothing_to_correct else frame.robot, _goals(goals)
@@ -138,7 +139,7 @@ def solve(
 
 
 def _goals(goals: Goals | ArrayLike) -> Goals:
-    """Goals as such, of which positions alone all ask for the same coordinates."""
+    """Goals without a program; goals that are positions all ask for the same coordinates."""
     if isinstance(goals, Poses):
         raise InputError("goals: are joint values; give positions (n, 3) [m], or calib.Goals")
     if isinstance(goals, Goals):
@@ -212,8 +213,8 @@ def with_tilts(
     Args:
         robot: The robot.
         reach: The problem.
-        index: Which goals, (n,).
-        solution: What was found for them.
+        index: Numbers of the goals, (n,).
+        solution: Their solution.
         context: The conditions of each.
     """
     for _ in range(_ROUNDS if np.any(reach.fixed_joints) and robot.terms else 0):

@@ -26,7 +26,7 @@ KEEP = ("pose", "axis", "position")
 """Part of the program's poses that is kept: the full pose, position and z axis of the target, or its position."""
 _FURTHER = 0.5  # step between rows that may be a change of branch [rad, or characteristic lengths]
 _ROUNDS = 200
-_SINGULAR = 1e-6  # of the largest singular value
+_SINGULAR = 1e-6  # part of the largest singular value
 _STATED = {"full pose": "pose", "position and axis": "axis", "position": "position"}
 
 
@@ -53,7 +53,7 @@ def task_of_joints(meant: Robot, program: Poses, keep: str | None) -> ProgramTas
     """Return the task of a program that gives joint values of the nominal robot.
 
     Args:
-        meant: The nominal robot, in the frame in which the program is meant.
+        meant: The nominal robot, in the frame of the program.
         program: The joint values.
         keep: One of `KEEP`; None: the pose if the joints can move the target in all directions, else the position.
 
@@ -112,7 +112,7 @@ def task_of_goals(nominal: Robot, meant: Robot, program: Goals) -> ProgramTask:
 
     Args:
         nominal: The robot of the description, which the controller assumes.
-        meant: The nominal robot, in the frame in which the program is meant.
+        meant: The nominal robot, in the frame of the program.
         program: The goals, in the frames of the description.
 
     Raises:

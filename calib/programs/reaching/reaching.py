@@ -41,7 +41,7 @@ from calib.core.robots.mechanism import Mechanism, RelativeFrame
 from calib.programs.reaching.goals import Goals
 
 _CONVERGED = 2e-13  # norm of e where rounding takes over [m]
-LARGEST_STEP = 0.5  # of any joint [rad, or characteristic lengths]
+LARGEST_STEP = 0.5  # largest step of a joint [rad, or characteristic lengths]
 _ITERATIONS = 100
 NEARLY = 1e-11  # norm of e where a step that gains nothing is rounding [m]
 _SMALLEST_GAIN = 1e-7  # part of the distance that a step must gain to go on
@@ -79,13 +79,13 @@ class GoalConfigurations(ConfigurationRows):
 
     @classmethod
     def unknown(cls, actuated: FloatArray, passive: FloatArray) -> GoalConfigurations:
-        """Return configurations, (n, n_driven) and (n, n_passive), of which no distance is known yet."""
+        """Return configurations, (n, n_driven) and (n, n_passive), whose distances are not known yet."""
         return cls(actuated, passive, np.full(len(actuated), np.inf))
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedGoals(ConfigurationRows):
-    """How configurations miss their goals, and how that changes, joints scaled to radians.
+    """Errors of configurations at their goals, and their derivatives, joints scaled to radians.
 
     Attributes:
         error: e of the module docstring, (n, n_rows) [m].
@@ -106,7 +106,7 @@ class Reach:
         mechanism: The robot.
         mode: Its assembly mode.
         target: The measured point seen from the measurement frame.
-        goals: Where it is wanted.
+        goals: Goals of the target.
         lower, upper: Limits of the driven joints, (n_driven,) [m or rad].
     """
 
@@ -124,18 +124,18 @@ class Reach:
 
     @cached_property
     def fixed_joints(self) -> BoolArray:
-        """Which driven joints stay: those that tilt links, and those that are not commanded, (n_driven,)."""
+        """Mask of the driven joints that stay: those that tilt links or are not commanded, (n_driven,)."""
         return self.mechanism.is_tilt | np.isin(self.mechanism.driven, list(self.goals.stands))
 
     def with_uncommanded(self, index: IntArray, commands: FloatArray) -> FloatArray:
-        """Return commands (n, n_actuated) for these goals with what joints are that nobody commands."""
+        """Return commands (n, n_actuated) for these goals with the values of joints that are not commanded."""
         commands = commands.copy()
         for name in self.goals.stands:
             commands[:, self.mechanism.actuated.index(name)] = self.goals.stands_of(name)[index]
         return commands
 
     def as_given(self, index: IntArray, at: GoalConfigurations) -> GoalConfigurations:
-        """Return configurations in which joints that are not commanded are as these goals, (n,), say; loops closed."""
+        """Return configurations with joints that are not commanded as stated by these goals, (n,); loops closed."""
         if not self.goals.stands:
             return at
         n = len(self.mechanism.actuated)
@@ -155,7 +155,7 @@ class Reach:
         """Return e and its derivative at closed configurations.
 
         Args:
-            index: Which goal each configuration is for, (n,).
+            index: Number of each configuration's goal, (n,).
             actuated: Actuated joints, (n, n_actuated) [m or rad].
             passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
             closures: [C_p C_a] there, where it is known, (n, n_passive, n_passive + n_actuated).
@@ -180,7 +180,7 @@ class Reach:
         )
 
     def misses(self, actuated: FloatArray, passive: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return how far a configuration of every goal is off.
+        """Return the errors of a configuration of every goal.
 
         Returns:
             Positions (n, 3) [m], distances from the wanted ones (n,) [m], angles from what is wanted (n,) [rad].
@@ -201,7 +201,7 @@ class Reach:
         """Follow the loops from one configuration of each goal to another by the tangent and Newton.
 
         Args:
-            at: Where the loops are closed.
+            at: Configurations with closed loops.
             linear: The derivatives there.
             trial: Actuated joints to go to, (n, n_actuated) [m or rad].
 
@@ -231,7 +231,7 @@ def descend(
 
     Args:
         reach: The problem.
-        index: Which goals, (n,).
+        index: Numbers of the goals, (n,).
         start: A closed configuration for each.
         iterations: Largest number of trial steps.
     """

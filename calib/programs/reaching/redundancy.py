@@ -46,10 +46,10 @@ from calib.programs.reaching.reaching import (
 )
 
 _STEPS = 60
-_TOLERANCE = 1e-7  # of w within the null space [rad, or characteristic lengths]
+_TOLERANCE = 1e-7  # tolerance of w within the null space [rad, or characteristic lengths]
 _SHORTEST = 1e-3  # part of a step, below which no shorter one is tried
 _WEIGHT = 100.0  # sigma; with 20, two in a hundred searches end early, with 1 a seventh of them
-_ROUNDING = 1e-12  # of a step: a smaller component crosses no limit
+_ROUNDING = 1e-12  # rounding of a step: a smaller component crosses no limit
 
 
 def without_full_turns(reach: Reach, at: GoalConfigurations, near: FloatArray) -> GoalConfigurations:

@@ -59,7 +59,7 @@ class Search:
 
     @property
     def is_solved(self) -> BoolArray:
-        """Which goals are reached, (n,)."""
+        """Mask of the goals that are reached, (n,)."""
         return self.best.distance <= self._reached
 
     def run(self, robot: Robot) -> None:

@@ -1,4 +1,4 @@
-"""Which joint terms measurements can show."""
+"""Joint terms that measurements can show."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class CandidateTerm:
 
         Args:
             robot: A robot that has its terms.
-            factors: Of each joint.
+            factors: Factors of each joint.
         """
         terms = self.terms_in(robot)
         sigma = {t.joint: float(factors[t.joint] * t.parameters[0].sigma_si) for t in terms if t.joint in factors}
@@ -76,7 +76,7 @@ class TermTrial:
     Attributes:
         term: Its name.
         added: Whether it is fitted.
-        evidence: By how much the log likelihood is higher with it, beside all other kinds; NaN where it was not tried.
+        evidence: By how much the log likelihood is higher with it, given all other kinds; NaN where it was not tried.
         size: How many times as large as is usual its coefficients are, the largest of its joints.
         size95: The 95 % interval of that.
         joints: For which joints it is fitted, where each has a size of its own.
@@ -141,7 +141,7 @@ def candidates(robot: Robot, data: Measurements) -> tuple[CandidateTerm, ...]:
 def _is_tried_by_auto(name: str) -> bool:
     try:
         return TERMS[name].in_auto
-    except DescriptionError:  # of another package, which is broken: that is said
+    except DescriptionError:  # a broken package of others: a message says so
         return True
 
 
@@ -162,7 +162,7 @@ def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[Term
 def _candidate(name: str, robot: Robot, data: Measurements) -> CandidateTerm:
     try:
         kind = TERMS[name]
-    except DescriptionError as error:  # of another package, which is broken
+    except DescriptionError as error:  # a broken package of others
         return CandidateTerm(name, refused=str(error))
     joints = [joint for joint in robot.joint_names if _shows(kind, joint, robot, data)]
     refused = why_term_unknown(kind, data) or ("" if joints else _nothing_shows(name, kind, robot, data))
@@ -178,7 +178,7 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> CandidateTerm:
         with_it = robot.with_terms((*robot.description.terms, *sections))
         columns = term_columns(with_it, data.joints, data.conditions)
     except ValidationError:
-        return CandidateTerm(name, refused="it needs more than a joint, which only a description can state")
+        return CandidateTerm(name, refused="it needs further values, which only a description can state")
     except DescriptionError as error:  # no masses, a prismatic joint without limits
         return CandidateTerm(name, refused=str(error).removeprefix(f"{robot.path}: "))
     if kind.needs_torque:
@@ -202,7 +202,7 @@ def why_term_unknown(kind: type[JointTerm], data: Measurements) -> str:
         if condition.column and not by_torque and np.ptp(stated) == 0:
             return f"the data have no column '{condition.column}' that changes"
         if first_unstated_visit(condition, data) is not None:
-            return f"some rows do not say {condition.words}"
+            return f"some rows do not state {condition.words}"
     return ""
 
 

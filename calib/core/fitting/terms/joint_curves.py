@@ -1,4 +1,4 @@
-"""What joint terms say together: curves of joint errors with their bands."""
+"""Curves of joint errors with their bands, from the joint terms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How large each kind of joint error is: all kinds at once in one model, in place of a choice of them.
+"""Sizes of all kinds of joint errors, in one model, in place of a choice of them.
 
 Around the fit of the origins, the rows are linear in the coefficients of all kinds of terms that the measurements can
 show (`calib.core.fitting.terms.candidate_terms`). Each kind is a family of the mixed model
@@ -16,15 +16,15 @@ stays where both are true:
     evidence     the log likelihood is higher with it by odds of 20 to 1 (kass1995), times the number of kinds: of many
                  that are not there, one looks as if it were
 
-A kind that was left out is tried again beside those that stay. One that stays is surely there if the log likelihood is
-higher by odds of 20 to 1 with it beside all other kinds, too: of kinds that look alike, one may stay, none is claimed.
+A kind that was left out is tried again with those that stay. One that stays is surely there if the log likelihood is
+higher by odds of 20 to 1 with it, given all other kinds: of kinds that look alike, one may stay, none is claimed.
 
 What follows:
 
     terms        kinds that stay are fitted, as any robot is, with the sigma that was found
     undecided    the other kinds may be there, too, and sizes are uncertain. With coefficients u and covariance C of
                  sizes of all kinds that are drawn from what the rows leave open, cov u = mean of C + covariance of u:
-                 what that is more than C of the fitted sizes stands beside the covariance of the fit
+                 the part of it beyond C of the fitted sizes is added to the covariance of the fit
     expected     how far off poses are that are left out, each predicted by all others: from the same model
 
 What was measured on real robots (`docs/theory/joint_terms.md`). Weighing the fit itself by the error of joints was no
@@ -71,7 +71,7 @@ from calib.core.rows.prediction import UndecidedTerms
 
 LEAST_POSES = 16
 """Different poses below which no sizes are found."""
-_SMALL = 0.05  # of what is usual: a family so small is fitted only if the rows show it
+_SMALL = 0.05  # part of the usual size: a family so small is fitted only if the rows show it
 _SHOWS = 1.0  # rise of the log likelihood by a family that they show
 _DRAWS = 24
 _SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is nothing beside others
@@ -214,7 +214,7 @@ class _TermModel:
 
     @cached_property
     def _is_fitted(self) -> BoolArray:
-        """Which families are fitted, (n_families,)."""
+        """Mask of the families that are fitted, (n_families,)."""
         large = np.exp(self._chosen_model.logs[: len(self._families)]) > _SMALL
         return np.array([some or self._is_shown(k) for k, some in enumerate(large)], dtype=bool)
 
@@ -245,7 +245,7 @@ class _TermModel:
         return candidate.scaled_sections(self._kind_model.robot, factors)
 
     def outcome(self, candidate: CandidateTerm) -> TermTrial:
-        """Return what was found about a kind."""
+        """Return the outcome for a kind."""
         members = self._members(candidate.term)
         there = [k for k in members if self._is_fitted[k]]
         most = max(members, key=lambda k: self._chosen_model.logs[k])
@@ -274,7 +274,7 @@ class _TermModel:
         return self._kind_model.undecided(MixedModel.from_rows(self._rows, _SHORTEST), logs, self._draws, others)
 
     def expected_rms(self) -> float:
-        """Return how far off poses that are left out are expected to be: root mean square of the main part [SI].
+        """Return the expected error of poses left out: root mean square of the main part [SI].
 
         NaN where each pose stands alone, where no terms are fitted, and where poses have several readings: the shape of
         what these share is not known, and that of joints may be far from it.

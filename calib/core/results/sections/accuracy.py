@@ -1,4 +1,4 @@
-"""How far off the robot is before and after a fit, part by part and set by set: the numbers, and as text."""
+"""Errors of the robot before and after a fit, part by part and set by set: as numbers and as text."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
 
 
 def judging_errors(fit: Fit) -> tuple[str, ErrorSet]:
-    """Return the errors that count, and what their poses are called: those that were not used, if there are any."""
+    """Return the errors that count, and the name of their poses: those that were not used, if there are any."""
     sets = {NAMES.get(name, name): errors for name, errors in error_sets(fit)}
     name = next(name for name in _JUDGED_BY if name in sets)
     return name, sets[name]
@@ -71,7 +71,7 @@ def _grid(part: Part, sets: Sequence[tuple[str, ErrorSet, Sequence[str]]]) -> Gr
 
 
 def change_text(fit: Fit, claim: Claim | None) -> Table:
-    """Return the error (RMS) before and after: a line for each part of each set of poses, and what the fit claims."""
+    """Return the error (RMS) before and after: a line for each part of each set of poses, and the claim of the fit."""
     heading = "error before -> after"
     table = text_table((heading, "poses", "RMS", "95 %", "largest"), (heading,), plain=True)
     parts = dict.fromkeys(part for _, errors in error_sets(fit) for _, part, _ in errors.parts())

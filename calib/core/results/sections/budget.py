@@ -1,4 +1,4 @@
-"""What is left: the causes of the error before calibration, as data, as a table, and what would help, in a line."""
+"""The error budget: the causes of the error before calibration, as data and as a table, and advice in a line."""
 
 from __future__ import annotations
 
@@ -107,6 +107,6 @@ def worst_joint(fit: Fit) -> str:
 
 
 def budget_lines(fit: Fit) -> list[str]:
-    """Return what would help, in a line; none where there is no budget."""
+    """Return advice, in a line; none where there is no budget."""
     budget = findings.budget(fit)
     return [] if budget is None else [f"What is left: {budget.advice}"]

@@ -1,26 +1,29 @@
-"""What the numbers of a fit that say how sure something is contain (`calib.core.base.contributions`)."""
+"""Contributions to the measures of uncertainty of a fit (`calib.core.base.contributions`)."""
 
 from __future__ import annotations
 
-from calib.core.base.contributions import Contributions, Sureness, names_of
+from calib.core.base.contributions import Contributions, Uncertainty, names_of
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.verdict import judge
 
 
-def _contents(fit: Fit) -> dict[Sureness, Contributions]:
+def _contents(fit: Fit) -> dict[Uncertainty, Contributions]:
     contents = {
-        Sureness.COVARIANCE: fit.covariance.contains,
-        Sureness.INTERVAL: fit.parameters.contains,
-        Sureness.POSITION: fit.identification_uncertainty.contains,
+        Uncertainty.COVARIANCE: fit.covariance.contains,
+        Uncertainty.INTERVAL: fit.parameters.contains,
+        Uncertainty.POSITION: fit.identification_uncertainty.contains,
     }
     claim = judge(fit).claim
     if claim is not None:
-        contents |= {Sureness.CLAIM: claim.contains, Sureness.GAIN: fit.contains(Sureness.GAIN)}
+        contents |= {
+            Uncertainty.CLAIM: claim.contains,
+            Uncertainty.GAIN: fit.contains(Uncertainty.GAIN),
+        }
     return contents
 
 
 def contents_table(fit: Fit) -> dict[str, list[str]]:
-    """Return the names of what each number contains, for `result.json`."""
+    """Return the names of the contributions to each number, for `result.json`."""
     return {number.name.lower(): names_of(contains) for number, contains in _contents(fit).items()}
 
 

@@ -1,4 +1,4 @@
-"""What a reader of a fit must know beside its tables, one line each: for the terminal and for the report page."""
+"""Details of a fit that its tables do not show, one line each: for the terminal and for the report page."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from calib.core.results.sections.terms import curve_lines, terms_lines, terms_no
 
 
 def details(fit: Fit, *, brief: bool = False) -> list[str]:
-    """Return what a reader must know beside the tables, one line each.
+    """Return what the tables do not show, one line each.
 
     Args:
         fit: The fit.
-        brief: Leave out what a page tells in sections of its own: the noise found, what is left, what the poses
-            determine, how sure positions are.
+        brief: Leave out what a page tells in sections of its own: the noise found, the residuals, what the poses
+            determine, the uncertainty of positions.
     """
     elsewhere = (noise_lines, budget_lines, determined_lines, held_lines, position_lines)
     order = (

@@ -1,4 +1,4 @@
-"""What the measurements determine: ranks, parameters that they leave open, and how sure predicted positions are."""
+"""Determination by the measurements: ranks, undetermined parameters, and the uncertainty of predicted positions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CORRELATED = 0.95
 
 
 def rank_content(fit: Fit) -> dict[str, object]:
-    """Return what `result.json` says of the rank."""
+    """Return the entry of `result.json` on the rank."""
     return {
         "n_parameters": int(np.sum(fit.free)),
         "rank": fit.rank.rank,
@@ -43,7 +43,7 @@ def correlated_pairs(fit: Fit) -> list[dict[str, object]]:
 
 
 def determined_lines(fit: Fit) -> list[str]:
-    """Return how many combinations of parameters the poses determine, one line each."""
+    """Return the numbers of combinations of parameters that the poses determine, one line each."""
     return [*fit.determination.lines(), sentence(fit.determination.words())]
 
 
@@ -75,7 +75,7 @@ def unsure(fit: Fit) -> dict[str, list[str]]:
 
 
 def position_uncertainty_table(fit: Fit) -> dict[str, object]:
-    """Return how sure predicted positions are, over the poses that were used and those that were not [mm]."""
+    """Return the uncertainty of predicted positions, over the poses that were used and those that were not [mm]."""
     sets: list[tuple[str, ErrorSet | None, PositionUncertainty | None]] = [
         ("identification", fit.identification, fit.identification_uncertainty),
         ("validation", fit.validation, fit.validation_uncertainty),
@@ -88,7 +88,7 @@ def position_uncertainty_table(fit: Fit) -> dict[str, object]:
 
 
 def position_lines(fit: Fit) -> list[str]:
-    """Return how well predicted positions are known, one line for each set of poses."""
+    """Return the uncertainty of predicted positions, one line for each set of poses."""
     lines = []
     sets = [("poses used", fit.identification, fit.identification_uncertainty)]
     if fit.validation is not None and fit.validation_uncertainty is not None:

@@ -1,4 +1,4 @@
-"""Remarks on the robots that files of a fit get: what each kind of file holds, and how good it is."""
+"""Remarks on the robots that files of a fit get: the content of each kind of file, and its error."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from calib.core.robots.robot_files import lost_by
 
 
 def files_of(fit: Fit) -> dict[Holds, FileRobot]:
-    """Return the robots that files of a fit get, as far as there are such files of this robot."""
+    """Return the robot for each kind of file that this robot has."""
     nowhere = () if formats_that_hold(Holds.TO_LAST_AXIS, fit.nominal) else (Holds.TO_LAST_AXIS,)
     known = {holds: fit.robot.files.get(holds) for holds in Holds if holds not in nowhere}
     return {holds: file_robot for holds, file_robot in known.items() if file_robot is not None}
 
 
 def files_grid(fit: Fit) -> Grid | None:
-    """Return what each kind of file is worth, the nominal robot first and the whole model last.
+    """Return the error of each kind of file, the nominal robot first and the whole model last.
 
     None if files of joint origins hold it all and are written.
     """
@@ -53,7 +53,7 @@ def files_grid(fit: Fit) -> Grid | None:
 
 
 def file_entries(fit: Fit) -> list[dict[str, object]]:
-    """Return the entries of `result.json`: what each kind of file holds, which formats do, and how good they are."""
+    """Return the entries of `result.json` on files: content of each kind, its formats, and its error."""
     entries = list[dict[str, object]]()
     for holds, file_robot in files_of(fit).items():
         accuracy, scale = file_robot.accuracy, error_scale(file_robot.accuracy.dimension)

@@ -15,10 +15,10 @@ class GridNumber:
     """A number of a table.
 
     Attributes:
-        value: Of it; NaN where it is not known.
+        value: The number; NaN where it is not known.
         std: Its standard deviation, by which a page rounds; None: a page shows three significant digits.
         decimals: Format in text.
-        page_decimals: How many decimals a page shows, where that is fixed.
+        page_decimals: Number of decimals on a page, where that is fixed.
     """
 
     value: float
@@ -28,7 +28,7 @@ class GridNumber:
 
     @property
     def text(self) -> str:
-        """It in text."""
+        """The number as text."""
         return f"{self.value:{self.decimals}}" if np.isfinite(self.value) else "-"
 
 
@@ -37,8 +37,8 @@ class GridColumn:
     """A column of a table.
 
     Attributes:
-        head: What stands above it.
-        on_page: That on a page, where it differs.
+        head: Its header.
+        on_page: Its header on a page, where it differs.
         words: Whether its cells are words, which stand on the left.
         only_page: Whether text leaves it out.
     """
@@ -54,11 +54,11 @@ class Grid:
     """A table.
 
     Attributes:
-        title: What stands above it in text.
-        caption: What stands above it on a page.
+        title: Text above it on a terminal.
+        caption: Text above it on a page.
         columns: Its columns; the first names the rows.
         rows: Their cells.
-        counting: Which rows count most.
+        counting: Rows that count most.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""How much readings scatter: noise of each instrument, what readings of a pose share, and repeats."""
+"""Scatter of readings: noise of each instrument, errors shared by readings of a pose, and repeats."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
 
 @dataclass(frozen=True)
 class NoiseFound:
-    """Noise of one reading as found: of what, in which unit, per what, over how many degrees of freedom."""
+    """Noise of one reading as found: its quantity, unit, denominator and degrees of freedom."""
 
     of: str
     sigma: float
@@ -59,7 +59,7 @@ class NoiseFound:
 
 
 def noise_found(fit: Fit) -> list[NoiseFound]:
-    """Return the noise of each group of rows; what it is of is said where there are several."""
+    """Return the noise of each group of rows; its quantity is named where there are several."""
     several = {
         (instrument.name, part.name)
         for instrument in fit.nominal.instruments
@@ -92,7 +92,7 @@ def noise_lines(fit: Fit) -> list[str]:
 
 
 def scatter_lines(fit: Fit) -> list[str]:
-    """Return what readings of a visit share, and whether the scatter agrees with what was stated, one line each."""
+    """Return errors shared by readings of a visit, and whether the scatter agrees with its statement, one line each."""
     lines = []
     if fit.statistics.shared_scatter is not None:
         lines.append(

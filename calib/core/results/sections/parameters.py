@@ -1,4 +1,4 @@
-"""The parameters: what was found, how sure it is, and what changed most."""
+"""The parameters: values, uncertainty, and the largest changes."""
 
 from __future__ import annotations
 

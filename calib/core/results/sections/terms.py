@@ -39,9 +39,9 @@ def terms_table(fit: Fit) -> dict[str, object]:
 
 
 def terms_lines(fit: Fit) -> list[str]:
-    """Return what was found about each kind of joint term: how large it is, and whether it is surely there."""
+    """Return the outcome for each kind of joint term: its size, and whether it is surely there."""
     if fit.terms is None or not fit.terms.automatic:
-        return [] if fit.terms is None else [f"Joint terms asked for: {fit.terms.requested}"]
+        return [] if fit.terms is None else [f"Joint terms requested: {fit.terms.requested}"]
     tried, count = fit.terms.tried, len(fit.terms.tried)
     added = [_size_in_words(trial) for trial in tried if trial.added]
     left = [_size_in_words(trial) for trial in tried if not (trial.added or trial.why)]
@@ -66,7 +66,7 @@ def _size_in_words(trial: TermTrial) -> str:
 
 
 def _coefficients(fit: Fit, kind: str) -> list[str]:
-    """Return what the measurements say of each coefficient of a kind that has one for each joint, in a line."""
+    """Return the outcome for each coefficient of a kind that has one for each joint, in a line."""
     terms = [term for term in fit.robot.terms if type(term) is TERMS[kind] and len(term.parameters) == 1]
     found = [fit.parameters[term.parameters[0].name] for term in terms]
     clear = [c for c in found if abs(c.value_si) > float(c.half95_si)]

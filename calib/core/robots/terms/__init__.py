@@ -1,1 +1,1 @@
-"""Errors of joints: where they are beside their commands."""
+"""Errors of joints: where they are, compared with their commands."""

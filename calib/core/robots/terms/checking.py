@@ -1,4 +1,4 @@
-"""Whether a term of a joint's error keeps what it promises: shapes, numbers, derivatives; for its package's tests."""
+"""A check of a joint term for its package's tests: shapes, numbers, derivatives."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def check_term(term: JointTerm, q: FloatArray, j: int, context: Context) -> None
 
 
 def _without(context: Context, condition: Condition) -> Context | None:
-    """The conditions in which one is not known; None where it is none of these."""
+    """The conditions without one of them; None if it is not among them."""
     if condition == Condition.APPROACH:
         return replace(context, approach=np.zeros_like(context.approach))
     if condition.column in ("time", "temperature", "load"):

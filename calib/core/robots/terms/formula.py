@@ -16,7 +16,7 @@ from calib.core.base.arrays import FloatArray
 
 
 class Source(Enum):
-    """Numbers that are known of a command, which terms are proportional to."""
+    """Quantities of a command that terms are proportional to."""
 
     ONE = "one"
     COMMAND = "the command of a joint"
@@ -40,9 +40,9 @@ class Proportional:
     """phi = factor x, one column; with a knee h, phi = factor x / sqrt(x^2 + h^2): the sign of x, but smooth.
 
     Attributes:
-        source: What x is.
-        place: Of which joint, where there is one for each.
-        factor: Of x.
+        source: The quantity x.
+        place: Index of the joint, where there is a number for each.
+        factor: Factor of x.
         knee: h, in the unit of x; 0: phi is proportional to x.
     """
 
@@ -71,7 +71,7 @@ class WaveFormula:
     """phi = sin(k base q), cos(k base q) for every order k, two columns each.
 
     Attributes:
-        place: Which actuated joint q is the command of.
+        place: Number of the actuated joint whose command is q.
         base: Phase per unit of q [rad/rad or rad/m].
         orders: Every k.
     """

@@ -158,7 +158,7 @@ def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[
 
 
 def _no_tilts(read: FloatArray) -> tuple[BoolArray, str]:
-    """Which rows of tilts (n, 2) determine no direction, and why."""
+    """Rows of tilts (n, 2) that determine no direction, and why."""
     why = (
         "is a tilt beyond 85 deg, where two tilts tell no direction; without [deg] in its header a column is in rad;"
         " else give gravity_x, gravity_y, gravity_z"
@@ -167,7 +167,7 @@ def _no_tilts(read: FloatArray) -> tuple[BoolArray, str]:
 
 
 def _no_gravity(read: FloatArray) -> tuple[BoolArray, str]:
-    """Which rows of vectors (n, 3) cannot be gravity, and why."""
+    """Rows of vectors (n, 3) that cannot be gravity, and why."""
     lengths = np.linalg.norm(read, axis=1)
     usual = float(np.median(lengths))
     wrong = ~(np.abs(lengths - usual) <= _LENGTHS_AGREE * usual) | (lengths == 0)

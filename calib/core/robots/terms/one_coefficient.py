@@ -7,8 +7,8 @@ small leaves the joint somewhere between the sides. It also keeps derivatives fi
 
 Compliance: joints give way in proportion to the torque of gravity that they hold. The torque is that of the URDF's
 masses and of the payload (Pinocchio's generalized gravity at the nominal configuration), through closed loops by
-virtual work. The payload is the mass in the column `load`, beside what the URDF has; it hangs at the first target that
-motors move, or at the frame that the robot description calls `payload`.
+virtual work. The payload is the mass in the column `load`, which the URDF does not have; it hangs at the first target
+that motors move, or at the frame that the robot description calls `payload`.
 
 Bending: bearings and links give way across the axis of a joint, in proportion to the torque that they hold there.
 Joints of a robot arm are about as soft against tilting as about their axis.
@@ -33,7 +33,8 @@ class OneCoefficient(JointTerm):
     """A term with one coefficient, dq = c phi, named after its joint and the term.
 
     Attributes:
-        source: What phi is proportional to, of the term's own joint if there is one for each (class attribute).
+        source: Quantity that phi is proportional to, for the term's own joint if there is one for each (class
+            attribute).
         factor: By which factor (class attribute).
         word: Last part of the coefficient's name (class attribute).
         expected_angle: Expected size of the coefficient of a joint that turns, where nothing is stated [rad] (class

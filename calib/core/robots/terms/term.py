@@ -52,12 +52,12 @@ class TermSection(Section):
 
 @dataclass(frozen=True)
 class Condition:
-    """A quantity that a joint error may depend on beside the joint's own command; a term may bring a new one.
+    """A quantity, other than the joint's own command, that a joint error may depend on; a term may bring a new one.
 
     Attributes:
         words: Its name in words.
         column: Column of a file with its values; empty: no column, or one for each joint.
-        dimension: What the column measures; None: it is a pure number.
+        dimension: Dimension of the column; None: a pure number.
     """
 
     words: str
@@ -235,11 +235,11 @@ class JointTerm(ABC):
 
     @classmethod
     def needs_more(cls, dimension: Dimension) -> str:
-        """Return in words what only a description can state for a joint of this dimension; empty: nothing is needed."""
+        """Return in words what a description must state for a joint of this dimension; empty: nothing."""
         return ""
 
     def answers(self, section: TermSection) -> bool:
-        """Whether a robot with this term needs no other one for an entry of the same term."""
+        """Whether this term already covers an entry of the same kind."""
         return section.joint in ("all", self.joint)
 
     def driven_joint_names(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
@@ -299,7 +299,7 @@ class JointTerm(ABC):
         return np.asarray((ends[0] - ends[1]) / (2 * step))
 
     def reads(self) -> tuple[str, ...]:
-        """Return the names of further columns of pure numbers that this term depends on, beside its class's conditions.
+        """Return the names of columns of pure numbers that this term depends on, other than its class's conditions.
 
         `Context.column` returns their values.
         """

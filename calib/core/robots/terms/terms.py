@@ -57,10 +57,10 @@ else:
 def condition_columns(terms: Iterable[JointTerm] = ()) -> dict[str, Dimension | None]:
     """Return the columns of a file that say under which conditions a visit was made, with what they measure.
 
-    Those of a term that cannot be loaded are left out: whoever names the term gets the reason.
+    Those of a term that cannot be loaded are left out; naming that term raises the reason.
 
     Args:
-        terms: A robot's, some of which read columns of their own.
+        terms: A robot's joint terms; some read columns of their own.
     """
     columns = dict(CONTEXT) | dict.fromkeys(column for term in terms for column in term.reads())
     for name in TERMS:
@@ -104,7 +104,7 @@ def parse_terms(text: str) -> tuple[TermSection, ...]:
             sections.append(TERMS[term].section(joint=joint or "all", term=term))
         except ValidationError:
             raise InputError(
-                f"terms '{text}': '{term}' needs more than a joint; list it in the robot description"
+                f"terms '{text}': '{term}' needs further values; write it into the robot description"
             ) from None
     return tuple(sections)
 

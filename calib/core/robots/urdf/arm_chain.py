@@ -1,7 +1,7 @@
-"""Which chain of a URDF is the arm, if the link that carries the measured point is not named.
+"""The chain of a URDF that is the arm, if the link that carries the measured point is not named.
 
 The arm is the chain with the most motors, without the fingers of a gripper. Where several are as long, the first in the
-file is taken. Fingers are known by structure first: two or more joints on one link of which the longest two reach about
+file is taken. Fingers are known by structure first: two or more joints on one link whose longest two reach about
 as far, and all reach less than a third of the way from the arm's first joint to there. (In the robots that Pinocchio's
 example-robot-data has, hands reach up to a quarter of that way, the arms of a torso more than twice as far.) A gripper
 of which one joint alone moves looks like a last axis; there names decide: the last joint and its link are both called
@@ -53,7 +53,7 @@ class ArmChain:
 
     @property
     def remark(self) -> str:
-        """A sentence on the chosen tool link, what it leaves out, and how to choose another; empty without a choice."""
+        """A sentence on the chosen tool link, joints left out, and how to choose another; empty without a choice."""
         reasons = (
             (self.fingers, "taken for a gripper"),
             (self.branches, "not on the way to it"),
@@ -94,7 +94,7 @@ def arm_chain(urdf: UrdfText, target: str | None = None) -> ArmChain:
 
 
 class _Tree:
-    """The joints on the way to each link, and what moves together.
+    """The joints on the way to each link, and the links that move together.
 
     Attributes:
         way: Joints from the root to each link.
@@ -143,7 +143,7 @@ class _Tree:
         return ArmChain(target, moving[0].parent, names, still=still)
 
     def arm(self) -> ArmChain:
-        """The chain to the end of the arm, and what it leaves out."""
+        """The chain to the end of the arm, and the joints that it leaves out."""
         cut = self._hands() | self._single_jaws()
         bodies = [
             body

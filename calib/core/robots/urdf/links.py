@@ -1,4 +1,4 @@
-"""Masses and shapes of a URDF's links: what the simulators need and the calibration does not.
+"""Masses and shapes of a URDF's links: for simulators; the calibration does not need them.
 
 Only reads. Prefixes that a file does not declare are accepted, as most programs accept them.
 """

@@ -38,8 +38,8 @@ class Plan:
 
     Attributes:
         axes: Directions that each closure holds.
-        joints: Of the URDF, as text.
-        links: Of the URDF.
+        joints: Joints of the URDF, as text.
+        links: Links of the URDF.
         motors: Joints with motors.
         home: Value of every moving joint [m or rad].
         loops: Pairs of links that coincide.

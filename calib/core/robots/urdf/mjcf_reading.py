@@ -1,4 +1,4 @@
-"""MuJoCo's format (MJCF) read as a URDF: what `urdf: robot.xml` stands for.
+"""MuJoCo's format (MJCF) read as a URDF, for `urdf: robot.xml`.
 
 MuJoCo reads the file, with its includes, defaults and units; what it makes of it is written as a URDF that means the
 same. With p a joint's place in its body and q0 its value in the file (`ref`):
@@ -52,7 +52,7 @@ from calib.core.robots.urdf.writing import (
 )
 
 _DRAWN = 12  # configurations at which directions of a loop are looked at
-_SPREAD = 0.3  # how far from those of the file [m, rad]
+_SPREAD = 0.3  # largest distance from those of the file [m, rad]
 _MOVES = 1e-7  # singular value over the largest, from which a direction moves
 _SHOWN_GROUPS = 3  # of shapes: MuJoCo draws groups 0, 1 and 2
 _NOT_HELD = "a URDF cannot hold it; take it out of the file, or its joints if the arm does not need them"
@@ -84,7 +84,7 @@ class MjcfRobot:
         loops: Cut open in the URDF.
         springs: Joints with a spring and no actuator.
         home: Value of each joint in the file [m or rad].
-        remarks: What the URDF does not hold.
+        remarks: Features that the URDF does not hold.
     """
 
     source: bytes
@@ -133,7 +133,7 @@ def read_mjcf(path: Path | str) -> MjcfRobot:
     """Read an MJCF file by MuJoCo.
 
     Args:
-        path: Of the file; what it includes lies where it says.
+        path: Path of the file; what it includes lies where it says.
 
     Raises:
         UrdfError: MuJoCo is not installed, or cannot read the file; or URDF has no words for what is in it.
@@ -163,7 +163,7 @@ class _MjcfReader:
         self.root = Element("robot", name=_text(model.names) or Path(path).stem)
         self.links: dict[str, Element] = {}
         self.joints: dict[int, Element] = {}  # by number in the model; of hinges and slides
-        self.link_of: dict[int, str] = {}  # of each body
+        self.link_of: dict[int, str] = {}  # link of each body
         self.home: dict[str, float] = {}
         self.remarks: list[str] = []
 

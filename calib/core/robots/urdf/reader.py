@@ -28,7 +28,7 @@ NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _TAG = re.compile(rb"""<[^\s/>"']+(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 MOST_LINKS = 300
 """More would fill the memory: Pinocchio's data grow with the third power."""
-_LARGEST = 1e9  # of origins, and of joints that follow others [m or rad]: squares and products stay finite
+_LARGEST = 1e9  # largest number of origins and mimic joints [m or rad]: squares and products stay finite
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh", "origin", "mass", "inertia")
 _NO_NUMBERS = ("name", "filename")
 _SPACE = " \t\r\n"  # XML's; str.split() would also take the no-break space, which other programs refuse

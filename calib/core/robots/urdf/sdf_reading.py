@@ -1,4 +1,4 @@
-"""Gazebo's format (SDF) read as a URDF: what `urdf: robot.sdf` stands for.
+"""Gazebo's format (SDF) read as a URDF, for `urdf: robot.sdf`.
 
 With the poses of links, joints and frames resolved in the model (`relative_to`, `attached_to`):
 
@@ -42,7 +42,7 @@ def read_sdf(source: bytes, path: str) -> MjcfRobot:
 
     Args:
         source: Its bytes.
-        path: Where it came from.
+        path: Path of its file.
 
     Raises:
         UrdfError: It is not valid, or URDF has no words for what is in it.

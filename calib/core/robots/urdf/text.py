@@ -60,13 +60,13 @@ class UrdfText:
 
     Attributes:
         source: The file's bytes.
-        path: Where it came from, for messages.
+        path: Its file, for messages.
         name: The robot's name.
         links: Link names in file order.
         joints: Joints in file order.
         root_span: Bytes of the `<robot>` start tag.
         end: Byte at which `</robot>` starts.
-        mjcf: What else was said where the file is MuJoCo's or Gazebo's: motors, loops.
+        mjcf: Motors and loops where the file is MuJoCo's or Gazebo's.
     """
 
     source: bytes
@@ -158,7 +158,7 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
 
     Args:
         path: The file.
-        arguments: Of a xacro file, by name.
+        arguments: Arguments of a xacro file, by name.
 
     Raises:
         UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree; or it is a xacro
@@ -181,7 +181,7 @@ def require_supported(joints: Iterable[UrdfJoint], where: str) -> None:
     """Raise `DescriptionError` for a floating or planar joint: it moves, and no joint value says where it is.
 
     Args:
-        joints: Those that lie between what is measured and where it is measured from.
+        joints: Joints between the frames of the instruments.
         where: For the message.
     """
     for joint in joints:

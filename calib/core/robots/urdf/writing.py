@@ -28,10 +28,10 @@ def robot_text(name: str, note: str, links: Sequence[str], joints: Sequence[str]
     """Return a new URDF.
 
     Args:
-        name: Of the robot.
+        name: Name of the robot.
         note: A comment at its head.
         links: Names of links.
-        joints: Of `joint_text`.
+        joints: Joints of `joint_text`.
     """
     body = "".join([*(f"  <link name={quote_attribute(link)}/>\n" for link in links), *joints])
     return f'<?xml version="1.0"?>\n<!-- {note} -->\n<robot name={quote_attribute(name)}>\n{body}</robot>\n'
@@ -49,7 +49,7 @@ def joint_text(
     """Return the element of a joint of a new URDF.
 
     Args:
-        name: Of the joint.
+        name: Name of the joint.
         kind: As URDF calls it.
         links: Parent and child.
         xyz, rpy: Its origin [m], [rad].

@@ -1,4 +1,4 @@
-"""Expanding xacro files of strangers: in a process of its own, with little time and memory, which reads few files.
+"""Expansion of untrusted xacro files: in a process of its own, with little time and memory, which reads few files.
 
 Expressions of xacro are Python, and may compute for ever (`${9**9**9}`), read what they like (`xacro.load_yaml`) and
 say it in an error. So the child process has no variables of the environment but those that say where packages are, it
@@ -87,7 +87,7 @@ def _main(path: str, *given: str) -> int:
     values = dict(argument.split(":=", 1) for argument in given)
     try:
         text: bytes = _process(xacro, path, values).toprettyxml(indent="  ", encoding="utf-8")
-    except BaseException as error:  # of xacro, of the XML parser, of expressions in the file
+    except BaseException as error:  # errors of xacro, of the XML parser, of expressions in the file
         sys.stderr.write(f"\n{_kind(error)}\n")
         return _FAILED
     sys.stdout.buffer.write(text)
@@ -168,7 +168,7 @@ class _OutsideError(Exception):
 
 
 class _Packages:
-    """Where packages are: the one around a file, and others at first use.
+    """Folders of packages: the one around a file, and others at first use.
 
     Attributes:
         own: Folder of the package around the file.

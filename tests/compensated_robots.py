@@ -178,7 +178,7 @@ class Trial:
 
     def known(self, verdict):
         """What is known of the robot; whether its verdict counts."""
-        known = self.fit.known
+        known = self.fit.known_robot
         return known if verdict else replace(known, nothing_to_correct=False)
 
 
@@ -211,7 +211,7 @@ def of_program(trial, known, goals=None):
             lengths(trial.truth.positions(commands)[:, t] - fixed),
         )
     }
-    if compensated.keep == "pose":
+    if compensated.kept_components == "pose":
         nothing = np.full(len(q), np.nan)
         rows[" (angle)"] = (
             angles(real, turned),
@@ -292,7 +292,7 @@ def of_plan(trial, rng):
             trial.fit, as_measurements(nominal, q, measured if measured.shape[1] > 1 else measured[:, 0])
         )
         off = np.concatenate(list(acceptance.errors.after.values()))
-        return acceptance.verdict, float(np.sqrt(np.mean(lengths(off) ** 2))) / acceptance.promised
+        return acceptance.verdict, float(np.sqrt(np.mean(lengths(off) ** 2))) / acceptance.expected_rms
 
     agrees, ratio = verdict(trial.truth)
     if not changes:
@@ -347,7 +347,7 @@ def of_make(name, nominal, places, errors, seeds):
         except CalibrationError as error:
             print(f"{name}, seed {seed}: {error}", file=sys.stderr)
             continue
-        kept += trial.fit.known.nothing_to_correct
+        kept += trial.fit.known_robot.nothing_to_correct
         for verdict in (True,) if errors else (True, False):
             for form, judge in FORMS.items():
                 if form not in OF_THREE_AXES or name in ("delta", "rail_and_five_bar"):

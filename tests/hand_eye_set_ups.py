@@ -173,10 +173,12 @@ def tried(number, errors, seed):
         judge(result).grade,
     )
     words = ["lens found"] * result.lens_found + ["weighed"] * result.weighed
-    words += [f"{len(result.off)} set aside"] * bool(result.off) + [mistake.code for mistake in result.mistakes]
+    words += [f"{len(result.outlying_images)} set aside"] * bool(result.outlying_images) + [
+        mistake.code for mistake in result.mistakes
+    ]
     print(
         f"{number} {errors} {robot} {mount} n {n} {sigma:.2f} px: new {1e3 * off:.3f} mm, left out"
-        f" {1e3 * rms(result.left.board):.3f}, limit {1e3 * result.limit:.3f}, over plain {line.over_plain:.3f},"
+        f" {1e3 * rms(result.left_out.board):.3f}, limit {1e3 * result.limit:.3f}, over plain {line.over_plain:.3f},"
         f" inside {np.sum(line.inside)} of 6, {', '.join([line.grade, *words])}",
         flush=True,
     )

@@ -214,7 +214,7 @@ def written(page, name, text):
 
 def added(fit):
     """The kinds of terms that `auto` added, in words."""
-    return ", ".join(term.term.replace("+", " or ") for term in fit.terms.tried if term.added) or "nothing"
+    return ", ".join(term.term.replace("+", " or ") for term in fit.terms.trials if term.added) or "nothing"
 
 
 def tables_ur10_tracker(folder):

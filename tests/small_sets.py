@@ -73,7 +73,7 @@ def judged_sets(robot, kind, n, seed):
         with_noise = off[1] + NOISE * rng.standard_normal(off[1].shape)
         claim = fits[1].claim_at(q[n_poses:])
         kept = np.nan if claim is None else rms(with_noise) / claim.rms
-        yield rms(off[0]), rms(off[1]), kept, sum(term.added for term in fits[1].terms.tried)
+        yield rms(off[0]), rms(off[1]), kept, sum(term.added for term in fits[1].terms.trials)
 
 
 @one_blas_thread

@@ -37,7 +37,7 @@ def with_held(robot, *held):
 def test_medrue_is_determined_by_28_of_36(assessment):
     assert (assessment.rank_all.rank, assessment.rank_all.n_columns) == (28, 36)
     assert (assessment.rank_free.rank, assessment.rank_free.n_columns) == (28, 28)
-    assert assessment.open_groups == ()
+    assert assessment.undetermined_groups == ()
     assert len(assessment.groups) == 8
     assert (assessment.n_poses, assessment.n_rows) == (140, 420)
     assert not assessment.sigma_assumed
@@ -84,7 +84,7 @@ def test_uncertainty_is_the_spread_of_the_normal_equations(medrue, assessment):
 def test_what_stays_undetermined_is_said_in_words_and_infinite(medrue):
     freer = with_held(medrue, "A2y", "A2z", "d32", "d41", "d5", "zb", "phi_by")  # frees xb and d31
     assessment = check(freer, as_poses(freer, Q[::6]))
-    assert [describe_group(group, assessment.free_parameters) for group in assessment.open_groups] == [
+    assert [describe_group(group, assessment.free_parameters) for group in assessment.undetermined_groups] == [
         "d31 has no effect",
         "dq1 from xb",
     ]
@@ -108,7 +108,7 @@ def test_priors_hold_what_poses_do_not(tmp_path):
     assessment = check(arm, poses, sigma=5e-5)
     assert assessment.rank_free.rank < assessment.rank_free.n_columns
     assert assessment.posterior_information.rank.rank == assessment.rank_free.n_columns
-    assert assessment.open_groups == ()
+    assert assessment.undetermined_groups == ()
     assert np.all(assessment.std <= np.array([p.sigma_si for p in assessment.free_parameters]) * (1 + 1e-9))
     assert any(part > 0.99 for _, part in assessment.hardly_known())
     assert np.isfinite(assessment.accuracy.rms)
@@ -207,7 +207,7 @@ def test_no_expected_error_hides_what_moves_the_target(tmp_path, sigmas):
 
     apart, equal = assessed(*sigmas), assessed("1 mm", "1 mm")
     assert equal.rank_free.rank == apart.rank_free.rank == 3
-    assert apart.groups == apart.open_groups == ()
+    assert apart.groups == apart.undetermined_groups == ()
     np.testing.assert_allclose(apart.std, equal.std, rtol=1e-9)
     assert "no effect" not in text_report(apart, "poses")
     assert "All 3 free parameters can be found from these poses." in text_report(apart, "poses")
@@ -233,6 +233,6 @@ def test_what_sockets_do_not_see_is_told_apart(tmp_path, run_calib):
     assert run_calib("init", arm, "--measure", "touch", "--out", "touch.yaml", cwd=tmp_path).code == 0
     robot = calib.load(tmp_path / "touch.yaml")
     assessment = calib.check(robot, calib.read_poses(EXAMPLES / "arm_touches_simulated.csv", robot))
-    assert assessment.beside_common < 1e-4 < 1e-3 < assessment.accuracy.rms  # the plate stands anywhere
+    assert assessment.rms_without_common < 1e-4 < 1e-3 < assessment.accuracy.rms  # the plate stands anywhere
     told = run_calib("check", "touch.yaml", EXAMPLES / "arm_touches_simulated.csv", cwd=tmp_path).out
     assert "Without that part, positions are known to" in " ".join(told.split())

@@ -65,7 +65,7 @@ def test_blocks_are_foretold_as_by_a_fit_of_all_others():
         residuals + LeftOutBlocks(span, block).shifts_without_block(residuals)[0], expected, rtol=1e-9, atol=1e-9
     )
     of_fewer = LeftOutBlocks(span[:, :-2], block)
-    moved, _ = of_fewer.shifts_without_block(residuals, beside=span[:, -2:])
+    moved, _ = of_fewer.shifts_without_block(residuals, further_columns=span[:, -2:])
     np.testing.assert_allclose(residuals + moved, expected, rtol=1e-9, atol=1e-9)
 
 

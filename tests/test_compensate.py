@@ -81,7 +81,7 @@ def test_medrue_runs_a_compensated_program_at_the_error_of_its_calibration():
     error = np.linalg.norm(did.p_world_tool - meant.p_world_tool, axis=1)
     before = np.linalg.norm(forward(program, actual).p_world_tool - meant.p_world_tool, axis=1)
     assert compensation.ok.all()
-    assert compensation.keep == "pose"
+    assert compensation.kept_components == "pose"
     assert rms(error) < 1.1 * held_out  # 0.019 mm; other rows of the same workspace
     assert rms(before) > 500 * held_out
     assert rms(compensation.before) == pytest.approx(rms(before), rel=1e-3)
@@ -232,7 +232,7 @@ def test_a_scara_keeps_the_position_and_most_of_the_orientation(tmp_path):
     program = rng.uniform([-1.5, 0.5, 0.03, -1.0], [1.5, 2.0, 0.15, 1.0], (25, 4))
     compensation = compensate(truth, program)
     frame = program_frame(known_robot(truth))
-    assert compensation.keep == "position"
+    assert compensation.kept_components == "position"
     assert compensation.ok.all()
     meant, did, naive = frame.meant.forward(program), frame.robot.forward(compensation.q), frame.robot.forward(program)
     assert np.abs(did[:, :3, 3] - meant[:, :3, 3]).max() < 1e-9
@@ -293,7 +293,7 @@ def test_what_cannot_be_is_not_clipped_but_said(tmp_path):
     assert "joint 'j4': 183.346 deg in the program, 171.887 deg allowed" in compensation.reasons[1]
     assert "joint 'j1': 17" in compensation.reasons[2]
     assert "deg needed" in compensation.reasons[2]
-    assert len(compensation.misses()) == 2
+    assert len(compensation.unreached_rows()) == 2
 
 
 def test_out_of_reach_is_said_with_the_distance(tmp_path):

@@ -156,7 +156,7 @@ def test_a_fit_says_the_same_of_a_robot_described_in_another_way(told, first, tm
     for number in ("rms", "limit95"):
         claimed, same_claimed = (getattr(one.verdict.claim.at_measured_poses, number) for one in (fit, same))
         assert claimed == pytest.approx(same_claimed, rel=1e-6)
-    assert fit.verdict.claim.known == pytest.approx(same.verdict.claim.known, rel=1e-5)
+    assert fit.verdict.claim.rms == pytest.approx(same.verdict.claim.rms, rel=1e-5)
     if "split" not in ways:  # directions of an origin are those of the link before
         np.testing.assert_allclose([std[key] for key in sorted(std)], [same_std[key] for key in sorted(std)], rtol=1e-5)
 

@@ -126,10 +126,10 @@ def test_the_ratio_is_said_to_count_where_uncertain_directions_hide_a_change(com
     """The same readings; the calibration from a corner expects more millimetres than there are."""
     hidden, seen = (commands.verified[name] for name in ("hidden", "seen"))
     assert "Judge by the ratio: most of these millimetres" in commands.verify_texts["hidden"]
-    assert hidden.left_open > 0.9 * hidden.promised
-    assert hidden.errors.table()["after"]["rms"] < 1e3 * hidden.promised
+    assert hidden.calibration_rms > 0.9 * hidden.expected_rms
+    assert hidden.errors.table()["after"]["rms"] < 1e3 * hidden.expected_rms
     assert "Judge by the ratio" not in commands.verify_texts["seen"]
-    assert seen.errors.table()["after"]["rms"] > 1e3 * seen.promised
+    assert seen.errors.table()["after"]["rms"] > 1e3 * seen.expected_rms
 
 
 def test_a_change_among_residuals_that_are_no_larger_than_expected_is_explained(commands):
@@ -215,7 +215,7 @@ def test_what_moves_all_positions_as_one_body_is_told_apart_where_it_is_most(com
     assert numbers_of(said, commands.check_texts["priors"]) == pytest.approx([beside], rel=1e-3)
     assert beside < 0.5e3 * np.sqrt(np.trace(spread) / 20)
     two = commands.checked["two positions"]
-    assert two.beside_common < 0.5 * two.accuracy.rms
+    assert two.rms_without_common < 0.5 * two.accuracy.rms
     for name in ("two positions", "determined"):
         assert "as one body" not in commands.check_texts[name]
 

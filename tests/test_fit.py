@@ -49,7 +49,7 @@ def test_lengths_that_want_to_be_infinite_are_named_at_once_and_the_others_are_f
     data = calib.read_measurements(EXAMPLES / "medrue_simulated.csv", medrue).subset(rows)
     fit = calib.fit(medrue, data)
     assert not fit.converged
-    assert fit.convergence.receding == ("L24", "C2z")
+    assert fit.convergence.receding_parameters == ("L24", "C2z")
     assert "do not determine L24, C2z" in fit.report(verbose=True)
     assert "(--fix L24)" in fit.report(verbose=True)
     assert "base_elsewhere" not in fit.verdict.to_dict()["codes"]  # it stands where the description says

@@ -105,7 +105,7 @@ def test_products_with_a_joint_prior_are_those_with_its_inverse_covariance():
     dense[np.ix_([1, 3, 4], [1, 3, 4])] = np.linalg.inv(correlations)
     u = rng.standard_normal(5)
     np.testing.assert_allclose(prior.rows.T @ prior.rows, dense, atol=1e-9)
-    np.testing.assert_allclose(prior.pull(u), dense @ u)
+    np.testing.assert_allclose(prior.gradient(u), dense @ u)
     np.testing.assert_allclose(prior.add_to(np.eye(5)), np.eye(5) + dense)
     root = np.diag(u) + 1.0
     np.testing.assert_allclose(

@@ -58,10 +58,10 @@ def test_robots_with_errors_are_off_by_what_is_promised_of_every_form_of_program
     nominal, errors = described(name, tmp_path, "unknown"), {}
     for seed in range(amount):
         trial = Trial.of(nominal, errors=True, seed=seed)
-        assert not trial.fit.known.nothing_to_correct
+        assert not trial.fit.known_robot.nothing_to_correct
         for form, judge in FORMS.items():
             if form not in OF_THREE_AXES or name == "delta":
-                errors.setdefault(form, []).append(judge(trial, trial.fit.known)[""])
+                errors.setdefault(form, []).append(judge(trial, trial.fit.known_robot)[""])
     for form, cells in errors.items():
         after, promised, _, before, _ = (np.concatenate(part) for part in zip(*cells, strict=True))
         assert 0.6 < rms(after / promised) < 1.5, form
@@ -94,7 +94,7 @@ def test_a_good_robot_stays_as_it_is_and_would_not_be_harmed_either_way(tmp_path
     """These moved by 0.15 to 0.47 mm, ten to forty times what was promised, along what priors alone hold."""
     nominal = described(name, tmp_path, "unknown")
     trial = Trial.of(nominal, errors=False, seed=0)
-    known = trial.fit.known
+    known = trial.fit.known_robot
     assert known.nothing_to_correct
     kept = calib.compensate(trial.fit, trial.program)
     np.testing.assert_array_equal(kept.q, trial.program)
@@ -186,7 +186,7 @@ def test_an_unknown_orientation_of_the_tool_is_laid_too(tmp_path):
 def test_a_measured_frame_counts_all_that_moves_positions(tmp_path):
     nominal = described("five_bar", tmp_path, "known")
     trial = Trial.of(nominal, errors=True, seed=3)
-    frames = program_frame(trial.fit.known), measurement_frame(trial.fit.known)
+    frames = program_frame(trial.fit.known_robot), measurement_frame(trial.fit.known_robot)
     absolute = trial.fit.predict(trial.program)
     for frame in frames:
         assert frame.words == "in the measurement frame"
@@ -202,7 +202,7 @@ def test_goals_in_the_measurement_frame_are_missed_by_what_is_expected(nominal_d
     missed = lengths(trial.truth.positions(solution.q)[:, 0] - goals)
     assert rms(missed) < rms(solution.expected.distance) < 0.1e-3
     assert np.abs(solution.q - trial.program[:20]).max() > 1e-6
-    corrected = calib.solve(replace(trial.fit.known, nothing_to_correct=False), goals)
+    corrected = calib.solve(replace(trial.fit.known_robot, nothing_to_correct=False), goals)
     np.testing.assert_allclose(corrected.q, trial.program[:20], atol=1e-7)
     assert np.isnan(calib.solve(trial.fit.robot, goals).expected.distance).all()
 
@@ -218,7 +218,7 @@ def test_along_coordinates_that_are_not_asked_for_nothing_is_expected(tmp_path):
 
 def test_a_result_folder_knows_the_frame_as_the_fit_does(nominal_delta):
     trial, folder = nominal_delta
-    known, again = trial.fit.known, load_result(folder, trial.nominal).known
+    known, again = trial.fit.known_robot, load_result(folder, trial.nominal).known_robot
     assert again.nothing_to_correct
     np.testing.assert_allclose(again.joints, known.joints, rtol=1e-14)
     frames = [program_frame(replace(item, nothing_to_correct=False)) for item in (known, again)]

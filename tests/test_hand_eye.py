@@ -125,7 +125,7 @@ def test_the_robots_part_is_told_from_the_cameras():
     noise = result.fitted.noise
     assert noise.pixel == pytest.approx(0.2, rel=0.1)
     assert noise.shift == pytest.approx(4e-4, rel=0.4)  # 60 squares: 12 images of 6, less 12 unknowns
-    assert rms(result.alone) < 0.35 < rms(result.pixels)
+    assert rms(result.residuals_without_robot) < 0.35 < rms(result.pixels)
     assert "comes from the robot's poses" in report(result, Frames())
     exact = calibrate(scene(8, "tool", noise=0.2), INTRINSICS, mounts=("tool",), lens="given")
     assert exact.fitted.noise.shift < 5e-5
@@ -137,7 +137,7 @@ def test_what_new_images_stay_below_holds_for_errors_that_an_image_shares(good):
     held, widths = [], []
     for _ in range(400):
         used, new = size * generator.standard_normal((2, n, 2))
-        left = replace(good.left, pixels=np.full((m, 2), 50.0), board=used[good.scene.image])
+        left = replace(good.left_out, pixels=np.full((m, 2), 50.0), board=used[good.scene.image])
         limit = replace(good, left=left).limit
         held.append(np.sqrt(np.mean(np.sum(new**2, axis=1))) < limit)
         widths.append(limit / np.sqrt(np.mean(np.sum(used**2, axis=1))))
@@ -273,8 +273,8 @@ def test_one_wrong_image_is_set_aside_by_name_with_how_far_its_pose_is_off():
     tool = view.tool.copy()
     tool[4] = tool[4] @ pose((0.0, 0.012, 0.0), (0, 0, 0))
     result = calibrate(replace(view, tool=tool), INTRINSICS, mounts=("base",), lens="given")
-    assert [image.name for image in result.off] == ["shot_05"]
-    assert result.off[0].shift == pytest.approx(0.012, rel=0.15)
+    assert [image.name for image in result.outlying_images] == ["shot_05"]
+    assert result.outlying_images[0].shift == pytest.approx(0.012, rel=0.15)
     assert judge(result).grade == "CHECK"
     assert "shot_05" not in result.scene.names
 
@@ -359,7 +359,7 @@ def test_corners_that_are_off_go_by_themselves_and_are_no_doubt(clean, good):
     distances = sorted((point.distance for point in result.points_off), reverse=True)
     assert np.allclose(distances, sorted((np.hypot(*step) for step in off.values()), reverse=True), atol=1.2)  # 4 sigma
     assert judge(result).grade == "PASS"
-    assert rms(result.left.board) < 1.02 * rms(good.left.board)
+    assert rms(result.left_out.board) < 1.02 * rms(good.left_out.board)
     assert f"4 of {len(pixels)}: " in report(result, Frames())
     assert len(content(result, Frames())["points_left_out"]) == 4
 

@@ -64,7 +64,7 @@ def test_full_poses_give_the_joints_of_the_closed_form(medrue_robot: Robot, valu
     assert solution.ok.all()
     assert np.abs(solution.q - inverse(T, values)).max() < 1e-10
     assert solution.miss_position.max() < 1e-12
-    assert solution.misses() == []
+    assert solution.unreached_goals() == []
 
 
 def test_positions_and_axes_are_reached_in_home_s_assembly_mode(medrue_robot: Robot) -> None:

@@ -324,8 +324,8 @@ def test_auto_asks_no_joint_that_may_be_wrapped_for_what_counts_turns(tmp_path):
             for item in (counted, wrapped)
         ]
         assert results == [{"all"} if term == "gain" else set(robot.joint_names), set(robot.joint_names) - {"j1"}]
-        assert told.refused.startswith("all values of joint j1 lie within one turn, and the URDF states no limits")
-        assert f"a {term} cannot be right" in told.refused
+        assert told.refusal.startswith("all values of joint j1 lie within one turn, and the URDF states no limits")
+        assert f"a {term} cannot be right" in told.refusal
     assert [item.sections for item in by_name["curve"]] == [by_name["curve"][0].sections] * 2  # periodic: no matter
     only = candidates(robot, noisy(robot, np.column_stack([TURNS % (2 * np.pi), np.zeros((60, 5))]), 4e-5, seed=1))
-    assert "a gain cannot be right" in next(name for name in only if name.term == "gain").refused
+    assert "a gain cannot be right" in next(name for name in only if name.term == "gain").refusal

@@ -159,7 +159,10 @@ def test_what_a_block_alone_decides_is_no_error_of_it(small):
 
 def test_a_model_without_a_family_is_that_of_size_zero(small):
     model = MixedModel.from_rows(small)
-    without, none = model.without(np.array([True, False])).solve(LOGS), model.solve(np.array([-20.0, *LOGS[1:]]))
+    without, none = (
+        model.without_families(np.array([True, False])).solve(LOGS),
+        model.solve(np.array([-20.0, *LOGS[1:]])),
+    )
     assert without.cost == pytest.approx(none.cost, rel=1e-9)
     np.testing.assert_allclose(without.coefficients, none.coefficients, atol=1e-9)
 

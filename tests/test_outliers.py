@@ -155,12 +155,12 @@ parametrisation:
     positions[9, 1, 0] += 1e-3
     fit = calib.fit(robot, measurements(robot, q, positions), exclude_outliers=True)
     assert [(outlier.pose, outlier.target) for outlier in fit.with_all.outliers] == [(9, "side")]
-    assert [(outlier.pose, outlier.target, outlier.together) for outlier in fit.excluded] == [(9, "side", 0)]
+    assert [(outlier.pose, outlier.target, outlier.n_together) for outlier in fit.excluded] == [(9, "side", 0)]
     seen = {name: readings.visits.tolist() for name, readings in fit.identification.data.readings.items()}
     assert seen == {"tip": list(range(30)), "side": [k for k in range(30) if k != 9]}
     positions[9, 0, 0] += 1e-3  # now both are off by the same: the pose is wrong
     fit = calib.fit(robot, measurements(robot, q, positions), exclude_outliers=True)
-    assert {(outlier.pose, outlier.together) for outlier in fit.excluded} == {(9, 2)}
+    assert {(outlier.pose, outlier.n_together) for outlier in fit.excluded} == {(9, 2)}
     assert len(fit.identification.data) == 29
 
 
@@ -185,10 +185,10 @@ def photographed(tmp_path_factory):
 def test_a_corner_goes_by_itself_and_an_image_that_is_off_as_a_whole(photographed):
     arm, data, off = photographed
     fit = calib.fit(arm, data, exclude_outliers=True)
-    alone = {outlier.reading for outlier in fit.excluded if not outlier.together}
+    alone = {outlier.reading for outlier in fit.excluded if not outlier.n_together}
     assert alone >= set(off["corners"])
     assert len(alone) <= 5  # chance may name others
-    assert {(outlier.pose, outlier.together) for outlier in fit.excluded if outlier.together} == {
+    assert {(outlier.pose, outlier.n_together) for outlier in fit.excluded if outlier.n_together} == {
         (7, len(off["image"]))
     }
     kept = np.setdiff1d(np.arange(data.n_readings), [*alone, *off["image"]])

@@ -298,7 +298,7 @@ def lagging(tmp_path_factory):
 def test_hysteresis_is_found_where_the_direction_of_approach_is_stated(lagging):
     robot, _, stated = lagging
     fit = calib.fit(robot, stated, terms="auto")
-    told = {trial.term: trial for trial in fit.terms.tried}
+    told = {trial.term: trial for trial in fit.terms.trials}
     assert told["hysteresis"].added
     values = {name: fit.parameters[f"turn.hysteresis_{name}"] for name in ("sin", "cos")}
     assert abs(values["sin"].value * 1e-3 - HALF_PLAY) < 1e-4 * HALF_PLAY + 4e-3 * values["sin"].std
@@ -308,13 +308,13 @@ def test_hysteresis_is_found_where_the_direction_of_approach_is_stated(lagging):
 
 def test_hysteresis_without_a_stated_direction_is_doubted_as_backlash_is(lagging):
     robot, unstated, stated = lagging
-    doubts = {term.term: term.doubt for term in candidates(robot, unstated)}
+    doubts = {term.term: term.reason_against for term in candidates(robot, unstated)}
     assert doubts["hysteresis"] == doubts["backlash"] != ""
-    assert {term.doubt for term in candidates(robot, stated)} == {""}
+    assert {term.reason_against for term in candidates(robot, stated)} == {""}
     fit = calib.fit(robot, unstated, terms="auto")
-    told = next(trial for trial in fit.terms.tried if trial.term == "hysteresis")
+    told = next(trial for trial in fit.terms.trials if trial.term == "hysteresis")
     assert not told.added
-    assert told.why == "the data do not state the direction of approach (columns approach_JOINT)"
+    assert told.refusal == "the data do not state the direction of approach (columns approach_JOINT)"
 
 
 def test_hysteresis_asks_no_joint_that_slides_or_came_from_one_side(lagging):
@@ -322,7 +322,7 @@ def test_hysteresis_asks_no_joint_that_slides_or_came_from_one_side(lagging):
     tried = {term.term: term for term in candidates(robot, stated)}
     assert [section.joint for section in tried["hysteresis"].sections] == ["turn", "wrist"]
     one_side = replace(data, approach=np.ones_like(data.joints))
-    refused = {term.term: term.refused for term in candidates(robot, one_side)}
+    refused = {term.term: term.refusal for term in candidates(robot, one_side)}
     assert refused["hysteresis"] == refused["backlash"] == "no joint was approached from both sides"
     with pytest.raises(calib.DescriptionError, match="'slide': it repeats with the turn of a joint"):
         robot.with_terms(parse_terms("slide=hysteresis"))
@@ -390,7 +390,7 @@ def test_a_term_with_a_column_of_its_own_is_found_reported_and_predicted_with(qu
 def test_a_file_without_its_column_cannot_show_a_term(quick):
     folder, robot = quick
     data = calib.read_measurements(folder / "data.csv", robot)
-    refused = {term.term: term.refused for term in candidates(robot, replace(data, context={}))}
+    refused = {term.term: term.refusal for term in candidates(robot, replace(data, context={}))}
     assert refused["lag"] == "the data have no column 'speed' that changes"
     gap = np.where(np.arange(60) == 3, np.nan, data.context["speed"])
     with pytest.raises(calib.DataError, match=r"says no speed, which 'turn\.lag' depends on"):
@@ -448,7 +448,7 @@ def test_a_term_that_nobody_installed_is_named_with_the_nearest_one():
 def test_a_package_that_cannot_be_loaded_is_said_and_disturbs_nobody_else(tmp_path, monkeypatch, lagging):
     installed_into(tmp_path, {"calib.terms": {"broken": "lab_calib.nothing:There", "wrong": "lab_calib:__name__"}})
     monkeypatch.syspath_prepend(tmp_path)
-    refused = {term.term: term.refused for term in candidates(lagging[0], lagging[2])}
+    refused = {term.term: term.refusal for term in candidates(lagging[0], lagging[2])}
     assert "'broken' (lab_calib.nothing:There) cannot be loaded: ModuleNotFoundError" in refused["broken"]
     assert "'wrong' (lab_calib:__name__): is not derived from JointTerm" in refused["wrong"]
     assert refused["gain"] == ""

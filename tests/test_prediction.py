@@ -239,7 +239,7 @@ def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, re
                     tmp_path / "p.csv")  # fmt: skip
     claim = fit.verdict.claim
     told, there = claim.at_measured_poses, np.mean(fit.predict(q).distance ** 2)
-    grown = np.sqrt(1 + max(there - claim.known**2, 0.0) / told.rms**2)
+    grown = np.sqrt(1 + max(there - claim.rms**2, 0.0) / told.rms**2)
     here = fit.claim_at(q)
     assert (here.times, here.rms) == (pytest.approx(grown), pytest.approx(grown * told.rms))
     assert (here.times > 1.05) == further

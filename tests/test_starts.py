@@ -136,8 +136,8 @@ def test_noise_sizes_and_offsets_that_are_found_belong_to_the_solution_and_not_t
     data = calib.as_measurements(arm, joints(60)[pose], read, names=[f"p{k}" for k in pose])
     problem = Problem.from_data(arm, data)
     solved = solve_from(problem, place(problem), Settings())
-    assert np.any(solved.problem.ratios > 1.0)  # offsets of ten times the noise
-    assert not np.any(problem.ratios)
+    assert np.any(solved.problem.offset_ratios > 1.0)  # offsets of ten times the noise
+    assert not np.any(problem.offset_ratios)
     assert problem.weighing is None
 
 

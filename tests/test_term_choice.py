@@ -86,7 +86,7 @@ def choices(robot, terms, n, seed):
         of_origins = {p.name for p in robot.parameters[: robot.n_origin_parameters]} & set(fit.free_names)
         estimates = {name: fit.parameters[name] for name in sorted(of_origins)}
         origins += [item.low95_si <= known[name] <= item.high95_si for name, item in estimates.items()]
-        for item in (trial for trial in fit.terms.tried if trial.added):
+        for item in (trial for trial in fit.terms.trials if trial.added):
             counts[int(item.term not in terms), int(not item.proven)] += 1
         for k, other in enumerate((fit, calib.fit(robot.with_terms(entries(robot, terms)), data))):
             errors, inside = position_errors(other, true, elsewhere)
@@ -122,7 +122,7 @@ def position_errors(fit, true, q):
 
 def sure(fit):
     """Kinds that are surely there."""
-    return {trial.term for trial in fit.terms.tried if trial.proven}
+    return {trial.term for trial in fit.terms.trials if trial.proven}
 
 
 def test_what_is_there_is_added_and_nothing_else():
@@ -134,7 +134,7 @@ def test_what_is_there_is_added_and_nothing_else():
     for k, name in enumerate(fit.free_names):
         if name.endswith((".gain", ".backlash")):  # six times the standard deviation: one of a hundred million
             assert abs(fit.robot.values[fit.unknowns.index[k]] - known[name]) < 6 * fit.statistics.std[k]
-    told = {trial.term: trial for trial in fit.terms.tried}
+    told = {trial.term: trial for trial in fit.terms.trials}
     assert told["gain"].evidence > 20
     assert told["gain"].size95[0] < told["gain"].size < told["gain"].size95[1]
     report = " ".join(fit.report(verbose=True).split())
@@ -205,23 +205,23 @@ def test_without_stated_directions_backlash_is_reported_and_not_added():
     points = calib.core.rows.observed.predict_readings(playing, seen)["reflector"].values
     points = points + NOISE * np.random.default_rng(10).standard_normal(points.shape)
     fit = calib.fit(robot, calib.as_measurements(robot, q, points), terms="auto")
-    told = next(trial for trial in fit.terms.tried if trial.term == "backlash")
+    told = next(trial for trial in fit.terms.trials if trial.term == "backlash")
     assert not told.added
-    assert "do not state the direction of approach" in told.why
+    assert "do not state the direction of approach" in told.refusal
 
 
 def test_candidates_say_why_they_cannot_be_tried():
     robot = calib.load(EXAMPLES / "five_bar.yaml")  # lies flat on a table
     q = robot.home + np.random.default_rng(11).uniform(-0.3, 0.3, (20, 2))
     refused = {
-        term.term: term.refused for term in candidates(robot, calib.as_measurements(robot, q, np.zeros((20, 3))))
+        term.term: term.refusal for term in candidates(robot, calib.as_measurements(robot, q, np.zeros((20, 3))))
     }
     assert refused["gain"] == refused["coupling"] == ""
     assert "drift" not in refused  # it changes from day to day, and must be named
     assert refused["compliance"] == "gravity loads no joint differently from pose to pose"
     described = robot.with_terms(parse_terms("gain,left_motor=curve"))
     by_name = {term.term: term for term in candidates(described, calib.as_measurements(robot, q, np.zeros((20, 3))))}
-    assert by_name["gain"].refused == "the description has it already"
+    assert by_name["gain"].refusal == "the description has it already"
     assert [section.joint for section in by_name["curve"].sections] == ["right_motor"]
 
 
@@ -366,7 +366,7 @@ def test_data_without_noise_ask_for_no_terms():
     q = np.random.default_rng(16).uniform(-1, 1, (40, 6))
     fit = calib.fit(robot, calib.as_measurements(robot, q, robot.positions(q)), terms="auto")
     assert sure(fit) == set()
-    assert "computed, not measured" in fit.terms.tried[0].why
+    assert "computed, not measured" in fit.terms.trials[0].refusal
 
 
 def test_auto_helps_a_real_robot_on_poses_that_it_has_not_seen(shared_data, tmp_path):

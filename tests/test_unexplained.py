@@ -18,7 +18,7 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.unexplained import solve_beside_noise
 from calib.core.numerics.mixed_model import MixedModel
 from calib.core.numerics.mixed_rows import FLAT, MixedRows
-from calib.core.numerics.size_search import scatter_beside_noise
+from calib.core.numerics.size_search import scatter_given_noise
 from calib.core.results.result_reading import load_result
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -177,7 +177,7 @@ def test_what_rows_cannot_tell_from_noise_counts_as_errors_of_joints():
 
     def found(size, stated):
         rows = MixedRows(columns, size * errors, flat, one, np.array([stated]), pose, size * columns)
-        return scatter_beside_noise(solve_beside_noise(MixedModel.from_rows(rows)))
+        return scatter_given_noise(solve_beside_noise(MixedModel.from_rows(rows)))
 
     assert found(1.0, stated=False) == pytest.approx(1e-4, rel=0.5)
     assert found(1e4, stated=True) < 5e-5

@@ -71,7 +71,7 @@ def test_positions_are_known_by_the_readings_of_all_other_poses(arm, amount):
     for seed in range(amount):
         data = noisy(arm.with_parameters({"j2.x": 0.0502, "j3.rx": 4e-4}), q, SIGMA, seed)
         fit = calib.fit(arm, data, sigma=SIGMA)
-        told.append(fit.verdict.claim.known**2)
+        told.append(fit.verdict.claim.rms**2)
         with_all.append(np.mean(fit.identification_uncertainty.distance**2))
         for k in range(30):
             again = calib.fit(arm, data[np.delete(np.arange(30), k)], sigma=SIGMA, validation=data[[k]])

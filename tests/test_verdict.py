@@ -93,7 +93,7 @@ def test_not_converged_fails(good, end, words):
     assert failed.verdict.grade == "FAIL"
     assert words in reason(failed, "not_converged").text
     assert failed.verdict.reasons[0].grade == "FAIL"
-    assert ("calib check" if end.receding else "--starts 5") in next_step(failed).command
+    assert ("calib check" if end.receding_parameters else "--starts 5") in next_step(failed).command
 
 
 def test_noise_three_times_what_was_stated_is_proven_by_poses_left_out_unasked(arm, truth):

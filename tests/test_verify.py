@@ -64,7 +64,7 @@ def test_a_robot_as_calibrated_agrees_whoever_moved_the_tracker(arm):
     assert Counter(item.verdict for item in results)["agrees"] >= 38  # false alarms: 1 in 100
     inside = np.mean([item.low95 < item.ratio < item.high95 for item in results])
     assert inside > 0.85  # one calibration: its errors are the same for all
-    promised = np.mean([item.promised for item in results])
+    promised = np.mean([item.expected_rms for item in results])
     did = np.mean([1e-3 * item.errors.table()["after"]["rms"] for item in results])
     assert promised == pytest.approx(did, rel=0.15)
 
@@ -127,7 +127,7 @@ def test_a_drift_is_found_with_its_size(arm, name, size):
     changed = truth.with_parameters({**MOVED, name: value(truth, name) + size})
     acceptance = verify(fit, measured(changed, rng.uniform(-1.2, 1.2, (30, 6)), rng))
     assert acceptance.verdict == "drifted"
-    assert name in acceptance.like_before
+    assert name in acceptance.alternative_changes
     first = next(change for change in acceptance.changes if change.name == name)
     assert first.value == pytest.approx(size, abs=4 * first.std)
     assert abs(size) > 4 * first.std
@@ -138,7 +138,7 @@ def test_no_change_within_its_own_uncertainty_is_called_significant(arm):
     rng = np.random.default_rng(41)
     quiet = verify(fit, measured(truth.with_parameters(MOVED), rng.uniform(-1.2, 1.2, (8, 6)), rng))
     assert not any(change.significant for change in quiet.changes)
-    assert quiet.like_before == ()
+    assert quiet.alternative_changes == ()
     assert "; none is significant" in text_report(quiet, (), ())
     changed = truth.with_parameters({"joint_3.ry": value(truth, "joint_3.ry") + 4e-4})
     loud = verify(fit, measured(changed, rng.uniform(-1.2, 1.2, (30, 6)), rng))
@@ -156,7 +156,7 @@ def test_a_joint_zero_that_no_parameter_stands_for_is_found(arm):
     positions = truth.positions(off) + SIGMA * rng.standard_normal((30, 1, 3))
     acceptance = verify(fit, calib.as_measurements(truth, q, positions))
     assert acceptance.verdict == "drifted"
-    assert "zero of joint_5" in acceptance.like_before
+    assert "zero of joint_5" in acceptance.alternative_changes
 
 
 def test_several_changes_ask_for_a_new_calibration(arm):
@@ -244,8 +244,8 @@ def test_an_unchanged_robot_has_not_drifted_at_poses_where_its_model_is_wrong(wo
         data = read(rng.uniform(*place, (40, 6)), rng)
         results.append(verify(fit, data))
         by_noise = System.from_promise(Promise.from_calibration(fit), data, same_setup=False).changes()[0].p_value
-        assert (results[-1].verdict == "agrees") == (not results[-1].unlike)
-        assert results[-1].unlike or by_noise >= 0.005
+        assert (results[-1].verdict == "agrees") == (not results[-1].has_unlike_poses)
+        assert results[-1].has_unlike_poses or by_noise >= 0.005
     assert {item.verdict for item in results} <= {"agrees", "unlike poses"}
     if place == (-0.2, 1.2):
         assert all(item.verdict == "unlike poses" for item in results)
@@ -273,7 +273,7 @@ def test_poses_of_the_calibration_settle_whether_the_robot_has_changed(worn, mov
     )
     assert again.verdict == verdict
     if moved:
-        assert "zero of joint_3" in again.like_before
+        assert "zero of joint_3" in again.alternative_changes
         zero = next(change for change in again.changes if change.name == "zero of joint_3")
         assert abs(zero.value - moved) < 4 * zero.std
 
@@ -284,8 +284,8 @@ def test_a_change_at_poses_like_those_measured_is_found_though_the_model_is_wron
     q = rng.uniform(-1.2, 0.2, (40, 6))
     assert verify(fit, read(q, rng)).verdict == "agrees"
     changed = verify(fit, read(q, rng, 1e-3))
-    assert (changed.verdict, changed.unlike) == ("drifted", False)
-    assert "zero of joint_3" in changed.like_before
+    assert (changed.verdict, changed.has_unlike_poses) == ("drifted", False)
+    assert "zero of joint_3" in changed.alternative_changes
     assert "95 %: " in text_report(changed, (), ())
     assert "To settle it, measure" in text_report(changed, (), ())
 
@@ -297,7 +297,7 @@ def test_no_verdict_agrees_while_errors_exceed_their_limit(arm):
     fit = calib.fit(robot, measured(truth, rng.uniform(-0.25, 0.25, (40, 6)), rng))
     for _ in range(6):
         item = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (20, 6)), rng))
-        assert item.limit > item.promised
+        assert item.limit > item.expected_rms
         assert item.verdict != "agrees" or 1e-3 * item.errors.table()["after"]["rms"] <= item.limit
 
 

@@ -36,10 +36,10 @@ def test_error_and_uncertainty_are_those_of_the_engine(arm):
 
 def test_what_lies_beyond_the_measured_poses_is_known(arm):
     _, table, result = arm
-    assert 0 < np.sum(result.within) < len(result.within)
+    assert 0 < np.sum(result.is_inside) < len(result.is_inside)
     box = table.measured.min(axis=0), table.measured.max(axis=0)  # the hull is inside its box
-    assert np.all((result.places[result.within] >= box[0]) & (result.places[result.within] <= box[1]))
-    assert np.median(result.std[result.within]) < np.median(result.std[~result.within])
+    assert np.all((result.places[result.is_inside] >= box[0]) & (result.places[result.is_inside] <= box[1]))
+    assert np.median(result.std[result.is_inside]) < np.median(result.std[~result.is_inside])
     corners = result.hull.reshape(-1, 3)
     assert np.all(np.min(np.linalg.norm(corners[:, None] - table.measured[None], axis=2), axis=1) < 1e-12)
 
@@ -60,7 +60,7 @@ def test_a_robot_that_moves_in_a_plane_was_measured_within_an_outline():
     robot = calib.load("docs/examples/five_bar.yaml")
     fit = calib.fit(robot, calib.read_measurements("docs/examples/five_bar_simulated.csv", robot))
     result = gather(robot, fit, mapped=100).scene.map
-    assert 10 < np.sum(result.within) < 100
+    assert 10 < np.sum(result.is_inside) < 100
     corners = np.unique(result.hull.reshape(-1, 3), axis=0)
     assert len(corners) == len(result.hull)  # a closed polygon has as many edges as corners
 

@@ -113,7 +113,7 @@ def test_every_pose_is_judged_before_it_is_fitted(robot, data, candidates):
     watch = calib.Watch(robot, "0.1 mm", candidates=candidates)
     told = watch.update()
     assert (told.fit, told.stop, told.next_pose is None) == (None, False, False)
-    assert watch.update(data[:4]).obstacle is not None
+    assert watch.update(data[:4]).reason_without_fit is not None
     for n in range(20, 20 + LAST):
         told = watch.update(data[:n])
     squares = []

@@ -64,7 +64,7 @@ def answer_page(
 def _image_charts(result: HandEye) -> Charts:
     """Errors of each image and each point, and the comparison of images used and left out."""
     scene = result.scene
-    used, left, board = (result.rms_by_image(v) for v in (result.pixels, result.left.pixels, result.board))
+    used, left, board = (result.rms_by_image(v) for v in (result.pixels, result.left_out.pixels, result.board))
     texts = tuple(
         f"image {name}: {u:.2f} px RMS used, {o:.2f} px left out, {millimetres(b):.3f} mm on the board"
         for name, u, o, b in zip(scene.names, used, left, board, strict=True)
@@ -118,8 +118,8 @@ def _new_reading_charts(acceptance: Acceptance) -> Charts:
     )
     every = np.arange(len(size))
     layers = [layer("points", "", COLOURS["after"], x=every + 1.0, y=size, rows=every)]
-    if part.is_position and np.isfinite(acceptance.promised):
-        expected = [millimetres(acceptance.promised)] * 2
+    if part.is_position and np.isfinite(acceptance.expected_rms):
+        expected = [millimetres(acceptance.expected_rms)] * 2
         layers.append(layer("line", "expected RMS", COLOURS["x"], x=[1.0, float(len(size))], y=expected))
     readings = panel(axis("reading"), axis(f"error [{unit}]"), layers)
     changes = acceptance.changes[:_SHOWN]

@@ -18,13 +18,13 @@ class Judgement:
     Attributes:
         grade: PASS, CHECK or FAIL.
         reasons: Grade and text of each reason; an empty grade where it is not known.
-        no_correction: Whether the measurements show nothing to correct.
+        needs_no_correction: Whether the measurements show nothing to correct.
         following: The next step, in a sentence; empty where it is not known.
     """
 
     grade: str
     reasons: tuple[tuple[str, str], ...]
-    no_correction: bool = False
+    needs_no_correction: bool = False
     following: str = ""
 
     def to_dict(self) -> dict[str, object]:

@@ -216,10 +216,10 @@ def build_scene(
     if ghost is not None and nominal.description.base.pose == "unknown":
         ghost = replace(ghost, root=bodies.poses(solid, 0)[0])
     if ghost is not None:  # what measures has no nominal place: the ghost carries it where it is
-        beside = np.array([name.startswith("(") for name in bodies.names[1:]]) & (
+        of_instruments = np.array([name.startswith("(") for name in bodies.names[1:]]) & (
             np.arange(1, len(bodies.names)) != bodies.base
         )
-        ghost = replace(ghost, placements=np.where(beside[:, None, None], solid.placements, ghost.placements))
+        ghost = replace(ghost, placements=np.where(of_instruments[:, None, None], solid.placements, ghost.placements))
     shapes, shape_notes = read_shapes(nominal)
     shapes += instrument_shapes(solid_robot) + surrounding_shapes(solid_robot)
     decorations = (*decorations_of(nominal.name), *wires(solid_robot, bodies, solid))
@@ -250,7 +250,7 @@ def build_scene(
         pose_of_row,
         sum(map(len, readings)),
         factors,
-        1.0 if verdict is not None and verdict.no_correction else nice_factor(moved, _GHOST_SIZE * size),
+        1.0 if verdict is not None and verdict.needs_no_correction else nice_factor(moved, _GHOST_SIZE * size),
         replace(view, outline=_outline(around, *_box(around))),
         drive_of(solid_robot, bodies, shown),
         (*notes, *shape_notes),

@@ -325,11 +325,11 @@ def _map(scene: ViewerScene, known: WorkspaceMap) -> dict[str, Any]:
     typical = float(np.median(longest)) if len(longest) else float("nan")
     return {
         "n": len(known.places),
-        "beyond": int(np.sum(~known.within)),
+        "beyond": int(np.sum(~known.is_inside)),
         "places": _encode(known.places.astype("<f4")),
         "error": _encode(known.error.astype("<f4")),
         "std": _encode(known.std.astype("<f4")),
-        "within": _encode(known.within.astype(np.uint8)),
+        "within": _encode(known.is_inside.astype(np.uint8)),
         "ranges": {name: _span(values) for name, values in (("error", known.error), ("std", known.std))},
         "hull": _encode(known.hull.astype("<f4")),
         "centres": known.centres.tolist(),

@@ -36,7 +36,7 @@ class WorkspaceMap(ReadOnlyArrays):
         places: Predicted positions, (n, 3) [m].
         error: Distance of the nominal robot from them, (n,) [m]; NaN where it cannot be assembled.
         std: Standard deviation of the positions, all axes together, (n,) [m].
-        within: Which lie within what was measured, (n,).
+        is_inside: Which lie within what was measured, (n,).
         hull: Edges of the convex hull of measured positions, (k, 2, 3) [m].
         centres, half_axes: Ellipsoids that hold the true position with a chance of 95 % at poses of the table: where,
             (m, 3) [m], and their half axes as columns, (m, 3, 3) [m].
@@ -45,7 +45,7 @@ class WorkspaceMap(ReadOnlyArrays):
     places: FloatArray
     error: FloatArray
     std: FloatArray
-    within: BoolArray
+    is_inside: BoolArray
     hull: FloatArray
     centres: FloatArray
     half_axes: FloatArray

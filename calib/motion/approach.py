@@ -32,7 +32,7 @@ def approaches(robot: Robot, poses: Poses) -> FloatArray:
     if not touches:
         return poses.joints
     in_sockets = {touch.name: replace(touch, surface="socket") for touch in touches}  # read the offset, all of it
-    beside = replace(robot, instruments=tuple(in_sockets.get(each.name, each) for each in robot.instruments))
+    touching_robot = replace(robot, instruments=tuple(in_sockets.get(each.name, each) for each in robot.instruments))
     columns = term_columns(robot, poses.joints, poses.conditions)
     closed = robot.close(poses.joints, columns=columns)
     good = np.flatnonzero(closed.ok)
@@ -42,11 +42,11 @@ def approaches(robot: Robot, poses: Poses) -> FloatArray:
         looks = poses.planned[touch.name]
         looks = looks.subset(np.flatnonzero(closed.ok[looks.visits]))
         at = replace(looks, visits=np.searchsorted(good, looks.visits))
-        offset = predict_readings(beside, configurations, {touch.name: at})[touch.name].values
+        offset = predict_readings(touching_robot, configurations, {touch.name: at})[touch.name].values
         sides = offset if touch.surface == "sphere" else np.tile([0.0, 0.0, 1.0], (len(offset), 1))
         sides = sides / np.maximum(np.linalg.norm(sides, axis=1, keepdims=True), MET)
         off[touch.name] = Readings(looks.visits, looks.pairs, offset + _OFF * sides, None, looks.details)
         touched[looks.visits] = True
-    commands, misses = touching_configurations(beside, poses, off)
+    commands, misses = touching_configurations(touching_robot, poses, off)
     there = np.where((misses < MET)[:, None], commands, np.nan)
     return np.where(touched[:, None], there, poses.joints)

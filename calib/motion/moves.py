@@ -74,8 +74,8 @@ class _Pieces:
 
     first: FloatArray
     last: FloatArray
-    at_first: FloatArray
-    at_last: FloatArray
+    first_joints: FloatArray
+    last_joints: FloatArray
     pairs: BoolArray
 
     def __len__(self) -> int:
@@ -89,7 +89,7 @@ class _Pieces:
 
     def excursions(self, middles: FloatArray, scene: CollisionScene) -> FloatArray:
         """Largest motion of joints on a piece, from its middle, (n, n_joints) [m or rad]."""
-        moved: FloatArray = np.maximum(np.abs(self.at_first - middles), np.abs(self.at_last - middles))
+        moved: FloatArray = np.maximum(np.abs(self.first_joints - middles), np.abs(self.last_joints - middles))
         passive = np.any(scene.robot.mechanism.select_passive != 0, axis=1)
         return np.where(passive, _BENDS, 1.0) * moved
 
@@ -100,7 +100,7 @@ class _Pieces:
         return _Pieces(
             np.concatenate([self.first[open_], middle]),
             np.concatenate([middle, self.last[open_]]),
-            np.concatenate([self.at_first[open_], at_middle]),
-            np.concatenate([at_middle, self.at_last[open_]]),
+            np.concatenate([self.first_joints[open_], at_middle]),
+            np.concatenate([at_middle, self.last_joints[open_]]),
             np.concatenate([unproven[open_], unproven[open_]]),
         )

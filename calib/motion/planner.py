@@ -40,7 +40,7 @@ class Planner:
         nodes: Free poses of the roadmap, all different; ways are between two of them, (n, n_actuated) [m or rad].
         limits: Limits of the joints, (n_actuated, 2) [m or rad].
         seed: Seed of random numbers.
-        known: Moves that were checked, by their ends.
+        checked_moves: Moves that were checked, by their ends.
         here: The node at which the robot is.
     """
 
@@ -48,7 +48,7 @@ class Planner:
     nodes: FloatArray
     limits: FloatArray
     seed: int
-    known: dict[bytes, StraightMove] = field(default_factory=dict)
+    checked_moves: dict[bytes, StraightMove] = field(default_factory=dict)
     here: int = 0
 
     def __post_init__(self) -> None:
@@ -60,7 +60,7 @@ class Planner:
         self._lengths = np.where(near | near.T, np.maximum(gaps, _SAME), 0.0)
         self._free = np.zeros((n, n), dtype=bool)
         number = {node.tobytes(): k for k, node in enumerate(self.nodes)}
-        for key, move in self.known.items():
+        for key, move in self.checked_moves.items():
             start, end = (number.get(half) for half in (key[: len(key) // 2], key[len(key) // 2 :]))
             if start is not None and end is not None:
                 self._mark(start, end, free=not move.hit)
@@ -75,9 +75,9 @@ class Planner:
     def move(self, start: FloatArray, end: FloatArray) -> StraightMove:
         """Return what the straight move between two commands, (n_actuated,) each, is worth, both ways alike."""
         key = b"".join(sorted((start.tobytes(), end.tobytes())))
-        if key not in self.known:
-            self.known[key] = check_move(self.scene, start, end)
-        return self.known[key]
+        if key not in self.checked_moves:
+            self.checked_moves[key] = check_move(self.scene, start, end)
+        return self.checked_moves[key]
 
     def free_path(self, start: int, end: int, *, searched: bool = True) -> FloatArray | None:
         """Return the corners of a free way between two nodes, both included, (n, n_actuated); None: none found.

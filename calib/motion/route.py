@@ -219,11 +219,11 @@ def _pass(planner: Planner, start: FloatArray, poses: Poses, searched: bool) -> 
     return stops, why
 
 
-def _why_not_straight(planner: Planner, beside: FloatArray, touching: FloatArray) -> str:
+def _why_not_straight(planner: Planner, approach: FloatArray, touching: FloatArray) -> str:
     """Why a touch cannot be approached along its normal; "" where it can."""
-    if not np.all(np.isfinite(beside)):
+    if not np.all(np.isfinite(approach)):
         return "no joint values are straight out from what it touches"
-    hit = _why_blocked(planner.scene.robot, beside[None])[0] or planner.move(beside, touching).hit
+    hit = _why_blocked(planner.scene.robot, approach[None])[0] or planner.move(approach, touching).hit
     return f"{hit}, straight out from what it touches" if hit else ""
 
 

@@ -22,9 +22,9 @@ class HandEye(ReadOnlyArrays):
     Attributes:
         scene: The images that were used.
         fitted: Estimate from these images.
-        left: Errors of images that were left out in turn.
-        alone: Residuals of a fit without the robot, (m, 2) [px]; NaN in images with too few points.
-        off: Outlying images, which were not used.
+        left_out: Errors of images that were left out in turn.
+        residuals_without_robot: Residuals of a fit without the robot, (m, 2) [px]; NaN in images with too few points.
+        outlying_images: Outlying images, which were not used.
         points_off: Outlying points of other images, which were not used, furthest first.
         mistakes: Mistakes that would explain the residuals, largest first.
         intrinsics_given: Intrinsics that the user gave, (9,); None if none were given.
@@ -34,9 +34,9 @@ class HandEye(ReadOnlyArrays):
 
     scene: BoardScene
     fitted: HandEyeEstimate
-    left: LeftOutImages
-    alone: FloatArray
-    off: tuple[OffImage, ...]
+    left_out: LeftOutImages
+    residuals_without_robot: FloatArray
+    outlying_images: tuple[OffImage, ...]
     points_off: tuple[OffPoint, ...]
     mistakes: tuple[Mistake, ...]
     intrinsics_given: FloatArray | None
@@ -80,11 +80,11 @@ class HandEye(ReadOnlyArrays):
 
         Reference: satterthwaite1946.
         """
-        squares = self.rms_by_image(self.left.board) ** 2
+        squares = self.rms_by_image(self.left_out.board) ** 2
         n, mean = len(squares), float(np.mean(squares))
         if not np.isfinite(mean):  # a ray does not meet the plane of the board
             return float("nan")
-        ratio = rms(self.alone) / rms(self.left.pixels)
+        ratio = rms(self.residuals_without_robot) / rms(self.left_out.pixels)
         point_share = min(ratio**2, 1.0) if np.isfinite(ratio) else 0.0  # part of the squares that is each point's own
         most = 1.0 / ((1.0 - point_share) ** 2 / n + point_share**2 / (2 * len(self.scene.pixels)))
         spread = float(np.var(squares, ddof=1)) / n

@@ -73,12 +73,12 @@ def calibrate(
     chosen = choices[0]
     better = chosen
     for other in choices[1:]:
-        if _gain(better.left, other.left, len(kept_scene)) > _GAIN:
+        if _gain(better.left_out, other.left_out, len(kept_scene)) > _GAIN:
             better = other
     chosen = choices[0] if lens == "given" else better
-    rms_given = float("nan") if choices[0].free else rms(choices[0].left.pixels)
+    rms_given = float("nan") if choices[0].free else rms(choices[0].left_out.pixels)
     tell(3, 5)
-    fitted, left = estimate(kept_scene, chosen.placed, chosen.free, chosen.prior), chosen.left
+    fitted, left = estimate(kept_scene, chosen.placed, chosen.free, chosen.prior), chosen.left_out
     used, weighed = chosen.prior, False
     if fitted.noise.shift > 0 or fitted.noise.turn > 0:
         try:

@@ -59,7 +59,7 @@ def judge(result: HandEye) -> HandEyeJudgement:
     scene, reasons, advice = result.scene, [], []
     failed = [mistake.text for mistake in result.mistakes if mistake.whole]
     reasons += [mistake.text for mistake in result.mistakes if not mistake.whole]
-    for image in result.off:
+    for image in result.outlying_images:
         reasons.append(
             f"image {image.name} is off by {image.rms:.0f} px, as if the tool were {_MM * image.shift:.1f} mm and"
             f" {np.rad2deg(image.turn):.2f} deg elsewhere; it was left out: look at it, and at its pose"
@@ -93,7 +93,7 @@ def judge(result: HandEye) -> HandEyeJudgement:
                 f" {_MM * result.distance:.0f} mm away"
             )
             advice.append("turn the tool further, about two axes or more, at more poses; or calibrate the kinematics")
-    used, left = rms(result.board), rms(result.left.board)
+    used, left = rms(result.board), rms(result.left_out.board)
     if not left * _CLAIM_ABOVE < used:
         reasons.append(
             f"errors of images left out are {left / used:.1f} times those of images used: there are too few images"
@@ -121,8 +121,9 @@ def report(result: HandEye, frames: Frames) -> str:
     lines += [f"  {judgement.grade if k == 0 else '     '}: {text}" for k, text in enumerate(judgement.reasons)]
     if judgement.grade != "FAIL":
         lines.append(
-            f"Points of new images like these are {_MM * rms(result.left.board):.3f} mm off on the board,"
-            f" {rms(result.left.pixels):.3f} px in the image (RMS of images left out in turn). The RMS of as many new"
+            f"Points of new images like these are {_MM * rms(result.left_out.board):.3f} mm off on the board,"
+            f" {rms(result.left_out.pixels):.3f} px in the image (RMS of images left out in turn). The RMS of as many"
+            f" new"
             f" images is below {_MM * result.limit:.3f} mm with a chance of 95 %"
         )
     errors, by_image = np.linalg.norm(result.board, axis=1), result.rms_by_image(result.pixels)
@@ -143,7 +144,7 @@ def report(result: HandEye, frames: Frames) -> str:
     lines.append("Largest: " + listing([f"image {scene.names[i]} {by_image[i]:.2f} px" for i in worst]))
     if result.intrinsics_given is not None and result.lens_found:
         given = f"; {result.rms_given:.3f} px with the intrinsics given" if np.isfinite(result.rms_given) else ""
-        lines.append(f"Lens: found from these images (left out: {rms(result.left.pixels):.3f} px{given})")
+        lines.append(f"Lens: found from these images (left out: {rms(result.left_out.pixels):.3f} px{given})")
     elif result.lens_found:
         lines.append("Lens: found from these images, because none was given")
     else:
@@ -173,7 +174,7 @@ def report(result: HandEye, frames: Frames) -> str:
 
 def _shares(result: HandEye, usable: bool) -> str:
     """Error of the camera alone and with the robot; if usable, with advice."""
-    all_, alone = rms(result.pixels), rms(result.alone)
+    all_, alone = rms(result.pixels), rms(result.residuals_without_robot)
     if not np.isfinite(alone):
         return "What the camera alone leaves is not known: images show fewer than six points"
     share = max(0.0, 1.0 - (alone / all_) ** 2)
@@ -193,8 +194,8 @@ def content(result: HandEye, frames: Frames) -> dict[str, object]:
     scene, fitted, judgement, half = result.scene, result.fitted, judge(result), result.uncertainty()
     above = frames.parents(scene.mount)
     images = zip(
-        scene.names, scene.counts, result.rms_by_image(result.pixels), result.rms_by_image(result.left.pixels),
-        result.rms_by_image(result.board), result.rms_by_image(result.left.board), strict=True,
+        scene.names, scene.counts, result.rms_by_image(result.pixels), result.rms_by_image(result.left_out.pixels),
+        result.rms_by_image(result.board), result.rms_by_image(result.left_out.board), strict=True,
     )  # fmt: skip
     return {
         "verdict": judgement.grade,
@@ -205,9 +206,10 @@ def content(result: HandEye, frames: Frames) -> dict[str, object]:
         "board": _place(above[1], frames.board, fitted.placed.board, half["board"]),
         "intrinsics": dict(zip(NAMES, map(float, fitted.placed.intrinsics), strict=True))
         | {"found": [NAMES[k] for k in fitted.free], "image": list(scene.size)},
-        "pixels": {"rms": rms(result.pixels), "left_out": rms(result.left.pixels), "camera_alone": rms(result.alone),
+        "pixels": {"rms": rms(result.pixels), "left_out": rms(result.left_out.pixels),
+                   "camera_alone": rms(result.residuals_without_robot),
                    "left_out_with_given_intrinsics": result.rms_given},
-        "on_board_m": {"rms": rms(result.board), "left_out": rms(result.left.board), "limit95": result.limit},
+        "on_board_m": {"rms": rms(result.board), "left_out": rms(result.left_out.board), "limit95": result.limit},
         "noise": {"pixel": fitted.noise.pixel, "tool_shift_m": fitted.noise.shift, "tool_turn_rad": fitted.noise.turn,
                   "arm_m_and_rad": fitted.arm},
         "weighed": result.weighed,
@@ -217,7 +219,7 @@ def content(result: HandEye, frames: Frames) -> dict[str, object]:
         ],
         "set_aside": [
             {"name": image.name, "rms_px": image.rms, "shift_m": image.shift, "turn_rad": image.turn}
-            for image in result.off
+            for image in result.outlying_images
         ],
         "points_left_out": [
             {"image": point.image, "u": point.pixel[0], "v": point.pixel[1], "distance_px": point.distance}

@@ -70,7 +70,7 @@ class Choice:
     placed: HandEyePlacement
     free: tuple[int, ...]
     prior: IntrinsicsPrior | None
-    left: LeftOutImages
+    left_out: LeftOutImages
 
 
 def lens_choices(

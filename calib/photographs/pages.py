@@ -26,14 +26,14 @@ class Picture:
         image: Points detected in it.
         small: Its small copy as JPEG; empty where there is no image.
         caption: Text below it.
-        off: Whether it is marked as off.
+        is_outlying: Whether it is marked as off.
         arrows: From where points were found to where the calibration puts them, (n, 2) [px]; empty for none.
     """
 
     image: DetectedImage
     small: bytes
     caption: str
-    off: bool = False
+    is_outlying: bool = False
     arrows: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
 
 
@@ -52,7 +52,7 @@ def small_copy(image: GreyImage | str) -> bytes:
 def figure(picture: Picture) -> str:
     """Return a photograph with what was found in it and its arrows, as HTML."""
     width, height = picture.image.size
-    words = f'<span class="{"off" if picture.off else "fine"}">{escape(picture.caption)}</span>'
+    words = f'<span class="{"off" if picture.is_outlying else "fine"}">{escape(picture.caption)}</span>'
     if not picture.small or not width:
         return f"<figure><figcaption><b>{escape(picture.image.name)}</b>: {words}</figcaption></figure>"
     radius = max(width, height) / 100

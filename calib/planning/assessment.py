@@ -79,7 +79,7 @@ class Assessment(ReadOnlyArrays):
         posterior_information: Uncertainty of the free parameters from poses and priors; in units of
             `determination.lengths`.
         groups: Groups of parameters whose common change no pose shows, of all parameters, from the poses alone.
-        open_groups: The same of the free ones, priors included: groups that stay undetermined.
+        undetermined_groups: The same of the free ones, priors included: groups that stay undetermined.
         elimination: Parameters to hold so that the poses determine the rest.
         scaled: O1 to O5 of the free parameters, on columns scaled by sigma [m]; if no lengths are measured, in units of
             the noise of a reading.
@@ -88,8 +88,8 @@ class Assessment(ReadOnlyArrays):
         accuracy: Predicted position error at the task poses.
         position_errors: The same at each of them, of the targets in `RobotData.reported_targets`, (n_task, n_located)
             [m].
-        beside_common: Root mean square of the predicted position error [m], without the part that moves all positions
-            as one body, such as where the base stands.
+        rms_without_common: Root mean square of the predicted position error [m], without the part that moves all
+            positions as one body, such as where the base stands.
         by_count: Predicted accuracy against number of poses.
         near_singular: Poses closer to a singularity of the loops than the description's limit.
         left_out: Targets that are left out of the accuracy (`RobotData.unreported_targets`).
@@ -104,14 +104,14 @@ class Assessment(ReadOnlyArrays):
     determination: Determination
     posterior_information: Information
     groups: tuple[UnseenGroup, ...]
-    open_groups: tuple[UnseenGroup, ...]
+    undetermined_groups: tuple[UnseenGroup, ...]
     elimination: Elimination
     scaled: dict[str, float]
     raw: dict[str, float]
     std: FloatArray
     accuracy: TaskIndex
     position_errors: FloatArray
-    beside_common: float
+    rms_without_common: float
     by_count: tuple[CountRow, ...]
     near_singular: tuple[str, ...]
     left_out: tuple[str, ...]
@@ -125,10 +125,14 @@ class Assessment(ReadOnlyArrays):
     def __str__(self) -> str:
         left = int(np.sum(self.free)) - self.rank_free.rank
         by_priors = f"priors hold the other {left}" if left else "no prior is needed"
-        held = f"{count_noun(len(self.open_groups), 'group')} not determined" if self.open_groups else by_priors
+        held = (
+            f"{count_noun(len(self.undetermined_groups), 'group')} not determined"
+            if self.undetermined_groups
+            else by_priors
+        )
         following = (
             "hold parameters (`robot.fix`) or add poses"
-            if self.open_groups
+            if self.undetermined_groups
             else "calib.select(robot, candidates, count=40), or calib.fit(robot, data) of measurements at these poses"
         )
         unseen = [", ".join(self.parameters[k].name for k in group.members) for group in self.groups]
@@ -239,7 +243,7 @@ def check(
         _, positions, task_rows = rows_of_measured(robot, task, sigma)
     task_rows = task_rows / lengths[free]
     errors = known.position_errors(task_rows)
-    beside = known.position_errors(without_common_motion(positions[:, robot.reported_targets], task_rows))
+    without_common = known.position_errors(without_common_motion(positions[:, robot.reported_targets], task_rows))
     kept = [p for p, use in zip(parameters, free, strict=True) if use]
     scaled, raw = observability_of(noise * columns[:, free], kept, poses.n_poses, lengths=noise != WHITENED)
     near = np.flatnonzero(robot.singular_values(configurations) < robot.description.singularity_limit)
@@ -253,14 +257,14 @@ def check(
         determination=determined,
         posterior_information=known,
         groups=null_groups(determined.columns, _spoken_for(free, elimination), lengths),
-        open_groups=null_groups(determined.open_columns, lengths=lengths[free]),
+        undetermined_groups=null_groups(determined.open_columns, lengths=lengths[free]),
         elimination=elimination,
         scaled=scaled,
         raw=raw,
         std=known.standard_deviations() / determined.lengths[free],
         accuracy=task_index(errors),
         position_errors=errors,
-        beside_common=float(np.sqrt(np.mean(beside**2))),
+        rms_without_common=float(np.sqrt(np.mean(without_common**2))),
         by_count=accuracy_by_count(rows[..., free] / lengths[free], priors, task_rows),
         near_singular=tuple(poses.labels[k] for k in near),
         left_out=tuple(robot.unreported_targets),

@@ -55,7 +55,9 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
             "rank_with_priors": a.determination.together.rank,
             "held": [name for name, free in zip(names, a.free, strict=True) if not free],
             "groups": [_group(a, k) for k in range(len(a.groups))],
-            "undetermined": [[a.free_parameters[member].name for member in group.members] for group in a.open_groups],
+            "undetermined": [
+                [a.free_parameters[member].name for member in group.members] for group in a.undetermined_groups
+            ],
             "elimination": [
                 {"name": names[k], "condition": condition}
                 for k, condition in zip(a.elimination.dropped, a.elimination.conditions, strict=True)
@@ -65,7 +67,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
             "correlations": [{"a": first, "b": second, "r": r} for first, second, r in a.correlated_pairs()],
             "hardly_known": [{"name": name, "part": part} for name, part in a.hardly_known()],
             "accuracy_mm": _task(a.accuracy),
-            "beside_common_motion_mm": millimetres(a.beside_common),
+            "beside_common_motion_mm": millimetres(a.rms_without_common),
             "by_count": [
                 {
                     "count": row.count,
@@ -92,7 +94,7 @@ def _verdict(a: Assessment, most: int | None, width: int) -> list[str]:
     lines.append(sentence(a.determination.words()))
     if a.determination.missing:
         lines.append("Hold one of each of these, or add other poses:")
-        lines += _groups_in_words(a.open_groups, a.free_parameters, most, width)
+        lines += _groups_in_words(a.undetermined_groups, a.free_parameters, most, width)
     if a.near_singular:
         lines.append(
             f"Warning: {count_noun(len(a.near_singular), 'pose')} near a singularity of the loops:"
@@ -186,10 +188,10 @@ def _accuracy(a: Assessment) -> list[str]:
     else:
         lines = [f"With all {a.n_poses}: position error unbounded, because what is not determined moves positions."]
     many = a.position_errors.size >= _MANY_POSITIONS
-    if many and a.beside_common < _MOSTLY_COMMON * a.accuracy.rms:
+    if many and a.rms_without_common < _MOSTLY_COMMON * a.accuracy.rms:
         lines.append(
             "Most of this error moves all positions as one body, as an unknown place of the base does. Without that"
-            f" part, positions are known to {millimetres(a.beside_common):.4f} mm RMS."
+            f" part, positions are known to {millimetres(a.rms_without_common):.4f} mm RMS."
         )
     return lines + ([f"Not counted: {listing(a.left_out)}, read from unknown places only."] if a.left_out else [])
 

@@ -65,7 +65,7 @@ class Progress(ReadOnlyArrays):
         n_poses: Poses measured.
         n_candidates: Number of reachable poses: the goal is about them, and the next pose is one of them.
         fit: The calibration from all measured poses; None while they do not suffice.
-        obstacle: Reason why there is no fit yet.
+        reason_without_fit: Reason why there is no fit yet.
         predicted: Error over the candidates by noise, from the covariance of the fit.
         unseen: Error at the last poses, each predicted by a fit of the poses before it, including noise of readings.
             If no positions are measured, it is estimated from the errors of the readings.
@@ -80,7 +80,7 @@ class Progress(ReadOnlyArrays):
     n_poses: int
     n_candidates: int
     fit: Fit | None
-    obstacle: CalibrationError | None
+    reason_without_fit: CalibrationError | None
     predicted: RootMeanSquare
     unseen: RootMeanSquare
     n_unseen: int
@@ -132,7 +132,7 @@ class Progress(ReadOnlyArrays):
     def error_lines(self) -> list[str]:
         """Return the lines about the errors and the goal."""
         if self.fit is None:
-            lines = [f"not yet a calibration: {self.obstacle}"]
+            lines = [f"not yet a calibration: {self.reason_without_fit}"]
         else:
             lines = [
                 f"predicted error  {_format_error(self.predicted)} over {self.n_candidates} candidates",
@@ -151,7 +151,7 @@ class Progress(ReadOnlyArrays):
                 "stop": self.stop,
                 "poses_left": self.poses_left,
                 "out_of_reach": self.out_of_reach,
-                "obstacle": None if self.obstacle is None else str(self.obstacle),
+                "obstacle": None if self.reason_without_fit is None else str(self.reason_without_fit),
                 "predicted_mm": _as_data(self.predicted),
                 "unseen_mm": _as_data(self.unseen) | {"poses": self.n_unseen},
                 "next": None

@@ -57,12 +57,12 @@ class DeterminantScores(ChoiceInformation):
     Attributes:
         inverse: K^-1, (r, r).
         seen: G of every candidate, (k, k, n_candidates): the last, so that sums run through memory.
-        age: Moves since `seen` was computed anew.
+        moves_since_update: Moves since `seen` was computed anew.
     """
 
     inverse: FloatArray
     seen: FloatArray
-    age: int
+    moves_since_update: int
 
     @classmethod
     def from_problem(cls, problem: SelectionProblem, gathered: FloatArray) -> DeterminantScores:
@@ -93,13 +93,15 @@ class DeterminantScores(ChoiceInformation):
         gathered = self.gathered + sign * rows.T @ rows
         left = _determinants(self.seen[:, :, candidate : candidate + 1], sign)[0]
         small = np.eye(len(rows)) + sign * self.seen[:, :, candidate]
-        if self.age >= _REFRESH or left < _UPDATED or linalg.eigvalsh(small)[0] <= 0:  # two below 0: det above it
+        if (
+            self.moves_since_update >= _REFRESH or left < _UPDATED or linalg.eigvalsh(small)[0] <= 0
+        ):  # two below 0: det above it
             return DeterminantScores.from_problem(self.problem, gathered)
         half = np.linalg.solve(np.linalg.cholesky(small), rows @ self.inverse).T
         inverse = self.inverse - sign * half @ half.T
         through = _products(self.problem.rows, half)
         seen = self.seen - sign * np.einsum("icn,kcn->ikn", through, through)
-        return DeterminantScores(self.problem, gathered, inverse, seen, self.age + 1)
+        return DeterminantScores(self.problem, gathered, inverse, seen, self.moves_since_update + 1)
 
 
 def _root(matrix: FloatArray) -> FloatArray:

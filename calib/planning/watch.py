@@ -124,7 +124,7 @@ class Watch:
             n_poses=0 if data is None else data.n_poses,
             n_candidates=self._n_reached,
             fit=self._fit,
-            obstacle=obstacle,
+            reason_without_fit=obstacle,
             predicted=predicted,
             unseen=unseen_rms(self._squares[-n_unseen:] if n_unseen else []),
             n_unseen=n_unseen,

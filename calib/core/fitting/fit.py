@@ -107,14 +107,14 @@ class Minimum:
 
     Attributes:
         robot: The nominal robot.
-        later: Free parameters of places that the measurements do not show, and validation does.
+        validation_only: Free parameters of places that the measurements do not show, and validation does.
         start: With base and targets placed.
         determined: Determination by the measurements there.
         solved: The minimum.
     """
 
     robot: Robot
-    later: tuple[str, ...]
+    validation_only: tuple[str, ...]
     start: Evaluation
     determined: Determination
     solved: RobustSolution
@@ -185,7 +185,7 @@ def fit_at(
     nearby: WarmStart | None = None,
 ) -> Fit:
     """Return the fit that ends at a minimum; see `fit_data`."""
-    robot, later, start, solved = minimum.robot, minimum.later, minimum.start, minimum.solved
+    robot, later, start, solved = minimum.robot, minimum.validation_only, minimum.start, minimum.solved
     problem, final = solved.problem, solved.evaluation
     second_order = None if nearby is None else nearby.second_order(problem.unknowns.names)
     rows, scales, uncertainty = uncertainty_at(solved, second_order)
@@ -248,7 +248,8 @@ def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, 
 
 
 def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tuple[str, ...]:
-    """Return the free parameters of places that readings of `later` look at, or from, and those of `data` do not.
+    """Return the free parameters of places that readings of `validation_only` look at, or from, and those of `data` do
+    not.
 
     Such as a tool or a tracker put up anew for the validation. Where they are says nothing about the robot, so they are
     placed by the later readings alone, before and after calibration: what is left is what the robot itself is off.

@@ -51,16 +51,16 @@ class Convergence:
         message: The rule that ended it; or the residuals, where these decide.
         step_left: Largest Gauss-Newton step left, over the standard deviation of its parameter.
         parameter: That parameter.
-        weights_stand: Whether the weights of a robust loss have settled; True without one.
-        receding: Parameters whose best values recede, the farthest first: the data do not determine them.
+        has_settled_weights: Whether the weights of a robust loss have settled; True without one.
+        receding_parameters: Parameters whose best values recede, the farthest first: the data do not determine them.
     """
 
     converged: bool
     message: str
     step_left: float
     parameter: str
-    weights_stand: bool
-    receding: tuple[str, ...] = ()
+    has_settled_weights: bool
+    receding_parameters: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

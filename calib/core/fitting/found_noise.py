@@ -46,10 +46,10 @@ def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
         groups: Scales to start from, (n_groups,).
     """
     whitening = problem.whitening
-    tried = problem.ratios > 0 if np.any(problem.ratios) else whitening.tells_offsets
+    tried = problem.offset_ratios > 0 if np.any(problem.offset_ratios) else whitening.tells_offsets
     if not np.any(tried):
-        return problem.ratios
-    known = problem.ratios * whitening.offset_scale(groups)
+        return problem.offset_ratios
+    known = problem.offset_ratios * whitening.offset_scale(groups)
     rows, offsets = problem.plain_rows(evaluation, np.ones(len(groups))), whitening.offset_columns * tried
     components = find_components(rows, groups, problem.noise_found, offsets, whitening.layout.pose_of_row, known)
     ratios: FloatArray = components.shared / whitening.offset_scale(components.scales)

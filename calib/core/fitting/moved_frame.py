@@ -38,13 +38,13 @@ class MovedFrame:
     Attributes:
         shift: How far, at the centre of their points [m].
         angle: By which angle [rad].
-        left: Root mean square error that the motion leaves [m].
+        rms_after: Root mean square error that the motion leaves [m].
         errors: At these poses, with their frame placed anew; None where it cannot be placed.
     """
 
     shift: float
     angle: float
-    left: float
+    rms_after: float
     errors: ErrorSet | None
 
 

@@ -30,8 +30,8 @@ class Outlier:
         pose: Index of the visit in its set.
         reading: Index of the reading among all of its set.
         target: Name of the instrument; for positions, this is the name of the target.
-        looked_at: Thing that the instrument looked at, such as a corner of a board; empty where it has only one.
-        together: Number of readings of this visit, if they are off together; 0 if this one is off alone.
+        detail: Thing that the instrument looked at, such as a corner of a board; empty where it has only one.
+        n_together: Number of readings of this visit, if they are off together; 0 if this one is off alone.
         label: File, line and pose name.
         distance: Distance between prediction and reading in the first part [SI].
         size: Errors of all parts in words.
@@ -43,8 +43,8 @@ class Outlier:
     pose: int
     reading: int
     target: str
-    looked_at: str
-    together: int
+    detail: str
+    n_together: int
     label: str
     distance: float
     size: str
@@ -58,7 +58,7 @@ class Outlier:
     @property
     def description(self) -> str:
         """The reading and its error in words."""
-        what = f"{self.target} {self.looked_at}" if self.looked_at else self.target
+        what = f"{self.target} {self.detail}" if self.detail else self.target
         times = f"{self.studentised:.1f} times the noise (leverage {self.leverage:.2f})"
         return f"{what}: {self.size} off, {times}"
 
@@ -83,8 +83,8 @@ def outliers_of(studentised: StudentisedErrors, error_set: ErrorSet, layout: Lay
                 pose=visit,
                 reading=k,
                 target=name,
-                looked_at=" ".join(word for words in texts.values() for word in words),
-                together=int(together[visit]),
+                detail=" ".join(word for words in texts.values() for word in words),
+                n_together=int(together[visit]),
                 label=error_set.data.labels[visit] if readings.labels is None else readings.labels[number],
                 distance=float(_lengths(instrument, errors)[0]),
                 size=size_in_words(instrument, errors),
@@ -108,8 +108,8 @@ def outliers_in_words(outliers: Sequence[Outlier]) -> list[str]:
     """Return each outlier in words; a visit that is off as a whole is one text."""
     words: dict[object, str] = {}
     for number, outlier in enumerate(outliers):
-        if outlier.together:
-            text = f"{outlier.label}, all {outlier.together} readings together, such as {outlier.description}"
+        if outlier.n_together:
+            text = f"{outlier.label}, all {outlier.n_together} readings together, such as {outlier.description}"
             words.setdefault(("visit", outlier.pose), text)
         else:
             words["reading", number] = str(outlier)
@@ -123,7 +123,7 @@ def readings_of_outliers(outliers: Sequence[Outlier], layout: Layout) -> dict[st
         outliers: The outliers.
         layout: Layout of the rows of the fit.
     """
-    visits = [outlier.pose for outlier in outliers if outlier.together]
+    visits = [outlier.pose for outlier in outliers if outlier.n_together]
     gone = np.isin(np.arange(layout.n_readings), [outlier.reading for outlier in outliers])
     gone |= np.isin(layout.visit, visits)
     return numbers_by_instrument(np.flatnonzero(gone), layout)

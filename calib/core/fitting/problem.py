@@ -86,7 +86,8 @@ class Problem(ReadOnlyArrays):
         whitening: Whitening by the stated noise.
         unknowns: The free parameters, with the sizes of families found so far.
         noise_found: Groups whose noise is found from the residuals, (n_groups,): at first those without stated noise.
-        ratios: Standard deviations of offsets over the scales of their groups, (n_offsets,); all 0 without offsets.
+        offset_ratios: Standard deviations of offsets over the scales of their groups, (n_offsets,); all 0 without
+            offsets.
         weighing: Whitening for offsets with these ratios; None without offsets.
         limits: Whether a pose beyond the limits of a passive joint counts as open, also at trial steps.
     """
@@ -99,7 +100,7 @@ class Problem(ReadOnlyArrays):
     whitening: Whitening
     unknowns: Unknowns
     noise_found: BoolArray
-    ratios: FloatArray
+    offset_ratios: FloatArray
     weighing: SharedError | None = None
     limits: bool = False
 
@@ -149,7 +150,7 @@ class Problem(ReadOnlyArrays):
 
     def with_offset_ratios(self, ratios: FloatArray) -> Problem:
         """Return the problem for offsets with these ratios to the scales of their groups, (n_offsets,)."""
-        return replace(self, ratios=ratios, weighing=self.whitening.weighing(ratios))
+        return replace(self, offset_ratios=ratios, weighing=self.whitening.weighing(ratios))
 
     @property
     def has_unstated_noise(self) -> BoolArray:

@@ -33,14 +33,14 @@ class Regions:
     """Changes of parameters where regions are left out in turn.
 
     Attributes:
-        where: Region on which the parameters depend, in words.
+        dependence: Region on which the parameters depend, in words.
         ratio: How many times as much as noise explains they move.
-        surely: Whether chance does not explain it.
+        is_significant: Whether chance does not explain it.
     """
 
-    where: str
+    dependence: str
     ratio: float
-    surely: bool
+    is_significant: bool
 
 
 def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: Statistics) -> Regions | None:

@@ -55,7 +55,7 @@ class RobustSolution:
         solution: Last report of the solver.
         weights: Weight of each reading, (n_readings,); None without a robust loss.
         factors: Factors on the noise, by the residuals, with a robust loss.
-        settled: Whether the weights of a robust loss stand.
+        has_settled_weights: Whether the weights of a robust loss stand.
         starts: Ends of perturbed starts, if requested.
     """
 
@@ -65,7 +65,7 @@ class RobustSolution:
     solution: LeastSquaresSolution
     weights: FloatArray | None = None
     factors: Factors | None = None
-    settled: bool = True
+    has_settled_weights: bool = True
     starts: Starts | None = None
 
 

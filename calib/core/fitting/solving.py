@@ -201,7 +201,7 @@ def _solve_with_offsets(problem: Problem, start: Evaluation) -> RobustSolution:
     if weighed is None:
         return plain
     errors, others = (left_out_rms(end.problem, end.evaluation, end.groups) for end in (plain, weighed))
-    gain, judges = np.log(errors / others), problem.whitening.without_offsets(weighed.problem.ratios)
+    gain, judges = np.log(errors / others), problem.whitening.without_offsets(weighed.problem.offset_ratios)
     return weighed if problem.whitening.layout.poses_of_groups[judges] @ gain[judges] > _GAINED else plain
 
 
@@ -212,7 +212,7 @@ def _solve_weighed(plain: RobustSolution) -> RobustSolution | None:
         try:
             problem = solved.problem
             ratios = ratios_found(problem, solved.evaluation, solved.groups)
-            stands = np.all(np.abs(ratios - problem.ratios) <= _RATIOS_STAND * (1.0 + problem.ratios))
+            stands = np.all(np.abs(ratios - problem.offset_ratios) <= _RATIOS_STAND * (1.0 + problem.offset_ratios))
             if not np.any(ratios):
                 return None
             solved = _solve_with_noise(
@@ -302,7 +302,7 @@ def uncertainty_at(
         NotIdentifiableError: No degrees of freedom are left.
     """
     problem = solved.problem
-    rows, scales = problem.rows(solved.evaluation, solved.groups), Scales(solved.groups, problem.ratios)
+    rows, scales = problem.rows(solved.evaluation, solved.groups), Scales(solved.groups, problem.offset_ratios)
     layout, unknowns = problem.whitening.layout, problem.unknowns
     robust = solved.factors
     slowed = rows if robust is None else rows.with_weights(np.full(layout.n_readings, robust.slope))
@@ -367,4 +367,4 @@ def convergence_at(solved: RobustSolution, rows: Rows, std: FloatArray) -> Conve
     recedes = solved.solution.recedes and not stands
     far = np.flatnonzero(away >= _FAR * np.max(away)) if recedes else np.zeros(0, dtype=np.intp)
     receding = tuple(unknowns.names[k] for k in far[np.argsort(-away[far])])
-    return Convergence(solved.settled and stands, message, step, name, solved.settled, receding)
+    return Convergence(solved.has_settled_weights and stands, message, step, name, solved.has_settled_weights, receding)

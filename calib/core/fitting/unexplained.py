@@ -22,7 +22,7 @@ the rows say about them, and that counts beside what they leave open. Where `--t
 kinds, these count instead.
 
 What rows cannot tell apart counts as delta, because the noise of readings does not move the tool
-(`calib.core.numerics.size_search.scatter_beside_noise`). Where noise is known, that is nothing; where all joints move
+(`calib.core.numerics.size_search.scatter_given_noise`). Where noise is known, that is nothing; where all joints move
 all readings alike, as in a gantry, it is most of what residuals have.
 
 Delta is no part of the covariance of parameters: these are found with residuals as large as they are. Of very many
@@ -44,7 +44,7 @@ import numpy as np
 from calib.core.fitting.terms.candidate_terms import TELLS, CandidateTerm, candidates
 from calib.core.fitting.terms.kind_model import KindModel, SolvedProblem, with_kinds
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
-from calib.core.numerics.size_search import least_sizes, likeliest_sizes, scatter_beside_noise
+from calib.core.numerics.size_search import least_sizes, likeliest_sizes, scatter_given_noise
 from calib.core.rows.prediction import UndecidedTerms
 
 _SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is nothing beside others
@@ -78,7 +78,7 @@ def unexplained_errors(fit: SolvedProblem, *, sized: bool) -> UnexplainedErrors:
     read = read[np.any(fit.weighted_rows.jacobian[read] != 0.0, axis=1)]
     rows = model.rows(read, np.where(stated, 1.0, fit.scales.groups), np.zeros(len(fit.scales.ratios)), stated)
     at = solve_beside_noise(MixedModel.from_rows(rows, _SHORTEST))
-    return UnexplainedErrors() if at is None else UnexplainedErrors(scatter_beside_noise(at), _shown(model, kinds, at))
+    return UnexplainedErrors() if at is None else UnexplainedErrors(scatter_given_noise(at), _shown(model, kinds, at))
 
 
 def solve_beside_noise(model: MixedModel) -> SolvedModel | None:
@@ -88,7 +88,9 @@ def solve_beside_noise(model: MixedModel) -> SolvedModel | None:
 
 def _kinds_of_few_coefficients(fit: SolvedProblem) -> tuple[CandidateTerm, ...]:
     """Kinds that a fit lacks and its measurements can show, without curves."""
-    kinds = [kind for kind in candidates(fit.robot, fit.identification.data) if not (kind.refused or kind.doubt)]
+    kinds = [
+        kind for kind in candidates(fit.robot, fit.identification.data) if not (kind.refusal or kind.reason_against)
+    ]
     robot = with_kinds(fit.robot, kinds)
     return tuple(kind for kind in kinds if not kind.is_curve_in(robot))
 
@@ -119,4 +121,4 @@ def _shown(model: KindModel, kinds: tuple[CandidateTerm, ...], at: SolvedModel) 
         )
     )
     none = np.append(least[:n], known.logs[n:])
-    return model.undecided(at.model.without(absent), none, [known.logs], sections)
+    return model.undecided(at.model.without_families(absent), none, [known.logs], sections)

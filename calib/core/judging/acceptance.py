@@ -81,14 +81,15 @@ class Acceptance:
         freedom: Degrees of freedom of the ratio.
         placed: Degrees of freedom of placing base and targets.
         changes: Every candidate, the one with the largest z first.
-        like_before: Significant changes that explain the readings as well as the first one, itself included.
+        alternative_changes: Significant changes that explain the readings as well as the first one, itself included.
         outliers: Labels of readings that were left out.
         errors: Prediction minus read, without the outliers, after placing base and targets where they are unknown.
-        promised: Expected root mean square distance of measured from predicted positions [m]; NaN without positions.
-        left_open: The part of it from the uncertainty of the calibration, without noise of the readings [m].
+        expected_rms: Expected root mean square distance of measured from predicted positions [m]; NaN without
+            positions.
+        calibration_rms: The part of it from the uncertainty of the calibration, without noise of the readings [m].
         limit: Distance that is exceeded in one of a thousand cases, if the robot is as calibrated [m].
         coverage_factor: Half the 95 % interval of a change, in standard deviations.
-        unlike: Whether the poses are unlike those of the calibration, and that counted.
+        has_unlike_poses: Whether the poses are unlike those of the calibration, and that counted.
         repeated_visits: Poses of the calibration that settle it if they are measured again; none if nothing is left to
             settle.
     """
@@ -103,14 +104,14 @@ class Acceptance:
     freedom: int
     placed: int
     changes: tuple[Change, ...]
-    like_before: tuple[str, ...]
+    alternative_changes: tuple[str, ...]
     outliers: tuple[str, ...]
     errors: ErrorSet
-    promised: float
-    left_open: float
+    expected_rms: float
+    calibration_rms: float
     limit: float
     coverage_factor: float
-    unlike: bool
+    has_unlike_poses: bool
     repeated_visits: tuple[str, ...]
 
     def __repr__(self) -> str:
@@ -158,7 +159,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
         verdict = tests.verdict_of_unexplained
         if tests.p_drift >= _LEVEL and _is_noise(promise, system):
             verdict = "noisier"
-        elif system.unlike:
+        elif system.has_unlike_poses:
             unlike, system = True, system.with_common_error(system.errors.data, same_setup)
             tests = _Tests.from_system(system)
             verdict = tests.verdict_of_unexplained if tests.fail else "unlike poses"
@@ -180,7 +181,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
         outliers,
         system.errors,
         system.expected.rms,
-        system.expected.left_open,
+        system.expected.calibration_rms,
         system.expected.limit(UNLIKELY, promise.freedom),
         float(scipy.special.stdtrit(promise.freedom, 0.975)),
         unlike,
@@ -255,7 +256,7 @@ def visible_changes(
     data = simulate(promise.robot, poses, 0.0, np.random.default_rng(0))  # no noise is drawn
     scale = {c.name: c.scale for c in candidates(promise.robot)}
     system = System.from_promise(promise, data, same_setup)
-    changes = (system.with_common_error(data, same_setup) if system.unlike else system).changes()
+    changes = (system.with_common_error(data, same_setup) if system.has_unlike_poses else system).changes()
     nothing = [replace(change, value=np.nan, z=np.nan, p_value=np.nan) for change in changes]
     return tuple(sorted(nothing, key=lambda change: six_digits(change.visible / scale[change.name])))
 

@@ -136,7 +136,7 @@ class Claim:
         gain: Change of the errors at these poses.
         region: The poses that it is about, in words.
         joints_moved_little: Joints that moved through less than half of their range, and how far.
-        find_known: Returns `known`, which takes as long as half of the rest of a verdict.
+        find_known: Returns `rms`, which takes as long as half of the rest of a verdict.
     """
 
     at_measured_poses: Accuracy
@@ -147,7 +147,7 @@ class Claim:
     find_known: Callable[[], float] = field(compare=False, repr=False)
 
     @cached_property
-    def known(self) -> float:
+    def rms(self) -> float:
         """Root mean square to which positions are known at these poses, each by the readings of all others [m].
 
         NaN where it is not about positions.
@@ -155,8 +155,8 @@ class Claim:
         return self.find_known()
 
     def error_at(self, known: float) -> ErrorElsewhere:
-        """Return the expected error at poses where positions are known to `known` (root mean square) [m]."""
-        return ErrorElsewhere.from_claim(self.at_measured_poses.rms, self.at_measured_poses.limit95, self.known, known)
+        """Return the expected error at poses where positions are known to `rms` (root mean square) [m]."""
+        return ErrorElsewhere.from_claim(self.at_measured_poses.rms, self.at_measured_poses.limit95, self.rms, known)
 
     @property
     def contains(self) -> Contributions:
@@ -202,7 +202,7 @@ class Claim:
             "rms": scale * measured.rms,
             "rms_before": scale * measured.before if np.isfinite(measured.before) else None,
             "n_poses": measured.n_poses,
-            "known": scale * self.known,
+            "known": scale * self.rms,
             "region": self.region,
             "joints_moved_little": list(self.joints_moved_little),
             "not_used": [
@@ -309,7 +309,7 @@ def is_elsewhere(unlike: BoolArray) -> bool:
 
 
 def _known(fit: Fit, measured: Accuracy) -> float:
-    """Return `Claim.known`."""
+    """Return `Claim.rms`."""
     if not measured.is_position:
         return float("nan")
     return math.hypot(

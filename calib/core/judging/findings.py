@@ -128,8 +128,8 @@ def changes(fit: Fit) -> tuple[Pattern, ...]:
         if Trait.FOLLOWS_JOINTS in effect.kind.traits
         for number in range(len(effect.details))
     ]
-    beside = linear(fit).with_parameters(np.hstack(columns)) if columns else linear(fit)
-    return tuple(p for p in residual_patterns.patterns(beside, setting(fit), in_course) if p.significant)
+    model = linear(fit).with_parameters(np.hstack(columns)) if columns else linear(fit)
+    return tuple(p for p in residual_patterns.patterns(model, setting(fit), in_course) if p.significant)
 
 
 @memoize

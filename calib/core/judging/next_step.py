@@ -36,12 +36,12 @@ class NextStep:
     Attributes:
         aim: Its purpose, in words that begin with a verb.
         command: The command to type, or words; `ROBOT`, `DATA` and `DIR` stand for files.
-        without: Options of the fit that are not to be given again.
+        dropped_options: Options of the fit that are not to be given again.
     """
 
     aim: str
     command: str
-    without: tuple[str, ...] = ()
+    dropped_options: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.aim}: {self.command}"
@@ -64,7 +64,10 @@ class NextStep:
         files[AGAIN] = shlex.quote(f"{folder}-2")
         words = shlex.split(self.command)
         more = [
-            word for name, values in options.items() if name not in (*words, *self.without) for word in (name, *values)
+            word
+            for name, values in options.items()
+            if name not in (*words, *self.dropped_options)
+            for word in (name, *values)
         ]
         end = words.index("--out") if "--out" in words else len(words)
         replaced = (*words[:end], *more, *words[end:])
@@ -83,7 +86,7 @@ def next_step(fit: Fit) -> NextStep:
     data = fit.identification.data
     if Answer.ADD_TERMS in open_answers and len(stretches(data, LEAST_POSES)) < LEAST_POSES:
         open_answers = [Answer.OTHER_POSES if answer is Answer.ADD_TERMS else answer for answer in open_answers]
-    if fit.convergence.receding:  # from every start
+    if fit.convergence.receding_parameters:  # from every start
         open_answers = [Answer.OTHER_POSES if answer is Answer.TRY_STARTS else answer for answer in open_answers]
     first = Answer.LEAVE_OUT if Answer.LEAVE_OUT in open_answers else next(iter(open_answers), None)
     if first in _OPTIONS:  # outliers come first: what they do looks like noise, and like joint terms

@@ -177,12 +177,12 @@ class ExpectedDistances:
 
     Attributes:
         rms: Their root mean square [m]; NaN without positions.
-        left_open: The part of it from the uncertainty of the calibration, without noise of the readings [m].
+        calibration_rms: The part of it from the uncertainty of the calibration, without noise of the readings [m].
         freedom: Degrees of freedom of `rms`: few where few directions that the calibration leaves uncertain decide it.
     """
 
     rms: float
-    left_open: float
+    calibration_rms: float
     freedom: float
 
     def limit(self, chance: float, noise_freedom: float) -> float:
@@ -264,7 +264,7 @@ class System:
             )
         return self
 
-    def without(self, readings: IntArray) -> System:
+    def without_readings(self, readings: IntArray) -> System:
         """Return it without some readings, (n,)."""
         weights = 1.0 * ~np.isin(np.arange(self.rows.layout.n_readings), readings)
         of_rows = weights[self.rows.layout.reading]
@@ -309,7 +309,7 @@ class System:
         return reading, min(1.0, float(tests.chance[reading]) * n_read)
 
     @cached_property
-    def unlike(self) -> bool:
+    def has_unlike_poses(self) -> bool:
         """Whether the poses lie otherwise than those that were used."""
         return len(self.promise.joints) > 0 and not are_drawn_alike(self.errors.data.joints, self.promise.joints)
 
@@ -377,7 +377,7 @@ def without_outliers(system: System) -> tuple[System, list[int]]:
         if chance >= FALSE_ALARM / 2:
             return system, left_out
         left_out.append(reading)
-        system = complete.without(np.array(left_out))
+        system = complete.without_readings(np.array(left_out))
     if left_out and system.worst()[1] < FALSE_ALARM / 2:
         return complete, []  # so many are no outliers
     return system, left_out

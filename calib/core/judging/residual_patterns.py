@@ -264,10 +264,10 @@ def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTe
     gains, k = np.sum(score * along, axis=1), np.sum(determined, axis=1)
     coefficients = np.matmul(vectors, along[:, :, None])[:, :, 0] / size
     rows = np.flatnonzero(shown & (k > 0) & (residuals.freedom - k >= 1))
-    k, beside, gains = k[rows], residuals.freedom - k[rows], gains[rows]
-    rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / beside
+    k, freedom_left, gains = k[rows], residuals.freedom - k[rows], gains[rows]
+    rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / freedom_left
     ratios = np.maximum(gains / k / rest, 0.0)
-    found = (scipy.special.fdtrc(k, beside, ratios), ratios, k, gains, coefficients[rows], inside[rows])
+    found = (scipy.special.fdtrc(k, freedom_left, ratios), ratios, k, gains, coefficients[rows], inside[rows])
     ends = np.cumsum([len(moments.score) for moments in some])
     tested = []
     for moments, end in zip(some, ends.tolist(), strict=True):
@@ -303,4 +303,4 @@ def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: Floa
     result = chance(left)
     if result >= limit:
         return result
-    return chance(left + residuals.without_poses.shifts_without_block(left, beside=basis)[0])
+    return chance(left + residuals.without_poses.shifts_without_block(left, further_columns=basis)[0])

@@ -59,16 +59,18 @@ def check_convergence(fit: Fit) -> Iterator[Reason]:
     advice = "check units, joint order and signs, or try --starts"
     if end.converged:
         return
-    if not end.weights_stand:
+    if not end.has_settled_weights:
         text = (
             f"not converged: the weights of the robust loss '{fit.loss}' do not settle; too many measurements disagree"
         )
-    elif end.receding:
+    elif end.receding_parameters:
         text = (
-            f"not converged: these poses do not determine {listing(end.receding)}: the fit would"
-            f" move {'it' if len(end.receding) == 1 else 'them'} without limit"
+            f"not converged: these poses do not determine {listing(end.receding_parameters)}: the fit would"
+            f" move {'it' if len(end.receding_parameters) == 1 else 'them'} without limit"
         )
-        advice = f"measure poses that differ more, or hold what they do not determine (--fix {end.receding[0]})"
+        advice = (
+            f"measure poses that differ more, or hold what they do not determine (--fix {end.receding_parameters[0]})"
+        )
     elif not end.step_left < np.inf or end.step_left > 1.0:
         text = f"not converged: parameter {end.parameter} would still move by {end.step_left:.2g} standard deviations"
     else:
@@ -242,7 +244,8 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
     yield Code.FRAME_MOVED.says(
         "the tracker, the base or its frame probably moved between the two files, by"
         f" {millimetres(moved.shift):.3g} mm and {np.degrees(moved.angle):.2g} deg: this explains all but"
-        f" {millimetres(moved.left):.3g} mm RMS{placed}. Measure both from one place, or hold out poses of one file"
+        f" {millimetres(moved.rms_after):.3g} mm RMS{placed}. Measure both from one place, or hold out poses of one"
+        f" file"
         " (--validate 0.25)"
     )
 

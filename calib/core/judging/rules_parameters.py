@@ -115,9 +115,9 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
 
 @memoize
 def _residuals_of_scales(fit: Fit) -> tuple[FloatArray, int]:
-    """`_residuals_beside_parameters` for one scale of all lengths, and for a gain of each joint."""
+    """`_remaining_residuals` for one scale of all lengths, and for a gain of each joint."""
     setting = findings.setting(fit)
-    return _residuals_beside_parameters(fit, np.hstack([scale(setting), gains(setting)]))
+    return _remaining_residuals(fit, np.hstack([scale(setting), gains(setting)]))
 
 
 def _scale_sentence(part: float) -> str:
@@ -127,7 +127,7 @@ def _scale_sentence(part: float) -> str:
     return f"{100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than"
 
 
-def _residuals_beside_parameters(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int]:
+def _remaining_residuals(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int]:
     """Return what the parameters leave of further columns, and of the residuals as the last, over the noise found.
 
     Args:
@@ -219,7 +219,7 @@ def large_terms(fit: Fit) -> Iterator[Reason]:
 
     Gains are for `joints_scaled`.
     """
-    tried = () if fit.terms is None else fit.terms.tried
+    tried = () if fit.terms is None else fit.terms.trials
     large = [term for term in tried if term.added and term.size > UNUSUAL and not issubclass(TERMS[term.term], Gain)]
     words = listing([f"{term.term} ({term.size:.0f} times)" for term in large])
     if words:

@@ -176,9 +176,9 @@ def check_curve_ranges(fit: Fit) -> Iterator[Reason]:
 def blocks_disagree(fit: Fit) -> Iterator[Reason]:
     """See whether the parameters stay where boxes of joint space, or whole setups, are left out in turn."""
     apart = fit.regions
-    if apart is not None and apart.surely:
+    if apart is not None and apart.is_significant:
         yield Code.BLOCKS_DISAGREE.says(
-            f"the parameters depend on {apart.where}, {apart.ratio:.2g} times more than noise explains: the model"
+            f"the parameters depend on {apart.dependence}, {apart.ratio:.2g} times more than noise explains: the model"
             " leaves something out. Intervals and the uncertainty of positions include it; at places unlike those"
             " measured, errors may be larger"
         )

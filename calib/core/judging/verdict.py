@@ -108,7 +108,9 @@ def judge(fit: Fit) -> Verdict:
     if claim is not None:
         reasons += rules_reach.check_tolerance(fit, claim)
     reasons = [reason for reason in reasons if reason.code not in _superseded_codes(reasons)]
-    nothing_fits = bool(codes & _NOTHING_FITS) and not fit.convergence.receding  # the poses are the cause of these
+    nothing_fits = (
+        bool(codes & _NOTHING_FITS) and not fit.convergence.receding_parameters
+    )  # the poses are the cause of these
     gross = nothing_fits or rules_noise.is_noise_too_large(fit)
     scaled = any(reason.code == Code.JOINT_SCALED for reason in reasons)
     mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma, gross=False) if scaled else ""
@@ -233,7 +235,7 @@ class JudgedFit(Fit):
         return findings.budget(self)
 
     @property
-    def known(self) -> KnownRobot:
+    def known_robot(self) -> KnownRobot:
         """The calibrated robot, with its uncertainty and the poses measured."""
         joints, needless = self.identification.data.joints, self.verdict.nothing_to_correct
         return KnownRobot(self.robot, self.uncertainty, joints, needless)

@@ -190,7 +190,7 @@ class LeftOutBlocks:
         self,
         residuals: FloatArray,
         *,
-        beside: FloatArray | None = None,
+        further_columns: FloatArray | None = None,
         seen: FloatArray | Span | None = None,
         alone: float = _OWN,
     ) -> tuple[FloatArray, FloatArray]:
@@ -198,14 +198,14 @@ class LeftOutBlocks:
 
         Args:
             residuals: r, whitened, (n_rows,).
-            beside: Further columns of U, (n_rows, n_further); none if not given.
+            further_columns: Further columns of U, (n_rows, n_further); none if not given.
             seen: U without the weights of a robust loss, (n_rows, k), of the rows that move; U if not given.
             alone: Part of a direction that a block decides, from which nothing moves along it.
         """
         moved, largest = np.zeros(len(residuals)), np.zeros(int(self._block.max(initial=-1)) + 1)
         for rows, hat in self._hats:
             across: FloatArray | None = None
-            left, further = residuals[rows][:, :, None], None if beside is None else beside[rows]
+            left, further = residuals[rows][:, :, None], None if further_columns is None else further_columns[rows]
             if hat is None or seen is not None:
                 own = self._span[rows] if further is None else np.concatenate([self._span[rows], further], axis=2)
                 across = own.transpose(0, 2, 1)

@@ -64,7 +64,7 @@ class RowStack:
         """Return the product with a column (n,), (m,)."""
         return np.concatenate([self.rows @ column, self.prior.times(column)])
 
-    def pulled(self, column: FloatArray) -> FloatArray:
+    def transposed_product(self, column: FloatArray) -> FloatArray:
         """Return the product of its transpose with a column (m,), (n,)."""
         n_rows = len(self.rows)
         return np.asarray(self.rows.T @ column[:n_rows] + self.prior.rows.T @ column[n_rows:])
@@ -125,7 +125,7 @@ class LinearPoint:
             return None
         points = [*past, self]
         left = self.residuals + self.jacobian.times(self.newton)
-        pulls = np.stack([point.jacobian.pulled(left) for point in points], axis=1)
+        pulls = np.stack([point.jacobian.transposed_product(left) for point in points], axis=1)
         steps = (self.triangle @ np.diff([point.x for point in points], axis=0).T)[:, ::-1]  # the last step first
         images = _solve_triangular(self.triangle, np.diff(pulls, axis=1), transposed=True)[:, ::-1]
         length = np.linalg.norm(steps, axis=0) + np.finfo(float).tiny
@@ -159,7 +159,7 @@ class LinearPoint:
         """Return the step c that takes a bend of the residuals (m,) away, |D c| <= limit, (n,); None if unknown."""
         if not self.sees_all:
             return None
-        right = _solve_triangular(self.triangle, self.jacobian.pulled(bend), transposed=True)
+        right = _solve_triangular(self.triangle, self.jacobian.transposed_product(bend), transposed=True)
         step = -_solve_triangular(self.triangle, right)
         if np.linalg.norm(scale * step) <= limit:
             return np.asarray(step)

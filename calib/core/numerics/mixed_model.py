@@ -149,7 +149,7 @@ class MixedModel(ReadOnlyArrays):
             start = end
         return result
 
-    def without(self, families: BoolArray) -> MixedModel:
+    def without_families(self, families: BoolArray) -> MixedModel:
         """Return the model without the columns of some families, (n_families,); their sizes stay, and say nothing."""
         kept = ~np.append(families, [False, False])[self.family]
         parts = tuple(part.empty if part.family >= 0 and families[part.family] else part for part in self.parts)
@@ -202,7 +202,7 @@ class SolvedModel(ReadOnlyArrays):
         upper: R with A = R^T R, (n, n).
         inverse: A^-1, (n, n).
         v: Scaled coefficients, (n,).
-        left: V^-1/2 r, (n_rows,).
+        whitened_residuals: V^-1/2 r, (n_rows,).
         cost: -log L, up to a constant.
     """
 
@@ -214,7 +214,7 @@ class SolvedModel(ReadOnlyArrays):
     upper: FloatArray
     inverse: FloatArray
     v: FloatArray
-    left: FloatArray
+    whitened_residuals: FloatArray
     cost: float
 
     @cached_property
@@ -252,7 +252,7 @@ class SolvedModel(ReadOnlyArrays):
     def gradient(self) -> FloatArray:
         """Gradient of `cost` by the logarithms of the sizes, (n_sizes,)."""
         of_families = self._members @ (1.0 - np.diag(self.inverse) - self.v**2)
-        return np.concatenate([of_families, 0.5 * self._shares @ (1.0 - self._leverage - self.left**2)])
+        return np.concatenate([of_families, 0.5 * self._shares @ (1.0 - self._leverage - self.whitened_residuals**2)])
 
     @property
     def information(self) -> FloatArray:
@@ -294,7 +294,9 @@ class SolvedModel(ReadOnlyArrays):
             places = np.concatenate([self.model.poses[pose] for pose in np.flatnonzero(block == k)])
             values, vectors = self._remaining_rows(places)
             determined = values > _DECIDES
-            error = (vectors[:, determined] / values[determined]) @ (vectors[:, determined].T @ self.left[places])
+            error = (vectors[:, determined] / values[determined]) @ (
+                vectors[:, determined].T @ self.whitened_residuals[places]
+            )
             squares[k] = np.sum(weights[places] * self.variance[places] * error**2)
         return squares
 
@@ -313,4 +315,4 @@ class SolvedModel(ReadOnlyArrays):
                 unit = np.sqrt(self.variance[places])
                 root = turn @ (unit[:, None] * vectors / np.sqrt(values))
                 covariance = root @ root.T
-                yield places, covariance @ (turn @ (self.left[places] / unit)), covariance
+                yield places, covariance @ (turn @ (self.whitened_residuals[places] / unit)), covariance

@@ -69,7 +69,7 @@ class Prior(ReadOnlyArrays):
         """P, (n_priors, n)."""
         return self.times(np.eye(len(self.has)))
 
-    def pull(self, u: FloatArray) -> FloatArray:
+    def gradient(self, u: FloatArray) -> FloatArray:
         """Return P^T P u, (n,)."""
         pull = np.where(self.has, u, 0.0)
         if len(self.together):

@@ -90,13 +90,13 @@ class Products:
 
     Attributes:
         gram: J^T J of the rows of each group, (n_groups, n_free, n_free).
-        pull: J^T y, (n_groups, n_free).
+        right_side: J^T y, (n_groups, n_free).
         square: |y|^2, (n_groups,).
         count: Number of rows, (n_groups,).
     """
 
     gram: FloatArray
-    pull: FloatArray
+    right_side: FloatArray
     square: FloatArray
     count: IntArray
 
@@ -122,12 +122,12 @@ class Products:
     def times(self, scales: FloatArray) -> Products:
         """Return the products of rows times the scales of their groups, (n_groups,)."""
         squares = scales**2
-        gram, pull = squares[:, None, None] * self.gram, squares[:, None] * self.pull
+        gram, pull = squares[:, None, None] * self.gram, squares[:, None] * self.right_side
         return Products(gram, pull, squares * self.square, self.count)
 
     def scale_columns(self, factor: FloatArray) -> Products:
         """Return the products of columns times a factor of each, (n_free,)."""
-        return Products(factor[:, None] * self.gram * factor, self.pull * factor, self.square, self.count)
+        return Products(factor[:, None] * self.gram * factor, self.right_side * factor, self.square, self.count)
 
     def weigh(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return J^T J (n_free, n_free) and J^T y (n_free,) of all rows over the scales of their groups (n_groups,)."""
@@ -135,11 +135,11 @@ class Products:
         gram = weights[0] * self.gram[0]  # a product of all groups with their weights takes four times as long
         for weight, more in zip(weights[1:], self.gram[1:], strict=True):
             gram += weight * more
-        return gram, weights @ self.pull
+        return gram, weights @ self.right_side
 
     def squared_residuals(self, step: FloatArray) -> FloatArray:
         """Return |y + J step|^2 of each group, (n_groups,), for a step (n_free,)."""
-        return np.maximum(self.square + 2.0 * self.pull @ step + self.gram @ step @ step, 0.0)
+        return np.maximum(self.square + 2.0 * self.right_side @ step + self.gram @ step @ step, 0.0)
 
 
 def inverse_root(matrix: FloatArray) -> FloatArray:
@@ -186,7 +186,7 @@ def find_noise_with_families(
         factor = np.append(sizes, 1.0)[family]  # everything else is over these
         gram, pull = products.weigh(scales)
         root = inverse_root(prior.add_to(gram, factor))
-        step = -root @ (root.T @ (pull + prior.pull(deviations / factor) / factor))
+        step = -root @ (root.T @ (pull + prior.gradient(deviations / factor) / factor))
         reached, left = (deviations + step) / factor, products.squared_residuals(step)
         variances = np.einsum("ij,ij->i", root, root) / factor**2
         inverse = None if alone else root @ root.T

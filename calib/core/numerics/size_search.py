@@ -81,7 +81,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: Bo
     return without if np.any(falling) and _cost(without) <= _cost(at) else at
 
 
-def scatter_beside_noise(at: SolvedModel) -> float:
+def scatter_given_noise(at: SolvedModel) -> float:
     """Return the scatter, including what rows cannot tell from noise; 0 where they show neither.
 
     Of d^2, rows say that it is normal about the likeliest one, with a standard deviation t, and not negative; if noise
@@ -101,7 +101,7 @@ def scatter_beside_noise(at: SolvedModel) -> float:
 
 
 def _mean_beyond(value: float, variance: float) -> float:
-    """Return e of `scatter_beside_noise`, of a likeliest d^2 and its variance t^2."""
+    """Return e of `scatter_given_noise`, of a likeliest d^2 and its variance t^2."""
     std = float(np.sqrt(variance))
     return std * float(np.exp(-0.5 * (value / std) ** 2) / np.sqrt(2.0 * np.pi) / scipy.special.ndtr(value / std))
 

@@ -288,7 +288,7 @@ def _solve_by_cholesky(model: LinearModel, rows: FloatArray) -> tuple[_Root, Flo
     matrix = model.prior.add_to(rows[:, :-1].T @ rows[:, :-1])
     lower = np.linalg.cholesky(matrix)
     root = scipy.linalg.solve_triangular(lower, np.eye(len(matrix)), lower=True).T
-    pull = rows[:, :-1].T @ rows[:, -1] + model.prior.pull(model.deviations)
+    pull = rows[:, :-1].T @ rows[:, -1] + model.prior.gradient(model.deviations)
     return _Root(root, 2.0 * float(np.sum(np.log(np.diag(lower))))), -root @ (root.T @ pull)
 
 

@@ -82,16 +82,16 @@ def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Seque
             "p_value": acceptance.p_value,
             "p_drift": acceptance.p_drift,
             "p_rest": acceptance.p_rest,
-            "promised_rms_mm": millimetres(acceptance.promised),
-            "promised_left_open_mm": millimetres(acceptance.left_open),
+            "promised_rms_mm": millimetres(acceptance.expected_rms),
+            "promised_left_open_mm": millimetres(acceptance.calibration_rms),
             "promised_limit_mm": millimetres(acceptance.limit),
             "coverage_factor": acceptance.coverage_factor,
-            "unlike_poses": acceptance.unlike,
+            "unlike_poses": acceptance.has_unlike_poses,
             "measure_again": list(acceptance.repeated_visits),
             "errors": error_table(
                 acceptance.errors.errors("after", acceptance.errors.main_part.name), acceptance.errors.main_part
             ),
-            "alike": list(acceptance.like_before),
+            "alike": list(acceptance.alternative_changes),
             "outliers": list(acceptance.outliers),
             "changes": changes_as_data(acceptance.changes),
             "iso9283": [
@@ -140,11 +140,11 @@ def _errors(acceptance: Acceptance) -> list[str]:
             " those that it has used"
         )
     data = acceptance.errors.data
-    if np.isfinite(acceptance.promised):
+    if np.isfinite(acceptance.expected_rms):
         table = error_table(acceptance.errors.errors("after", single=True))
         rms = table["rms"]
         assert isinstance(rms, float)
-        promised, left_open = millimetres(acceptance.promised), millimetres(acceptance.left_open)
+        promised, left_open = millimetres(acceptance.expected_rms), millimetres(acceptance.calibration_rms)
         noise = float(np.sqrt(max(promised**2 - left_open**2, 0.0)))
         lines.append(
             f"Position errors over {count_noun(data.n_poses, 'pose')}: {rms:.4f} mm RMS,"
@@ -174,7 +174,7 @@ def _drift(acceptance: Acceptance) -> list[str]:
     if acceptance.verdict != "drifted":
         rest = f"the rest has p = {acceptance.p_rest:.2g}"
         return [f"A change of {first.name} by {size} does not explain the readings: {rest}"]
-    others = [name for name in acceptance.like_before if name != first.name]
+    others = [name for name in acceptance.alternative_changes if name != first.name]
     chances = f"p = {acceptance.p_drift:.2g}, the rest {acceptance.p_rest:.2g}"
     lines = [f"{first.name} has changed by {size}, {interval}; {chances}"]
     if acceptance.ratio <= acceptance.high95:

@@ -145,7 +145,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
         return "\n".join([f"Calibration of {self.robot.name} ({self.path})", *verdict_lines(self.verdict)])
 
     @property
-    def known(self) -> KnownRobot:
+    def known_robot(self) -> KnownRobot:
         """The robot, with its uncertainty."""
         codes = self.content["verdict"].get("codes", ())
         return KnownRobot(self.robot, self.uncertainty, self.joints, Code.NOTHING_TO_CORRECT in codes)

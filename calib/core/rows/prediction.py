@@ -448,16 +448,16 @@ class ParameterUncertainty(ReadOnlyArrays):
         known, shape = self.covariance_of(robot), (len(q), len(robot.mechanism.targets), 3)
         known = known if counts is None else known * np.outer(counts, counts)
         points = np.empty(shape)
-        whole, beside = ([np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]] for _ in range(2))
+        whole, without_common = ([np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]] for _ in range(2))
         for some, linear in self.linearise_in_parts(robot, q, context, near, turns=turns):
             points[some] = linear.positions
             jacobians = [linear.jacobian]
             if common is not None:
                 jacobians.append(linear.jacobian - common(linear)[:, :, : linear.jacobian.shape[2]])
-            for to, jacobian in zip((whole, beside), jacobians, strict=False):
+            for to, jacobian in zip((whole, without_common), jacobians, strict=False):
                 for covariance, rows in zip(to, ROWS, strict=False):
                     covariance[some] = propagate_covariance(jacobian[:, :, rows], known)
-        hold(points, *whole, *beside)
+        hold(points, *whole, *without_common)
         predicted, measured = (
             PositionUncertainty(
                 points,
@@ -467,6 +467,6 @@ class ParameterUncertainty(ReadOnlyArrays):
                 robot.unreported_targets,
                 contains=self.contains,
             )
-            for own in (beside, whole)
+            for own in (without_common, whole)
         )
         return measured if common is None else replace(predicted, measured=measured)

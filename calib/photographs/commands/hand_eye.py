@@ -287,7 +287,7 @@ def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedIma
     """The photographs with arrows from where points were found to where the calibration puts them."""
     scene, images = result.scene, {image.name: image for image in detected_images}
     factor = exaggeration(result.pixels, scene.size[0])
-    each, off = result.rms_by_image(result.pixels), {image.name: image for image in result.off}
+    each, off = result.rms_by_image(result.pixels), {image.name: image for image in result.outlying_images}
     on = 1e3 * result.rms_by_image(result.board)
     pictures = []
     for i, name in enumerate(scene.names):

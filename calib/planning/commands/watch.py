@@ -86,8 +86,8 @@ def command(
     if once:
         progress = watch.update(read_measurements(file, model))
         _tell(progress, output)
-        if progress.obstacle is not None:
-            raise progress.obstacle
+        if progress.reason_without_fit is not None:
+            raise progress.reason_without_fit
         return
     viewer = live(model) if view else None
     try:

@@ -124,7 +124,7 @@ def command(robot: str, program: str, result: str | None, out: str, output: Outp
     """
     result = result_folder(robot, result)
     nominal = load_robot(robot, output)
-    job = Job(nominal, load_result(result, nominal).known, program, result, out, output)
+    job = Job(nominal, load_result(result, nominal).known_robot, program, result, out, output)
     suffix = Path(program).suffix.lower()
     kind = "controllers' programs" if suffix in languages.SUFFIXES else "G-code" if suffix in SUFFIXES else "tables"
     compensate_kind, names = _KINDS[kind]
@@ -147,19 +147,19 @@ def _compensate_table(job: Job, *, keep: str | None, grid: str | None, skip_unre
         compensation = compensate(job.robot_knowledge, rows, keep=keep)
     if not skip_unreachable or not np.any(compensation.ok):
         _require_all(compensation, compensation.frame if isinstance(rows, Goals) else "")
-    for miss in compensation.misses():
+    for miss in compensation.unreached_rows():
         output.note(f"{miss}; left empty")
     output.remarks(compensation.jumps())
     done = f"compensated with {job.result}"
     if compensation.nothing_to_correct:
         done = f"left as it is: {no_correction_sentence(job.result)}"
-    kept = f"kept: {compensation.keep}; errors are {compensation.frame}; {COUNTED}"
+    kept = f"kept: {compensation.kept_components}; errors are {compensation.frame}; {COUNTED}"
     comments = job.comments(f"{job.program} for {nominal.name}, {done}; {kept}")
     output.write(job.out, format_table(_columns(nominal, rows, compensation), comments))
     n_reached, held_out = int(np.sum(compensation.ok)), _held_out_error(job.result)
     content = {
         "robot": nominal.path,
-        "kept": compensation.keep,
+        "kept": compensation.kept_components,
         "n_rows": len(rows),
         "n_unreachable": len(rows) - n_reached,
         "held_out_rms_mm": held_out,
@@ -167,10 +167,10 @@ def _compensate_table(job: Job, *, keep: str | None, grid: str | None, skip_unre
     }
     what = (
         f"{n_reached} of {count_noun(len(rows), 'row')}",
-        f"compensated ({compensation.keep} kept)",
+        f"compensated ({compensation.kept_components} kept)",
         "left as they are",
     )
-    subjects = "The tool", f"Its {'orientation' if compensation.keep == 'pose' else 'axis'}"
+    subjects = "The tool", f"Its {'orientation' if compensation.kept_components == 'pose' else 'axis'}"
     more = []
     if held_out is not None:
         more.append(f"Poses that the fit did not use were off by {held_out:.4f} mm (RMS), their noise included")
@@ -207,7 +207,7 @@ def _read_program(path: str, robot: Robot, output: Output) -> Poses | Goals:
 
 def _require_all(compensation: Compensation, frame: str) -> None:
     """Raise `UnreachablePoseError` that names the rows without a command, and the frame of goals."""
-    misses = compensation.misses()
+    misses = compensation.unreached_rows()
     if misses:
         raise UnreachablePoseError(
             f"{count_noun(len(misses), 'row')} of {len(compensation.names)} cannot be compensated:"

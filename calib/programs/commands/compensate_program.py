@@ -65,7 +65,11 @@ def compensate_controller(
     job.comments()
     write_files(dict(zip(places, compensated.files(), strict=True)), comment=None, force=output.force)
     figures = {**figures_of(compensation), "rounding_mm": summary(millimetres(compensated.rounding[compensation.ok]))}
-    what = f"{int(np.sum(compensation.ok))} of {count}", f"compensated ({compensation.keep} kept)", "left as they are"
+    what = (
+        f"{int(np.sum(compensation.ok))} of {count}",
+        f"compensated ({compensation.kept_components} kept)",
+        "left as they are",
+    )
     job = replace(job, out=" and ".join(map(str, places)))
     job.report(compensation, figures, _content(compensated), what, _remarks(compensated, figures))
 
@@ -85,7 +89,7 @@ def _content(compensated: CompensatedProgram) -> dict[str, object]:
         "language": program.language,
         "base_link": compensated.base,
         "flange_link": compensated.flange,
-        "kept": compensation.keep,
+        "kept": compensation.kept_components,
         "n_targets": len(program.targets),
         "n_compensated": sum(values is not None for values in compensated.values),
         "tool_from_target_mm": millimetres(compensated.lever),

@@ -71,8 +71,8 @@ def command(
     goals = read_goals(goals_file, model)
     output.check(out)
     with output.working(f"solving {len(goals)} goals"):
-        solution = solve(load_result(folder, nominal).known if folder else model, goals)
-    misses = solution.misses()
+        solution = solve(load_result(folder, nominal).known_robot if folder else model, goals)
+    misses = solution.unreached_goals()
     reached = np.flatnonzero(solution.ok)
     if not skip_unreachable or not np.any(solution.ok):
         solution.require_all()

@@ -148,7 +148,7 @@ class Flow:
         """Record that a setting gets a value."""
         self.change([key], lambda state: {**state, key: value})
 
-    def lose(self, why: str, keys: Iterable[str] = ()) -> None:
+    def mark_unknown(self, why: str, keys: Iterable[str] = ()) -> None:
         """Record that these settings, or all, are unknown from here on."""
         some = frozenset(keys)
 

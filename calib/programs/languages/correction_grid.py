@@ -135,7 +135,7 @@ def _corrections(
     if rotation is not None:
         goals = replace(goals, rotations=np.tile(rotation, (len(positions), 1, 1)))
     compensation = compensate(known, goals)
-    misses = compensation.misses()
+    misses = compensation.unreached_rows()
     if misses:
         raise UnreachablePoseError(
             f"{count_noun(len(misses), 'point')} of the grid cannot be reached: {listing(misses, '; ', 3)}; make it"

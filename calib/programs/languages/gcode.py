@@ -69,8 +69,8 @@ class _GcodeReader:
     Attributes:
         home: Position of the machine after homing of all axes.
         harmless_words: Words that the user calls harmless.
-        at: Its position, axis by axis [m].
-        known: Whether the move before led there.
+        position: Its position, axis by axis [m].
+        is_start_known: Whether the move before led there.
         selected: Whether G54 was.
         saved: Modes (relative, e_relative, unit) to restore, by name.
         since: The last word that led the machine to a place that is not known, and its line.
@@ -83,8 +83,8 @@ class _GcodeReader:
     dialect: Dialect
     harmless_words: Collection[str]
     moves: list[GcodeMove] = field(default_factory=list)
-    at: list[float | None] = field(default_factory=list)
-    known: bool = False
+    position: list[float | None] = field(default_factory=list)
+    is_start_known: bool = False
     motion: str = ""
     relative: bool | None = False
     unit: float | None = MILLIMETRE
@@ -98,7 +98,7 @@ class _GcodeReader:
     shifted: str = ""
 
     def __post_init__(self) -> None:
-        self.at = [None] * 3 if self.home is None else list(self.home)
+        self.position = [None] * 3 if self.home is None else list(self.home)
 
     def read(self, number: int, text: str) -> None:
         """Process a line."""
@@ -112,14 +112,14 @@ class _GcodeReader:
         else:
             self._take(number, line)
 
-    def _lose(self, word: str, line: GcodeLine) -> None:
+    def _mark_moved(self, word: str, line: GcodeLine) -> None:
         """Record that the firmware has moved the machine."""
-        self.at, self.known = [None] * 3, False
+        self.position, self.is_start_known = [None] * 3, False
         self.since = f"{word:.40} (line {line.where.rpartition(' ')[2]})"
 
     def _forget(self, word: str, line: GcodeLine) -> None:
         """Process a word that is not known."""
-        self._lose(word, line)
+        self._mark_moved(word, line)
         self.relative, self.e_relative, self.e = None, None, None
         self.unit = None if self.dialect.inches else MILLIMETRE
         self.motion, self.tool, self.selected, self.prepared = "", "", False, self.since
@@ -137,7 +137,7 @@ class _GcodeReader:
         given = {key.upper(): value for key, _, value in (part.partition("=") for part in line.rest.split())}
         self._read_other_word(line.name, line, given.get("NAME", "default"))
         if line.name == self.dialect.restoring and given.get("MOVE", "0") != "0":
-            self._lose(line.name, line)
+            self._mark_moved(line.name, line)
 
     def _change_tool(self, line: GcodeLine) -> None:
         if len(line.words) > 1 or line.rest:
@@ -157,10 +157,10 @@ class _GcodeReader:
         elif word == self.dialect.restoring and self.saved.get(name):
             self.relative, self.e_relative, self.unit = self.saved[name][-1]
             self.e = None
-            if self.dialect.once:
+            if self.dialect.restores_once:
                 self.saved[name].pop()
         elif word in self.dialect.moving:
-            self._lose(word, line)
+            self._mark_moved(word, line)
         elif word not in self.dialect.harmless and word not in self.harmless_words:
             self._forget(word, line)
 
@@ -220,10 +220,10 @@ class _GcodeReader:
         if line.homing != "G28":
             self._read_other_word(line.homing, line)
             return
-        self._lose(line.homing, line)
+        self._mark_moved(line.homing, line)
         letters = {*line.argument_texts, *filter(str.isalpha, line.rest.upper())}
         if self.home is not None and letters <= {*AXES, "W"} and (letters & {*AXES}) in (set(), {*AXES}):
-            self.at = list(self.home)
+            self.position = list(self.home)
         if self.prepared:  # homing takes back a zero that was moved
             self._shift()
 
@@ -239,7 +239,7 @@ class _GcodeReader:
     def _move(self, number: int, line: GcodeLine) -> None:
         unit, relative = self._require_modes(line)
         given, end = line.argument_texts, list[float]()
-        for axis, at in zip(AXES, self.at, strict=True):
+        for axis, at in zip(AXES, self.position, strict=True):
             if at is None and (relative or axis not in given):
                 say = "" if self.home else "say so with --start X,Y,Z, or "
                 raise line.refusal(
@@ -254,14 +254,14 @@ class _GcodeReader:
             for words in (line.words[: first + 1], line.words[first + 1 :])
         )
         e = self._extrude(float(given["E"])) if "E" in given else None
-        start = None if None in self.at else tuple(float(x) for x in self.at if x is not None)
+        start = None if None in self.position else tuple(float(x) for x in self.position if x is not None)
         self.moves.append(
             GcodeMove(
-                number, start, tuple(end), self.known, unit, relative, line.counter + lead, tail, line.comments,
-                e, given.get("E", ""), bool(self.e_relative),
+                number, start, tuple(end), self.is_start_known, unit, relative, line.counter + lead, tail,
+                line.comments, e, given.get("E", ""), bool(self.e_relative),
             )
         )  # fmt: skip
-        self.at, self.known = list(end), True
+        self.position, self.is_start_known = list(end), True
 
     def _require_modes(self, line: GcodeLine) -> tuple[float, bool]:
         """Return the unit of a move's numbers [m], and whether they are relative."""

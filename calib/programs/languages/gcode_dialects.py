@@ -40,7 +40,7 @@ class Dialect:
         moving: Words that move the machine and change nothing else.
         at_once: Whether the order of words in a line means nothing and T only prepares a tool, as in RS274; else
             commands are run one after the other, each with the words behind it.
-        several: Whether a line may have several commands.
+        allows_several: Whether a line may have several commands.
         modal: Whether X, Y, Z without a G go on with the motion before.
         parentheses: Whether a text in parentheses is certainly a comment.
         inches: Whether numbers can be in inches.
@@ -52,14 +52,14 @@ class Dialect:
         retracting: Letters that G10 and G11 may have without moving a zero.
         saving: The word that saves modes, ...
         restoring: ... and the one that restores them.
-        once: Whether saved modes are restored once, the last first.
+        restores_once: Whether saved modes are restored once, the last first.
     """
 
     name: str
     harmless: frozenset[str]
     moving: frozenset[str]
     at_once: bool = False
-    several: bool = True
+    allows_several: bool = True
     modal: bool = True
     parentheses: bool = False
     inches: bool = True
@@ -71,7 +71,7 @@ class Dialect:
     retracting: frozenset[str] = frozenset()
     saving: str = ""
     restoring: str = ""
-    once: bool = False
+    restores_once: bool = False
 
 
 REFUSED = {
@@ -110,7 +110,7 @@ DIALECTS = {
             "klipper",
             _EVERYWHERE | _KLIPPER,
             _PROBING | _KLIPPER_MOVING,
-            several=False,
+            allows_several=False,
             modal=False,
             inches=False,
             spelling=r"[GMT](0|[1-9]\d*)(\.\d*[1-9])?",  # not G01
@@ -122,7 +122,7 @@ DIALECTS = {
             "marlin",
             _EVERYWHERE | parse_words("M120-121 M226 M600-601"),
             _PROBING | parse_words("G30 G60 G61 G80"),
-            several=False,
+            allows_several=False,
             modal=False,
             same_tool=True,
         ),
@@ -139,7 +139,7 @@ DIALECTS = {
             retracting=parse_words("P R S"),  # temperatures
             saving="M120",
             restoring="M121",
-            once=True,
+            restores_once=True,
         ),
     )
 }

@@ -143,7 +143,7 @@ def require_words(line: GcodeLine, dialect: Dialect) -> None:
     if len(set(letters)) < len(letters):
         raise line.refusal("has a letter twice; write one command per line")
     takes_text = line.codes[:1] == [line.homing] or (line.words and line.words[0][0] == "M")
-    hidden = dialect.several and _COMMAND.search(re.sub(r'"[^"]*"', "", line.rest))
+    hidden = dialect.allows_several and _COMMAND.search(re.sub(r'"[^"]*"', "", line.rest))
     if line.rest and (hidden or not takes_text):
         raise line.refusal(f"'{line.rest:.40}' is not read; write words of a letter and a number")
 
@@ -160,7 +160,7 @@ def require_order(line: GcodeLine, owner: str, dialect: Dialect) -> None:
     for pair in (("G20", "G21"), ("G90", "G91")):
         if {*pair} <= {*codes}:
             raise line.refusal(f"has {pair[0]} and {pair[1]}; write one command per line")
-    if len(codes) > 1 and not dialect.several:
+    if len(codes) > 1 and not dialect.allows_several:
         raise line.refusal(f"{dialect.name} runs only the first command of a line; write one command per line")
     if takers and not codes and not dialect.modal:
         raise line.refusal(f"{dialect.name} may not run lines without a command; write G0 or G1")

@@ -31,7 +31,7 @@ class GcodeMove:
         line: Its index in the lines of the program.
         start: Its start, in the program's coordinates [m]; None where that is not known.
         end: Its end [m].
-        known: Whether the move before led to `start`; not so at the beginning, and after homing.
+        is_start_known: Whether the move before led to `start`; not so at the beginning, and after homing.
         unit: Unit of its numbers [m].
         relative: Whether they count from where the machine stands.
         lead: Its words up to G0 or G1; of a line without a G, its number.
@@ -45,7 +45,7 @@ class GcodeMove:
     line: int
     start: tuple[float, ...] | None
     end: tuple[float, ...]
-    known: bool
+    is_start_known: bool
     unit: float
     relative: bool
     lead: tuple[str, ...]
@@ -93,7 +93,7 @@ class GcodeProgram:
         lines = [[line] for line in self.lines]
         stands: FloatArray = np.zeros(3)
         for move, way in zip(self.moves, ways, strict=True) if ways is not None else ():
-            if not move.known and move.start is not None:
+            if not move.is_start_known and move.start is not None:
                 stands = np.array(move.start, dtype=np.float64)
             lines[move.line], stands = self._pieces(move, way, stands)
         first = 1 if self.lines and self.lines[0].strip() == "%" else 0

@@ -160,7 +160,7 @@ class KrlFrames(Reader):
             self._select(word, (lambda _: text) if equals == at + 1 else None, in_part)
         elif word.startswith("$") and word not in SELECTED:
             if word not in self.harmless:
-                self.flow.lose(f"is not known after {word} is set (line {line})")
+                self.flow.mark_unknown(f"is not known after {word} is set (line {line})")
         elif equals == whole:
             self._select(code.text(at, equals), lambda state: self._frame((equals + 1, stop), state))
         elif number is not None or not code.is_mark(at + 1, "["):
@@ -181,7 +181,7 @@ class KrlFrames(Reader):
         elif what in BAS_FORMS and not maybe:
             self.flow.change(SELECTED, lambda state: {**state, **self._complete_form(str(state["FDAT_ACT"]), state)})
         elif what not in BAS_HARMLESS:
-            self.flow.lose(f"is not selected behind {code.excerpt(at, span[1] + 1)}", SELECTED)
+            self.flow.mark_unknown(f"is not selected behind {code.excerpt(at, span[1] + 1)}", SELECTED)
         return True
 
     def _complete_form(self, name: str, state: State) -> dict[str, Hashable]:
@@ -222,7 +222,7 @@ class KrlFrames(Reader):
             name, line = code.tokens[left].text, code.line(left)
             if name not in SELECTED:
                 if name not in self.harmless and name != "$NULLFRAME":
-                    self.flow.lose(f"is not known where {name} is set (line {line})")
+                    self.flow.mark_unknown(f"is not known where {name} is set (line {line})")
             elif code.text(left + 2, left + 4) in ("STOOL(", "STOOL2(", "SBASE(", "SIPO_MODE("):
                 self.flow.change([name], self._with_form(name, code.tokens[left + 4].text))
             elif code.is_mark(left + 1, "="):

@@ -153,7 +153,7 @@ class Reader(Statements):
     def call_elsewhere(self, shown: str, line: int) -> None:
         """Process a call of a routine that is declared elsewhere."""
         called, remedy = f"'{shown}' (line {line}), which is declared nowhere here and may", f"say --harmless {shown}"
-        self.flow.lose(f"is not known after {called} {self.danger}; {remedy} if it does not", self.lost)
+        self.flow.mark_unknown(f"is not known after {called} {self.danger}; {remedy} if it does not", self.lost)
         self.foreign = self.foreign or f"{called} set data; {remedy} if it does not"
 
     def note_arguments(self, span: Span, why: str) -> None:

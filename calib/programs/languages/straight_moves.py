@@ -183,7 +183,7 @@ def _pieces_by_move(
     fresh = np.append(True, np.any(np.diff(goals, axis=0) != 0, axis=1))  # a move begins where another ended
     labels = tuple(moves.labels[k] for k in np.repeat(active, pieces + 1)[fresh])
     compensated = compensate_in(frame, Goals(goals[fresh], labels=labels))
-    misses = list(dict.fromkeys(compensated.misses()))
+    misses = list(dict.fromkeys(compensated.unreached_rows()))
     if misses:
         raise UnreachablePoseError(
             f"{count_noun(len(misses), 'point')} cannot be compensated: {listing(misses, '; ')}; change the program"

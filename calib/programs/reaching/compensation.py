@@ -69,7 +69,7 @@ class Compensation(ReadOnlyArrays):
         names: Pose name of each row.
         labels: Name of each in messages.
         target: The target that it is about.
-        keep: The kept components of poses, of `KEEP`.
+        kept_components: The kept components of poses, of `KEEP`.
         program: Joints with which the nominal robot reaches the goals, (n, n_actuated) [m or rad]; NaN where none.
         q: Compensated commands, (n, n_actuated) [m or rad]; NaN where there are none.
         reasons: Why a row has no command; empty if it has one.
@@ -89,7 +89,7 @@ class Compensation(ReadOnlyArrays):
     names: tuple[str, ...]
     labels: tuple[str, ...]
     target: str
-    keep: str
+    kept_components: str
     program: FloatArray
     q: FloatArray
     reasons: tuple[str, ...]
@@ -114,10 +114,10 @@ class Compensation(ReadOnlyArrays):
     def figures(self) -> dict[tuple[str, str], FloatArray]:
         """Return errors and their limits by name and unit of files, (n,) each; of the kept components."""
         names = ("before", "expected", "low95", "high95")
-        endings = ("",) if self.keep == "position" else ("", "_angle")
+        endings = ("",) if self.kept_components == "position" else ("", "_angle")
         return shown_errors(names, [[getattr(self, f"{name}{ending}") for name in names] for ending in endings])
 
-    def misses(self) -> list[str]:
+    def unreached_rows(self) -> list[str]:
         """Return a phrase for every row that has no command."""
         return [f"{label} {why}" for label, why in zip(self.labels, self.reasons, strict=True) if why]
 
@@ -167,7 +167,7 @@ def compensate(
         keep: Kept components of a program of joints, one of `KEEP`; if not given, the pose if the joints can reach any.
 
     Raises:
-        InputError: `keep` is not one of `KEEP`, or is given with goals, which state it themselves.
+        InputError: `kept_components` is not one of `KEEP`, or is given with goals, which state it themselves.
         DataError: Goals of an unknown target, or joint values of the wrong shape.
     """
     known = known_robot(calibrated)
@@ -213,7 +213,7 @@ def _compensate(frame: CorrectionFrame, task: ProgramTask) -> Compensation:
     rows = np.flatnonzero(reasons == "")
     start = GoalConfigurations.unknown(actual_joints(robot, task.joints, columns), closed.passive).subset(rows)
     q, before = np.full(task.joints.shape, np.nan), np.full((2, n), np.nan)
-    before[:, rows] = replace(reach, goals=task.goals.subset(rows)).misses(start.actuated, start.passive)[1:]
+    before[:, rows] = replace(reach, goals=task.goals.subset(rows)).deviations(start.actuated, start.passive)[1:]
     if task.goals.asks_for == "position":
         before[1] = np.nan
     if frame.nothing_to_correct:
@@ -228,7 +228,7 @@ def _compensate(frame: CorrectionFrame, task: ProgramTask) -> Compensation:
         names=task.goals.names,
         labels=task.goals.labels,
         target=reach.target.name,
-        keep=task.keep,
+        kept_components=task.kept_components,
         program=program,
         q=q,
         reasons=tuple(reasons),
@@ -278,7 +278,7 @@ def _reasons(
     robot: Robot, reach: Reach, solutions: GoalConfigurations, commands: FloatArray, program: FloatArray
 ) -> list[str]:
     """Say of every goal why its command (n, n_actuated) is none; empty where it is one."""
-    _, miss, angle = reach.misses(solutions.actuated, solutions.passive)
+    _, miss, angle = reach.deviations(solutions.actuated, solutions.passive)
     known = np.asarray(np.isfinite(commands).all(axis=1))
     closed = robot.close(np.where(known[:, None], commands, program)).ok  # the loops were followed from elsewhere
     result = []

@@ -75,7 +75,7 @@ class Solution(ReadOnlyArrays):
             f"Next: {following}"
         )
 
-    def misses(self) -> list[str]:
+    def unreached_goals(self) -> list[str]:
         """Return a phrase for every goal that is not reached."""
         return [f"{self.labels[k]} {self.miss(k)}" for k in map(int, np.flatnonzero(~self.ok))]
 
@@ -92,7 +92,7 @@ class Solution(ReadOnlyArrays):
 
     def require_all(self) -> None:
         """Raise `UnreachablePoseError` that names the goals that are not reached."""
-        misses = self.misses()
+        misses = self.unreached_goals()
         if misses:
             more = f" (and {len(misses) - 5} more)" if len(misses) > 5 else ""
             raise UnreachablePoseError(
@@ -126,7 +126,7 @@ def solve(
     reach = problem(robot, goals)
     conditions = goals.conditions(len(robot.home))
     best = _search(robot, reach, _near(robot, reach, near), conditions)
-    positions, miss, angle = reach.misses(best.actuated, best.passive)
+    positions, miss, angle = reach.deviations(best.actuated, best.passive)
     index = np.arange(len(goals))
     commands = reach.with_uncommanded(index, commands_for(robot, best.actuated, conditions))
     ok = (miss <= TOLERANCE) & (angle <= TOLERANCE) & np.isfinite(commands).all(axis=1)

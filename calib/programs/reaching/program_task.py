@@ -38,14 +38,14 @@ class ProgramTask:
         goals: Goals of its target, and their conditions.
         joints: Joint values with which the nominal robot reaches the goals, (n, n_actuated) [m or rad].
         reasons: Reason for each goal that the nominal robot does not reach; empty for the others.
-        keep: One of `KEEP`.
+        kept_components: One of `KEEP`.
         nearly_reached: Full poses to stay near, if less than the pose is kept; else None.
     """
 
     goals: Goals
     joints: FloatArray
     reasons: tuple[str, ...]
-    keep: str
+    kept_components: str
     nearly_reached: Goals | None
 
 

@@ -179,7 +179,7 @@ class Reach:
             by_joint * self.scale / self.passive_scale[:, None],
         )
 
-    def misses(self, actuated: FloatArray, passive: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def deviations(self, actuated: FloatArray, passive: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the errors of a configuration of every goal.
 
         Returns:

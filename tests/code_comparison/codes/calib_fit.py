@@ -80,7 +80,7 @@ def solve(problem: Problem, how: str) -> Answer:
     told = None if expected is None else expected.rms
     version = f"this project {calib.__version__}"
     if how == "auto":
-        version += f" (added: {'+'.join(term.term for term in fit.terms.tried if term.added) or 'nothing'})"
+        version += f" (added: {'+'.join(term.term for term in fit.terms.trials if term.added) or 'nothing'})"
     if problem.cameras:
         points = fit.robot.forward(problem.unseen, problem.link)[:, :3].reshape(-1, 12)
     else:

@@ -22,7 +22,7 @@ def solve(problem: Photographs) -> Answer:
     placed = result.fitted.placed
     lens = placed.intrinsics[[0, 1, 2, 3, 4, 5]]
     version = f"this project {calib.__version__} (lens {'found' if result.lens_found else 'as published'})"
-    left = rms(result.left.pixels)
+    left = rms(result.left_out.pixels)
     return Answer(problem.predicted(placed.camera, placed.board, lens), left, True, judge(result).grade, version)
 
 

@@ -31,14 +31,14 @@ class CandidateTerm:
     Attributes:
         term: Its name.
         sections: Its entries; none where it cannot be tried.
-        refused: Why it cannot be tried; empty where it can.
-        doubt: Why it must not be added without a request, though it can be tried; empty where it may.
+        refusal: Why it cannot be tried; empty where it can.
+        reason_against: Why it must not be added without a request, though it can be tried; empty where it may.
     """
 
     term: str
     sections: tuple[TermSection, ...] = ()
-    refused: str = ""
-    doubt: str = ""
+    refusal: str = ""
+    reason_against: str = ""
 
     def terms_in(self, robot: Robot) -> tuple[JointTerm, ...]:
         """Return its terms in a robot that has them."""
@@ -80,7 +80,7 @@ class TermTrial:
         size: How many times as large as is usual its coefficients are, the largest of its joints.
         size95: The 95 % interval of that.
         joints: For which joints it is fitted, where each has a size of its own.
-        why: Why the measurements cannot show it; empty where they can.
+        refusal: Why the measurements cannot show it; empty where they can.
     """
 
     term: str
@@ -89,7 +89,7 @@ class TermTrial:
     size: float = float("nan")
     size95: tuple[float, float] = (float("nan"), float("nan"))
     joints: tuple[str, ...] = ()
-    why: str = ""
+    refusal: str = ""
 
     @property
     def proven(self) -> bool:
@@ -104,7 +104,7 @@ class TermChoice:
     Attributes:
         requested: `auto`, `none`, or the requested list.
         sections: The entries that it has.
-        tried: Of `auto`, what was found about each kind of term, those that were added first.
+        trials: Of `auto`, what was found about each kind of term, those that were added first.
         undecided: Of `auto`, what the sizes of all kinds leave uncertain; None if nothing.
         expected_rms: Of `auto`, how far off poses that are left out are expected to be: the root mean square of the
             main part of the readings [SI]; NaN where it is not known.
@@ -112,7 +112,7 @@ class TermChoice:
 
     requested: str
     sections: tuple[TermSection, ...]
-    tried: tuple[TermTrial, ...] = ()
+    trials: tuple[TermTrial, ...] = ()
     undecided: UndecidedTerms | None = None
     expected_rms: float = float("nan")
 
@@ -134,7 +134,7 @@ def candidates(robot: Robot, data: Measurements) -> tuple[CandidateTerm, ...]:
     uncounted = uncounted_turns(robot, data.joints)
     if uncounted:
         tried = [kind.term for kind in kinds if kind.sections and TERMS[kind.term].counts_turns]
-        kinds += [CandidateTerm(name, refused=may_be_wrapped(uncounted, [f"a {name}"])) for name in tried]
+        kinds += [CandidateTerm(name, refusal=may_be_wrapped(uncounted, [f"a {name}"])) for name in tried]
     return tuple(kinds)
 
 
@@ -163,24 +163,24 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> CandidateTerm:
     try:
         kind = TERMS[name]
     except DescriptionError as error:  # a broken package of others
-        return CandidateTerm(name, refused=str(error))
+        return CandidateTerm(name, refusal=str(error))
     joints = [joint for joint in robot.joint_names if _shows(kind, joint, robot, data)]
     refused = why_term_unknown(kind, data) or ("" if joints else _nothing_shows(name, kind, robot, data))
     if refused:
-        return CandidateTerm(name, refused=refused)
+        return CandidateTerm(name, refusal=refused)
     try:
         entries = kind.entries(name, joints, robot.joint_names)
         sections = missing_terms(robot, entries)
         if not sections:
             return CandidateTerm(
-                name, refused="the description has it already" if entries else "there is no other joint"
+                name, refusal="the description has it already" if entries else "there is no other joint"
             )
         with_it = robot.with_terms((*robot.description.terms, *sections))
         columns = term_columns(with_it, data.joints, data.conditions)
     except ValidationError:
-        return CandidateTerm(name, refused="it needs further values, which only a description can state")
+        return CandidateTerm(name, refusal="it needs further values, which only a description can state")
     except DescriptionError as error:  # no masses, a prismatic joint without limits
-        return CandidateTerm(name, refused=str(error).removeprefix(f"{robot.path}: "))
+        return CandidateTerm(name, refusal=str(error).removeprefix(f"{robot.path}: "))
     if kind.needs_torque:
         loaded = [
             term.joint
@@ -189,9 +189,9 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> CandidateTerm:
         ]
         sections = missing_terms(robot, tuple(kind.section(joint=joint, term=name) for joint in loaded))
         if not sections:
-            return CandidateTerm(name, refused="gravity loads no joint differently from pose to pose")
+            return CandidateTerm(name, refusal="gravity loads no joint differently from pose to pose")
     doubtful = Condition.APPROACH in kind.depends_on and not data.states_approach
-    return CandidateTerm(name, sections, doubt=_OF_ORDER if doubtful else "")
+    return CandidateTerm(name, sections, reason_against=_OF_ORDER if doubtful else "")
 
 
 def why_term_unknown(kind: type[JointTerm], data: Measurements) -> str:

@@ -97,10 +97,12 @@ def size_terms(fit: Fit) -> TermChoice:
     kinds = candidates(fit.robot, data)
     if fit.computed:
         why = "nothing is left to explain: these data were computed, not measured"
-        return TermChoice("auto", described, tuple(TermTrial(candidate.term, why=why) for candidate in kinds))
-    requested = tuple(candidate for candidate in kinds if not (candidate.refused or candidate.doubt))
+        return TermChoice("auto", described, tuple(TermTrial(candidate.term, refusal=why) for candidate in kinds))
+    requested = tuple(candidate for candidate in kinds if not (candidate.refusal or candidate.reason_against))
     model = _TermModel(fit, requested)
-    tried = [model.outcome(c) if c in requested else TermTrial(c.term, why=c.refused or c.doubt) for c in kinds]
+    tried = [
+        model.outcome(c) if c in requested else TermTrial(c.term, refusal=c.refusal or c.reason_against) for c in kinds
+    ]
     sections = (*described, *(section for candidate in requested for section in model.entries(candidate)))
     tried.sort(key=lambda term: not term.added)
     return TermChoice("auto", sections, tuple(tried), model.undecided(sections), model.expected_rms())
@@ -137,7 +139,7 @@ class _TermModel:
         """The model without some families, (n_families,), and with the likeliest sizes of the others."""
         zero = np.arange(len(self._solved_model.logs)) < len(families)
         zero[: len(families)] = families
-        return likeliest_sizes(self._solved_model.model.without(families), self._solved_model.logs, zero)
+        return likeliest_sizes(self._solved_model.model.without_families(families), self._solved_model.logs, zero)
 
     @cached_property
     def _blocks(self) -> IntArray:
@@ -165,7 +167,7 @@ class _TermModel:
     def _squares(self, at: SolvedModel) -> FloatArray:
         """Squares of errors of blocks left out, in units of what no term leaves, (n_blocks,)."""
         bare = self._solve_with_kinds(frozenset())
-        rows, left = bare.model.rows, bare.left
+        rows, left = bare.model.rows, bare.whitened_residuals
         squares = bare.variance * left**2
         sums, counts = (
             np.bincount(rows.group, values, len(rows.has_stated_noise)) for values in (squares, np.ones(len(left)))

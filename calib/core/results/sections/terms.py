@@ -17,7 +17,7 @@ _NONE = "none, because the measurements show none"
 def terms_table(fit: Fit) -> dict[str, object]:
     """Return the request, the entries, the choice, and where curves hold."""
     choice = fit.terms
-    tried = [] if choice is None else choice.tried
+    tried = [] if choice is None else choice.trials
     return {
         "asked": None if choice is None else choice.requested,
         "entries": [section.model_dump(mode="json") for section in fit.robot.description.terms],
@@ -42,10 +42,10 @@ def terms_lines(fit: Fit) -> list[str]:
     """Return the outcome for each kind of joint term: its size, and whether it is surely there."""
     if fit.terms is None or not fit.terms.automatic:
         return [] if fit.terms is None else [f"Joint terms requested: {fit.terms.requested}"]
-    tried, count = fit.terms.tried, len(fit.terms.tried)
+    tried, count = fit.terms.trials, len(fit.terms.trials)
     added = [_size_in_words(trial) for trial in tried if trial.added]
-    left = [_size_in_words(trial) for trial in tried if not (trial.added or trial.why)]
-    refused = [f"{trial.term} ({trial.why})" for trial in tried if trial.why]
+    left = [_size_in_words(trial) for trial in tried if not (trial.added or trial.refusal)]
+    refused = [f"{trial.term} ({trial.refusal})" for trial in tried if trial.refusal]
     lines = [f"Joint terms added: {listing(added, '; ', count) or _NONE}"]
     lines += [line for trial in tried if trial.added for line in _coefficients(fit, trial.term)]
     lines += (
@@ -80,7 +80,7 @@ def terms_added(fit: Fit) -> list[str]:
     """Return which joint terms were added, in a line; none where none were looked for."""
     if fit.terms is None or not fit.terms.automatic:
         return []
-    added = [trial.term for trial in fit.terms.tried if trial.added]
+    added = [trial.term for trial in fit.terms.trials if trial.added]
     return [f"Joint terms added: {', '.join(added) or _NONE}"]
 
 

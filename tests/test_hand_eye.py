@@ -138,7 +138,7 @@ def test_what_new_images_stay_below_holds_for_errors_that_an_image_shares(good):
     for _ in range(400):
         used, new = size * generator.standard_normal((2, n, 2))
         left = replace(good.left_out, pixels=np.full((m, 2), 50.0), board=used[good.scene.image])
-        limit = replace(good, left=left).limit
+        limit = replace(good, left_out=left).limit
         held.append(np.sqrt(np.mean(np.sum(new**2, axis=1))) < limit)
         widths.append(limit / np.sqrt(np.mean(np.sum(used**2, axis=1))))
     assert np.mean(held) > 0.97  # more than 0.95: these errors, unlike those of a fit, are independent

@@ -72,7 +72,8 @@ class SolvedProblem(Protocol):
     def scales(self) -> Scales: ...  # noqa: D102
 
     @property
-    def weights(self) -> FloatArray: ...  # noqa: D102
+    def weights(self) -> FloatArray:
+        """Weights of readings by a robust loss, (n_readings,)."""
 
     @property
     def weighted_rows(self) -> Rows: ...  # noqa: D102

@@ -431,7 +431,7 @@ def test_a_program_is_compensated_as_the_robot_stands(tmp_path):
     program = calib.read_poses(written(tmp_path / "program.csv", told | reading(low, high)), robot)
     true = robot.with_parameters({"turn.x": 2e-3, "turn.y": -1e-3})
     result = calib.compensate(true, program, keep="position")
-    assert not result.unreached_goals()
+    assert not result.unreached_rows()
     assert np.allclose(true.positions(result.q)[:, 0], points, rtol=0, atol=1e-9)
     assert np.allclose(result.q[:, [0, 1, 3, 4]], q[:, [0, 1, 3, 4]], rtol=0, atol=1e-12)
     stands = {name: q[:, robot.joint_names.index(name)] for name in robot.sensed_names}

@@ -73,7 +73,9 @@ def test_the_command_writes_the_truth_the_noise_and_the_seed_into_the_file(tmp_p
     (tmp_path / "truth.csv").write_text("parameter,value,unit\nslide.x,260,mm\n")
     command = "simulate arm.yaml q.csv --parameters truth.csv --sigma-mm 0.05 --seed 7 --out m.csv"
     run = run_calib(*command.split(), cwd=tmp_path)
-    assert (run.code, run.out, run.err) == (0, "3 simulated poses written to m.csv, seed 7\n", "")
+    unchecked = "note: collisions are not checked: the robot file has no collision shapes, and the description names no"
+    assert (run.code, run.out) == (0, "3 simulated poses written to m.csv, seed 7\n")
+    assert run.err == f"{unchecked} obstacles\n"
     table = read_table(tmp_path / "m.csv")
     assert table.comments == (
         "simulated measurements of small arm; truth: truth.csv",

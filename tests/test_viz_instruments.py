@@ -64,7 +64,7 @@ def test_a_target_that_was_not_seen_has_no_row(tmp_path):
     saved = gather(robot, tmp_path / "out").scene.poses
     assert (saved.labels, saved.targets) == (table.labels, table.targets)
     np.testing.assert_allclose(saved.after, table.after, atol=1e-9)
-    assert undrawn(fit).count("<figure") == 9
+    assert undrawn(fit).count("<figure") == 10
 
 
 def test_repeats_of_a_pose_are_one_row_with_the_mean_of_their_readings(tmp_path):
@@ -120,7 +120,7 @@ def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
     assert re.search(r"noise of one reading of ball, position 0\.0\d+ mm per axis \(stated: 0\.0500 mm", shown)
     assert re.search(r"noise of one reading of ball, orientation 0\.\d+ mrad .*\(stated: 0\.200 mrad", shown)
     assert "Instruments ball (position, orientation of ball)" in shown
-    assert html.count("<figure") == 13  # the picture, four plots of each part, coverage, causes, joints, parameters
+    assert html.count("<figure") == 14  # picture, four plots of each part, coverage, causes, joints, dials, parameters
     names = re.findall(r'\bid="([^"]+)"', html)
     assert len(names) == len(set(names))
 

@@ -174,7 +174,7 @@ def test_few_of_many_pieces_are_with_the_executor_at_a_time() -> None:
 
 
 def test_work_that_is_lost_again_and_again_is_an_error() -> None:
-    with pytest.raises(ComputationError, match=r"lost 3 times at the same work \(OSError: the"):
+    with pytest.raises(ComputationError, match=r"ended 3 times at the same work \(OSError: the"):
         list(results_in_order(abs, [1], Forgetful([1, 1, 1])))
 
 
@@ -194,7 +194,7 @@ def test_a_process_that_dies_half_way_through_its_answer_is_replaced(tmp_path: P
 def test_work_or_an_answer_that_cannot_be_read_is_an_error_and_waits_for_nothing() -> None:
     with Workers(2) as executor:
         for function, items in ((unreadable, [1, 2, 3]), (str, [Unreadable()] * 3)):
-            with pytest.raises(ComputationError, match=r"lost 3 times.*no number"):
+            with pytest.raises(ComputationError, match=r"ended 3 times.*no number"):
                 list(results_in_order(function, items, executor))
         assert list(results_in_order(abs, [-1], executor)) == [1]
 
@@ -269,7 +269,7 @@ def test_work_that_was_left_half_way_does_not_mix_with_the_next() -> None:
 
 
 def test_what_cannot_be_sent_is_an_error_and_waits_for_nothing() -> None:
-    with Workers(2) as executor, pytest.raises(ComputationError, match=r"lost 3 times.*pickle"):
+    with Workers(2) as executor, pytest.raises(ComputationError, match=r"ended 3 times.*pickle"):
         list(results_in_order(threading.Thread.join, [threading.current_thread()], executor))
     with Workers(2) as executor:
         assert executor is not None

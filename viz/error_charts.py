@@ -11,6 +11,7 @@ from calib import Fit
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, quantity
 from calib.core.fitting.error_sets import STATES
+from calib.core.numerics import linalg
 from viz.charts import COLOURS, Chart, PageRows, axis, layer, panel
 from viz.poses import EXCLUDED, VALIDATION
 from viz.reading_errors import ReadingErrors
@@ -247,7 +248,7 @@ def _views(places: FloatArray) -> list[tuple[str, str, str, FloatArray, FloatArr
     x, y, z = places.T
     views = [("from above", "x", "y", x, y), ("from the side", "x", "z", x, z), ("from the front", "y", "z", y, z)]
     if len(places) > 3:
-        _, extents, axes = np.linalg.svd(places - places.mean(axis=0), full_matrices=False)
+        _, extents, axes = linalg.svd(places - places.mean(axis=0), full_matrices=False)
         if extents[2] < _FLAT * extents[1] and np.abs(axes[2]).max() < _ALONG_AN_AXIS:
             along, across, _ = axes @ (places - places.mean(axis=0)).T
             views.append(("on the measured surface", "along", "across", along, across))

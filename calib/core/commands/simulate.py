@@ -65,7 +65,6 @@ def command(
     _require_noise(model, sigma, camera)
     poses = read_plan(joints, model)
     poses, notes = free_poses(model, poses)
-    output.remarks(notes)
     output.check(out, folders=(photographs,))
     remarks = near_singularities(model, model.assemble(poses.joints, labels=poses.labels), poses.labels)
     measured = simulate(model, poses, sigma, np.random.default_rng(seed))
@@ -83,7 +82,7 @@ def command(
         measured = replace(measured, readings=others)
         write_folder(photographs, images, force=output.force)
     output.write(out, format_measurements(model, measured, comments))
-    output.remarks(remarks)
+    output.remarks((*notes, *remarks))
     output.say(f"{count_noun(len(poses), 'simulated pose')} written to {out}, seed {seed}")
     if photographs:
         output.say(f"{count_noun(len(poses), 'simulated photograph')} written to {photographs}")

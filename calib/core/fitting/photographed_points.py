@@ -41,7 +41,8 @@ def photographed_points(robot: Robot, data: Measurements) -> tuple[Robot, Measur
     changes = {
         "base": BaseSection(frame=camera.place.link, pose="unknown"),
         "targets": {camera.target: target},
-        **{"instruments": {}, "setups": {}, "held": (), "elimination_order": (), "fleet": None, "model": None},
+        **{"instruments": {}, "setups": {}, "columns": {}, "held": (), "elimination_order": ()},
+        **{"fleet": None, "model": None},
     }
     positioned = build(description.model_copy(update=changes), robot.urdf, robot.path)
     return positioned, replace(data, readings={camera.target: plain_readings(points)}, robot=positioned)

@@ -35,7 +35,7 @@ class Calibrated(Protocol):
     """An object with a calibrated robot: a fit, or a loaded result."""
 
     @property
-    def known(self) -> KnownRobot:
+    def known_robot(self) -> KnownRobot:
         """The robot, with how well it is known."""
 
 
@@ -48,6 +48,6 @@ def known_robot(calibrated: RobotLike | Calibrated | KnownRobot) -> KnownRobot:
     if isinstance(calibrated, KnownRobot):
         return calibrated
     if isinstance(calibrated, Calibrated):
-        return calibrated.known
+        return calibrated.known_robot
     robot = as_robot(calibrated)
     return KnownRobot(robot, None, np.zeros((0, len(robot.joint_names))), nothing_to_correct=False)

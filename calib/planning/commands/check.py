@@ -90,15 +90,15 @@ def command(
     task_poses = None if task is None else read_poses(task, model)
     output.remarks(wrapped_terms(model, pose_set.joints))
     collisions = check_poses(model, pose_set.joints)
+    output.check(folders=(plots,))
+    with output.working(f"checking {len(pose_set)} poses"):
+        assessment = check(model, pose_set, task=task_poses, sigma=sigma)
     output.remarks(unordered(pose_set) if isinstance(pose_set, Measurements) else collisions.notes)
     for name, hit in zip(pose_set.names, collisions.hits, strict=True):
         if hit:
             output.alarm(f"pose {name}: {hit}")
     if collisions.n_blocked:
         output.alarm(collisions.summary())
-    output.check(folders=(plots,))
-    with output.working(f"checking {len(pose_set)} poses"):
-        assessment = check(model, pose_set, task=task_poses, sigma=sigma)
     if plots is not None:
         write_folder(plots, figures(assessment), force=output.force)
     output.say(text_report(assessment, source, verbose=verbose))

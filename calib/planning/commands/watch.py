@@ -82,13 +82,14 @@ def command(
     watch = Watch(
         model, length, candidates=poses, sigma=None if sigma_mm is None else sigma_in_metres(sigma_mm), seed=seed
     )
-    output.remarks(watch.notes)
     if once:
         progress = watch.update(read_measurements(file, model))
         _tell(progress, output)
         if progress.reason_without_fit is not None:
             raise progress.reason_without_fit
+        output.remarks(watch.notes)
         return
+    output.remarks(watch.notes)
     viewer = live(model) if view else None
     try:
         _follow(watch, GrowingFile(file, model), every, viewer, output)

@@ -10,6 +10,7 @@ tell signs, quarter turns and orders, but are not good enough to calibrate with.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ def photographed_points(robot: Robot, data: Measurements) -> tuple[Robot, Measur
     points = np.full((len(data), 3), np.nan)
     points[visits] = np.where(np.isfinite(errors)[:, None], poses[:, :3, 3], np.nan)
     target = TargetSection(frame=description.targets[camera.target].frame, position="unknown")
-    changes = {
+    changes: dict[str, Any] = {
         "base": BaseSection(frame=camera.place.link, pose="unknown"),
         "targets": {camera.target: target},
         **{"instruments": {}, "setups": {}, "columns": {}, "held": (), "elimination_order": ()},

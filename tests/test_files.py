@@ -2,7 +2,6 @@
 
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -273,9 +272,10 @@ def test_what_a_killed_program_left_is_cleared_by_the_next_but_not_what_a_living
 
 
 LIMITED = """
-import sys, signal
+import resource, signal, sys
 from calib.core.base.errors import InputError
 from calib.core.base.files import write_file, write_folder
+resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a write beyond the limit is then an error, as on a full disk
 for function, content in ((write_folder, {"a": b"new", "b": b"n" * 100_000}), (write_file, b"n" * 100_000)):
     try:
@@ -289,8 +289,7 @@ def test_a_disk_without_room_leaves_the_old_result_and_nothing_else(tmp_path):
     write_folder(tmp_path / "out", {"a": b"old", "b": b"old"})
     write_file(tmp_path / "table.csv", b"old")
     before = tree(tmp_path)
-    limit = {"preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))}
-    said, trouble = in_process(LIMITED, tmp_path, **limit).communicate()
+    said, trouble = in_process(LIMITED, tmp_path).communicate()
     assert trouble == ""
     assert said.count("cannot be written (file too large)") == 2
     assert tree(tmp_path) == before

@@ -271,7 +271,7 @@ def test_json_without_columns_is_said_in_one_line(tmp_path, content, said):
         (b"ARROW1\0\0", "a Parquet or Arrow file"),
         (b"#ROSBAG V2.0\n", "a bag of ROS 1"),
         (b"\x02\x50" + bytes(100), "a C3D file"),
-        (gzip.compress(b"a,b\n1,2\n"), "a compressed file"),
+        (gzip.compress(b"a,b\n1,2\n", mtime=0), "a compressed file"),
         (pickle.dumps({"q": [1]}), "a pickle of Python"),
         (b"\n<!doctype html>\n", "a web page"),
         (b"\x89PNG\r\n\x1a\n" + bytes(100), "a picture or a document"),

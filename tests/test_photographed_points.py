@@ -51,10 +51,10 @@ def test_signs_and_zeros_are_named_from_photographs_alone(robot):
     seen = calib.simulate(robot, joints, None, rng)
     assert likely_mistake(robot, seen) == ""
     logged = joints * [1, 1, -1, 1, 1] + [0, 0, 0, np.pi / 2, 0]
-    told = likely_mistake(robot, calib.as_measurements(robot, logged, dict(seen.readings)))
-    assert "joint elbow_flex has the wrong sign" in told
-    assert 'elbow_flex: "-elbow_flex [rad]"' in told
-    assert "wrist_flex counted from another zero (wrist_flex -90 deg would be right)" in told
+    words = likely_mistake(robot, calib.as_measurements(robot, logged, dict(seen.readings)))
+    assert "joint elbow_flex has the wrong sign" in words
+    assert 'elbow_flex: "-elbow_flex [rad]"' in words
+    assert "wrist_flex counted from another zero (wrist_flex -90 deg would be right)" in words
 
 
 def test_positions_are_those_of_the_points_in_the_camera(robot):

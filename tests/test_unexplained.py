@@ -60,9 +60,9 @@ def simulated(robot, shape, rng, *, n=60, size=SIZE, again=1):
 
 def held(fit, q, points):
     """Part of the 95 % intervals of single coordinates that hold the true one."""
-    told = fit.predict(q)
-    moves = told.std[:, 0] > 1e-9  # the pen of the five-bar stays in its plane
-    inside = np.abs(told.positions[:, 0] - points) <= told.coverage_factor * told.std[:, 0]
+    predicted = fit.predict(q)
+    moves = predicted.std[:, 0] > 1e-9  # the pen of the five-bar stays in its plane
+    inside = np.abs(predicted.positions[:, 0] - points) <= predicted.coverage_factor * predicted.std[:, 0]
     return float(np.mean(inside[moves]))
 
 
@@ -127,7 +127,7 @@ def test_what_is_added_is_the_lever_of_each_joint():
     robot = example("arm")
     fit, _ = fitted(robot, "rough", 3)
     q = fit.identification.data.joints[:4]
-    told = fit.predict(q)
+    predicted = fit.predict(q)
     alone = replace(fit.uncertainty, joint_error=0.0).predict(fit.robot, q)
     step = 1e-6
     levers = np.stack(
@@ -135,8 +135,8 @@ def test_what_is_added_is_the_lever_of_each_joint():
         axis=2,
     )
     added = fit.joint_error**2 * levers @ levers.swapaxes(1, 2)
-    np.testing.assert_allclose(told.covariance[:, 0] - alone.covariance[:, 0], added, rtol=1e-5, atol=1e-14)
-    turns = told.turn_covariance - alone.turn_covariance
+    np.testing.assert_allclose(predicted.covariance[:, 0] - alone.covariance[:, 0], added, rtol=1e-5, atol=1e-14)
+    turns = predicted.turn_covariance - alone.turn_covariance
     assert np.trace(turns[0, 0]) == pytest.approx(6 * fit.joint_error**2, rel=1e-6)  # each of six joints turns it
 
 
@@ -216,9 +216,9 @@ def _error_over_std(robot, kind, rng):
     true = true.with_parameters(true.values + sigma * rng.standard_normal(len(sigma)))
     q = rng.uniform(-1.5, 1.5, (140, len(robot.joint_names)))
     read = true.positions(q[:70])[:, 0] + NOISE * rng.standard_normal((70, 3))
-    told = calib.fit(robot, calib.as_measurements(robot, q[:70], read)).predict(q[70:])
-    off = np.sum((told.positions[:, 0] - true.positions(q[70:])[:, 0]) ** 2, axis=1)
-    return np.sqrt(np.mean(off) / np.mean(told.distance**2))
+    predicted = calib.fit(robot, calib.as_measurements(robot, q[:70], read)).predict(q[70:])
+    off = np.sum((predicted.positions[:, 0] - true.positions(q[70:])[:, 0]) ** 2, axis=1)
+    return np.sqrt(np.mean(off) / np.mean(predicted.distance**2))
 
 
 if __name__ == "__main__":

@@ -17,9 +17,10 @@ from viz_examples import NOON, five_bar_fit, measurements, medrue_fit, medrue_ro
 import calib
 import viz
 from calib.core.base.files import image_address
+from calib.core.judging.error_budget import CauseShare
 from calib.core.judging.findings import joint_budget
 from calib.core.judging.next_step import next_step
-from calib.core.results.sections.budget import worst_joints
+from calib.core.results.sections.budget import worst_joint, worst_joints
 from viz.error_charts import _views, error_charts, page_rows
 from viz.joint_charts import corrections, dials
 from viz.pose_sources import from_fit
@@ -378,6 +379,22 @@ def test_causes_of_the_error_fall_from_the_error_before_to_zero(fit):
     assert np.sqrt(squares.sum()) == pytest.approx(bars["right"][0])
 
 
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        (((0.6, 0.1), (0.2, 0.1)), "a 60 % ± 20 % of the squared error before calibration; next b 20 % ± 20 %"),
+        (((0.3, 0.1), (0.2, 0.1)), "not determined: a 30 % ± 20 % of the squared"),  # 10 to 50 %, and 20 %
+        (((0.1, 0.1), (-0.2, 0.1)), "not determined: a 10 % ± 20 % of the squared error before calibration"),
+        (((0.3, 0.1), (-0.2, 0.1)), "a 30 % ± 20 % of the squared error before calibration"),
+    ],
+)
+def test_a_joint_is_worst_only_where_its_interval_lies_above_the_next(fit, monkeypatch, parts, words):
+    shares = tuple(CauseShare(name, part, std) for name, (part, std) in zip("ab", parts, strict=True))
+    made = dataclasses.replace(joint_budget(fit), before=1.0, shares=shares)
+    monkeypatch.setattr("calib.core.judging.findings.joint_budget", lambda _: made)
+    assert worst_joint(fit).startswith(words)
+
+
 def test_the_page_alone_answers_ten_questions(fit, html):
     shown, worst = words_of(html), worst_joints(joint_budget(fit))
     biggest = max(fit.validation.after["tool"].tolist(), key=np.linalg.norm)
@@ -386,7 +403,8 @@ def test_the_page_alone_answers_ten_questions(fit, html):
     answers = {
         "is it good enough": rf"Verdict: {fit.verdict.grade} .*? within {claim.in_unit(claim.limit95)} of where",
         "how far off, before and after": r"[\d.]+ → [\d.]+ mm Position error \(RMS\) before and after calibration",
-        "which joint is worst": rf"Worst joint {worst[0].cause} [\d.]+ % ± [\d.]+ % .*; next {worst[1].cause}",
+        "which joint is worst": rf"Worst joint (not determined: )?{worst[0].cause} [\d.]+ % ± [\d.]+ % .*;"
+        rf" next {worst[1].cause}",
         "where is it worst": rf"Largest error {millimetres(1e3 * np.linalg.norm(biggest))} mm .*? pose"
         rf" {fit.validation.data.names[at]}, at",
         "which reading is wrong": r"Outliers None: no point lies further off than noise explains",

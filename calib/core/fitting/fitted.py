@@ -363,7 +363,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @cached_property
     def unexplained(self) -> UnexplainedErrors:
-        """Errors that the residuals show beside noise."""
+        """Errors that the residuals show in addition to noise."""
         if self.computed:
             return UnexplainedErrors()
         return unexplained_errors(self, sized=self.terms is not None and self.terms.automatic)

@@ -18,7 +18,7 @@ and such an error does. So where noise is not stated, kinds of joint errors that
 with sizes of their own (`calib.core.fitting.terms.kind_model`): each as large as is likeliest, if the log likelihood is
 higher with it by odds of 20 to 1 (kass1995), times their number: of many that are not there, one looks as if it were,
 and far from the poses measured it would count for much. The fit has none of them, so its robot is off by all of what
-the rows say about them, and that counts beside what they leave open. Where `--terms auto` has found the sizes of all
+the rows say about them. That counts, and what they leave open is added. Where `--terms auto` has found the sizes of all
 kinds, these count instead.
 
 What rows cannot tell apart counts as delta, because the noise of readings does not move the tool
@@ -47,12 +47,12 @@ from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.size_search import least_sizes, likeliest_sizes, scatter_given_noise
 from calib.core.rows.prediction import UndecidedTerms
 
-_SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is nothing beside others
+_SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is negligible
 
 
 @dataclass(frozen=True)
 class UnexplainedErrors:
-    """Errors that residuals show beside noise.
+    """Errors that residuals show in addition to noise.
 
     Attributes:
         joint_error: Delta of the module docstring [rad]; 0 where noise explains the residuals.
@@ -64,7 +64,7 @@ class UnexplainedErrors:
 
 
 def unexplained_errors(fit: SolvedProblem, *, sized: bool) -> UnexplainedErrors:
-    """Return the errors that the residuals of a fit show beside noise.
+    """Return the errors that the residuals of a fit show in addition to noise.
 
     Args:
         fit: The fit.

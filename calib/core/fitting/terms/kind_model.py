@@ -1,12 +1,11 @@
 """The mixed model of kinds of joint errors around a fit (`calib.core.numerics.mixed_model`).
 
 Around the fit, rows are linear in its free parameters and in the coefficients of joint terms that its robot lacks. Each
-kind of term is a family, or one for each joint where joints differ (`JointTerm.differs`). Beside them, each joint has
-an error that differs from pose to pose, which stands for what no kind describes.
+kind of term is a family, or one for each joint where joints differ (`JointTerm.differs`). Each joint also has an
+error that differs from pose to pose, which stands for what no kind describes.
 
 What sizes leave uncertain. With coefficients u and covariance C of several sets of sizes, cov u = mean of C +
-covariance of u around those of the fit. What that is more than the C of the fit stands beside the covariance of the
-fit.
+covariance of u around those of the fit. The difference to the C of the fit is added to the covariance of the fit.
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ from calib.core.rows.rows import Rows, Scales
 from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
-_POSES = 500  # that tell the sizes
-_LITTLE = 0.01  # of the largest variance that readings feel of undecided terms, below which directions are left out
+_POSES = 500  # number of poses that sizes are found from
+_LITTLE = 0.01  # part of the largest variance of readings by undecided terms; smaller directions are left out
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class TermFamily:
 
 
 class SolvedProblem(Protocol):
-    """The attributes of a `Fit` that errors beside it are found from."""
+    """The attributes of a `Fit` that its unexplained errors are found from."""
 
     @property
     def robot(self) -> Robot: ...  # noqa: D102
@@ -80,7 +79,7 @@ class SolvedProblem(Protocol):
 
 
 def with_kinds(robot: Robot, kinds: Sequence[CandidateTerm]) -> Robot:
-    """Return a robot with terms of some kinds beside its own, coefficients zero."""
+    """Return a robot with terms of some kinds added to its own, coefficients zero."""
     sections = [section for kind in kinds for section in kind.sections]
     return robot.with_terms((*robot.description.terms, *sections)) if sections else robot
 
@@ -97,7 +96,7 @@ class KindModel:
     Attributes:
         robot: The robot with terms of all kinds.
         families: The families of the model.
-        of_kinds: Which of them are of the kinds, (n_families,).
+        of_kinds: Mask of the families of these kinds, (n_families,).
     """
 
     def __init__(self, fit: SolvedProblem, kinds: Sequence[CandidateTerm], scales: FloatArray | None = None) -> None:
@@ -133,10 +132,10 @@ class KindModel:
         """Return rows of the model.
 
         Args:
-            read: Which, (n_read,).
+            read: Numbers of the rows, (n_read,).
             groups: Scales of the noise that they are whitened by, (n_groups,).
-            ratios: Of the offsets that they are weighed for, (n_offsets,).
-            stated: Of which groups the noise is not found, (n_groups,).
+            ratios: Ratios of the offsets that they are weighed for, (n_offsets,).
+            stated: Mask of the groups whose noise is stated, (n_groups,).
         """
         fit, layout = self._fit, self._fit.whitening.layout
         data, near = fit.identification.data, fit.configurations.passive
@@ -159,12 +158,12 @@ class KindModel:
     def undecided(
         self, model: MixedModel, fitted: FloatArray, others: Iterable[FloatArray], terms: tuple[TermSection, ...]
     ) -> UndecidedTerms | None:
-        """Return what the sizes leave uncertain beside the covariance of the fit; None if that is nothing.
+        """Return the uncertainty that the sizes add to the covariance of the fit; None if they add none.
 
         Args:
-            model: Of `rows`.
+            model: Model of `rows`.
             fitted: Logarithms of the sizes that the fit has, (n_sizes,).
-            others: Those of each set of sizes that may be right, (n_sizes,) each.
+            others: Logarithms of each set of sizes that may be right, (n_sizes,) each.
             terms: Entries of terms that the fit does not have, and these sets have.
         """
         at = model.solve(fitted)

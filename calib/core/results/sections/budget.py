@@ -96,14 +96,19 @@ def worst_joints(budget: ErrorBudget) -> list[CauseShare]:
 
 
 def worst_joint(fit: Fit) -> str:
-    """Return the joint that made most of the error before calibration, and the next; empty where it is not known."""
+    """Return the joint that made most of the error before calibration, and the next; empty where there is no budget.
+
+    Where the 95 % interval of the largest part reaches down to the next part, the worst joint is not determined.
+    """
     budget = findings.joint_budget(fit)
     joints = [] if budget is None else [share for share in worst_joints(budget) if share.mean_square > 0]
     if budget is None or not joints:
         return ""
     percent = [100 * np.array([one.mean_square, 1.96 * one.std]) / budget.before for one in joints[:2]]
     words = [f"{one.cause} {part:.2g} % ± {half:.2g} %" for one, (part, half) in zip(joints, percent, strict=False)]
-    return f"{words[0]} of the squared error before calibration" + (f"; next {words[1]}" if words[1:] else "")
+    lowest, next_part = percent[0][0] - percent[0][1], percent[1][0] if percent[1:] else 0.0
+    doubt = "" if lowest > next_part else "not determined: "
+    return f"{doubt}{words[0]} of the squared error before calibration" + (f"; next {words[1]}" if words[1:] else "")
 
 
 def budget_lines(fit: Fit) -> list[str]:

@@ -87,9 +87,8 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
         if len(names) - n - 3 not in _WIDTHS:
             raise DataError(
                 f"{path}: {count_noun(n, 'joint value')}, x, y, z and a rotation of 3, 4 or 9 numbers are needed in"
-                f" each"
-                f" row; name the columns, such as {joint_names[0]}, x, rx, qw, or leave out all others"
-                f" (found: {', '.join(table.names)})"
+                f" each row; name the columns, such as {joint_names[0]}, x, rx, qw, or leave out all others (found:"
+                f" {', '.join(table.names)})"
             )
         joints, positions, rotations = order[:n], order[n : n + 3], order[n + 3 :]
     numbers = {k: table.column(table.names[k], None) if table.units[k] is None else _plain_numbers(table, k)

@@ -62,10 +62,9 @@ class Match:
         agreed = self.agreement
         if not agreed.to_the_digits:
             return (
-                f"the controller computes with something that joint origins cannot hold: each pair is"
+                "the controller computes with something that joint origins cannot hold: each pair is"
                 f" {_mm(agreed.left_out)} (RMS) from what all others predict, and the file's digits allow"
-                f" {_mm(agreed.rounding_distance)};"
-                f" {self._terms_tried()}"
+                f" {_mm(agreed.rounding_distance)}; {self._terms_tried()}"
             )
         elsewhere = f"{_mm(agreed.claim)} and {_mrad(agreed.turn_claim)} at 95 % of all poses"
         sentence = (

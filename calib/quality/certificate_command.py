@@ -104,8 +104,7 @@ def command(
     found = certificate.budget
     output.say(
         f"U = {1e6 * found.expanded_uncertainty:.4g} um (k = {found.coverage_factor:.2f}, 95 %) for one coordinate of"
-        f" the tool,"
-        f" at poses like the {content['n_poses']} measured"
+        f" the tool, at poses like the {content['n_poses']} measured"
     )
     if draws:
         difference = (

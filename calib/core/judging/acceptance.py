@@ -125,10 +125,8 @@ class Acceptance:
             "go on using the robot" if self.verdict == "agrees" else "calib.fit(robot, data) of new measurements"
         )
         return (
-            f"{repr(self)[1:-1]}\n"
-            "Inside: verdict, p_value; errors, at the new poses; changes, of which each could explain the readings;"
-            " outliers\n"
-            f"Next: {following}"
+            f"{repr(self)[1:-1]}\nInside: verdict, p_value; errors, at the new poses; changes, of which each could"
+            f" explain the readings; outliers\nNext: {following}"
         )
 
 

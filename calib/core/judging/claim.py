@@ -180,9 +180,8 @@ class Claim:
         else:
             off = f"off by {measured.in_unit(measured.rms)} RMS, {self.region}"
         shown = "".join(
-            f" At {seen.accuracy.pose_words}: RMS {seen.accuracy.in_unit(seen.accuracy.rms)},"
-            f" {kept.in_unit(kept.rms)} without"
-            " outliers."
+            f" At {seen.accuracy.pose_words}: RMS {seen.accuracy.in_unit(seen.accuracy.rms)}, {kept.in_unit(kept.rms)}"
+            " without outliers."
             for seen in self.unused
             if (kept := seen.without_outliers)
         )

@@ -203,9 +203,8 @@ def check_copies(fit: Fit) -> Iterator[Reason]:
     copies = np.zeros(0, dtype=np.intp) if fit.computed else copied_visits(fit.nominal, data)
     if len(copies) >= COPIED * len(data) and len(copies):
         yield Code.COPIED.says(
-            f"{len(copies)} of {count_noun(len(data), 'reading')} are copies of others to the last digit, so"
-            f" intervals are"
-            f" too narrow: {listing([data.labels[k] for k in copies])}. Leave the copies out"
+            f"{len(copies)} of {count_noun(len(data), 'reading')} are copies of others to the last digit, so intervals"
+            f" are too narrow: {listing([data.labels[k] for k in copies])}. Leave the copies out"
         )
 
 

@@ -41,8 +41,7 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
         parts.append(
             f"To settle it, measure {count_noun(len(acceptance.repeated_visits), 'pose')} of the calibration again:"
             f" {listing(acceptance.repeated_visits, ', ', len(acceptance.repeated_visits))}. A difference at these"
-            f" poses is a change of"
-            " the robot"
+            " poses is a change of the robot"
         )
     if acceptance.outliers:
         parts.append(f"Left out, further off than noise explains: {listing(acceptance.outliers, '; ')}")

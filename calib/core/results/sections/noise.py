@@ -96,9 +96,8 @@ def scatter_lines(fit: Fit) -> list[str]:
     lines = []
     if fit.statistics.shared_scatter is not None:
         lines.append(
-            f"Readings of the same pose share errors: poses scatter {fit.statistics.shared_scatter.ratio:.2g} times"
-            f" as much as"
-            " independent readings would. Intervals include it"
+            f"Readings of the same pose share errors: poses scatter {fit.statistics.shared_scatter.ratio:.2g} times as"
+            " much as independent readings would. Intervals include it"
         )
     for name, offsets in fit.offsets.items():
         instrument = fit.nominal.instrument(name)

@@ -187,17 +187,8 @@ def _budget_table(found: Mapping[str, Any]) -> DocumentRows:
         )
     effective, blank = _freedom(found["effective_degrees_of_freedom"]), ""
     combined, expanded = _um(found["combined_standard_uncertainty"]), _um(found["expanded_uncertainty"])
-    rows.append(
-        (
-            "combined standard uncertainty",
-            blank,
-            blank,
-            combined,
-            effective,
-            blank,
-            "degrees of freedom: effective (Welch-Satterthwaite)",
-        )
-    )
+    note = "degrees of freedom: effective (Welch-Satterthwaite)"
+    rows.append(("combined standard uncertainty", blank, blank, combined, effective, blank, note))
     coverage = f"coverage factor {found['coverage_factor']:.3f}, coverage probability {100 * PROBABILITY:.0f} %"
     rows.append(("expanded uncertainty", blank, blank, expanded, blank, blank, coverage))
     columns = (

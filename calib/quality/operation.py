@@ -106,11 +106,9 @@ def _robots() -> Iterator[Check]:
 def _robot(name: str, robot: Robot, seed: int) -> Iterator[Check]:
     true = draw_robot(robot, seed, part=_SMALL)
     joints = _common_poses(robot, true, _POSES, seed)
-    apart, slopes, off = (
-        _largest_difference(true, joints),
-        _slopes(true, joints[:5]),
-        _recovery_error(robot, true, joints, seed),
-    )
+    apart = _largest_difference(true, joints)
+    slopes = _slopes(true, joints[:5])
+    off = _recovery_error(robot, true, joints, seed)
     subject, expected = f"positions of the {name}", f"within {millimetres(_FAR):g} mm of a product of single transforms"
     yield Check.from_values(_PHASE, subject, expected, f"{millimetres(apart):.1e} mm", apart <= _FAR)
     subject, expected = f"Jacobian of the {name}", f"relative difference to central differences at most {_SLOPES:g}"

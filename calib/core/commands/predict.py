@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import click
+import numpy as np
 
+from calib.core.base.units import error_scale
 from calib.core.base.words import count_noun
 from calib.core.commands.common import (
     Output,
@@ -18,7 +20,7 @@ from calib.core.commands.common import (
 )
 from calib.core.data.measurement_files import format_positions, read_poses
 from calib.core.data.measurements import Poses
-from calib.core.judging.claim import ErrorElsewhere
+from calib.core.judging.claim import Claim
 from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
 from calib.core.rows.reported_uncertainty import ReportedUncertainty
@@ -55,8 +57,10 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
         known = calibrated.reported_uncertainty
         text, summary, remark = _with_uncertainty(known, poses, comment)
         content["position_uncertainty"] = summary
-        content["claim"] = claim = calibrated.content["verdict"].get("claim")
-        content["expected"], expected = _expected_error(claim, summary)
+        content["claim"] = calibrated.content["verdict"].get("claim")
+        content["expected"], expected = _expected_error(
+            calibrated.verdict.claim, summary["rms"] / error_scale("length")
+        )
         content["beyond_curves"] = beyond = calibrated.remarks_beyond_curves(poses)
         remarks = remarks + beyond
     else:
@@ -74,22 +78,17 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     output.json(content)
 
 
-def _expected_error(claim: dict[str, Any] | None, known: dict[str, Any]) -> tuple[dict[str, float] | None, str]:
-    """Return how far off the tool is at these poses, as data and in words; None, and nothing, where that is not known.
-
-    Args:
-        claim: The claim of the fit, as in `result.json`.
-        known: Summary of how well positions are known at these poses [mm].
-    """
-    if not claim or not claim.get("is_position") or None in (claim["limit95"], claim.get("known")):
+def _expected_error(claim: Claim | None, known: float) -> tuple[dict[str, float] | None, str]:
+    """How far off the tool is where positions are known to so many metres, as data and in words; None if unknown."""
+    if claim is None or not np.isfinite(claim.at_measured_poses.limit95 + claim.rms):
         return None, ""
-    here = ErrorElsewhere.from_claim(claim["rms"], claim["limit95"], claim["known"], known["rms"])
-    words = f"The real tool is within {here.limit95:.3g} {claim['unit']} of these positions, 95 % of the time"
+    here, scale = claim.error_at(known), error_scale("length")
+    words = f"The real tool is within {scale * here.limit95:.3g} mm of these positions, 95 % of the time"
     if here.times < _FURTHER:
-        words += f", {claim['region']}"
+        words += f", {claim.region}"
     else:
-        words += f". This is {here.times:.2g} times as far as {claim['region']}"
-    return {"rms": here.rms, "limit95": here.limit95, "times": here.times}, words
+        words += f". This is {here.times:.2g} times as far as {claim.region}"
+    return {"rms": scale * here.rms, "limit95": scale * here.limit95, "times": here.times}, words
 
 
 def _with_uncertainty(

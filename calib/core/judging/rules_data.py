@@ -198,13 +198,14 @@ def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
 
 
 def check_copies(fit: Fit) -> Iterator[Reason]:
-    """Look for readings that are in the data more than once, to the last digit."""
-    data = fit.identification.data
-    copies = np.zeros(0, dtype=np.intp) if fit.computed else copied_visits(fit.nominal, data)
-    if len(copies) >= COPIED * len(data) and len(copies):
+    """Look for readings that are in the data more than once, to the last digit, whichever of them the fit has used."""
+    sets = [fit.identification.data, *([] if fit.validation is None else [fit.validation.data])]
+    copies = [] if fit.computed else [data.labels[k] for data in sets for k in copied_visits(fit.nominal, data)]
+    total = sum(map(len, sets))
+    if copies and len(copies) >= COPIED * total:
         yield Code.COPIED.says(
-            f"{len(copies)} of {count_noun(len(data), 'reading')} are copies of others to the last digit, so intervals"
-            f" are too narrow: {listing([data.labels[k] for k in copies])}. Leave the copies out"
+            f"{len(copies)} of {count_noun(total, 'reading')} are copies of others to the last digit, so intervals are"
+            f" too narrow: {listing(copies)}. Leave the copies out"
         )
 
 

@@ -201,10 +201,8 @@ def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
             return None
     except DataError:  # no points were measured
         return None
-    code, places = (
-        (Code.BASE_ELSEWHERE if base else Code.TARGET_ELSEWHERE),
-        _base_in_words(robot, placed) if base else "",
-    )
+    code = Code.BASE_ELSEWHERE if base else Code.TARGET_ELSEWHERE
+    places = _base_in_words(robot, placed) if base else ""
     if targets:
         wrong = [k for k, name in enumerate(seen) if robot.description.targets[name].position == "known"]
         places += " and " if places else "targets: "

@@ -50,6 +50,7 @@ are not distinguished: that is a new calibration's work.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -297,6 +298,9 @@ def poses_needed(
     """
     promise = Promise.from_calibration(calibrated)
     planned = as_poses(promise.robot, poses)
+    names = [c.name for c in candidates(promise.robot)]
+    if name not in names:
+        raise DataError(f"'{name}' is no parameter or joint zero that can change{nearest(name, names)}")
     if not (np.isfinite(size) and size != 0):
         raise DataError(f"change of '{name}': {size:g} is not a change; give a number other than zero")
 
@@ -307,16 +311,8 @@ def poses_needed(
             return False
         return any(c.name == name and c.visible <= abs(size) for c in changes)
 
-    names = [c.name for c in candidates(promise.robot)]
-    if name not in names:
-        raise DataError(f"'{name}' is no parameter or joint zero that can change{nearest(name, names)}")
-    if not shows(len(planned)):
-        return None
-    low, high = 0, len(planned)  # more poses show more
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if shows(middle) else (middle, high)
-    return high
+    needed = 1 + bisect_left(range(1, len(planned) + 1), True, key=shows)  # more poses show more
+    return needed if needed <= len(planned) else None
 
 
 def _is_noise(promise: Promise, system: System) -> bool:

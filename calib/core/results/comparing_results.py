@@ -26,7 +26,7 @@ Reference: holm1979, satterthwaite1946.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
@@ -105,15 +105,14 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     folders = [Path(result).resolve() for result in results if not isinstance(result, Fit)]
     if len(set(folders)) < len(folders):
         raise InputError("a result folder is given twice; give each once")
-    loaded = [_read_result(result, f"fit {k + 1}") for k, result in enumerate(results)]
+    names_of_folders = iter(distinct_names([result for result in results if not isinstance(result, Fit)]))
+    loaded = [
+        _Result(f"fit {k + 1}" if isinstance(given, Fit) else next(names_of_folders), _loaded(given))
+        for k, given in enumerate(results)
+    ]
     for result in loaded[1:]:
         if geometry(result.loaded.robot) != geometry(loaded[0].loaded.robot):
             raise DataError(f"{result.name}: is the result of another robot than {loaded[0].name}; their URDFs differ")
-    names_of_folders = iter(distinct_names([result for result in results if not isinstance(result, Fit)]))
-    loaded = [
-        result if isinstance(given, Fit) else replace(result, name=next(names_of_folders))
-        for given, result in zip(results, loaded, strict=True)
-    ]
     pairs = list(combinations(loaded, 2))
     notes = [note for first, other in pairs for note in _notes(first, other)]
     tested = [_p_values(first, other) for first, other in pairs]
@@ -179,12 +178,12 @@ def difference_covariance(first: FloatArray, second: FloatArray, precision: Floa
     return first + second - shared - shared.T
 
 
-def _read_result(result: Fit | Path | str, name: str) -> _Result:
+def _loaded(result: Fit | Path | str) -> LoadedResult:
     if not isinstance(result, Fit):
-        return _Result(str(result), load_result(result, failed_too=True))
-    loaded = LoadedResult(name, result.nominal, result.robot, to_dict(result), {})
+        return load_result(result, failed_too=True)
+    loaded = LoadedResult("", result.nominal, result.robot, to_dict(result), {})
     vars(loaded)["fit"] = result  # it need not be evaluated again
-    return _Result(name, loaded)
+    return loaded
 
 
 def geometry(robot: Robot) -> list[tuple[object, ...]]:

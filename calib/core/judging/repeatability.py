@@ -95,15 +95,15 @@ def repeat_table(errors: ErrorSet) -> dict[str, Any] | None:
         return None
 
     def summary(lengths: Iterable[float]) -> dict[str, float]:
-        values = np.array([millimetres(float(length)) for length in lengths])
+        values = np.array([millimetres(length) for length in lengths])
         return {"mean": float(np.mean(values)), "max": float(np.max(values))}
 
     return {
         "n_poses": len({scatter.pose for scatter in several}),
         "n_readings": sum(len(scatter.after) for scatter in several),
         "pose_accuracy": {
-            "before": summary(np.linalg.norm(scatter.before.mean(axis=0)) for scatter in several),
-            "after": summary(np.linalg.norm(scatter.after.mean(axis=0)) for scatter in several),
+            "before": summary(float(np.linalg.norm(scatter.before.mean(axis=0))) for scatter in several),
+            "after": summary(float(np.linalg.norm(scatter.after.mean(axis=0))) for scatter in several),
         },
         "pose_repeatability": summary(iso9283.repeatability(scatter.after) for scatter in several),
     }

@@ -245,13 +245,12 @@ def repeats(fit: Fit) -> Iterator[Reason]:
 
 def check_rounding(fit: Fit) -> Iterator[Reason]:
     """See whether joint values were rounded to so few digits that this makes much of the noise."""
-    steps = None if fit.computed else rounding(fit)
-    if steps is not None and ROUNDED < steps.part < ALL_ROUNDED and steps.chance < FALSE_ALARM:
-        estimate, part = fit.first_noise, fit.first_noise.group.part
-        size = estimate.sigma * float(np.sqrt(min(steps.part, 1.0)))
+    steps, share, chance = (None if fit.computed else rounding(fit)) or ("", 0.0, 1.0)
+    if ROUNDED < share < ALL_ROUNDED and chance < FALSE_ALARM:
+        noise, part = fit.first_noise.sigma * float(np.sqrt(min(share, 1.0))), fit.first_noise.group.part
         yield Code.ROUNDED.says(
-            f"joint values were rounded to steps of {steps.steps}, which makes about"
-            f" {quantity_text(size, part.dimension, '.2g')} of noise. Export joint values with all digits of the"
+            f"joint values were rounded to steps of {steps}, which makes about"
+            f" {quantity_text(noise, part.dimension, '.2g')} of noise. Export joint values with all digits of the"
             " controller"
         )
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
 import numpy as np
 
@@ -19,11 +17,9 @@ from calib.core.commands.common import (
     with_values,
 )
 from calib.core.data.measurement_files import format_positions, read_poses
-from calib.core.data.measurements import Poses
 from calib.core.judging.claim import Claim
 from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
-from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 _FURTHER = 1.05
 """Ratio of errors expected at these poses to those at poses like those measured, from which both are reported."""
@@ -55,7 +51,10 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     if result:
         calibrated = load_result(result, nominal)
         known = calibrated.reported_uncertainty
-        text, summary, remark = _with_uncertainty(known, poses, comment)
+        predicted = known.predict(poses.joints, poses.conditions)
+        measured = predicted.measured or predicted  # positions are written as the instruments see them
+        text = format_positions(known.robot, poses, measured.positions, comment, measured.std)
+        summary = predicted.table() | {"worst_pose": poses.names[predicted.worst]}
         content["position_uncertainty"] = summary
         content["claim"] = calibrated.content["verdict"].get("claim")
         content["expected"], expected = _expected_error(
@@ -73,7 +72,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
             output.say(expected)
         output.say(
             f"Positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
-            f" (pose {summary['worst_pose']}), {known.uncertainty.coverage_sentence}{remark}"
+            f" (pose {summary['worst_pose']}), {known.uncertainty.coverage_sentence}{predicted.remark()}"
         )
     output.json(content)
 
@@ -89,13 +88,3 @@ def _expected_error(claim: Claim | None, known: float) -> tuple[dict[str, float]
     else:
         words += f". This is {here.times:.2g} times as far as {claim.region}"
     return {"rms": scale * here.rms, "limit95": scale * here.limit95, "times": here.times}, words
-
-
-def _with_uncertainty(
-    known: ReportedUncertainty, poses: Poses, comment: tuple[str, ...]
-) -> tuple[str, dict[str, Any], str]:
-    """Return the CSV text with standard deviations, their summary [mm], and what to add to it."""
-    predicted = known.predict(poses.joints, poses.conditions)
-    measured = predicted.measured or predicted  # positions are written as the instruments see them
-    text = format_positions(known.robot, poses, measured.positions, comment, measured.std)
-    return text, predicted.table() | {"worst_pose": poses.names[predicted.worst]}, predicted.remark()

@@ -128,4 +128,7 @@ def _change(robot: Robot, text: str) -> tuple[str, float]:
     known = {change.name: change.dimension for change in candidates(robot)}
     if name not in known:
         raise DataError(f"--change: '{name}' is no parameter or joint zero that can change{nearest(name, known)}")
-    return name, quantity(size, known[name], f"--change {name}")
+    value = quantity(size, known[name], f"--change {name}")
+    if value == 0:
+        raise DataError(f"--change '{text}': is not a change; give a size other than zero")
+    return name, value

@@ -57,9 +57,8 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
         summary = predicted.table() | {"worst_pose": poses.names[predicted.worst]}
         content["position_uncertainty"] = summary
         content["claim"] = calibrated.content["verdict"].get("claim")
-        content["expected"], expected = _expected_error(
-            calibrated.verdict.claim, summary["rms"] / error_scale("length")
-        )
+        known_here = float(np.sqrt(np.mean(predicted.reported_distance**2)))
+        content["expected"], expected = _expected_error(calibrated.verdict.claim, known_here)
         content["beyond_curves"] = beyond = calibrated.remarks_beyond_curves(poses)
         remarks = remarks + beyond
     else:

@@ -107,12 +107,15 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
         raise InputError("a result folder is given twice; give each once")
     names_of_folders = iter(distinct_names([result for result in results if not isinstance(result, Fit)]))
     loaded = [
-        _Result(f"fit {k + 1}" if isinstance(given, Fit) else next(names_of_folders), _loaded(given))
+        _fitted(given, f"fit {k + 1}")
+        if isinstance(given, Fit)
+        else _Result(next(names_of_folders), load_result(given, failed_too=True))
         for k, given in enumerate(results)
     ]
-    for result in loaded[1:]:
-        if geometry(result.loaded.robot) != geometry(loaded[0].loaded.robot):
-            raise DataError(f"{result.name}: is the result of another robot than {loaded[0].name}; their URDFs differ")
+    first, *others = (result.loaded for result in loaded)
+    for other in others:
+        if geometry(other.robot) != geometry(first.robot):
+            raise DataError(f"{other.path}: is the result of another robot than {first.path}; their URDFs differ")
     pairs = list(combinations(loaded, 2))
     notes = [note for first, other in pairs for note in _notes(first, other)]
     tested = [_p_values(first, other) for first, other in pairs]
@@ -178,12 +181,10 @@ def difference_covariance(first: FloatArray, second: FloatArray, precision: Floa
     return first + second - shared - shared.T
 
 
-def _loaded(result: Fit | Path | str) -> LoadedResult:
-    if not isinstance(result, Fit):
-        return load_result(result, failed_too=True)
-    loaded = LoadedResult("", result.nominal, result.robot, to_dict(result), {})
-    vars(loaded)["fit"] = result  # it need not be evaluated again
-    return loaded
+def _fitted(fit: Fit, name: str) -> _Result:
+    loaded = LoadedResult(name, fit.nominal, fit.robot, to_dict(fit), {})
+    vars(loaded)["fit"] = fit  # it need not be evaluated again
+    return _Result(name, loaded)
 
 
 def geometry(robot: Robot) -> list[tuple[object, ...]]:

@@ -45,12 +45,11 @@ def read_klipper(path: Path | str) -> PrinterFile:
             a number that is far off from what all others say.
     """
     cfg = _Klipper(path)
+    if ("printer", "kinematics") not in cfg.entries:
+        _require_own_words(path)
     kinematics = cfg.text("printer", "kinematics")
     if kinematics == "rotary_delta":
-        raise DataError(
-            f"{path}: is a rotary delta, whose arms turn; --klipper is for carriages on towers: begin with calib init"
-            " --template delta, with its lengths as --length"
-        )
+        raise _rotary_delta(path)
     if kinematics != "delta":
         raise DataError(f"{path}: [printer] kinematics is not 'delta'; this is for linear deltas")
     steppers = [f"stepper_{tower}" for tower in TOWERS]
@@ -84,6 +83,13 @@ def read_klipper(path: Path | str) -> PrinterFile:
         require_steps(printer, micro)
         require_plausible(printer)
     return printer
+
+
+def _rotary_delta(path: Path | str) -> DataError:
+    return DataError(
+        f"{path}: is a rotary delta, whose arms turn, and this is for carriages on towers: begin with calib init"
+        " --template delta, with its lengths as --length"
+    )
 
 
 def _times(values: tuple[float, float, float], unit: float) -> tuple[float, float, float]:
@@ -215,6 +221,8 @@ def _require_printer(path: Path | str, geometry: DeltaGeometry) -> None:
 def _require_own_words(path: Path | str) -> None:
     """Raise `DataError` for settings of another firmware, with the lines that say the same."""
     text = read_text(path, "a file with M665 and M666", DataError)
+    if re.search(r"^\s*arm_solution\s+rotary_delta", text, re.MULTILINE):
+        raise _rotary_delta(path)
     smoothie = dict(re.findall(r"^\s*(arm_length|arm_radius|gamma_max|\w+_trim)\s+([-+.\d]+)", text, re.MULTILINE))
     lines = re.findall(r"^EPR:\s*\d+\s+\d+\s+([-+.\d]+)\s+(\w+ \w+ \w+)", text, re.MULTILINE)
     repetier = {what: value for value, what in lines}

@@ -195,6 +195,8 @@ def test_points_without_a_header_are_read_by_the_numbers_of_their_columns(tmp_pa
     check(calib.read_measurements([tmp_path / "joints.csv", tmp_path / "points.txt"], robot), robot)
     with pytest.raises(calib.DataError, match="write a line with the names of the columns above them"):
         read_table(tmp_path / "points.txt")
+    (tmp_path / "named.csv").write_text("pose,1,2,3\np1,510,120,330\n")
+    assert read_table(tmp_path / "named.csv", {"1": "tool_x [mm]"}).names[0] == "pose"
 
 
 def test_lists_in_cells_are_columns(tmp_path):

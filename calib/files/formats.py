@@ -151,7 +151,7 @@ FORMATS = (
         "the same, without `columns`",
         "write a line with the names of the columns above them, such as X [mm],Y [mm]; or say in the robot description"
         ' what they are: columns: {"1": "joint_1 [rad]", "2": ...}',
-        text.has_no_names_between_blanks,
+        text.has_no_known_names,
     ),
     OtherFormat(
         "a table with lists in its cells, as pandas writes them",

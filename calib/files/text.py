@@ -122,14 +122,19 @@ def has_no_names(file: SomeFile) -> bool:
     lines = [cells_of(line) for line in file.first_lines[:-1] or file.first_lines if line.strip()]
     lines = [cells for cells in lines if not cells[0].startswith(_MARKS)]
     places = [is_number(cell) for cell in lines[0]] if lines else []
-    enough = len(places) > 1 and sum(places) >= min(len(places), 3)
+    counted = [cell for cell in lines[0] if is_number(cell)] if lines else []
+    are_names = counted == [str(k + 1) for k in range(len(counted))]
+    enough = len(places) > 1 and sum(places) >= min(len(places), 3) and not are_names
     return enough and all([is_number(cell) for cell in cells] == places for cells in lines[:SEEN])
 
 
-def has_no_names_between_blanks(file: SomeFile) -> bool:
-    """Whether these are parted by blanks alone, so that no other reader knows them."""
+def has_no_known_names(file: SomeFile) -> bool:
+    """Whether such lines are parted by blanks, or have texts too, so that no other reader knows them."""
     row = _first_row(file.first_lines)
-    return row is not None and not re.search("[,;\t]", file.first_lines[row]) and has_no_names(file)
+    if row is None or not has_no_names(file):
+        return False
+    line = file.first_lines[row]
+    return not re.search("[,;\t]", line) or not all(map(is_number, cells_of(line)))
 
 
 def _blank_header(file: SomeFile) -> int | None:

@@ -164,11 +164,7 @@ class _Klipper:
 
 
 def read_m665(path: Path | str, firmware: str) -> PrinterFile:
-    """Read the lines M665 and M666 of a file, and of Marlin M851.
-
-    Args:
-        path: The file.
-        firmware: `marlin` or `duet`.
+    """Read the lines M665 and M666 of a file of `marlin` or `duet`, and of Marlin M851.
 
     Raises:
         DataError: A line is missing, or says what the firmware or the model does not know.
@@ -293,11 +289,7 @@ def _require_duet(path: Path | str, rods: tuple[float, ...], ends: Mapping[str, 
 
 
 def read_printer(path: Path | str, firmware: str) -> PrinterFile:
-    """Read a printer's settings; see `read_klipper` and `read_m665`.
-
-    Args:
-        path: The file.
-        firmware: `klipper`, `marlin` or `duet`.
+    """Read a printer's settings of `klipper`, `marlin` or `duet`; see `read_klipper` and `read_m665`.
 
     Raises:
         DataError: As these.

@@ -454,6 +454,13 @@ def position(anchors, lengths, noise):
     return least_squares(lambda p: (np.linalg.norm(p - anchors, axis=1) - lengths) / noise, [0, 0, 0.1]).x
 
 
+def test_the_pages_of_a_machine_whose_joints_have_no_parameters_are_written(tmp_path):
+    _, _, drawn = spooled(tmp_path)
+    data = drawn(np.random.default_rng(1))
+    calib.fit(data.robot, data).save(tmp_path / "out")
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
 @pytest.mark.skipif(not (SHARED / "hangprinter_cable").is_dir(), reason="the cables are not here")
 def test_every_second_position_of_a_real_cable_robot_tells_of_the_others(tmp_path):
     rows = np.genfromtxt(SHARED / "hangprinter_cable" / "samples.csv", delimiter=",", skip_header=1)

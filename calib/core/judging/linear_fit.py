@@ -62,8 +62,8 @@ class LinearFit:
     def sizes(self, effects: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the sizes (k,) of effects Z (n_rows, k) if all of them were parameters, and their standard deviations.
 
-        Infinite deviations are of effects that were not made. What the fit absorbs is hardly known, and no size comes of
-        it: there residuals are what the solver left.
+        Infinite deviations are of effects that were not made. What the fit absorbs is hardly known, and no size comes
+        of it: there residuals are what the solver left.
         """
         size = np.linalg.norm(effects, axis=0)
         made = np.flatnonzero(size > 0)

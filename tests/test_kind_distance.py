@@ -158,7 +158,7 @@ def test_a_file_of_distances_is_fitted(fit_file, tmp_path):
         (("offset: unknown", "offset: {value: 3 mm}"), "instruments.wire.offset: give {value: ..., sigma: ...}"),
         (("offset: unknown", "offset: {value: 3 mm, sgma: 1}"), "unknown key 'sgma'; did you mean 'sigma'"),
         (("offset: unknown", "offset: 3 deg"), "unit 'deg' is for an angle"),
-        (("-0.9, 0.1]}", "-0.9, 0.1], sigma: 1 mm}"), "sigma is for a point whose position is unknown"),
+        (("-0.9, 0.1]}", "-0.9, 0.1], sigma: 1 mm}"), "sigma is for a place whose position is unknown"),
     ],
 )
 def test_descriptions_that_cannot_be(fit_file, edit, said):

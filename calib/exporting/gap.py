@@ -81,7 +81,6 @@ def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
     The points are evenly spread (no random numbers); those that cannot be assembled are left out.
 
     Args:
-        robot: The robot.
         count: Number to try.
     """
     lower, upper = joint_ranges(robot)

@@ -49,7 +49,6 @@ def serial_chain(robot: Robot, mechanism: Mechanism) -> SerialChain:
     """Return the chain to the first target of a robot that motors move.
 
     Args:
-        robot: The robot.
         mechanism: Its nominal or its current one.
 
     Raises:
@@ -152,7 +151,6 @@ def remainder(robot: Robot, chain: SerialChain, forward: Callable[[FloatArray], 
 
     Args:
         robot: The robot, with its current values.
-        chain: Its chain.
         forward: The poses of the tip in the base that the format has, (n, 4, 4) [m], at values of the chain's joints,
             (n, n_joints) [m or rad].
     """

@@ -147,7 +147,6 @@ def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray |
     """Learn mean and spread; see the module docstring.
 
     Args:
-        results: Evidence of each result.
         kinds: Kind of each parameter, from 0, (n,).
         start: Variances t^2 to start from, (n,).
     """
@@ -218,7 +217,6 @@ def compare_with_fleet(
     """Compare a result with the prediction of others, learned without it.
 
     Args:
-        result: Evidence of the result.
         mean: Prediction of the others, (n,).
         expected: Covariance of the prediction, (n, n).
         freedom: f of the module docstring, (n,).
@@ -255,7 +253,6 @@ def learn_without_odd(
     """Learn from all results that are not unlike the others.
 
     Args:
-        results: Evidence of each result.
         kinds: Kind of each parameter, (n,).
 
     Returns:

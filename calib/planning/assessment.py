@@ -207,7 +207,6 @@ def check(
     """Return the parameters that poses determine, at the robot's present values.
 
     Args:
-        robot: The robot.
         poses: Poses that are or would be measured; of measurements, only joint values and number of readings are used.
             Or joint values alone, (n, n_actuated) [m or rad]. If not given: a hundred, spread over the joint limits.
         task: Poses whose accuracy counts, in the same form; `poses` if not given.

@@ -49,7 +49,6 @@ def groups_of(robot: Robot, instruments: str | Sequence[str], count: int | Mappi
     """Return the groups of instruments to choose among.
 
     Args:
-        robot: The robot.
         instruments: `ALL`, `EACH`, or the groups: names of instruments, joined by `+` where they read together.
         count: Number of poses, or a number for each group, which names the groups as well.
 

@@ -83,7 +83,6 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
     "; of 'elbow' there are: elbow.rz, elbow.x"
 
     Args:
-        name: The given name.
         valid: Accepted names.
         what: The words before the list.
     """
@@ -107,7 +106,6 @@ def nearest_column(name: str, columns: Collection[str], taken: Collection[str] =
     """Return a hint for a column that a file lacks: the nearest one that it has, and all of them.
 
     Args:
-        name: The column.
         columns: Columns of the file.
         taken: Of these, columns that mean something else and are not offered.
     """

@@ -30,7 +30,6 @@ def read_dh(path: Path | str, convention: str | None = None) -> DhTable:
     """Read a table.
 
     Args:
-        path: The file.
         convention: `standard` or `modified`; if not given, the file must say it.
 
     Raises:

@@ -129,7 +129,6 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
 
     Args:
         robot: Its instruments say what else is read, and how well that is known.
-        data: The measurements.
         sigma: Standard deviation per axis of what was read in each row, (n,) or (n, 3) [m].
 
     Raises:

@@ -41,9 +41,7 @@ def readings_in(
     """Return the readings of an instrument in the rows of a table.
 
     Args:
-        robot: The robot.
         instrument: One of its instruments.
-        table: The table.
         rows: Visit of each row, (n_table_rows,).
         own_lines: Whether readings keep their file and line, because other files have the joint values.
 

@@ -139,7 +139,6 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     """Return the visits of a table; where it does not name its poses, they are counted on from `first`.
 
     Args:
-        table: The table.
         robot: Robot with these joints.
         used: Columns that something is read from, other than joints and conditions of a visit.
         first: Visits before the first row.
@@ -279,7 +278,6 @@ def conditions_of_table(
     """Return the conditions of the robot in each row of a table.
 
     Args:
-        table: The table.
         robot: Its terms say what they depend on.
         joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then what
             their order would tell counts as nothing.

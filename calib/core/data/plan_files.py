@@ -64,7 +64,6 @@ def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None =
 
     Args:
         paths: The file; several are measurements that belong together.
-        robot: The robot.
         table: Content of a single file, if it was read before.
 
     Raises:

@@ -34,7 +34,6 @@ def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | N
 
     Args:
         source: The file or the table in memory.
-        robot: The robot.
         growing: Lines so far of a file that is still written.
 
     Raises:

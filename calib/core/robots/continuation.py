@@ -67,8 +67,6 @@ def newton(
     """Newton on the passive joints; accepted only where it contracts at once and stays in the assembly mode.
 
     Args:
-        mechanism: The robot.
-        mode: Its assembly mode.
         actuated: Actuated joints, (n, n_actuated) [m or rad].
         passive: Where to start, (n, n_passive) [m or rad].
         slopes: Whether C_p and C_a are wanted at the solution.
@@ -163,8 +161,6 @@ def follow(
     """Solve poses in the assembly mode of home, by one of the ways of the module docstring.
 
     Args:
-        mechanism: The robot.
-        mode: Home and its assembly mode.
         actuated: Actuated joints, (n, n_actuated) [m or rad].
         thorough: Whether poses are tried in every way that do not follow from the nearest solved one.
 
@@ -279,8 +275,6 @@ def hangs_together(
     Where all arrive at the passive joints that they are known to have, each of them follows from home.
 
     Args:
-        mechanism: The robot.
-        mode: Home and its assembly mode.
         actuated: Actuated joints, (n, n_actuated) [m or rad].
         passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
 

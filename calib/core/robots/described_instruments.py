@@ -25,10 +25,6 @@ _TARGETS_GROUP = "targets"
 def instruments_of(description: Description, where: str) -> tuple[Instrument, ...]:
     """Return the instruments of a description.
 
-    Args:
-        description: The description.
-        where: Its file, for messages.
-
     Raises:
         DescriptionError: An instrument looks at a target that does not exist, or two instruments have the same column.
     """

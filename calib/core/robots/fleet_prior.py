@@ -85,10 +85,6 @@ class FleetSection(Section):
     def expected(self, parameters: Iterable[Parameter], where: str) -> tuple[Parameter, ...]:
         """Return parameters with their priors from the fleet; those that the fleet does not know stay as they are.
 
-        Args:
-            parameters: Parameters of the robot.
-            where: File of the description, for messages.
-
         Raises:
             DescriptionError: A number has a unit of another dimension, or a spread is not positive.
         """

@@ -167,7 +167,6 @@ def accelerations(
 
     Args:
         section: Entry of a description.
-        setups: Names of the setups.
         mechanism: The nominal mechanism.
         joints: All joints, (n, n_joints) [m or rad].
         context: Readings of sensors, and their setups.
@@ -258,7 +257,6 @@ def turn_columns(
 
     Args:
         terms: All terms, the turns last.
-        mechanism: The robot.
         q: Commands, (n, n_actuated) [m or rad].
         context: Their conditions, the torque among them.
         slopes: Derivative of the torque by each turn, (n, n_driven) each.
@@ -304,7 +302,6 @@ def gravity_torque(
         load: Mass of the payload, (n,) [kg].
         payload: Frame at whose origin it hangs; None: that of the first target that motors move.
         acceleration: By gravity in the root link's axes, (n, 3) [m/s^2].
-        where: Name of the robot in messages.
 
     Raises:
         DescriptionError: The URDF has no masses, and it is not stated that a payload alone loads the joints.

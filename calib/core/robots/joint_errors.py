@@ -82,10 +82,7 @@ def columns_of_terms(
     """Return phi of each term for each joint that it moves, (n, n_moved, n_coefficients) each; 0 for other terms.
 
     Args:
-        terms: The terms.
-        mechanism: The robot.
         q: Commands, (n, n_actuated) [m or rad].
-        context: Conditions of the commands.
     """
     columns = []
     for term in terms:
@@ -177,7 +174,6 @@ def commands_for(robot: RobotData, actual: FloatArray, context: Context | None =
 
     Args:
         actual: Values to reach; where all driven joints are given, (n, n_driven), only the actuated ones count.
-        context: Conditions of the commands.
     """
     n_actuated = len(robot.joint_names)
     goal = q = np.array(actual[:, :n_actuated])

@@ -50,11 +50,9 @@ def joint_box(
     Joints with a range get this range, as far as it is inside their limits.
 
     Args:
-        mechanism: The robot.
         urdf: The URDF with its limits.
         home: Home of the actuated joints, (n_actuated,) [m or rad].
         ranges: Ranges that are valid.
-        path: Name of the robot in messages.
 
     Returns:
         Lower and upper, (n_actuated,) each [m or rad].
@@ -105,8 +103,6 @@ def draw_spread(
     """Return up to `count` random values in a box, fewer if too few are usable; see the module docstring.
 
     Args:
-        count: Number of values.
-        rng: Generator of random numbers.
         box: Lower and upper, (n_actuated,) each [m or rad].
         home: Centre towards which the box is shrunk, (n_actuated,) [m or rad].
         usable: Function that returns the indices of usable joint values among (n, n_actuated).

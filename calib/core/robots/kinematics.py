@@ -160,7 +160,6 @@ class Coordinates:
         """Return those of coordinates.
 
         Args:
-            reduced: The joints that count.
             signs: Effect of each joint that counts: +1 moves only b, -1 only a, else 0, (n_rows or 1, n_reduced).
             select: E of the coordinates, (n_joints, n_coordinates).
         """
@@ -292,9 +291,7 @@ def sweep(
     "World" is where the robot stands after the joints that move all frames of `pairs` alike (`Mechanism.reduced_to`).
 
     Args:
-        mechanism: The robot.
         joints: Configurations.
-        pairs: Frames that are needed.
         shared: Data that other sweeps for these pairs have computed.
         poses_only: Whether the Jacobian is not needed.
     """
@@ -396,8 +393,6 @@ def motion_map(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool)
     dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
 
     Args:
-        swept: Kinematics of the poses.
-        pairs: The frames.
         angular: Whether dw is wanted too.
 
     Returns:
@@ -418,7 +413,6 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
     """Return d(value)/d(coordinates), (n, n_rows, n_coordinates).
 
     Args:
-        swept: Kinematics of the poses.
         mapping: From `twist_map` or `motion_map`.
         coordinates: In the model of the same joints.
     """
@@ -433,7 +427,6 @@ def origin_derivative(
     """Compute map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
 
     Args:
-        swept: Kinematics of the poses.
         mapping: From V_b - V_a to the rows, (n, n_rows, 6).
         loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
         along: The twists, and what they move.

@@ -71,7 +71,6 @@ def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None)
     That is its arm; with the loops of an MJCF or SDF file, the whole robot.
 
     Args:
-        urdf: The robot.
         urdf_path: How the description names the file.
         target: Link that carries the measured point; the arm's end if not given.
 
@@ -144,7 +143,6 @@ def robot(
     """Make a robot from a URDF without a robot description; what is left out is as for a plain URDF (`load`).
 
     Args:
-        urdf: The URDF.
         motors: Joints with a motor, in the order of every joint vector.
         target: Link that carries the measured point, whose position there is unknown; or `targets` as in a description.
         base: Link that the robot stands with, whose place in the measurement frame is unknown; or `base` as in a
@@ -229,9 +227,7 @@ def build(description: Description, urdf: UrdfText, where: str) -> Robot:
     """Put a robot together at its nominal values.
 
     Args:
-        description: The description.
         urdf: The URDF that it names.
-        where: Its name in messages.
 
     Raises:
         DescriptionError: They do not fit each other.

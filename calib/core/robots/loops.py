@@ -126,8 +126,6 @@ def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) ->
     """Bring turning joints within half a turn of home, or within their limits: a full turn is the same pose.
 
     Args:
-        mechanism: The robot.
-        mode: Home and its assembly mode.
         passive: Passive joints, (n, n_passive) [m or rad].
     """
     turn = 2 * np.pi
@@ -156,8 +154,6 @@ def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray)
     All are 0 where the loops do close, but in another assembly mode, or where no way leads from home.
 
     Args:
-        mechanism: The robot.
-        mode: The assembly mode of home.
         actuated: Actuated joints of a pose that could not be closed, (n_actuated,) [m or rad].
     """
     weight = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
@@ -178,8 +174,6 @@ def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> 
     """Return the reason why a pose could not be closed, in words.
 
     Args:
-        mechanism: The robot.
-        mode: The assembly mode of home.
         actuated: Its actuated joints, (n_actuated,) [m or rad].
     """
     passive, _, closes = follow(mechanism, mode, actuated[None])
@@ -212,10 +206,8 @@ def check_home(mechanism: Mechanism, home: dict[str, float], singularity_limit: 
     """Check that the home configuration closes, polish it, and record its assembly mode.
 
     Args:
-        mechanism: The robot.
         home: Joint values by name [m or rad]; names that are missing count as 0 where there are no loops.
         singularity_limit: Smallest acceptable singular value of the scaled C_p at home.
-        where: The description, for messages.
 
     Raises:
         DescriptionError: Home does not close, or is singular.

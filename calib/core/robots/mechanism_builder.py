@@ -33,12 +33,6 @@ def build_mechanism(
 ) -> Mechanism:
     """Build the mechanism of a URDF and its description.
 
-    Args:
-        urdf: The URDF.
-        description: The robot description.
-        instruments: Its instruments.
-        where: File of the description, for messages.
-
     Raises:
         DescriptionError: A name that the URDF does not have, a joint of a type that is not supported on the way to what
             is measured, or loops that do not determine the passive joints.

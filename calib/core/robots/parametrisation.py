@@ -37,11 +37,9 @@ def build_parametrisation(
     """Build the parametrisation that a description names or lists, plus unknown places, with the priors of its names.
 
     Args:
-        description: The robot description.
         urdf: The URDF, whose numbers the nominal origins are.
         mechanism: The nominal mechanism.
         places: Places that instruments look from and at.
-        where: File of the description, for messages.
 
     Raises:
         DescriptionError: Unknown plugin, origin or unit, a component listed twice, or a prior of no parameter.

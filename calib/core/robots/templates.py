@@ -75,7 +75,6 @@ def loop_files(name: str, lengths: Lengths, urdf: str) -> tuple[str, str]:
     """Return the text of a template's URDF and of its description.
 
     Args:
-        name: Name of the template.
         lengths: Every length of it [m].
         urdf: How the description names the URDF.
 

@@ -79,7 +79,6 @@ def arm_chain(urdf: UrdfText, target: str | None = None) -> ArmChain:
     """Return the chain to a link, or if none is given, to the end of the arm.
 
     Args:
-        urdf: The URDF.
         target: Link that carries the measured point.
 
     Raises:

@@ -157,7 +157,6 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
     calibration of Universal Robots (YAML).
 
     Args:
-        path: The file.
         arguments: Arguments of a xacro file, by name.
 
     Raises:
@@ -182,7 +181,6 @@ def require_supported(joints: Iterable[UrdfJoint], where: str) -> None:
 
     Args:
         joints: Joints between the frames of the instruments.
-        where: For the message.
     """
     for joint in joints:
         if joint.type in UNSUPPORTED_TYPES:

@@ -23,7 +23,7 @@ from typing import Protocol
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.errors import InputError, nearest
+from calib.core.base.errors import require_known
 from calib.core.numerics import linalg
 from calib.core.numerics.observability import observability
 from calib.planning.rank_three_scores import ChoiceInformation, DeterminantScores, TaskScores
@@ -67,8 +67,7 @@ def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: floa
         return DeterminantScores.from_problem(problem, gathered)
     if index == TASK:
         return TaskScores(problem, gathered)
-    if index not in CHOICES:
-        raise InputError(f"unknown index '{index}'{nearest(index, CHOICES)}")
+    require_known(index, CHOICES, "unknown index")
     return Spectrum(problem, gathered, index)
 
 

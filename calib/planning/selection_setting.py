@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.base.errors import InputError, NotIdentifiableError, nearest
+from calib.core.base.errors import InputError, NotIdentifiableError, require_known
 from calib.core.base.memory import require_memory
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Poses
@@ -136,8 +136,7 @@ def prepare(
         UnreachablePoseError: Candidates cannot be assembled.
         NotIdentifiableError: No choice determines the quantity of the index.
     """
-    if request.index not in CHOICES:
-        raise InputError(f"unknown index '{request.index}'{nearest(request.index, CHOICES)}")
+    require_known(request.index, CHOICES, "unknown index")
     require_free(robot)
     poses = as_poses(robot, candidates)
     noise, assumed = assumed_sigma(robot, sigma)

@@ -16,7 +16,7 @@ from typing import cast
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.errors import DataError, InputError, listed_columns, nearest
+from calib.core.base.errors import DataError, InputError, listed_columns, nearest, require_known
 from calib.core.data.instrument_cells import (
     columns_in,
     labels_of_rows,
@@ -334,11 +334,9 @@ def _visits_by_pose(table: Table, poses: Poses) -> IntArray:
     first = dict(zip(poses.names[::-1], range(len(poses) - 1, -1, -1), strict=True))
     rows = []
     for line, name in zip(table.lines, table.text("pose"), strict=True):
-        if name not in first:
-            raise DataError(
-                f"{table.path}, line {line}, column 'pose': no file with joint values has a pose '{name}'"
-                f"{nearest(name, first)}"
-            )
+        require_known(
+            name, first, f"{table.path}, line {line}, column 'pose': no file with joint values has a pose", DataError
+        )
         rows.append(first[name])
     return np.array(rows, dtype=np.intp)
 

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.errors import DescriptionError, nearest, require_known
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import Dimension
 from calib.core.numerics import linalg
@@ -78,12 +78,10 @@ def check_gravity(description: Description, mechanism: Mechanism, where: str) ->
     section = description.gravity
     if section is None:
         return
-    if section.frame is not None and section.frame not in mechanism.frames:
-        close = nearest(section.frame, mechanism.frames)
-        raise DescriptionError(f"{where}: gravity.frame: no link or joint '{section.frame}'{close}")
+    if section.frame is not None:
+        require_known(section.frame, mechanism.frames, f"{where}: gravity.frame: no link or joint", DescriptionError)
     for name in section.setups:
-        if name not in description.setups:
-            raise DescriptionError(f"{where}: gravity.setups: no setup '{name}'{nearest(name, description.setups)}")
+        require_known(name, description.setups, f"{where}: gravity.setups: no setup", DescriptionError)
 
 
 def check_inclinometers(description: Description, mechanism: Mechanism, where: str) -> None:
@@ -91,9 +89,7 @@ def check_inclinometers(description: Description, mechanism: Mechanism, where: s
     taken: dict[str, str] = {}
     for sensor, section in description.inclinometers.items():
         place = f"{where}: inclinometers.{sensor}"
-        if section.frame not in mechanism.frames:
-            close = nearest(section.frame, mechanism.frames)
-            raise DescriptionError(f"{place}.frame: no link or joint '{section.frame}'{close}")
+        require_known(section.frame, mechanism.frames, f"{place}.frame: no link or joint", DescriptionError)
         support = mechanism.support[mechanism.frames[section.frame]]
         for name in section.joints:
             if name not in mechanism.actuated:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.core.base.errors import DescriptionError, InputError, nearest
+from calib.core.base.errors import DescriptionError, InputError, nearest, require_known
 from calib.core.base.mapped_columns import mapped_column
 from calib.core.base.parameter import index_of
 from calib.core.base.registry import list_entry_points
@@ -277,12 +277,11 @@ def _check_columns(
         if name in taken:
             raise DescriptionError(f"{where}: columns: '{taken[name]}' and '{foreign}' both stand for '{name}'")
         taken[name] = foreign
-        if name in texts and unit is None and mapped.plain:
-            continue
-        if name not in dimensions:
-            raise DescriptionError(
-                f"{where}: columns.{foreign}: no column '{name}'{nearest(name, (*dimensions, *sorted(texts)))}"
-            )
+        if name in texts:
+            if unit is None and mapped.plain:
+                continue
+            raise DescriptionError(f"{where}: columns.{foreign}: '{name}' holds words; leave out unit, sign and factor")
+        require_known(name, dimensions.keys() | texts, f"{where}: columns.{foreign}: no column", DescriptionError)
         dimension = dimensions[name]
         if mapped.factor == 0.0:
             raise DescriptionError(f"{where}: columns.{foreign}: a factor of zero loses the column; correct it")
@@ -303,10 +302,7 @@ def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], whe
             for k, name in enumerate(mechanism.origin_names)
             if np.any(mechanism.select_actuated[k]) or np.any(mechanism.select_passive[k])
         ]
-        if instrument.joint not in moving:
-            raise DescriptionError(
-                f"{place}: no joint '{instrument.joint}' that moves{nearest(instrument.joint, moving)}"
-            )
+        require_known(instrument.joint, moving, f"{place}: no moving joint", DescriptionError)
         dimension_read, dimension = instrument.parts[0].dimension, mechanism.dimensions[instrument.joint]
         if dimension_read != dimension:
             moves = "slides" if dimension == "length" else "turns"

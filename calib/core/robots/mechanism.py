@@ -28,7 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.errors import DescriptionError, require_known
 from calib.core.base.units import Dimension
 
 
@@ -189,8 +189,7 @@ class Mechanism(ReadOnlyArrays):
 
     def joint(self, name: str) -> int:
         """Return the index of a link's or joint's frame; an unknown name is a `DescriptionError`."""
-        if name not in self.frames:
-            raise DescriptionError(f"no link or joint '{name}'{nearest(name, self.frames)}")
+        require_known(name, self.frames, "no link or joint", DescriptionError)
         return self.frames[name]
 
     def origin(self, place: str) -> str:

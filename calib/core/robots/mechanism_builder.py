@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DescriptionError, UrdfError, nearest
+from calib.core.base.errors import DescriptionError, UrdfError, nearest, require_known
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS
 from calib.core.base.units import Dimension, quantity
 from calib.core.base.words import count_noun
@@ -105,8 +105,7 @@ def home_values(urdf: UrdfText, description: Description, where: str) -> dict[st
     moving = _moving(urdf)
     values = {}
     for name, value in description.home.items():
-        if name not in moving:
-            raise DescriptionError(f"{where}: home: no moving joint '{name}'{nearest(name, moving)}")
+        require_known(name, moving, f"{where}: home: no moving joint", DescriptionError)
         values[name] = quantity(value, _dimension(moving[name]), f"{where}: home.{name}", DescriptionError)
     return values
 
@@ -172,8 +171,7 @@ def _new_name(name: str, other: str, taken: list[str]) -> str:
 
 
 def _frame(frames: Mapping[str, int], name: str, where: str) -> int:
-    if name not in frames:
-        raise DescriptionError(f"{where}: no link or joint '{name}'{nearest(name, frames)}")
+    require_known(name, frames, f"{where}: no link or joint", DescriptionError)
     return frames[name]
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.core.base.errors import DescriptionError, InputError, ParameterError, nearest
+from calib.core.base.errors import DescriptionError, InputError, ParameterError, nearest, require_known
 from calib.core.base.parameter import Parameter, index_of
 from calib.core.base.registry import brought, list_entry_points
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
@@ -153,12 +153,8 @@ def _unknown_components(place: Place, origin: str) -> list[tuple[OriginSection, 
 
 def _origins_of(section: OriginSection, mechanism: Mechanism, where: str) -> list[str]:
     known = {name: i + 1 for i, name in enumerate(mechanism.origin_names) if name not in mechanism.tilts}
+    require_known(section.origin, (*known, "all"), f"{where}: parametrisation: no joint origin", DescriptionError)
     if section.origin != "all":
-        if section.origin not in known:
-            raise DescriptionError(
-                f"{where}: parametrisation: no joint origin '{section.origin}'"
-                f"{nearest(section.origin, (*known, 'all'))}"
-            )
         return [section.origin]
     virtual = set(mechanism.places.values())
     return [name for name, index in known.items() if index not in virtual and mechanism.is_seen[index - 1]]
@@ -194,11 +190,8 @@ def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism,
     twists = parametrisation.twists(nominal)
     edited = parametrisation.placements(nominal)
     for origin in (*edited, *twists):
-        if origin not in mechanism.origin_names:
-            raise DescriptionError(
-                f"{where}: parametrisation '{name}': edits an origin '{origin}' that the robot does not have"
-                f"{nearest(origin, mechanism.origin_names)}"
-            )
+        lacks = f"{where}: parametrisation '{name}': the robot has no origin"
+        require_known(origin, mechanism.origin_names, lacks, DescriptionError)
     if set(edited) != set(twists) or any(twist.shape != (6, len(nominal)) for twist in twists.values()):
         raise DescriptionError(
             f"{where}: parametrisation '{name}': twists must give a (6, {len(nominal)}) array for each of the origins"

@@ -123,8 +123,7 @@ def scale_closure(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray
         slope_passive: C_p, (n, n_rows, n_passive) [m or rad per m or rad].
     """
     rows = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
-    columns = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-    return slope_passive * rows[:, None] * columns
+    return slope_passive * rows[:, None] * mechanism.passive_scale
 
 
 def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:

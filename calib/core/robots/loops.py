@@ -37,7 +37,7 @@ from calib.core.robots.closure import (
     scale_closure,
     singular_values,
 )
-from calib.core.robots.continuation import closing_tolerance, follow, hangs_together, newton, scaled_passive
+from calib.core.robots.continuation import closing_tolerance, follow, hangs_together, newton
 from calib.core.robots.mechanism import Mechanism
 
 LIMIT_MARGIN = 1e-9
@@ -85,7 +85,7 @@ def close(
         thorough: See `calib.core.robots.continuation.follow`; False may leave poses open that close.
         limits: Whether a solution beyond the limits of a passive joint is none.
     """
-    n, n_passive = len(actuated), len(mechanism.passive)
+    n = len(actuated)
     if not mechanism.loops:
         return LoopSolution(np.zeros((n, 0)), np.ones(n, dtype=bool), np.zeros((n, 0, 0)))
     if seed is None:
@@ -93,7 +93,7 @@ def close(
         passive = wrap_turns(mechanism, mode, passive)
     else:
         slope, seeded = None, np.all(np.isfinite(seed), axis=1)
-        passive, ok = np.full((n, n_passive), np.nan), np.zeros(n, dtype=bool)
+        passive, ok = np.full(seed.shape, np.nan), np.zeros(n, dtype=bool)
         part = slice(None) if np.all(seeded) else seeded
         passive[part], _, _, ok[part] = newton(mechanism, mode, actuated[part], seed[part], slopes=False)
         passive = wrap_turns(mechanism, mode, passive)
@@ -118,7 +118,7 @@ def reached_from_home(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatA
     arrived, ok = hangs_together(mechanism, mode, actuated, passive)
     if not np.all(ok) or not np.all(are_within_limits(mechanism, passive)):
         return False
-    apart = scaled_passive(mechanism, wrap_turns(mechanism, mode, arrived) - passive)
+    apart = (wrap_turns(mechanism, mode, arrived) - passive) / mechanism.passive_scale
     return bool(np.max(np.abs(apart), initial=0.0) < _SAME_SOLUTION)
 
 
@@ -164,8 +164,7 @@ def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray)
     def slope(passive: FloatArray) -> FloatArray:
         return weight[:, None] * residual(mechanism, actuated[None], passive[None])[1][0]
 
-    scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-    best = scipy.optimize.least_squares(values, mode.passive, jac=slope, x_scale=scale, max_nfev=200)
+    best = scipy.optimize.least_squares(values, mode.passive, jac=slope, x_scale=mechanism.passive_scale, max_nfev=200)
     lengths, angles = loop_openings(mechanism, best.fun[None] / weight)
     return lengths[0], angles[0]
 

@@ -116,15 +116,10 @@ class Remainder:
         rms, largest = float(np.sqrt(np.mean(distances**2))), float(np.max(distances))
         return cls(rms, largest, angle, len(distances), where)
 
-    @property
-    def exact(self) -> bool:
-        """Whether nothing measurable is left."""
-        return self.largest < _SAME_PLACE and not self.angle >= _SAME_PLACE
-
     def text(self) -> str:
         """Return one clause, in mm and mrad."""
         poses = f"in {self.n_poses} poses {self.where}"
-        if self.exact:
+        if self.largest < _SAME_PLACE and not self.angle >= _SAME_PLACE:
             angle = "" if np.isnan(self.angle) else f", angles within {self.angle:.1g} rad"
             return f"held exactly: target within {self.largest:.1g} m{angle} {poses}"
         angle = "" if np.isnan(self.angle) else f", {self.angle * error_scale('angle'):.4g} mrad at most"

@@ -240,11 +240,11 @@ def fleet(*results: Path | str) -> Fleet:
     if not any(is_calibration(result) for result in results):
         return _fleet([Path(result) for result in results])
     with TemporaryDirectory() as scratch:
-        names = distinct_names(results)
-        folders = [
-            _as_folder(result, Path(scratch) / name.replace("/", "_").removesuffix(Path(result).suffix))
-            for result, name in zip(results, names, strict=True)
-        ]
+        folders = [*map(Path, results)]
+        for k, (result, name) in enumerate(zip(results, distinct_names(results), strict=True)):
+            if is_calibration(result):
+                folders[k] = Path(scratch) / name.replace("/", "_").removesuffix(Path(result).suffix)
+                result_of_calibration(result, folders[k])
         learned = _fleet(folders)
     section = learned.robot.description.fleet
     assert section is not None
@@ -257,14 +257,6 @@ def fleet(*results: Path | str) -> Fleet:
             replace(member, folder=str(result)) for member, result in zip(learned.members, results, strict=True)
         ),
     )
-
-
-def _as_folder(result: Path | str, folder: Path) -> Path:
-    """The result folder itself, or one that is written for a calibration of Universal Robots."""
-    if not is_calibration(result):
-        return Path(result)
-    result_of_calibration(result, folder)
-    return folder
 
 
 def _fleet(folders: Sequence[Path]) -> Fleet:

@@ -243,10 +243,6 @@ def compare_with_fleet(
     return FleetComparison(distances, p_values, float(np.sqrt(together)), chance)
 
 
-def _compare(result: FleetEvidence, others: Hierarchy) -> FleetComparison:
-    return compare_with_fleet(result, others.mean, np.diag(others.variance) + others.covariance, others.freedom)
-
-
 def learn_without_odd(
     results: Sequence[FleetEvidence], kinds: IntArray
 ) -> tuple[Hierarchy, tuple[int, ...], tuple[FleetComparison | None, ...]]:
@@ -267,7 +263,14 @@ def learn_without_odd(
         compared: list[FleetComparison | None] = []
         for i in indices:
             rest = [results[k] for k in kept if k != i]
-            compared.append(_compare(results[i], learn(rest, kinds, start)) if len(rest) > 1 else None)
+            others = learn(rest, kinds, start) if len(rest) > 1 else None
+            compared.append(
+                None
+                if others is None
+                else compare_with_fleet(
+                    results[i], others.mean, np.diag(others.variance) + others.covariance, others.freedom
+                )
+            )
         p = np.array([np.nan if likeness is None else likeness.p_value() for likeness in compared])
         p[odd] = np.nan
         worst = int(np.nanargmin(p)) if np.any(np.isfinite(p)) else -1

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib.core.base.arrays import FloatArray
+from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DescriptionError, UrdfError, nearest, require_known
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS
 from calib.core.base.units import Dimension, quantity
@@ -60,7 +60,8 @@ def build_mechanism(
     between = np.array([support[pair.b] != support[pair.a] for pair in (*targets, *seen, *loops)])
     names = {name for name, moves in zip(origin_names, between.T, strict=True) if np.any(moves)}
     require_supported([joint for joint in urdf.joints if joint.name in names], where)
-    groups = _joint_groups(urdf, description, origin_names, _moves_one_side(support, loops), where)
+    in_loop = np.any([support[loop.b] != support[loop.a] for loop in loops] or [[False] * len(origin_names)], axis=0)
+    groups = _joint_groups(urdf, description, origin_names, in_loop, where)
     _check_count(groups.passive, loops, where)
     return Mechanism(
         model=model,
@@ -215,14 +216,8 @@ class _JointGroups:
     followers: dict[str, tuple[str, float, float]]
 
 
-def _moves_one_side(support: FloatArray, loops: Loops) -> list[bool]:
-    """Joints that move one side of a closure and not the other."""
-    inside = [support[loop.b] != support[loop.a] for loop in loops]
-    return [bool(moves) for moves in np.any(inside, axis=0)] if inside else [False] * support.shape[1]
-
-
 def _joint_groups(
-    urdf: UrdfText, description: Description, origin_names: list[str], in_loop: list[bool], where: str
+    urdf: UrdfText, description: Description, origin_names: list[str], in_loop: BoolArray, where: str
 ) -> _JointGroups:
     moving = _moving(urdf)
     types = {joint.name: joint.type for joint in urdf.joints}

@@ -20,7 +20,6 @@ from calib.core.results.comparing_results import geometry
 from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.result_reading import load_result
 from calib.core.robots.description import description_yaml
-from calib.core.robots.fleet_prior import FleetSection
 from calib.core.robots.robot import Robot
 from calib.fleets.hierarchy import FleetComparison, Hierarchy, learn_without_odd
 from calib.fleets.shared_parameters import evidence_of_fit, section_of, shared_parameters, without_fleet
@@ -271,10 +270,11 @@ def _fleet(folders: Sequence[Path]) -> Fleet:
     learned, odd, compared = learn_without_odd(evidence, _kinds(robots[0], shared))
     like = [result for k, result in enumerate(loaded) if k not in odd]
     section = section_of(learned, len(like), shared, _confirmed_freedom(like))
+    bare = without_fleet(robots[0]).with_nominal_values()
     scales, nominal = np.array([p.sigma_si for p in shared]), np.array([p.nominal_si for p in shared])
     values, stds = _values_of_each(loaded, learned, odd, shared)
     return Fleet(
-        _with_fleet(robots[0], section),
+        replace(bare, files={}, description=bare.description.model_copy(update={"fleet": section})),
         tuple(
             _member(name, result, k in odd, compared[k], shared)
             for k, (name, result) in enumerate(zip(distinct_names(folders), loaded, strict=True))
@@ -340,11 +340,6 @@ def _is_origin(parameter: Parameter) -> bool:
 
 def _term(parameter: Parameter) -> str:
     return parameter.name.partition(".")[2].partition("_")[0]
-
-
-def _with_fleet(robot: Robot, section: FleetSection) -> Robot:
-    bare = without_fleet(robot).with_nominal_values()
-    return replace(bare, files={}, description=bare.description.model_copy(update={"fleet": section}))
 
 
 def _values_of_each(

@@ -313,7 +313,9 @@ def gravity_torque(
             " links, or say with `payload` which frame carries the masses of a column 'load', or leave the term out"
         )
     if np.any(load):
-        gravity += load[:, None] * _gravity(_with_one_kilogram(mechanism, payload), joints, acceleration)
+        kilogram = mechanism.model.copy()  # without any other mass
+        kilogram.inertias[payload_frame(mechanism, payload)] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
+        gravity += load[:, None] * _gravity(kilogram, joints, acceleration)
     torque: FloatArray = gravity @ mechanism.select_actuated
     if mechanism.loops and len(q):
         rate = -np.linalg.solve(slope, residual(mechanism, q, passive)[2])
@@ -352,10 +354,3 @@ def payload_frame(mechanism: Mechanism, payload: str | None) -> int:
     """Return the joint index of the frame that a payload hangs at; None: of the first target that motors move."""
     tool = (*mechanism.moved_targets, mechanism.targets[0])[0]
     return tool.b if payload is None else mechanism.joint(payload)
-
-
-def _with_one_kilogram(mechanism: Mechanism, payload: str | None) -> pin.Model:
-    """The mechanism's model with one kilogram at a frame's origin and no other mass."""
-    model = mechanism.model.copy()
-    model.inertias[payload_frame(mechanism, payload)] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
-    return model

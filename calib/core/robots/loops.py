@@ -250,16 +250,11 @@ def _check_closed(mechanism: Mechanism, values: FloatArray, where: str) -> None:
 def _check_regular(mechanism: Mechanism, slope: FloatArray, limit: float, where: str) -> None:
     smallest = float(singular_values(mechanism, slope)[0])
     if smallest < limit:
-        loose = [mechanism.loops[i].name for i in _loose_loops(mechanism, slope[0])]
+        left = linalg.svd(scale_closure(mechanism, slope)[0])[0][:, -1]  # the direction in which closures hold nothing
+        lengths, angles = loop_openings(mechanism, left[None])
+        loose = [mechanism.loops[i].name for i in np.flatnonzero(np.hypot(lengths, angles)[0] > 0.3)]
         raise DescriptionError(
             f"{where}: home: the closures do not determine the passive joints (smallest singular value {smallest:.2g}"
             f" of the scaled passive Jacobian, limit {limit:g}; look at {', '.join(loose)}): home is singular, or"
             " closed_loop_axes names a direction that the mechanism does not constrain"
         )
-
-
-def _loose_loops(mechanism: Mechanism, slope: FloatArray) -> list[int]:
-    """Loops whose rows make up the direction in which the closures hold nothing."""
-    left = linalg.svd(scale_closure(mechanism, slope[None])[0])[0][:, -1]
-    lengths, angles = loop_openings(mechanism, left[None])
-    return [int(i) for i in np.flatnonzero(np.hypot(lengths, angles)[0] > 0.3)]

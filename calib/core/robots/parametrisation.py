@@ -62,7 +62,8 @@ def _without_names(
     description: Description, urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...], where: str
 ) -> Parametrisation:
     """The parametrisation without the `prior` of single parameters."""
-    origins = _nominal_origins(urdf, mechanism, places)
+    origins = {joint.name: Origin(np.array(joint.xyz), np.array(joint.rpy)) for joint in urdf.joints}
+    origins |= {mechanism.origin(place.name): Origin(np.array(place.xyz), np.array(place.rpy)) for place in places}
     unknown = [entry for place in places for entry in _unknown_components(place, mechanism.origin(place.name))]
     inverted = frozenset(mechanism.origin(place.name) for place in places if place.inverted)
     if isinstance(description.parametrisation, str):
@@ -80,14 +81,6 @@ def _without_names(
     listed = sorted(description.origins, key=lambda section: section.origin == "all")  # exact entries win
     entries = [(section, description.priors, False) for section in listed]
     return _components(entries + unknown, origins, mechanism, inverted, where)
-
-
-def _nominal_origins(urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...]) -> dict[str, Origin]:
-    """Nominal origins by name: the exact numbers of the two files."""
-    result = {joint.name: Origin(np.array(joint.xyz), np.array(joint.rpy)) for joint in urdf.joints}
-    for place in places:
-        result[mechanism.origin(place.name)] = Origin(np.array(place.xyz), np.array(place.rpy))
-    return result
 
 
 def _components(

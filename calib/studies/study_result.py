@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import millimetres
 from calib.core.base.words import as_data, count_noun, data_frame, listing, plain_text, text_table
@@ -59,6 +59,11 @@ class Draws(ReadOnlyArrays):
         return Draws(
             **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Draws)}
         )
+
+    @property
+    def has_answer(self) -> BoolArray:
+        """Mask of the draws that gave an answer, (n,)."""
+        return np.isfinite(self.values[:, 0])
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,7 @@ class Study(ReadOnlyArrays):
     @cached_property
     def answered(self) -> Draws:
         """The draws that gave an answer."""
-        kept = np.isfinite(self.draws.values[:, 0])
+        kept = self.draws.has_answer
         return Draws(**{field.name: getattr(self.draws, field.name)[kept] for field in fields(Draws)})
 
     @property

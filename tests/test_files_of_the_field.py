@@ -67,7 +67,7 @@ def test_signs_factors_and_zeros_of_columns(tmp_path, arm, caplog):
     [
         ('{turn: "turn + 90"}', "say the unit of the offset"),
         ('{turn: "0 * turn [deg]"}', "a factor of zero"),
-        ('{p: "-pose"}', "no column '-pose'|no column 'pose'"),
+        ('{p: "-pose"}', "'pose' holds words"),
     ],
 )
 def test_columns_that_cannot_be_are_refused(arm, columns, said):

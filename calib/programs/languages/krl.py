@@ -140,6 +140,8 @@ class KrlReader(KrlFrames):
             if code.bracket_content(equals + 1, right, "{"):
                 shown = self.sources[file].text[code.tokens[left].start : code.tokens[equals - 1].end]
                 self.declare(code.text(left, equals), Data(shown, file, (equals + 1, right), kind, shared))
+            else:
+                self.uses.note_change(code.tokens[left].text, "is not declared as plain numbers")
             if file == 0:
                 self.expression(equals + 1, right)
             names = {code.tokens[k].text for k in code.names(equals + 1, right)}
@@ -156,6 +158,8 @@ class KrlReader(KrlFrames):
             self.assign(at, stop, equals)
             self.uses.note_change(word)
             self.select_assigned(at, stop, equals)
+        elif word in ("ANIN", "DIGIN") and equals < stop:  # sets a variable again and again while the robot moves
+            self.run_at_any_time(at, lambda: self.change(code.tokens[at + 2].text))
         elif word in self.harmless or (is_name and after.text == "(" and code.partner[at + 1] + 1 == stop):
             self.expression(at, stop)
         elif is_name and stop > at + 1 and after.kind == "name" and word != "ASYPTP":

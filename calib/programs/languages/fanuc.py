@@ -24,7 +24,6 @@ from calib.programs.languages.tokens import ProgramWords, Span
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
 _CHANGED = ("TOOL_OFFSET", "OFFSET", "VOFFSET", "INC", "CV_TCP")
 _NUMBERED = ("UFRAME_NUM", "UTOOL_NUM")
-_EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 _STATE = ("UFRAME", "UTOOL", *_NUMBERED)
 
 

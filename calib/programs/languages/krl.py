@@ -46,7 +46,7 @@ class KrlReader(KrlFrames):
         "begin": ROUTINES,
         "finish": "END ENDFCT",
         "close": "ENDIF ENDFOR ENDWHILE ENDLOOP ENDSWITCH",
-        "pass_line": _NO_STATEMENTS,
+        "pass_statement": _NO_STATEMENTS,
         "modified": " ".join(_MODIFIERS),
         "skip": "THEN DO",
         "begin_branch": "ELSE DEFAULT",
@@ -91,13 +91,9 @@ class KrlReader(KrlFrames):
                 self._declaration(file, at, stop)
             at = stop + 1
 
-    def pass_line(self, at: int, _: int) -> int:
-        """Go on behind the line."""
-        return self.line_end(at)
-
     def wait(self, at: int, _: int) -> int:
         """Process the condition that the program waits for."""
-        stop = self.line_end(at)
+        stop = self.code.line_end(at)
         self.decide(at + 1, stop)
         return stop
 
@@ -108,13 +104,13 @@ class KrlReader(KrlFrames):
             first += 1
         if self.code.tokens[first].text in self.words:
             return first
-        stop = self.line_end(at)
+        stop = self.code.line_end(at)
         self._declaration(0, at, stop)
         return stop
 
     def begin_at_any_time(self, at: int, _: int) -> int:
         """Process `INTERRUPT DECL ... DO` and `TRIGGER ... DO`: a statement that is run while the robot moves."""
-        stop, do = self.line_end(at), self.word(at, "DO")
+        stop, do = self.code.line_end(at), self.word(at, "DO")
         self.decide(at, do)
         if do + 1 < stop:
             self.run_at_any_time(at, lambda: self.statement(do + 1, self.word(do, "PRIO")))

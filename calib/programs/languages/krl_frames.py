@@ -50,10 +50,6 @@ class KrlFrames(Reader):
         } | {*start, *_LISTS}
         super().__init__(codes, start, frames, KRL | set(harmless))
 
-    def line_end(self, at: int) -> int:
-        """Return the index of the end of a word's line."""
-        return self.code.line_end(at)
-
     def word(self, first: int, *words: str) -> int:
         """Return the index of the next of these words in the line, or of the end of the line."""
         while self.code.tokens[first].kind != "end" and self.code.tokens[first].text not in words:
@@ -191,7 +187,7 @@ class KrlFrames(Reader):
 
     def spline(self, at: int, _: int) -> int:
         """Begin a spline, with its own selections after WITH."""
-        stop = self.line_end(at)
+        stop = self.code.line_end(at)
         self.save("of the program")
         self.read_with_clause(self.word(at, "WITH"), stop)
         return stop
@@ -199,7 +195,7 @@ class KrlFrames(Reader):
     def end_spline(self, at: int, _: int) -> int:
         """End a spline."""
         self.restore("of the program")
-        return self.line_end(at)
+        return self.code.line_end(at)
 
     def save(self, key: str) -> None:
         """Save the selected tool and base under a key."""

@@ -120,10 +120,6 @@ class RapidReader(RapidData):
         end = len(self.code.tokens) - 1
         return next((k for k in range(at, end) if self.code.tokens[k].text == "ENDRECORD"), end) + 1
 
-    def pass_statement(self, at: int, _: int) -> int:
-        """Go on after the statement."""
-        return self.end(at)
-
     def begin_trap(self, at: int, _: int) -> int:
         """Begin a routine that runs whenever an interrupt comes."""
         self.flow.begin(self.code.tokens[at + 1].text, self.code.location(at), at_any_time=True)

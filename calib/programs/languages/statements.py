@@ -169,6 +169,10 @@ class Statements(ABC):
         """Go on behind the word."""
         return behind
 
+    def pass_statement(self, at: int, _: int) -> int:
+        """Go on behind the statement, whatever words it has."""
+        return self.code.line_end(at)
+
     def condition(self, at: int, _: int) -> int:
         """Process the condition behind a word."""
         stop = self.end(at)

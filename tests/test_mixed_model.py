@@ -263,3 +263,13 @@ def test_the_information_about_a_size_of_zero_is_finite():
     found = likeliest_sizes(MixedModel.from_rows(rows))
     known = information_by_size(found)
     assert np.all(np.linalg.eigvalsh(known) > 0.5)
+
+
+def test_the_average_information_is_the_mean_of_fishers_and_the_second_derivative(small):
+    """Of variances themselves, in which a covariance is linear."""
+    model, step = MixedModel.from_rows(small), 1e-4
+    solved = model.solve(LOGS)
+    second = [(model.solve(LOGS + step * e).gradient - model.solve(LOGS - step * e).gradient) / (2 * step)
+              for e in np.eye(4)]  # fmt: skip
+    by_variances = np.array(second) - np.diag(2.0 * solved.gradient)  # d^2 / d(log s)^2 has the slope, too
+    np.testing.assert_allclose(solved.average_information, (solved.information + by_variances) / 2.0, rtol=1e-5)

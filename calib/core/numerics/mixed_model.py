@@ -32,6 +32,9 @@ logarithms of sizes, w_i = d log V_i / d(log size), are
                            mixed     sum of w_i T_ic^2 / V_i over the rows and the columns of f
                            noise, d  1/2 sum of w_i w'_i (1 - 2 h_i) + 1/2 tr(K A^-1 K' A^-1),  K = Z^T (w / V) Z
 
+A search of the sizes steps by the mean of Fisher's information and the second derivative of -log L, which asks for no
+products of matrices (gilmour1995): with M the derivatives dW Q y, 1/2 M^T Q M.
+
 With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B, or
 the sum of w_i w'_j (B_i . B_j)^2 over rows i and j.
 
@@ -47,7 +50,7 @@ Q_kk^-1, the noise of the pose included.
 When it fails. Far from the linear model, and where the sizes of families are as large as the rows (`size_search` has
 priors for them). A family with one size has coefficients that are about as large as each other.
 
-Reference: patterson1971; harville1977; mackay1992.
+Reference: patterson1971; harville1977; gilmour1995; mackay1992.
 """
 
 from __future__ import annotations
@@ -62,9 +65,11 @@ import scipy
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import blocks_of_equal_length
+from calib.core.numerics.identifiability import inverse_of_triangle
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
 _DECIDES = 1e-6  # part of a direction that other poses decide, from which they predict it
+_FELT = 1e-3  # how far a coefficient moves all rows, over their noise, below which it is left out of a solution
 _RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding might make singular
 
 
@@ -130,6 +135,11 @@ class MixedModel(ReadOnlyArrays):
         return np.flatnonzero(~self.rows.has_stated_noise)
 
     @cached_property
+    def _lengths(self) -> FloatArray:
+        """Lengths of the columns, (n,)."""
+        return np.linalg.norm(self.x, axis=0)
+
+    @cached_property
     def has_prior(self) -> FloatArray:
         """Diagonal of P, (n,)."""
         return np.where(self.family == FLAT, 0.0, 1.0)
@@ -160,18 +170,17 @@ class MixedModel(ReadOnlyArrays):
         families, noise, scatter = self.sizes(logs)
         variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
         scale = np.append(families, [1.0, 1.0])[self.family]  # the last ones for -2 and -1
+        seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _FELT))
         root = np.sqrt(variance)
-        z, y = self.x * scale / root[:, None], self.y / root
-        matrix = z.T @ z  # of a matrix with itself: half of the work
-        matrix[np.diag_indices_from(matrix)] += self.has_prior + _RIDGE * np.diag(matrix)
+        z, y = self.x[:, seen] * scale[seen] / root[:, None], self.y / root
+        matrix, prior = z.T @ z, self.has_prior[seen]  # of a matrix with itself: half of the work
+        matrix[np.diag_indices_from(matrix)] += prior + _RIDGE * np.diag(matrix)
         upper = np.linalg.cholesky(matrix).T
-        inverse, _ = scipy.linalg.lapack.dpotri(upper)
-        inverse = np.triu(inverse) + np.triu(inverse, 1).T
-        v = inverse @ (z.T @ y)
+        v = scipy.linalg.cho_solve((upper, False), z.T @ y, check_finite=False)
         left = y - z @ v
         determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(np.sum(np.log(variance)))
-        cost = float(np.sum(left**2) + np.sum(self.has_prior * v**2))
-        return SolvedModel(self, logs, scale, variance, z, upper, inverse, v, left, 0.5 * (determinant + cost))
+        cost = float(np.sum(left**2) + np.sum(prior * v**2))
+        return SolvedModel(self, logs, scale, seen, variance, z, upper, v, left, 0.5 * (determinant + cost))
 
 
 def _rotate_rows(rows: MixedRows) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
@@ -197,11 +206,11 @@ class SolvedModel(ReadOnlyArrays):
         model: The model.
         logs: Logarithms of the sizes, (n_sizes,).
         scale: Diagonal of S, (n,).
+        seen: Columns that rows see with these sizes, (n_seen,); coefficients of the others are zero.
         variance: Diagonal of V, (n_rows,).
-        z: V^-1/2 Z, (n_rows, n).
-        upper: R with A = R^T R, (n, n).
-        inverse: A^-1, (n, n).
-        v: Scaled coefficients, (n,).
+        z: V^-1/2 Z, (n_rows, n_seen).
+        upper: R with A = R^T R, (n_seen, n_seen).
+        v: Scaled coefficients, (n_seen,).
         whitened_residuals: V^-1/2 r, (n_rows,).
         cost: -log L, up to a constant.
     """
@@ -209,23 +218,33 @@ class SolvedModel(ReadOnlyArrays):
     model: MixedModel
     logs: FloatArray
     scale: FloatArray
+    seen: IntArray
     variance: FloatArray
     z: FloatArray
     upper: FloatArray
-    inverse: FloatArray
     v: FloatArray
     whitened_residuals: FloatArray
     cost: float
 
     @cached_property
+    def _root(self) -> FloatArray:
+        """R^-1, (n_seen, n_seen)."""
+        return inverse_of_triangle(self.upper)
+
+    @cached_property
+    def _unseen_part(self) -> FloatArray:
+        """Diagonal of A^-1, (n_seen,)."""
+        return np.asarray(np.einsum("ij,ij->i", self._root, self._root))
+
+    @cached_property
     def _spread(self) -> FloatArray:
-        """V^-1/2 Z R^-1, with A = R^T R, (n_rows, n)."""
-        return scipy.linalg.blas.dtrsm(1.0, self.upper, self.z, side=1)
+        """V^-1/2 Z R^-1, (n_rows, n_seen)."""
+        return np.asarray(scipy.linalg.blas.dtrmm(1.0, self._root, self.z, side=1))
 
     @cached_property
     def _span(self) -> FloatArray:
-        """V^-1/2 T, (n_rows, n)."""
-        return scipy.linalg.blas.dtrsm(1.0, self.upper, self._spread, side=1, trans_a=1)
+        """V^-1/2 T, (n_rows, n_seen)."""
+        return np.asarray(scipy.linalg.blas.dtrmm(1.0, self._root, self._spread, side=1, trans_a=1))
 
     @cached_property
     def _leverage(self) -> FloatArray:
@@ -234,8 +253,8 @@ class SolvedModel(ReadOnlyArrays):
 
     @cached_property
     def _members(self) -> FloatArray:
-        """1 where a column is of a family, else 0, (n_families, n)."""
-        return (self.model.family == np.arange(self.model.n_families)[:, None]).astype(float)
+        """1 where a column is of a family, else 0, (n_families, n_seen)."""
+        return (self.model.family[self.seen] == np.arange(self.model.n_families)[:, None]).astype(float)
 
     @cached_property
     def _shares(self) -> FloatArray:
@@ -248,18 +267,18 @@ class SolvedModel(ReadOnlyArrays):
             shares.append(2.0 * scatter**2 * model.spread / self.variance)
         return np.array(shares).reshape(-1, len(group))
 
-    @property
+    @cached_property
     def gradient(self) -> FloatArray:
         """Gradient of `cost` by the logarithms of the sizes, (n_sizes,)."""
-        of_families = self._members @ (1.0 - np.diag(self.inverse) - self.v**2)
+        of_families = self._members @ (1.0 - self._unseen_part - self.v**2)
         return np.concatenate([of_families, 0.5 * self._shares @ (1.0 - self._leverage - self.whitened_residuals**2)])
 
-    @property
+    @cached_property
     def information(self) -> FloatArray:
         """Fisher's, of the logarithms of the sizes, (n_sizes, n_sizes)."""
         shares, members = self._shares, self._members
-        families = 2.0 * members @ self.inverse**2 @ members.T
-        families += np.diag(2.0 * members @ (1.0 - 2.0 * np.diag(self.inverse)))
+        families = 2.0 * members @ (self._root @ self._root.T) ** 2 @ members.T
+        families += np.diag(2.0 * members @ (1.0 - 2.0 * self._unseen_part))
         mixed = members @ (shares @ self._span**2).T
         if len(self._spread) < len(shares) * self._spread.shape[1]:  # the shorter of two ways to the same products
             seen = shares @ (self._spread @ self._spread.T) ** 2 @ shares.T
@@ -271,14 +290,36 @@ class SolvedModel(ReadOnlyArrays):
         return np.block([[families, mixed], [mixed.T, noise]])
 
     @property
+    def average_information(self) -> FloatArray:
+        """Mean of Fisher's information and the second derivative of `cost`, about, (n_sizes, n_sizes)."""
+        families = 2.0 * self.z @ (self._members * self.v).T
+        moved = np.hstack([families, (self._shares * self.whitened_residuals).T])
+        seen = scipy.linalg.solve_triangular(self.upper, self.z.T @ moved, trans=1, check_finite=False)
+        return 0.5 * (moved.T @ moved - seen.T @ seen)
+
+    def freedom(self, families: IntArray) -> float:
+        """Return how many coefficients of some families the rows decide."""
+        return float(np.sum((1.0 - self._unseen_part)[np.isin(self.model.family[self.seen], families)]))
+
+    @property
+    def condensed(self) -> FloatArray:
+        """Coefficients u of the condensed columns, (n,)."""
+        result = np.zeros(len(self.scale))
+        result[self.seen] = self.scale[self.seen] * self.v
+        return result
+
+    @property
     def coefficients(self) -> FloatArray:
         """Coefficients u of all columns, (n_columns,)."""
-        return self.model.coefficients(self.scale * self.v)
+        return self.model.coefficients(self.condensed)
 
-    @cached_property
+    @property
     def covariance(self) -> FloatArray:
         """Covariance of u of the condensed columns, (n, n)."""
-        return self.scale[:, None] * self.inverse * self.scale
+        result = np.diag(self.scale**2)
+        root = self.scale[self.seen, None] * self._root
+        result[np.ix_(self.seen, self.seen)] = root @ root.T
+        return result
 
     def left_out_squares(self, block: IntArray, weight: FloatArray) -> FloatArray:
         """Return weighted squares of errors of blocks of poses, each predicted by all others, (n_blocks,).

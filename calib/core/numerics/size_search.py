@@ -3,10 +3,10 @@
 Prior. A family that is there is about as large as is expected, s = 1: its size has a half-Cauchy density, 1 / (1 + s^2)
 (gelman2006), which lets sizes grow where rows ask for it. That of noise and of d is flat.
 
-Search. Newton's steps on the logarithms of the sizes with Fisher's information, which needs no second derivatives and
-is positive; the curvature of the prior is added. A step that does not lower the cost is damped (Levenberg, Marquardt)
-and tried again. From one start: families half as large as is expected, noise and scatter each a part of what flat
-columns leave. A size falls to no less than its bound, which is as good as zero.
+Search. Newton's steps on the logarithms of the sizes with the average information (`calib.core.numerics.mixed_model`),
+which is positive; the curvature of the prior is added. A step that does not lower the cost is damped (Levenberg,
+Marquardt) and tried again. From one start: families half as large as is expected, noise and scatter each a part of what
+flat columns leave. A size falls to no less than its bound, which is as good as zero.
 
 Others. The likelihood is even in every size s: a family that is not there has its maximum at s = 0, where log s has no
 scale. So the posterior is approximated by a normal one in s itself, and drawn sizes are turned to positive ones. With I
@@ -67,7 +67,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: Bo
         free = ~(none | ((at.logs <= bounds.least + _AT_BOUND) & (gradient > 0.0)))
         if not np.any(free) or np.max(np.abs(gradient[free])) < _STANDS / 2.0:
             break
-        information = at.information + np.diag(_curvature(at))
+        information = at.average_information + np.diag(_curvature(at))
         better, damping = _try_step(at, gradient, information, free, bounds, damping)
         if better is None:
             break
@@ -77,8 +77,8 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: Bo
             break
         damping *= 0.3
     falling = (at.gradient + _slope(at) > 0.0) & (at.logs < bounds.first + np.log(_SMALL))
-    without = model.solve(np.where(falling, bounds.least, at.logs))
-    return without if np.any(falling) and _cost(without) <= _cost(at) else at
+    without = model.solve(np.where(falling, bounds.least, at.logs)) if np.any(falling) else at
+    return without if _cost(without) <= _cost(at) else at
 
 
 def scatter_given_noise(at: SolvedModel) -> float:

@@ -6,8 +6,8 @@ show (`calib.core.fitting.terms.candidate_terms`). Each kind is a family of the 
 are normal with a size that is found by restricted likelihood, together with the noise and with an error of each joint
 that is another one at each pose, which stands for what no kind describes.
 
-Which kinds are fitted. From the model of all, kinds are left out one by one, those of most coefficients first. A kind
-stays where both are true:
+Which kinds are fitted. From the model of all, kinds are left out one by one, those of most coefficients first, until
+all stay. A kind stays where both are true:
 
     prediction   blocks of poses left out are predicted better, by more than one standard error over the blocks: boxes
                  of joint space; where there are several setups, boxes of each. Squares of errors count. Likelihood
@@ -135,11 +135,10 @@ class _TermModel:
         found = np.zeros(len(scales.groups), dtype=bool)
         return model.rows(model.informative_rows, scales.groups, scales.ratios, found)
 
-    def _without_families(self, families: BoolArray) -> SolvedModel:
-        """The model without some families, (n_families,), and with the likeliest sizes of the others."""
-        zero = np.arange(len(self._solved_model.logs)) < len(families)
-        zero[: len(families)] = families
-        return likeliest_sizes(self._solved_model.model.without_families(families), self._solved_model.logs, zero)
+    def _without_families(self, families: BoolArray, start: FloatArray) -> SolvedModel:
+        """The model without some families, (n_families,), and with the likeliest sizes of the others, near a start."""
+        zero = np.append(families, np.zeros(len(start) - len(families), dtype=bool))
+        return likeliest_sizes(self._solved_model.model.without_families(families), start, zero)
 
     @cached_property
     def _blocks(self) -> IntArray:
@@ -159,10 +158,22 @@ class _TermModel:
         return np.unique(block[visits], return_inverse=True)[1]
 
     def _solve_with_kinds(self, kinds: frozenset[str]) -> SolvedModel:
-        """The model with some of the requested kinds."""
+        """The model with some of the requested kinds; sizes are searched from those of the most similar set of them."""
+        self._solved.setdefault(self._requested_kinds, self._solved_model)
         if kinds not in self._solved:
-            self._solved[kinds] = self._without_families(self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds)))
+            near = min(self._solved, key=lambda known: len(known ^ kinds))
+            missing = self._kind_model.of_kinds & ~np.isin(self._terms, list(near))
+            start = self._solved[near].logs.copy()
+            start[: len(missing)][missing] = self._solved_model.logs[: len(missing)][missing]
+            without = self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds))
+            self._solved[kinds] = self._without_families(without, start)
         return self._solved[kinds]
+
+    def _most_evidence(self, kind: str, kinds: frozenset[str]) -> float:
+        """The most that a kind may raise the log likelihood, by solved sets of kinds: more kinds fit better."""
+        fewer, more = kinds - {kind}, kinds | {kind}
+        worst = min((at.cost for known, at in self._solved.items() if known <= fewer), default=np.inf)
+        return worst - min((at.cost for known, at in self._solved.items() if known >= more), default=-np.inf)
 
     def _squares(self, at: SolvedModel) -> FloatArray:
         """Squares of errors of blocks left out, in units of what no term leaves, (n_blocks,)."""
@@ -176,10 +187,14 @@ class _TermModel:
 
     def _earns(self, kind: str, kinds: frozenset[str]) -> bool:
         """Whether a kind earns its place among some by the module docstring."""
+        needed = TELLS + float(np.log(len(self._requested_kinds)))
+        if self._most_evidence(kind, kinds) <= needed:
+            return False
         at, without = self._solve_with_kinds(kinds | {kind}), self._solve_with_kinds(kinds - {kind})
+        if without.cost - at.cost <= needed:
+            return False
         fewer = self._squares(without) - self._squares(at)
-        clearly = float(np.sum(fewer)) > np.sqrt(len(fewer)) * float(np.std(fewer, ddof=1))
-        return clearly and without.cost - at.cost > TELLS + float(np.log(len(self._requested_kinds)))
+        return float(np.sum(fewer)) > np.sqrt(len(fewer)) * float(np.std(fewer, ddof=1))
 
     @cached_property
     def _requested_kinds(self) -> frozenset[str]:
@@ -193,9 +208,9 @@ class _TermModel:
         seen = set[frozenset[str]]()
         while kinds not in seen:
             seen.add(kinds)
-            idle = next((kind for kind in self._kinds_by_freedom(kinds) if not self._earns(kind, kinds)), None)
-            if idle is not None:
-                kinds -= {idle}
+            for kind in self._kinds_by_freedom(kinds):
+                kinds = kinds if self._earns(kind, kinds) else kinds - {kind}
+            if kinds not in seen:
                 continue
             more = [kind for kind in sorted(every - kinds) if self._earns(kind, kinds)]
             kinds |= {min(more, key=lambda kind: self._solve_with_kinds(kinds | {kind}).cost)} if more else kinds
@@ -212,7 +227,8 @@ class _TermModel:
         least = logs <= self._smallest_logs[: len(logs)]
         if least[k]:
             return False
-        return self._without_families(least | (np.arange(len(logs)) == k)).cost - self._chosen_model.cost > _SHOWS
+        without = self._without_families(least | (np.arange(len(logs)) == k), self._chosen_model.logs)
+        return without.cost - self._chosen_model.cost > _SHOWS
 
     @cached_property
     def _is_fitted(self) -> BoolArray:
@@ -228,8 +244,7 @@ class _TermModel:
     def _kinds_by_freedom(self, kinds: frozenset[str]) -> list[str]:
         """Some kinds, that of most coefficients that rows decide first."""
         at = self._solve_with_kinds(kinds)
-        decided = 1.0 - np.diag(at.inverse)
-        return sorted(kinds, key=lambda kind: -np.sum(decided[np.isin(at.model.family, self._members(kind))]))
+        return sorted(kinds, key=lambda kind: -at.freedom(self._members(kind)))
 
     def _members(self, kind: str) -> IntArray:
         return np.flatnonzero(self._terms == kind)

@@ -56,13 +56,13 @@ Reference: patterson1971; harville1977; gilmour1995; mackay1992.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import blocks_of_equal_length
 from calib.core.numerics.identifiability import inverse_of_triangle
@@ -159,20 +159,14 @@ class MixedModel(ReadOnlyArrays):
             start = end
         return result
 
-    def without_families(self, families: BoolArray) -> MixedModel:
-        """Return the model without the columns of some families, (n_families,); their sizes stay, and say nothing."""
-        kept = ~np.append(families, [False, False])[self.family]
-        parts = tuple(part.empty if part.family >= 0 and families[part.family] else part for part in self.parts)
-        return replace(self, parts=parts, x=self.x[:, kept], family=self.family[kept])
-
     def solve(self, logs: FloatArray) -> SolvedModel:
-        """Solve it with sizes whose logarithms are given, (n_sizes,)."""
+        """Solve it with sizes whose logarithms are given, (n_sizes,); a family whose logarithm is -inf is left out."""
         families, noise, scatter = self.sizes(logs)
         variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
         scale = np.append(families, [1.0, 1.0])[self.family]  # the last ones for -2 and -1
         seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _FELT))
         root = np.sqrt(variance)
-        z, y = self.x[:, seen] * scale[seen] / root[:, None], self.y / root
+        z, y = self.whiten_columns(seen, scale, variance), self.y / root
         matrix, prior = z.T @ z, self.has_prior[seen]  # of a matrix with itself: half of the work
         matrix[np.diag_indices_from(matrix)] += prior + _RIDGE * np.diag(matrix)
         upper = np.linalg.cholesky(matrix).T
@@ -180,7 +174,11 @@ class MixedModel(ReadOnlyArrays):
         left = y - z @ v
         determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(np.sum(np.log(variance)))
         cost = float(np.sum(left**2) + np.sum(prior * v**2))
-        return SolvedModel(self, logs, scale, seen, variance, z, upper, v, left, 0.5 * (determinant + cost))
+        return SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (determinant + cost))
+
+    def whiten_columns(self, seen: IntArray, scale: FloatArray, variance: FloatArray) -> FloatArray:
+        """Return V^-1/2 Z of some columns, (n_rows, n_seen); arguments are attributes of `SolvedModel`."""
+        return self.x[:, seen] * scale[seen] / np.sqrt(variance)[:, None]
 
 
 def _rotate_rows(rows: MixedRows) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
@@ -208,7 +206,6 @@ class SolvedModel(ReadOnlyArrays):
         scale: Diagonal of S, (n,).
         seen: Columns that rows see with these sizes, (n_seen,); coefficients of the others are zero.
         variance: Diagonal of V, (n_rows,).
-        z: V^-1/2 Z, (n_rows, n_seen).
         upper: R with A = R^T R, (n_seen, n_seen).
         v: Scaled coefficients, (n_seen,).
         whitened_residuals: V^-1/2 r, (n_rows,).
@@ -220,11 +217,15 @@ class SolvedModel(ReadOnlyArrays):
     scale: FloatArray
     seen: IntArray
     variance: FloatArray
-    z: FloatArray
     upper: FloatArray
     v: FloatArray
     whitened_residuals: FloatArray
     cost: float
+
+    @property
+    def z(self) -> FloatArray:
+        """V^-1/2 Z, (n_rows, n_seen)."""
+        return self.model.whiten_columns(self.seen, self.scale, self.variance)
 
     @cached_property
     def _root(self) -> FloatArray:
@@ -240,11 +241,6 @@ class SolvedModel(ReadOnlyArrays):
     def _spread(self) -> FloatArray:
         """V^-1/2 Z R^-1, (n_rows, n_seen)."""
         return np.asarray(scipy.linalg.blas.dtrmm(1.0, self._root, self.z, side=1))
-
-    @cached_property
-    def _span(self) -> FloatArray:
-        """V^-1/2 T, (n_rows, n_seen)."""
-        return np.asarray(scipy.linalg.blas.dtrmm(1.0, self._root, self._spread, side=1, trans_a=1))
 
     @cached_property
     def _leverage(self) -> FloatArray:
@@ -279,7 +275,8 @@ class SolvedModel(ReadOnlyArrays):
         shares, members = self._shares, self._members
         families = 2.0 * members @ (self._root @ self._root.T) ** 2 @ members.T
         families += np.diag(2.0 * members @ (1.0 - 2.0 * self._unseen_part))
-        mixed = members @ (shares @ self._span**2).T
+        span = scipy.linalg.blas.dtrmm(1.0, self._root, self._spread, side=1, trans_a=1)  # V^-1/2 T
+        mixed = members @ (shares @ span**2).T
         if len(self._spread) < len(shares) * self._spread.shape[1]:  # the shorter of two ways to the same products
             seen = shares @ (self._spread @ self._spread.T) ** 2 @ shares.T
         else:
@@ -292,9 +289,10 @@ class SolvedModel(ReadOnlyArrays):
     @property
     def average_information(self) -> FloatArray:
         """Mean of Fisher's information and the second derivative of `cost`, about, (n_sizes, n_sizes)."""
-        families = 2.0 * self.z @ (self._members * self.v).T
+        z = self.z
+        families = 2.0 * z @ (self._members * self.v).T
         moved = np.hstack([families, (self._shares * self.whitened_residuals).T])
-        seen = scipy.linalg.solve_triangular(self.upper, self.z.T @ moved, trans=1, check_finite=False)
+        seen = scipy.linalg.solve_triangular(self.upper, z.T @ moved, trans=1, check_finite=False)
         return 0.5 * (moved.T @ moved - seen.T @ seen)
 
     def freedom(self, families: IntArray) -> float:
@@ -343,7 +341,7 @@ class SolvedModel(ReadOnlyArrays):
 
     def _remaining_rows(self, places: IntArray) -> tuple[FloatArray, FloatArray]:
         """Eigenvalues (k,) and eigenvectors (k, k) of V^1/2 Q V^1/2 of some rows."""
-        return linalg.eigh(np.eye(len(places)) - self._span[places] @ self.z[places].T)
+        return linalg.eigh(np.eye(len(places)) - self._spread[places] @ self._spread[places].T)
 
     def left_out_errors(self) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
         """Yield of each pose its rows (k,), and of these the error (k,) and its covariance (k, k).

@@ -26,7 +26,7 @@ Reference: gelman2006; patterson1971.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -49,17 +49,20 @@ _ROUNDS = 80
 _HOPELESS = 1e6  # damping beyond which no step lowers the cost
 
 
-def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: BoolArray | None = None) -> SolvedModel:
+def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: BoolArray | None = None) -> SolvedModel:
     """Return the model solved with the sizes of the largest posterior density.
 
     Args:
         model: The model.
         start: Logarithms of the sizes to begin with, (n_sizes,); by the module docstring if not given.
-        zero: Sizes that are held at their bound, (n_sizes,); none if not given.
+        absent: Families that are left out, (n_families,): the logarithms of their sizes are -inf; none if not given.
     """
     bounds = _Bounds.from_model(model)
-    none = np.zeros(len(bounds.least), dtype=bool) if zero is None else zero
-    begin = np.clip(bounds.first if start is None else start, bounds.least, None)
+    none = np.zeros(len(bounds.least), dtype=bool)
+    if absent is not None:
+        none[: len(absent)] = absent
+        bounds = replace(bounds, least=np.where(none, -np.inf, bounds.least))
+    begin = np.maximum(bounds.first if start is None else start, bounds.least)
     at = model.solve(np.where(none, bounds.least, begin))
     damping = 1e-3
     for _ in range(_ROUNDS):
@@ -76,7 +79,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: Bo
         if gain < _GAIN:
             break
         damping *= 0.3
-    falling = (at.gradient + _slope(at) > 0.0) & (at.logs < bounds.first + np.log(_SMALL))
+    falling = (at.gradient + _slope(at) > 0.0) & (at.logs < bounds.first + np.log(_SMALL)) & ~none
     without = model.solve(np.where(falling, bounds.least, at.logs)) if np.any(falling) else at
     return without if _cost(without) <= _cost(at) else at
 

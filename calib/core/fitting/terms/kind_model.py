@@ -171,12 +171,14 @@ class KindModel:
         for solved in map(model.solve, others):
             step = solved.condensed - before
             added += (solved.covariance + np.outer(step, step)) / len(others)
-        sizes = np.linalg.norm(model.x, axis=0) + 1e-30
-        values, vectors = linalg.eigh(sizes[:, None] * added * sizes)
-        kept = values > _LITTLE * max(float(values[-1]), 0.0)
+        moved = np.flatnonzero(np.diag(added))  # the others are in no set of sizes
+        sizes = np.linalg.norm(model.x[:, moved], axis=0) + 1e-30
+        values, vectors = linalg.eigh(sizes[:, None] * added[np.ix_(moved, moved)] * sizes)
+        kept = values > _LITTLE * float(np.max(values, initial=0.0))
         if not np.any(kept):
             return None
-        condensed = vectors[:, kept] * np.sqrt(values[kept]) / sizes[:, None]
+        condensed = np.zeros((len(added), int(np.sum(kept))))
+        condensed[moved] = vectors[:, kept] * np.sqrt(values[kept]) / sizes[:, None]
         spread = np.stack([model.coefficients(column) for column in condensed.T], axis=1)
         spread *= self._unknowns.scales[:, None]
         names = [k for k, row in enumerate(spread) if np.any(row)]

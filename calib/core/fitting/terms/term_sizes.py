@@ -135,11 +135,6 @@ class _TermModel:
         found = np.zeros(len(scales.groups), dtype=bool)
         return model.rows(model.informative_rows, scales.groups, scales.ratios, found)
 
-    def _without_families(self, families: BoolArray, start: FloatArray) -> SolvedModel:
-        """The model without some families, (n_families,), and with the likeliest sizes of the others, near a start."""
-        zero = np.append(families, np.zeros(len(start) - len(families), dtype=bool))
-        return likeliest_sizes(self._solved_model.model.without_families(families), start, zero)
-
     @cached_property
     def _blocks(self) -> IntArray:
         """Block of each pose of the model by the module docstring, (n_poses,)."""
@@ -159,14 +154,13 @@ class _TermModel:
 
     def _solve_with_kinds(self, kinds: frozenset[str]) -> SolvedModel:
         """The model with some of the requested kinds; sizes are searched from those of the most similar set of them."""
-        self._solved.setdefault(self._requested_kinds, self._solved_model)
+        full = self._solved_model
+        self._solved.setdefault(self._requested_kinds, full)
         if kinds not in self._solved:
-            near = min(self._solved, key=lambda known: len(known ^ kinds))
-            missing = self._kind_model.of_kinds & ~np.isin(self._terms, list(near))
-            start = self._solved[near].logs.copy()
-            start[: len(missing)][missing] = self._solved_model.logs[: len(missing)][missing]
-            without = self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds))
-            self._solved[kinds] = self._without_families(without, start)
+            near = self._solved[min(self._solved, key=lambda known: len(known ^ kinds))].logs
+            absent = self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds))
+            solved = likeliest_sizes(full.model, np.where(np.isneginf(near), full.logs, near), absent)
+            self._solved[kinds] = replace(solved)  # without what it remembers, which takes memory
         return self._solved[kinds]
 
     def _most_evidence(self, kind: str, kinds: frozenset[str]) -> float:
@@ -223,12 +217,12 @@ class _TermModel:
 
     def _is_shown(self, k: int) -> bool:
         """Whether rows show a family of the chosen model: its log likelihood is higher with it."""
-        logs = self._chosen_model.logs[: len(self._families)]
-        least = logs <= self._smallest_logs[: len(logs)]
+        chosen, n = self._chosen_model, len(self._families)
+        least = chosen.logs[:n] <= self._smallest_logs[:n]
         if least[k]:
             return False
-        without = self._without_families(least | (np.arange(len(logs)) == k), self._chosen_model.logs)
-        return without.cost - self._chosen_model.cost > _SHOWS
+        without = likeliest_sizes(chosen.model, chosen.logs, least | (np.arange(n) == k))
+        return without.cost - chosen.cost > _SHOWS
 
     @cached_property
     def _is_fitted(self) -> BoolArray:
@@ -273,7 +267,7 @@ class _TermModel:
             self._solve_with_kinds(self._requested_kinds - {candidate.term}).cost - self._solved_model.cost
             if there
             else float("nan"),
-            float(np.exp(self._chosen_model.logs[most])),
+            float(np.exp(max(self._chosen_model.logs[most], self._smallest_logs[most]))),
             (float(low), float(high)),
             tuple(self._families[k].joint for k in there if self._families[k].joint),
         )
@@ -285,8 +279,8 @@ class _TermModel:
 
     def undecided(self, fitted_terms: tuple[TermSection, ...]) -> UndecidedTerms | None:
         """Return what the sizes leave uncertain of these terms and of the others; None if that is nothing."""
-        logs = self._chosen_model.logs.copy()
-        logs[: len(self._families)][~self._is_fitted] = self._smallest_logs[: len(self._families)][~self._is_fitted]
+        fitted = np.append(self._is_fitted, np.ones(len(self._smallest_logs) - len(self._families), dtype=bool))
+        logs = np.where(fitted, self._chosen_model.logs, self._smallest_logs)
         others = missing_terms(self._fit.robot.with_terms(fitted_terms), self._sections)
         return self._kind_model.undecided(MixedModel.from_rows(self._rows, _SHORTEST), logs, self._draws, others)
 

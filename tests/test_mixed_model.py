@@ -252,7 +252,7 @@ def test_intervals_hold_over_sizes_that_are_drawn():
         b, means, variances = by_components(found.model, columns[cut:]), [], []
         for logs in draw_sizes(found, 20, rng):
             solved = found.model.solve(logs)
-            means.append(b @ (solved.scale * solved.v))
+            means.append(b @ solved.condensed_coefficients)
             variances.append(np.sum(b @ solved.covariance * b, axis=1) + solved.model.sizes(logs)[1][0] ** 2)
         std = np.sqrt(np.mean(variances, axis=0) + np.var(means, axis=0))
         held.append(np.abs(values[cut:] - np.mean(means, axis=0)) < 1.96 * std)

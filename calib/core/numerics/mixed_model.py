@@ -35,8 +35,7 @@ logarithms of sizes, w_i = d log V_i / d(log size), are
 A search of the sizes steps by the mean of Fisher's information and the second derivative of -log L, which asks for no
 products of matrices (gilmour1995): with M the derivatives dW Q y, 1/2 M^T Q M.
 
-With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B, or
-the sum of w_i w'_j (B_i . B_j)^2 over rows i and j.
+With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B.
 
 Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Those below
 a ten-thousandth of the largest are put aside: rows do not see them. So are, with a least length, those of a family
@@ -69,7 +68,7 @@ from calib.core.numerics.identifiability import inverse_of_triangle
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
 _DECIDES = 1e-6  # part of a direction that other poses decide, from which they predict it
-_FELT = 1e-3  # how far a coefficient moves all rows, over their noise, below which it is left out of a solution
+_LEAST_EFFECT = 1e-3  # how far a coefficient moves all rows, over their noise, below which it is left out of a solution
 _RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding might make singular
 
 
@@ -164,7 +163,7 @@ class MixedModel(ReadOnlyArrays):
         families, noise, scatter = self.sizes(logs)
         variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
         scale = np.append(families, [1.0, 1.0])[self.family]  # the last ones for -2 and -1
-        seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _FELT))
+        seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _LEAST_EFFECT))
         root = np.sqrt(variance)
         z, y = self.whiten_columns(seen, scale, variance), self.y / root
         matrix, prior = z.T @ z, self.has_prior[seen]  # of a matrix with itself: half of the work
@@ -277,13 +276,9 @@ class SolvedModel(ReadOnlyArrays):
         families += np.diag(2.0 * members @ (1.0 - 2.0 * self._unseen_part))
         span = scipy.linalg.blas.dtrmm(1.0, self._root, self._spread, side=1, trans_a=1)  # V^-1/2 T
         mixed = members @ (shares @ span**2).T
-        if len(self._spread) < len(shares) * self._spread.shape[1]:  # the shorter of two ways to the same products
-            seen = shares @ (self._spread @ self._spread.T) ** 2 @ shares.T
-        else:
-            weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]
-            of_columns = np.array([(rows.T @ rows).ravel() for rows in weighed]).reshape(len(shares), -1)
-            seen = of_columns @ of_columns.T
-        noise = 0.5 * ((shares * (1.0 - 2.0 * self._leverage)) @ shares.T + seen)
+        weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]
+        of_columns = np.array([(rows.T @ rows).ravel() for rows in weighed]).reshape(len(shares), -1)
+        noise = 0.5 * ((shares * (1.0 - 2.0 * self._leverage)) @ shares.T + of_columns @ of_columns.T)
         return np.block([[families, mixed], [mixed.T, noise]])
 
     @property
@@ -300,7 +295,7 @@ class SolvedModel(ReadOnlyArrays):
         return float(np.sum((1.0 - self._unseen_part)[np.isin(self.model.family[self.seen], families)]))
 
     @property
-    def condensed(self) -> FloatArray:
+    def condensed_coefficients(self) -> FloatArray:
         """Coefficients u of the condensed columns, (n,)."""
         result = np.zeros(len(self.scale))
         result[self.seen] = self.scale[self.seen] * self.v
@@ -309,7 +304,7 @@ class SolvedModel(ReadOnlyArrays):
     @property
     def coefficients(self) -> FloatArray:
         """Coefficients u of all columns, (n_columns,)."""
-        return self.model.coefficients(self.condensed)
+        return self.model.coefficients(self.condensed_coefficients)
 
     @property
     def covariance(self) -> FloatArray:

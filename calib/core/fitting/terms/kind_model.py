@@ -167,9 +167,9 @@ class KindModel:
             terms: Entries of terms that the fit does not have, and these sets have.
         """
         at = model.solve(fitted)
-        added, before = -at.covariance, at.condensed
+        added, before = -at.covariance, at.condensed_coefficients
         for solved in map(model.solve, others):
-            step = solved.condensed - before
+            step = solved.condensed_coefficients - before
             added += (solved.covariance + np.outer(step, step)) / len(others)
         moved = np.flatnonzero(np.diag(added))  # the others are in no set of sizes
         sizes = np.linalg.norm(model.x[:, moved], axis=0) + 1e-30

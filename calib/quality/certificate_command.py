@@ -10,7 +10,6 @@ from typing import Any
 import click
 
 from calib.core.base.errors import InputError, nearest
-from calib.core.base.files import read_bytes
 from calib.core.base.sections import read_yaml
 from calib.core.base.threads import one_blas_thread
 from calib.core.commands.common import Output, shared_options
@@ -19,10 +18,10 @@ from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.result_reading import load_result
 from calib.core.robots.description import validate_description
 from calib.core.robots.traceability import TraceabilitySection
-from calib.quality.certificate import Certificate, document
+from calib.quality.certificate import certificate_content, document
 from calib.quality.dcc import xml
 from calib.quality.monte_carlo import monte_carlo
-from calib.quality.signature import ENDING, signer, verify
+from calib.quality.uncertainty_budget import ErrorPropagation, budget
 
 _WRITERS: dict[str, Callable[[Mapping[str, Any]], bytes]] = {
     ".xml": xml,
@@ -35,7 +34,7 @@ _COMMENTS = {".pdf": "%"}
 
 @click.command("certificate")
 @click.argument("result")
-@click.option("--out", metavar="FILE", help="File to write: .xml, .pdf, .html or .json.")
+@click.option("--out", metavar="FILE", required=True, help="File to write: .xml, .pdf, .html or .json.")
 @click.option(
     "--traceability",
     metavar="FILE",
@@ -49,23 +48,14 @@ _COMMENTS = {".pdf": "%"}
     show_default=True,
     help="Fits of the Monte Carlo check of the budget; 0 for none.",
 )
-@click.option("--sign", "key", metavar="KEY", help="Private key (Ed25519, PEM): also write the signature FILE.sig.")
-@click.option(
-    "--verify",
-    "public",
-    metavar="KEY",
-    help="Public key (PEM): only check the signature beside the certificate RESULT; nothing is written.",
-)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the Monte Carlo check.")
 @shared_options(json_output=False)
 def command(
     result: str,
-    out: str | None,
+    out: str,
     traceability: str | None,
     poses: str | None,
     draws: int,
-    key: str | None,
-    public: str | None,
     seed: int,
     output: Output,
 ) -> None:
@@ -75,37 +65,27 @@ def command(
     Carlo (Supplement 1). XML is a digital calibration certificate by PTB's schema (DCC 3.2). Only an accredited
     laboratory gives a certificate legal force.
     """
-    if public is not None:
-        verify(result, public)
-        output.say(f"{result} is as the owner of {public} signed it")
-        return
-    if out is None:
-        raise click.UsageError("give --out FILE, the certificate to write")
     ending = Path(out).suffix.lower()
     if ending not in _WRITERS:
         raise InputError(f"--out {out}: give it an ending of {', '.join(_WRITERS)}{nearest(ending, _WRITERS)}")
     loaded = load_result(result)
     stated = _traceability(loaded, traceability)
     where = None if poses is None else read_poses(poses, loaded.robot)
-    sign = None if key is None else signer(key, _password)
-    output.check(out, None if key is None else out + ENDING)
+    output.check(out)
     with output.working("checking the budget") as progress:
-        certificate = one_blas_thread(Certificate.from_result)(loaded, stated, where)
-        content = certificate.to_dict()
+        linear = one_blas_thread(ErrorPropagation.from_fit)(loaded.fit)
+        found = one_blas_thread(budget)(linear, stated, where)
+        content = one_blas_thread(certificate_content)(loaded, stated, found)
         write = _WRITERS[ending]
         file = write(content)  # before the draws, so that missing entries are reported at once
         if draws:
-            drawn = monte_carlo(certificate.linear, certificate.stated, certificate.budget, draws, seed, progress)
+            drawn = monte_carlo(linear, stated, found, draws, seed, progress)
             content["monte_carlo"] = drawn.to_dict()
             file = write(content)
     output.write(out, file, _COMMENTS.get(ending, ""))
-    if sign is not None:  # the content of the file, with the line that names the program
-        output.write(out + ENDING, sign(read_bytes(out, "a certificate", InputError)))
-    found = certificate.budget
     output.say(
         f"U = {1e6 * found.expanded_uncertainty:.4g} um (k = {found.coverage_factor:.2f}, 95 %) for one coordinate of"
-        f" the tool,"
-        f" at poses like the {content['n_poses']} measured"
+        f" the tool, at poses like the {content['n_poses']} measured"
     )
     if draws:
         difference = (
@@ -114,11 +94,7 @@ def command(
         output.say(f"Monte Carlo: {drawn.draws} draws, {difference}")
     if not stated.model_fields_set:
         output.note("note: no 'traceability' is stated: the budget knows nothing of instrument and temperature")
-    output.say(f"Written to {out}" + ("" if key is None else f", signed in {out}{ENDING}"))
-
-
-def _password() -> str:
-    return str(click.prompt("Password of the key", hide_input=True, err=True))
+    output.say(f"Written to {out}")
 
 
 def _traceability(result: LoadedResult, path: str | None) -> TraceabilitySection:

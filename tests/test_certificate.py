@@ -14,6 +14,7 @@ from calib.core.data.in_memory import as_measurements
 from calib.core.numerics.rigid import best_transform
 from calib.core.robots.traceability import TraceabilitySection
 from calib.quality.monte_carlo import monte_carlo
+from calib.quality.signature import signer, verify
 from calib.quality.uncertainty_budget import (
     CENTRING,
     ELSEWHERE,
@@ -290,9 +291,54 @@ def test_another_ending_is_one_line(folder, tmp_path, run_calib):
     assert "give it an ending" in run_calib("certificate", folder, "--out", tmp_path / "c.docx").refusal()
 
 
-def test_what_signs_a_certificate_is_named(folder, run_calib):
-    for option in ("--sign", "--verify"):
-        assert "openssl pkeyutl" in run_calib("certificate", folder, option, "key.pem").refusal()
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory):
+    """Files of a private key, of its public one, and of another public one."""
+    serialization = pytest.importorskip("cryptography.hazmat.primitives.serialization")
+    ed25519 = pytest.importorskip("cryptography.hazmat.primitives.asymmetric.ed25519")
+    folder, pem = tmp_path_factory.mktemp("keys"), serialization.Encoding.PEM
+    key, other = ed25519.Ed25519PrivateKey.generate(), ed25519.Ed25519PrivateKey.generate()
+    plain = serialization.NoEncryption(), serialization.BestAvailableEncryption(b"secret")
+    for name, encryption in zip(("private", "locked"), plain, strict=True):
+        text = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, encryption)
+        (folder / f"{name}.pem").write_bytes(text)
+    for name, public in (("public", key.public_key()), ("other", other.public_key())):
+        text = public.public_bytes(pem, serialization.PublicFormat.SubjectPublicKeyInfo)
+        (folder / f"{name}.pem").write_bytes(text)
+    return folder
+
+
+def test_a_changed_byte_of_a_signed_certificate_is_found(folder, statement, keys, tmp_path, run_calib):
+    out, public = tmp_path / "c.xml", keys / "public.pem"
+    options = ("--traceability", statement, "--draws", 0, "--sign", keys / "private.pem")
+    assert run_calib("certificate", folder, "--out", out, *options).code == 0
+    run = run_calib("certificate", out, "--verify", public)
+    assert (run.code, "signed it" in run.out) == (0, True)
+    content, rng, found = out.read_bytes(), np.random.default_rng(1), 0
+    for place in rng.integers(0, len(content), 100):
+        out.write_bytes(content[:place] + bytes([content[place] ^ int(rng.integers(1, 256))]) + content[place + 1 :])
+        with pytest.raises(calib.ComputationError, match="was changed, or another key signed"):
+            verify(str(out), str(public))
+        found += 1
+    assert found == 100
+    assert run_calib("certificate", out, "--verify", public).code == 3
+    out.write_bytes(content)
+    assert run_calib("certificate", out, "--verify", keys / "other.pem").code == 3
+
+
+def test_keys_that_are_none_are_one_line_and_nothing_is_written(folder, keys, tmp_path, run_calib):
+    out = tmp_path / "c.json"
+    for key in (keys / "public.pem", folder / "result.json"):
+        run = run_calib("certificate", folder, "--out", out, "--draws", 0, "--sign", key)
+        assert "is no private Ed25519 key (PEM)" in run.refusal()
+    assert not out.exists()
+    assert signer(str(keys / "locked.pem"), lambda: "secret")(b"x") == signer(str(keys / "private.pem"), str)(b"x")
+    with pytest.raises(calib.InputError, match="or has another password"):
+        signer(str(keys / "locked.pem"), lambda: "wrong")
+    (tmp_path / "c.json.sig").write_text("")
+    out.write_text("{}")
+    with pytest.raises(calib.InputError, match="is no public Ed25519 key"):
+        verify(str(out), str(keys / "private.pem"))
 
 
 CAMERA = (

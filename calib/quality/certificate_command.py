@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from calib.core.base.errors import InputError, nearest
+from calib.core.base.files import read_bytes
 from calib.core.base.sections import read_yaml
 from calib.core.base.threads import one_blas_thread
 from calib.core.commands.common import Output, shared_options
@@ -21,6 +22,7 @@ from calib.core.robots.traceability import TraceabilitySection
 from calib.quality.certificate import certificate_content, document
 from calib.quality.dcc import xml
 from calib.quality.monte_carlo import monte_carlo
+from calib.quality.signature import ENDING, signer, verify
 from calib.quality.uncertainty_budget import ErrorPropagation, budget
 
 _WRITERS: dict[str, Callable[[Mapping[str, Any]], bytes]] = {
@@ -34,7 +36,7 @@ _COMMENTS = {".pdf": "%"}
 
 @click.command("certificate")
 @click.argument("result")
-@click.option("--out", metavar="FILE", required=True, help="File to write: .xml, .pdf, .html or .json.")
+@click.option("--out", metavar="FILE", help="File to write: .xml, .pdf, .html or .json.")
 @click.option(
     "--traceability",
     metavar="FILE",
@@ -48,14 +50,23 @@ _COMMENTS = {".pdf": "%"}
     show_default=True,
     help="Fits of the Monte Carlo check of the budget; 0 for none.",
 )
+@click.option("--sign", "key", metavar="KEY", help="Private key (Ed25519, PEM): also write the signature FILE.sig.")
+@click.option(
+    "--verify",
+    "public",
+    metavar="KEY",
+    help="Public key (PEM): only check the signature beside the certificate RESULT; nothing is written.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the Monte Carlo check.")
 @shared_options(json_output=False)
 def command(
     result: str,
-    out: str,
+    out: str | None,
     traceability: str | None,
     poses: str | None,
     draws: int,
+    key: str | None,
+    public: str | None,
     seed: int,
     output: Output,
 ) -> None:
@@ -65,13 +76,20 @@ def command(
     Carlo (Supplement 1). XML is a digital calibration certificate by PTB's schema (DCC 3.2). Only an accredited
     laboratory gives a certificate legal force.
     """
+    if public is not None:
+        verify(result, public)
+        output.say(f"{result} is as the owner of {public} signed it")
+        return
+    if out is None:
+        raise click.UsageError("give --out FILE, the certificate to write")
     ending = Path(out).suffix.lower()
     if ending not in _WRITERS:
         raise InputError(f"--out {out}: give it an ending of {', '.join(_WRITERS)}{nearest(ending, _WRITERS)}")
     loaded = load_result(result)
     stated = _traceability(loaded, traceability)
     where = None if poses is None else read_poses(poses, loaded.robot)
-    output.check(out)
+    sign = None if key is None else signer(key, _password)
+    output.check(out, None if key is None else out + ENDING)
     with output.working("checking the budget") as progress:
         linear = one_blas_thread(ErrorPropagation.from_fit)(loaded.fit)
         found = one_blas_thread(budget)(linear, stated, where)
@@ -83,6 +101,8 @@ def command(
             content["monte_carlo"] = drawn.to_dict()
             file = write(content)
     output.write(out, file, _COMMENTS.get(ending, ""))
+    if sign is not None:  # the content of the file, with the line that names the program
+        output.write(out + ENDING, sign(read_bytes(out, "a certificate", InputError)))
     output.say(
         f"U = {1e6 * found.expanded_uncertainty:.4g} um (k = {found.coverage_factor:.2f}, 95 %) for one coordinate of"
         f" the tool, at poses like the {content['n_poses']} measured"
@@ -94,7 +114,11 @@ def command(
         output.say(f"Monte Carlo: {drawn.draws} draws, {difference}")
     if not stated.model_fields_set:
         output.note("note: no 'traceability' is stated: the budget knows nothing of instrument and temperature")
-    output.say(f"Written to {out}")
+    output.say(f"Written to {out}" + ("" if key is None else f", signed in {out}{ENDING}"))
+
+
+def _password() -> str:
+    return str(click.prompt("Password of the key", hide_input=True, err=True))
 
 
 def _traceability(result: LoadedResult, path: str | None) -> TraceabilitySection:

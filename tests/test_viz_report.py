@@ -124,7 +124,8 @@ def test_cross_validation_is_shown_and_judged_by():
 def test_provenance_names_versions_files_command_and_seed(html, fit):
     assert hashlib.sha256(fit.nominal.urdf.source).hexdigest() in html
     for part in ("numpy", "Python", COMMAND, "no file to hash", "2026-01-02 12:00 UTC"):
-        assert part in html
+        assert part in words_of(html)
+    assert '<span class="option">--out</span>' in html  # not broken after its hyphens
     assert re.search(r"Seed</th><td>0, of every random choice", html)
 
 

@@ -72,7 +72,7 @@ def parameters(fit: Fit) -> Chart | None:
     drawn = forest(
         [one.name for one in found],
         [("change", COLOURS["after"], change, half, texts)],
-        "change [standard deviations of what was expected]",
+        "change [expected standard deviations]",
         ("expected beforehand (95 %)", 2.0),
     )
     return Chart(

@@ -99,7 +99,7 @@ class Chart {
     const range = ({ log, ends, names }, turned) => (names.length ? new Bokeh.Range1d({ start: turned ? names.length - 0.5 : -0.5, end: turned ? -0.5 : names.length - 0.5 })
       : ends ? new Bokeh.Range1d({ start: ends[0], end: ends[1] }) : new Bokeh.DataRange1d({ range_padding: 0.12 }));
     const figure = new Bokeh.Plotting.Figure({
-      height, sizing_mode: "stretch_width", title: title || null, x_axis_label: 7.2 * x.label.length > room - 60 ? x.label.replace(" [", "\n[") : x.label, y_axis_label: y.label || null,
+      height, sizing_mode: "stretch_width", title: title && 7.5 * title.length > room ? title.replace(" ", "\n") : title || null, x_axis_label: 7.2 * x.label.length > room - 60 ? x.label.replace(" [", "\n[") : x.label, y_axis_label: y.label || null,
       x_axis_type: x.log ? "log" : "linear", y_axis_type: y.log ? "log" : "linear",
       x_range: range(x, false), y_range: range(y, true), match_aspect: equal, tools: "pan,wheel_zoom,box_zoom,box_select,tap,reset,save",
       toolbar_location: "above", background_fill_color: null, border_fill_color: null, outline_line_color: null,

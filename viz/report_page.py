@@ -242,7 +242,7 @@ def millimetres(value: float) -> str:
 
 def unbroken(text: str) -> Markup:
     """Return text as HTML whose options, such as --html, are not broken after their hyphens; copied, it is the same."""
-    return Markup(re.sub(r"(?<!\S)--?\w[\w-]*", r'<span class="option">\g<0></span>', str(escape(text))))
+    return Markup(re.sub(r"(?<![\w-])--\w[\w-]*", r'<span class="option">\g<0></span>', str(escape(text))))
 
 
 def labelled(line: str) -> Markup:

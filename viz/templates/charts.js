@@ -105,7 +105,7 @@ class Chart {
       toolbar_location: "above", background_fill_color: null, border_fill_color: null, outline_line_color: null,
       lod_threshold: null,
     });
-    this.look(figure, x, y, height);
+    this.look(figure, x, y, height, room);
     if (bare) [...figure.xaxes, ...figure.yaxes, ...figure.center.filter((part) => part.type === "Grid")].forEach((part) => { part.visible = false; });
     const own = []; // what a selection in this panel changes
     const hovered = layers.flatMap((layer) => this.layer(figure, layer, own));
@@ -123,14 +123,14 @@ class Chart {
     return figure;
   }
 
-  look(figure, x, y, height) {
+  look(figure, x, y, height, room) {
     for (const [axes, { names, log }] of [[figure.xaxes, x], [figure.yaxes, y]]) {
       for (const axis of axes) {
         Object.assign(axis, { axis_label_text_color: this.ink, major_label_text_color: this.ink, axis_line_color: this.ink, major_tick_line_color: this.ink,
           minor_tick_line_color: null, axis_label_text_font_size: "13px", axis_label_text_font_style: "normal", major_label_text_font_size: "12px" });
         if (names.length) {
           axis.ticker = new Bokeh.FixedTicker({ ticks: names.map((_, k) => k), minor_ticks: [] });
-          axis.major_label_overrides = new Map(names.map((name, k) => [k, name]));
+          axis.major_label_overrides = new Map(names.map((name, k) => [k, 16 * name.length > room ? name.replace(/(.{12,}?) /, "$1\n") : name]));
         } else if (!log && height < 220) axis.ticker.desired_num_ticks = 3;
         if (log) axis.formatter = new Bokeh.BasicTickFormatter({ use_scientific: false });
       }

@@ -65,8 +65,8 @@ def twists_in_world(swept: Sweep, joints: IntArray, twists: FloatArray) -> Float
     frames, at = np.unique(before, return_inverse=True)
     spread = np.zeros((len(frames), 3, 2, k))  # R xi of all frames and twists is one product
     spread[at, :, :, np.arange(k)] = twists.reshape(k, 2, 3).transpose(0, 2, 1)
-    axes = swept.rotation[:, frames].transpose(0, 2, 1, 3).reshape(3 * n, -1)
-    turned = (axes @ spread.reshape(-1, 2 * k)).reshape(n, 3, 2, k)
+    axes = swept.rotation[:, frames].transpose(0, 2, 1, 3).reshape(3 * n, 3 * len(frames))
+    turned = (axes @ spread.reshape(3 * len(frames), 2 * k)).reshape(n, 3, 2, k)
     result = turned.transpose(0, 2, 1, 3).reshape(n, 6, k)
     x, y, z = swept.translation[:, before].transpose(2, 0, 1)
     u, v, w = result[:, 3:].transpose(1, 0, 2)

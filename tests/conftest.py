@@ -14,6 +14,8 @@ import pytest
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: threads of processes side by side wait for each other
 
+from six_axis_arm import six_axis_arm
+
 import calib
 from calib.pictures import pages
 
@@ -122,6 +124,24 @@ def amount(request: pytest.FixtureRequest) -> int:
 def medrue() -> calib.Robot:
     """MedRUE at its nominal parameters."""
     return calib.load(ROOT / "urdf" / "medrue.yaml")
+
+
+@pytest.fixture(scope="session")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> calib.Robot:
+    """The arm of `six_axis_arm`, without priors."""
+    return six_axis_arm(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="session")
+def robot() -> calib.Robot:
+    """The arm of docs/examples."""
+    return calib.load(ROOT / "docs" / "examples" / "arm.yaml")
+
+
+@pytest.fixture(scope="session")
+def data(robot: calib.Robot) -> calib.Measurements:
+    """80 simulated positions of the arm of docs/examples."""
+    return calib.read_measurements(ROOT / "docs" / "examples" / "arm_simulated.csv", robot)
 
 
 @pytest.fixture(scope="session")

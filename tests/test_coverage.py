@@ -92,11 +92,6 @@ def medrue_case():
     return robot, q[::10], q[5::60]
 
 
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
-
-
 def assert_between(result, low, high, n):
     """Every coverage of n fits lies between these limits, and as far beyond them as chance takes one of 10000."""
     values = np.concatenate([result.parameters.ravel(), result.positions.ravel()])

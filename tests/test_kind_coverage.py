@@ -282,12 +282,16 @@ def assert_holds(result, n):
     assert result.chi_square == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.parametrize("kind", ["position", "pose", "orientation", "inclinometer", "distance"])
+def thorough(*kinds):
+    return [pytest.param(kind, marks=pytest.mark.amount(0, 1)) for kind in kinds]
+
+
+@pytest.mark.parametrize("kind", ["pose", *thorough("position", "orientation", "inclinometer", "distance")])
 def test_intervals_of_every_kind_hold_the_truth_on_an_arm(tmp_path, kind):
     assert_holds(on_the_arm(tmp_path, kind, 50), 50)
 
 
-@pytest.mark.parametrize("kind", ["pose", "distance"])
+@pytest.mark.parametrize("kind", ["distance", *thorough("pose")])
 def test_intervals_of_poses_and_distances_hold_the_truth_on_medrue(tmp_path, kind):
     assert_holds(on_medrue(tmp_path, kind, 25), 25)
 

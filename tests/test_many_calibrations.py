@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from six_axis_arm import FREE, NO_PRIORS, YAML, joints, six_axis_arm, write_six_axis
+from six_axis_arm import FREE, NO_PRIORS, YAML, joints, write_six_axis
 from test_workers import Shared
 
 import calib
@@ -21,11 +21,6 @@ from calib.studies.study_data import DrawnData, ResampledDraws
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 2e-5
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from kind_checks import positions_by_joint
 from scipy.stats import f
-from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_six_axis
+from six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
 
 import calib
 from calib.core.data.measurements import directions_of_motion
@@ -16,11 +16,6 @@ from calib.core.judging.effects import ORDERS, wave_orders
 SIGMA = 4e-5
 N_WAVES = 3 * 6 * 119
 """Tests of waves, times three families: six joints that go through less than half a turn show all but the first."""
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
 def fitted(arm, q_true, shift=0.0, n=80, seed=3):

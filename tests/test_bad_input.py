@@ -141,7 +141,8 @@ BAD_URDFS = {  # more in tests/test_urdf_text.py
 def test_a_bad_urdf_is_refused(folder, refused, content, message):
     assert content != ARM_URDF
     (folder / "arm.urdf").write_bytes(content if isinstance(content, bytes) else content.encode())
-    for command in (FIT, "init arm.urdf --out new.yaml", "predict arm.urdf data.csv --out new.csv"):
+    commands = FIT, "init arm.urdf --out new.yaml", "predict arm.urdf data.csv --out new.csv"
+    for command in commands[:1] if "&a11;" in content else commands:  # a second to read
         assert message in refused(command)
 
 

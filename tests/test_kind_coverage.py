@@ -310,6 +310,7 @@ def test_intervals_hold_the_truth_where_repeats_share_an_error(tmp_path, counts,
     assert 0.95 - 0.32 / np.sqrt(amount) <= np.mean(result) <= min(0.95 + 0.22 / np.sqrt(amount), 0.999)
 
 
+@pytest.mark.amount(0, 1)
 def test_intervals_hold_the_truth_where_the_pixels_of_an_image_share_an_error(tmp_path):
     result = seen_by_both(tmp_path, 20, 20)
     assert np.all(result >= binom.ppf(1e-4 / len(result), 20, 0.95) / 20)

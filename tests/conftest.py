@@ -23,18 +23,22 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 LONGEST = (
-    "test_snippets.py",
-    "test_viewer_page.py",
-    "test_report_page.py",
-    "test_every_reason.py",
-    "test_hand_eye.py",
-    "test_photographs.py",
-    "test_match.py",
-    "test_suspects.py",
+    "test_many_calibrations.py",
+    "test_functions.py",
+    "test_motion.py",
     "test_qualification.py",
+    "test_wheel.py",
+    "test_suspects.py",
+    "test_selection.py",
     "test_code_comparison.py",
+    "test_watch.py",
+    "test_redundancy.py",
+    "test_sharing.py",
+    "test_viz_report.py",
+    "test_searched_input.py",
     "test_term_choice.py",
-    "test_function_gradients.py",
+    "test_every_headline.py",
+    "test_snippets.py",
 )
 """Files that take longest: first, so that no process is left alone with one at the end."""
 

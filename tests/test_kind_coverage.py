@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from families import family
 from kind_checks import brought, coverage
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
@@ -282,16 +283,12 @@ def assert_holds(result, n):
     assert result.chi_square == pytest.approx(1.0, abs=0.05)
 
 
-def thorough(*kinds):
-    return [pytest.param(kind, marks=pytest.mark.amount(0, 1)) for kind in kinds]
-
-
-@pytest.mark.parametrize("kind", ["pose", *thorough("position", "orientation", "inclinometer", "distance")])
+@pytest.mark.parametrize("kind", family(["position", "pose", "orientation", "inclinometer", "distance"], ["pose"]))
 def test_intervals_of_every_kind_hold_the_truth_on_an_arm(tmp_path, kind):
     assert_holds(on_the_arm(tmp_path, kind, 50), 50)
 
 
-@pytest.mark.parametrize("kind", ["distance", *thorough("pose")])
+@pytest.mark.parametrize("kind", family(["pose", "distance"], ["distance"]))
 def test_intervals_of_poses_and_distances_hold_the_truth_on_medrue(tmp_path, kind):
     assert_holds(on_medrue(tmp_path, kind, 25), 25)
 

@@ -53,12 +53,13 @@ def _amount(item: pytest.Item) -> int | None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out tests that try nothing, and put the files that take longest first."""
+    """Leave out tests that try nothing, and put pages and the files that take longest first."""
     idle = [item for item in items if _amount(item) == 0]
     config.hook.pytest_deselected(items=idle)
     order = {name: k for k, name in enumerate(LONGEST)}
     items[:] = sorted(
-        (item for item in items if _amount(item) != 0), key=lambda item: order.get(item.path.name, len(LONGEST))
+        (item for item in items if _amount(item) != 0),
+        key=lambda item: (item.path.parent.name != "browser", order.get(item.path.name, len(LONGEST))),
     )
 
 

@@ -62,6 +62,11 @@ class Tab:
         self.page.wait_for_selector(ready, state="attached")
         return self
 
+    def empty(self):
+        """Show nothing; the next test opens its page again."""
+        self.first = None
+        self.page.goto("about:blank")
+
     def like_new(self, address):
         """Open a viewer's page, or where it is open already bring it back to how it was at first: much quicker.
 

@@ -11,6 +11,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # for viz_examples
 
 CHROMIUM = Path("/usr/bin/chromium")
 
+KEPT_TABS: list[Tab] = []
+"""Tabs that tests of several files share."""
+
 
 @pytest.fixture(scope="session")
 def chromium_path():
@@ -52,18 +55,26 @@ def viewer_file(scene, tmp_path_factory):
     return scene_page(scene).save(tmp_path_factory.mktemp("pages") / "viewer.html")
 
 
+def pytest_runtest_teardown(item, nextitem):
+    """Empty the tabs where other tests follow: a page draws on, and takes a twentieth of a processor."""
+    if nextitem is None or nextitem.path.parent != item.path.parent:
+        for opened in KEPT_TABS:
+            opened.empty()
+
+
+def _kept_tab(chromium):
+    KEPT_TABS.append(Tab(chromium))
+    return KEPT_TABS[-1]
+
+
 @pytest.fixture(scope="session")
 def kept_tab(chromium):
-    opened = Tab(chromium)
-    yield opened
-    opened.context.close()
+    return _kept_tab(chromium)
 
 
 @pytest.fixture(scope="session")
 def kept_for_others(chromium):
-    opened = Tab(chromium)
-    yield opened
-    opened.context.close()
+    return _kept_tab(chromium)
 
 
 @pytest.fixture

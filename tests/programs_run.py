@@ -6,9 +6,9 @@ decide alike.
 """
 
 import contextlib
-import copy
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -48,6 +48,26 @@ def pose(xyz, rotation):
     return T
 
 
+@lru_cache(4096)
+def written_pose(form, *numbers):
+    """A pose from a position and an orientation as a language writes it; nothing may change what is returned."""
+    xyz, turn = np.array(numbers[:3]), numbers[3:]
+    if form == "vector":
+        return pose(xyz, Rotation.from_rotvec(turn))
+    if form == "quaternion":
+        return pose(xyz / 1e3, Rotation.from_quat([*turn[1:], turn[0]]))
+    return pose(xyz / 1e3, Rotation.from_euler(form, turn, degrees=True))
+
+
+@lru_cache(4096)
+def code(text):
+    return compile(text, "expression", "eval")
+
+
+def value_of(text, names):
+    return eval(code(text), {"__builtins__": {}}, names)
+
+
 # ---------------------------------------------------------------- URScript: arguments and values are copied
 
 
@@ -63,7 +83,7 @@ class _Pose(list):
 
 
 def _matrix(p):
-    return pose(p[:3], Rotation.from_rotvec(p[3:]))
+    return written_pose("vector", *p)
 
 
 def _as_pose(T):
@@ -171,7 +191,7 @@ class URScript(Controller):
         if not match:
             self._value(text, line)
             return
-        value, name = copy.deepcopy(self._value(match[5], line)), match[2]
+        value, name = copied(self._value(match[5], line)), match[2]
         scope = self.scopes[-1]
         if match[1] and match[1].startswith("global"):
             scope = self.scopes[0]
@@ -184,7 +204,7 @@ class URScript(Controller):
 
     def _call(self, name, *given):
         names, body = self.functions[name]
-        self.scopes.append(dict(zip(names, copy.deepcopy(list(given)), strict=True)))
+        self.scopes.append(dict(zip(names, copied(list(given)), strict=True)))
         try:
             self._do(body)
         except _ReturnError as back:
@@ -223,7 +243,7 @@ class URScript(Controller):
             "get_actual_tcp_pose": lambda: _Pose([0.4, 0.1, 0.3, 0, 0, 0]),
         }
         names |= {name: lambda *x, name=name: self._call(name, *x) for name in self.functions}
-        return eval(text.strip(), {"__builtins__": {}}, {**names, **self.scopes[0], **self.scopes[-1]})
+        return value_of(text.strip(), {**names, **self.scopes[0], **self.scopes[-1]})
 
 
 # ---------------------------------------------------------------- RAPID: records, and arguments by reference
@@ -249,12 +269,25 @@ class _Record:
 
 
 def _typed(kind, value):
-    return _Record(kind, value) if kind in _Record.TYPES and isinstance(value, list) else copy.deepcopy(value)
+    return _Record(kind, value) if kind in _Record.TYPES and isinstance(value, list) else copied(value)
 
 
 def _frame(p):
     t, r = p.trans, p.rot
-    return pose(np.array([t.x, t.y, t.z]) / 1e3, Rotation.from_quat([r.q2, r.q3, r.q4, r.q1]))
+    return written_pose("quaternion", t.x, t.y, t.z, r.q1, r.q2, r.q3, r.q4)
+
+
+def copied(value):
+    """A value as an assignment gives it: nothing in it is shared."""
+    if isinstance(value, list):
+        return type(value)(map(copied, value))
+    if isinstance(value, dict):
+        return {key: copied(one) for key, one in value.items()}
+    if isinstance(value, _Record):
+        other = object.__new__(_Record)
+        other.__dict__.update(copied(vars(value)))
+        return other
+    return value
 
 
 class _Array(list):
@@ -388,7 +421,7 @@ class Rapid(Controller):
         parameters, body = self.routines[name]
         data = {}
         for parameter, value in zip(parameters, given, strict=True):
-            data[parameter[-1]] = value if parameter[0] in ("inout", "pers", "var") else copy.deepcopy(value)
+            data[parameter[-1]] = value if parameter[0] in ("inout", "pers", "var") else copied(value)
         try:
             self._do(body, data)
         except _ReturnError as back:
@@ -468,11 +501,11 @@ class Rapid(Controller):
             if isinstance(held, _Record):  # by reference: the record stays the same one
                 held.__dict__.update(_like(held, value).__dict__)
             else:
-                scope[parts[1]] = copy.deepcopy(value)
+                scope[parts[1]] = copied(value)
             return
         for name in names[:-1]:
             held = getattr(held, name)
-        setattr(held, names[-1], copy.deepcopy(value))
+        setattr(held, names[-1], copied(value))
 
     def _move(self, line, word, text, data):
         options = dict(re.findall(r"\\\s*(\w+)\s*:=\s*(\w+)", text))
@@ -490,8 +523,7 @@ class Rapid(Controller):
             self.moves.append(Move(line, to))
 
     def _value(self, text, data):
-        text = re.sub(r"\{([^{}]*)\}", r".at(\1)", text)
-        text = re.sub(r"(?<![<>:])=", "==", text).replace("<>", "!=")
+        text = _in_python(text)
         names = {
             "true": True,
             "false": False,
@@ -502,15 +534,21 @@ class Rapid(Controller):
             **dict.fromkeys(("v100", "v1000", "z10", "z50"), 0),
             **{name: lambda *x, name=name: self._call(name, list(x)) for name in self.routines},
         }
-        return eval(" ".join(text.split()), {"__builtins__": {}}, {**names, **self.data, **data})
+        return value_of(text, {**names, **self.data, **data})
+
+
+@lru_cache(4096)
+def _in_python(text):
+    text = re.sub(r"\{([^{}]*)\}", r".at(\1)", text)
+    return " ".join(re.sub(r"(?<![<>:])=", "==", text).replace("<>", "!=").split())
 
 
 def _like(held, value):
-    return _typed(held.kind, value) if isinstance(value, list) else copy.deepcopy(value)
+    return _typed(held.kind, value) if isinstance(value, list) else copied(value)
 
 
 def _offs(target, x, y, z):
-    moved = copy.deepcopy(target)
+    moved = copied(target)
     moved.trans.x, moved.trans.y, moved.trans.z = moved.trans.x + x, moved.trans.y + y, moved.trans.z + z
     return moved
 
@@ -529,7 +567,7 @@ def _split(text):
 
 
 def _krl_pose(v):
-    return pose(np.array([v[k] for k in "XYZ"]) / 1e3, Rotation.from_euler("ZYX", [v[k] for k in "ABC"], degrees=True))
+    return written_pose("ZYX", *(v[k] for k in "XYZABC"))
 
 
 class Krl(Controller):
@@ -605,7 +643,7 @@ class Krl(Controller):
             raise StopError
         for parameter, (text, scope) in zip(parameters, given, strict=True):
             key, _, mode = parameter.partition(":")
-            data[key.strip()] = copy.deepcopy(self._value(text, scope))
+            data[key.strip()] = copied(self._value(text, scope))
             if mode.strip() != "IN" and re.fullmatch(r"[$\w\[\].]+", text):
                 back.append((text, key.strip(), scope))
         with contextlib.suppress(_ReturnError):
@@ -707,7 +745,7 @@ class Krl(Controller):
         if parts[3]:
             held[key] = {**held[key], parts[3]: value}
         else:
-            held[key] = copy.deepcopy(value)
+            held[key] = copied(value)
 
     def _move(self, line, word, text, data):
         text, _, behind = text.partition(" WITH ")
@@ -749,7 +787,7 @@ class Krl(Controller):
             return f"v{counter[0]}"
 
         text = re.sub(r"([$A-Z_][$\w]*)\s*(?:\[([^\]]*)\])?(?:\.([A-Z]\d?)\b)?", variable, text)
-        return eval(text, {"__builtins__": {}}, names)
+        return value_of(text, names)
 
 
 # ---------------------------------------------------------------- FANUC: lines, labels, frames by number
@@ -846,7 +884,7 @@ class Fanuc(Controller):
 
     @staticmethod
     def _matrix(values):
-        return pose(np.array(values[:3]) / 1e3, Rotation.from_euler("xyz", values[3:], degrees=True))
+        return written_pose("xyz", *values)
 
     def _value(self, text):
         def register(match):
@@ -855,7 +893,7 @@ class Fanuc(Controller):
             return repr(self.registers.get(match[0], 0))
 
         text = re.sub(r"(PR\[\d+),(\d+)\]|R\[\d+\]", register, text)
-        return eval(text, {"__builtins__": {}})
+        return value_of(text, {})
 
     def _true(self, text):
         text = text.strip().strip("()")

@@ -8,7 +8,7 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, write_six_axis
 
 import calib
-from calib.core.base.contributions import Contribution, Uncertainty, contributions_to, markdown_table, names_of
+from calib.core.base.contributions import Contribution, Uncertainty, contributions_to, names_of
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "uncertainty.md"
 
@@ -23,7 +23,15 @@ def fit(tmp_path_factory):
 
 
 def test_the_page_has_the_table_of_the_enumeration():
-    assert markdown_table() in PAGE.read_text(), f"docs/uncertainty.md: put in its place\n{markdown_table()}"
+    numbers = list(Uncertainty)
+    lines = [f"| mechanism | what it counts | {' | '.join(number.value for number in numbers)} |"]
+    lines.append(f"|---|---|{'|'.join(':-:' for _ in numbers)}|")
+    for own in Contribution:
+        page = f"reference/api/calib.core.{own.module}.md"
+        marks = " | ".join("●" if number in own.numbers else "" for number in numbers)
+        lines.append(f"| [{own.value}]({page}) | {own.counts} | {marks} |")
+    table = "\n".join(lines) + "\n"
+    assert table in PAGE.read_text(), f"docs/uncertainty.md: put in its place\n{table}"
 
 
 def test_every_mechanism_is_where_the_table_says_and_is_part_of_something():

@@ -23,6 +23,18 @@ def test_two_copied_rows_of_sixty_five_get_no_pass_and_are_named(arm):
     assert "row 7, row 30" in said
 
 
+def test_copies_are_named_whichever_of_them_are_held_out(arm):
+    data = with_copies(noisy(arm, joints(63), SIGMA, 1), [7, 30])
+    held_out = set()
+    for seed in range(3):
+        used, other = data.split(validation=0.25, seed=seed)
+        held_out.add(len(other) - other.n_poses)
+        verdict = calib.fit(arm, used, validation=other).verdict
+        assert (verdict.grade, verdict.reasons[0].code) == ("CHECK", "copied")
+        assert verdict.reasons[0].text.startswith("2 of 65 readings are copies")
+    assert held_out > {0}  # of some, the fit has used fewer than three in a hundred
+
+
 def test_one_copied_row_of_a_hundred_is_no_matter(arm):
     verdict = calib.fit(arm, with_copies(noisy(arm, joints(99), SIGMA, 1), [7])).verdict
     assert "copied" not in verdict.to_dict()["codes"]

@@ -67,7 +67,7 @@ def test_signs_factors_and_zeros_of_columns(tmp_path, arm, caplog):
     [
         ('{turn: "turn + 90"}', "say the unit of the offset"),
         ('{turn: "0 * turn [deg]"}', "a factor of zero"),
-        ('{p: "-pose"}', "no column '-pose'|no column 'pose'"),
+        ('{p: "-pose"}', "'pose' holds words"),
     ],
 )
 def test_columns_that_cannot_be_are_refused(arm, columns, said):
@@ -181,8 +181,41 @@ def test_what_savetxt_writes_is_read(tmp_path, arm):
     np.savetxt(tmp_path / "named.txt", rows(), header="turn slide wrist tool_x tool_y tool_z")
     for name in ("bare", "comma", "named"):
         check(calib.read_measurements(tmp_path / f"{name}.txt", robot), robot)
-    with pytest.raises(calib.DataError, match=r'numbers without names, .*columns: \{"1": "joint_1 \[rad\]"'):
+    with pytest.raises(calib.DataError, match=r'rows without names of columns, .*columns: \{"1": "joint_1 \[rad\]"'):
         calib.read_measurements(tmp_path / "bare.txt", arm())
+
+
+@pytest.mark.parametrize("row", ['"p 1" {} {} {}', "A,Points,p1,{},{},{},05/02/2024 10:11:12", "p1 {} {} {}"])
+def test_points_without_a_header_are_read_by_the_numbers_of_their_columns(tmp_path, arm, row):
+    first = next(k for k, cell in enumerate(row.replace('"p 1"', "p").replace(",", " ").split()) if cell == "{}") + 1
+    named = ", ".join(f'"{first + k}": "tool_{axis} [mm]"' for k, axis in enumerate("xyz"))
+    (tmp_path / "points.txt").write_text("".join(row.format(*(1000 * point)) + "\n" for point in POINTS))
+    (tmp_path / "joints.csv").write_text("turn,slide,wrist\n" + text_of(JOINTS))
+    robot = arm("join: rows", f"columns: {{{named}}}")
+    check(calib.read_measurements([tmp_path / "joints.csv", tmp_path / "points.txt"], robot), robot)
+    with pytest.raises(calib.DataError, match="write a line with the names of the columns above them"):
+        read_table(tmp_path / "points.txt")
+    (tmp_path / "named.csv").write_text("pose,1,2,3\np1,510,120,330\n")
+    assert read_table(tmp_path / "named.csv", {"1": "tool_x [mm]"}).names[0] == "pose"
+
+
+def test_lists_in_cells_are_columns(tmp_path):
+    for number, text in enumerate(('"[1.0, -20.5]"', "[1.0 -20.5]")):
+        (tmp_path / f"{number}.csv").write_text(f"timestamp,observation.state\n0.0,{text}\n0.1,{text}\n0.2,{text}\n")
+        table = read_table(tmp_path / f"{number}.csv")
+        assert table.names == ("timestamp", "observation.state_1", "observation.state_2")
+        assert np.allclose(table.column("observation.state_2", None), [-20.5] * 3)
+    (tmp_path / "ragged.csv").write_text('t,q\n0,"[1, 2]"\n1,"[1]"\n')
+    with pytest.raises(calib.DataError, match=r"ragged.csv: cannot be read"):
+        read_table(tmp_path / "ragged.csv")
+
+
+def test_a_second_table_in_a_file_is_named_and_heads_without_labels_are_known(tmp_path):
+    (tmp_path / "two.csv").write_text(SEGMENTS + "\n" + VICON)
+    with pytest.raises(calib.DataError, match=r"two.csv, line 11: a second table begins; keep one of them"):
+        read_table(tmp_path / "two.csv")
+    (tmp_path / "m.csv").write_text(MOTIVE.replace(",Type,", ",,").replace(",Name,", ",,").replace(",ID,", ",,"))
+    assert "Ball_qw" in read_table(tmp_path / "m.csv").names
 
 
 def test_names_and_numbers_may_be_parted_by_blanks(tmp_path, arm):
@@ -338,6 +371,9 @@ def test_files_that_are_not_read_are_named_with_the_way(tmp_path, arm):
         calib.read_measurements(tmp_path / "so101.json", arm())
     with pytest.raises(calib.DataError, match=re.escape('elbow_flex.pos: "0.087891 * elbow_flex - 180 [deg]"')):
         calib.read_measurements(tmp_path / "so101.json", arm())
+    (tmp_path / "other.json").write_text(json.dumps({"elbow_flex": servo | {"drive_mode": 1}}))
+    with pytest.raises(calib.DataError, match=re.escape('elbow_flex.pos: "-0.9 * elbow_flex [deg]"')):
+        calib.read_measurements(tmp_path / "other.json", arm())
     old = {
         "homing_offset": [1, 2],
         "drive_mode": [0, 1],

@@ -164,9 +164,9 @@ def test_a_file_with_an_encoder_is_fitted_and_reported_in_degrees(tmp_path, run_
     [
         (
             "{kind: joint_reading, joint: left_elbo}",
-            "e.joint: no joint 'left_elbo' that moves; did you mean 'left_elbow'",
+            "e.joint: no moving joint 'left_elbo'; did you mean 'left_elbow'",
         ),
-        ("{kind: joint_reading, joint: left_end}", "instruments.e.joint: no joint 'left_end' that moves"),
+        ("{kind: joint_reading, joint: left_end}", "instruments.e.joint: no moving joint 'left_end'"),
         ("{kind: joint_reading}", "key 'instruments.e.joint' is missing"),
         (
             "{kind: joint_reading, joint: left_elbow, dimension: length}",

@@ -59,9 +59,7 @@ def test_twists_in_the_world_serve_every_frame_as_pinocchios_regressor_would(cas
     before = mechanism.twists_before(None)[left]  # of every origin twist
     origins, columns = np.nonzero(np.any(before != 0, axis=1))
     of_origins = np.zeros((len(joints), 6, before.shape[2]))
-    of_origins[:, :, columns] = kinematics.WorldTwists(swept.reduced, origins, before[origins, :, columns]).in_world(
-        swept
-    )
+    of_origins[:, :, columns] = kinematics.twists_in_world(swept, origins, before[origins, :, columns])
     data = mechanism.model.createData()
     for k, q in enumerate(joints):
         pin.computeJointJacobians(mechanism.model, data, q)

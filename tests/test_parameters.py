@@ -257,7 +257,7 @@ class MissingTwist(SharedLength):
     [
         (
             Elsewhere,
-            "parametrisation 'mine': edits an origin 'slid' that the robot does not have; did you mean 'slide'?",
+            "parametrisation 'mine': the robot has no origin 'slid'; did you mean 'slide'?",
         ),
         (WrongShape, "parametrisation 'mine': twists must give a (6, 1) array for each of the origins that"),
         (MissingTwist, "parametrisation 'mine': twists must give a (6, 1) array for each of the origins that"),

@@ -457,9 +457,22 @@ def test_a_target_of_kalibr_is_counted_from_the_bottom(tmp_path):
     assert len(last(board, image).images[0].points) == 48
     (other,) = last(read_board_option("apriltag:4x3:40mm:10mm"), image).images
     assert "its markers are counted from the bottom row; write first_row: bottom" in other.remark
-    (tmp_path / "grid.yaml").write_text("target_type: 'circlegrid'\ntargetCols: 4\n")
+    circles = "target_type: 'circlegrid'\ntargetCols: 4\ntargetRows: 11\nspacingMeters: 0.02\n"
+    (tmp_path / "grid.yaml").write_text(f"{circles}asymmetricGrid: True\n")
+    assert str(read_board_option(str(tmp_path / "grid.yaml"))) == str(read_board_option("circles:4x11:20mm"))
+    (tmp_path / "grid.yaml").write_text(f"{circles}asymmetricGrid: False\n")
     with pytest.raises(DescriptionError, match="is a target file of Kalibr, of which aprilgrid"):
         read_board_option(str(tmp_path / "grid.yaml"))
+
+
+def test_a_grid_of_ros_industrial_begins_at_its_larger_dot_at_the_bottom_left(tmp_path):
+    (tmp_path / "grid.yaml").write_text("target_finder: {type: M, rows: 5, cols: 7, spacing: 0.02}\n")
+    board = read_board_option(str(tmp_path / "grid.yaml"))
+    image, _ = seen(
+        read_board_option("dots:5x7:20mm")
+    )  # 7 across and 5 down, once its larger dot is at the bottom left
+    assert board.kind == "dots"
+    assert len(last(board, np.ascontiguousarray(np.rot90(image))).images[0].points) == 35
 
 
 def test_pixels_may_have_their_unit(tmp_path):

@@ -225,7 +225,7 @@ BAD_KLIPPER = [
     (
         "kinematics: delta",
         "kinematics: rotary_delta",
-        "whose arms turn; --klipper is for carriages on towers: begin with",
+        "whose arms turn, and this is for carriages on towers: begin with",
     ),
     ("rotation_distance: 32", "", "[stepper_a] has no 'rotation_distance'"),
     ("rotation_distance: 32", "rotation_distance: 0", "must be positive"),
@@ -277,6 +277,8 @@ def test_what_is_wrong_in_a_printer_cfg_is_named(folder, old, new, said):
             "EPR:3 881 250.00 Diagonal rod length [mm]\nEPR:3 885 125.5 Horizontal rod radius at 0,0 [mm]\n",
             "settings of Repetier; write the lines 'M665 L250.00 R125.5 H<Z max length>'",
         ),
+        ("klipper", "arm_length 250\narm_radius 124\n", "settings of Smoothieware; write the lines"),
+        ("marlin", "arm_solution rotary_delta\ndelta_e 131.6\n", "is a rotary delta, whose arms turn"),
         ("duet", "M665 L208 R103", "no M665 with H, the height"),
         ("duet", "M665 L208:209 R103 H240", "M665 L has 2 rods"),
         ("duet", "M665 L208:208:208:208 R103 H240", "M665 L has 4 rods"),

@@ -86,6 +86,7 @@ SET = {
         "WHILE p2.trans.z>500 DO ENDWHILE",
         "n:=p2.trans.z; IF n=1 n:=2;",
         "n:=seen(p2); TEST n CASE 1: n:=2; ENDTEST",
+        "WaitUntil p2.trans.z>500;",
     ),
     "a KRL frame in part": (
         "$TOOL.Z=200",
@@ -109,6 +110,8 @@ SET = {
         "$TOOL=TOOL_DATA[N]",
         "$ACT_EX_AX=5",
         "$BASE:={X 1}",
+        "ANIN ON $TOOL.Z=1*$ANIN[1]\n$TOOL=$NULLFRAME",
+        "BAS(#FRAMES)",
     ),
     "a KRL statement within a line": (
         "IF $IN[1] THEN P2.Z=500 ENDIF",
@@ -129,6 +132,9 @@ SET = {
         "INTERRUPT DECL 4 WHEN $IN[2] DO LIFT(P2)",
         "GOTO L1\nP2.Z=5\nL1:",
         "SREAD(S,ST,P2)",
+        "ANIN ON P2.X=1*$ANIN[1]",
+        "DIGIN ON P2.Z=2*$DIGIN1",
+        "DECL E6POS P2=P1",
     ),
     "a URScript statement within a line": (
         "while (True): b2[2]=0.5 end",
@@ -148,6 +154,13 @@ SET = {
         "switch c:\ncase 1: b2[0]=1\nend",
         "b2[get_digital_in(1)]=5",
         "while norm(b2)>1: x=1 end",
+        "assert(b2[2]>0.3)",
+        "path_offset_enable()",
+        "if c: path_offset_enable() end",
+        "force_mode(b1,x,x,2,x)",
+        "track_conveyor_linear(b1,500)\nset_tcp(p[0,0,0.1,0,0,0])",
+        "track_conveyor_circular(b1,500)\nif c: stop_conveyor_tracking() end",
+        "thread t(): force_mode(p[0,0,0,0,0,0],x,x,2,x) end",
     ),
     "a URScript tool": (
         "if c: set_tcp(p[0,0,0.2,0,0,0]) end",
@@ -184,6 +197,8 @@ SET = {
         "   3:  PR[1]=P[2]+PR[2] ;",
         "   3:  RUN OTHER ;",
         "   3:  FOR R[1]=1 TO 3 ;\n UTOOL_NUM=2 ;\n ENDFOR ;",
+        "   3:L P[1] 100mm/sec FINE DB 5mm,P[2]=LPOS ;",
+        "   3:L P[1] 100mm/sec FINE TB .10sec,UFRAME_NUM=2 ;",
     ),
 }
 # of these the tool of the second move is left alone
@@ -207,6 +222,12 @@ TOOLS = (
     "PDispOn\\Rot,p1,t;",
     "FOR t FROM 1 TO 2 DO ENDFOR",
 )
+# LOCAL data that are set or read by their name as text
+BY_NAME = (
+    'SetDataVal "p2",x; PDispOff; EOffsOff; ConfL\\On; ConfJ\\On;',
+    'SetAllDataVal "robtarget",x; PDispOff; EOffsOff; ConfL\\On; ConfJ\\On;',
+    'GetDataVal "p2",x; IF x.trans.z>1 n:=2; PDispOff; EOffsOff; ConfL\\On; ConfJ\\On;',
+)
 PROGRAMS = {"RAPID": (".mod", RAPID.replace("{tool}", "tool0")), "KRL": (".src", KRL), "URScript": (".script", UR)}
 PROGRAMS["FANUC"] = (".ls", LS)
 CASES = [
@@ -214,6 +235,8 @@ CASES = [
     for what, edits in SET.items()
     for edit in edits
 ] + [((".mod", RAPID.replace("{tool}", "t")), edit) for edit in TOOLS]
+LOCAL = RAPID.replace("{tool}", "tool0").replace("VAR robtarget p2", "LOCAL VAR robtarget p2")
+CASES += [((".mod", LOCAL), edit) for edit in BY_NAME]
 
 
 def read(tmp_path, suffix, text, **options):
@@ -261,6 +284,8 @@ def test_what_is_set_or_decided_anywhere_is_left_alone_and_named(tmp_path, progr
         (".src", KRL, "SEEN(P1)\nGLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )"),
         (".script", UR, 'textmsg("b2[2]=5")\nset_digital_out(1, True) # set_tcp(b1)'),
         (".script", UR, "if c: set_tcp(b1) else: f() end\nset_tcp(p[0,0,0.3,0,0,0])"),
+        (".script", UR, "def g(): end_force_mode() end\npath_offset_disable()\nstop_conveyor_tracking()\ng()"),
+        (".ls", LS, "   3:L P[1] 100mm/sec FINE DB 5mm,DO[1]=ON ;"),
         (".ls", LS, "   3:  DO[1]=ON ;\n   4:  !UFRAME_NUM=2 ;\n   5:  MESSAGE[don't; CALL X] ;"),
         (".ls", LS, "   3:  UFRAME_NUM=1 ;\n   4:  UTOOL_NUM=1 ;\n   5:  WAIT   1.00(sec) ;"),
     ],

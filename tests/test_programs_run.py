@@ -3,8 +3,7 @@
 The correction is not that of a robot: every pose is moved by one small transform in the base, every joint by a small
 angle. So what a move should become follows from the move itself, whatever the reader made of the program.
 
-    python tests/test_programs_run.py 10000        more of each language than the thorough tests have time for
-    python tests/test_programs_run.py 10000 KRL    of one
+    python tests/test_programs_run.py 10000 KRL    as the thorough tests do, of one language
 """
 
 import argparse
@@ -105,7 +104,7 @@ def judge(folder, language, seed):
     return corrected, len(before) - corrected
 
 
-@pytest.mark.amount(100, 1800)
+@pytest.mark.amount(100, 10_000)
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_moves_of_a_corrected_program_differ_by_the_correction_and_by_nothing_else(language, amount, tmp_path):
     counts = np.array([judge(tmp_path, language, seed) for seed in range(amount)])

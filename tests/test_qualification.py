@@ -3,7 +3,6 @@
 import base64
 import hashlib
 import json
-import tempfile
 from dataclasses import replace
 from importlib.metadata import FileHash, PackagePath
 from itertools import islice
@@ -39,7 +38,7 @@ def regressions():
 @pytest.mark.amount(1, 8)
 def test_a_sound_installation_has_no_failed_check(tmp_path, run_calib, monkeypatch, amount):
     """With some of the eight robots, fits and runs of the program, each of which is a process."""
-    monkeypatch.setattr(operation, "sample_robots", lambda folder: islice(sample_robots(folder), amount))
+    monkeypatch.setattr(operation, "sample_robots", lambda: islice(sample_robots(), amount))
     monkeypatch.setattr(operation, "_FITS", 10 if amount == 1 else 40)
     monkeypatch.setattr(operation, "_INPUTS", operation._INPUTS[-2 * amount :])
     run = run_calib("qualify", "--out", tmp_path / "protocol")
@@ -93,8 +92,7 @@ def robot_of(name):
     """The checks of one of the eight robots."""
 
     def checks():
-        with tempfile.TemporaryDirectory() as folder:
-            yield from operation._robot(name, dict(sample_robots(Path(folder)))[name], 1)
+        yield from operation._robot(name, dict(sample_robots())[name], 1)
 
     return checks
 

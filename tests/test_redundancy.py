@@ -30,6 +30,7 @@ from calib.core.rows.jacobian import linearise
 from calib.exporting.joint_tables import joint_tables, lost_by_tables
 from calib.extend import check_kind, check_term
 from calib.redundancy.rotary_axes import FORMATS
+from viz.result_charts import joint_shares
 
 ARM = "urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\npriors: false\nbase: {frame: l0}\n"
 TRUE = {"j3.ry": -0.02, "j4.rx": 0.01, "j5.ry": 0.015, "j3.z": 0.602}
@@ -452,6 +453,14 @@ def test_every_second_star_of_a_real_telescope_tells_of_the_others(tmp_path):
 def position(anchors, lengths, noise):
     """Where cables of these lengths (n,) meet, (3,)."""
     return least_squares(lambda p: (np.linalg.norm(p - anchors, axis=1) - lengths) / noise, [0, 0, 0.1]).x
+
+
+def test_a_machine_whose_joints_have_no_parameters_passes_and_has_no_chart_of_joints(tmp_path):
+    _, _, drawn = spooled(tmp_path)
+    data = drawn(np.random.default_rng(1))
+    fit = calib.fit(data.robot, data)
+    assert fit.verdict.grade == "PASS"  # a scale of all lengths shows in none of them, spools included
+    assert joint_shares(fit) is None
 
 
 @pytest.mark.skipif(not (SHARED / "hangprinter_cable").is_dir(), reason="the cables are not here")

@@ -7,7 +7,7 @@ from six_axis_arm import YAML, joints, write_six_axis
 import calib
 from calib.core.data.measurement_files import read_measurements
 from calib.core.fitting.error_sets import ErrorSet
-from calib.core.judging.repeatability import pose_error_over_repeatability, repeatability, repeats
+from calib.core.judging.repeatability import pose_error_over_repeatability, repeat_table, repeatability
 from calib.core.results.result_content import to_dict
 
 HEADER = ",".join(["pose", *(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [mm]" for axis in "xyz")])
@@ -29,16 +29,12 @@ def errors_of(arm, names, before, after):
 
 def test_accuracy_and_repeatability_by_hand(arm):
     after = np.array([[0, 0, 0], [2, 0, 0], [1, 0, 3], [7, 7, 7]])
-    repeated = repeats(errors_of(arm, ["a", "a", "a", "b"], after + np.array([2, 4, -1]), after))
+    table = repeat_table(errors_of(arm, ["a", "a", "a", "b"], after + np.array([2, 4, -1]), after))
     lengths = np.array([np.sqrt(2), np.sqrt(2), 2.0])  # from the mean (1, 0, 1) mm
-    assert repeated.poses.tolist() == [0]
-    assert repeated.readings.tolist() == [3]
-    assert 1e3 * repeated.repeatability[0] == pytest.approx(lengths.mean() + 3 * lengths.std(ddof=1))
-    assert 1e3 * repeated.accuracy_before[0] == pytest.approx(5.0)  # of (3, 4, 0) mm
-    assert 1e3 * repeated.accuracy_after[0] == pytest.approx(np.sqrt(2))
-    table = repeated.table()
-    assert table["pose_accuracy"]["after"]["max"] == pytest.approx(np.sqrt(2))
     assert (table["n_poses"], table["n_readings"]) == (1, 3)
+    assert table["pose_repeatability"]["mean"] == pytest.approx(lengths.mean() + 3 * lengths.std(ddof=1))
+    assert table["pose_accuracy"]["before"]["mean"] == pytest.approx(5.0)  # of (3, 4, 0) mm
+    assert table["pose_accuracy"]["after"]["max"] == pytest.approx(np.sqrt(2))
 
 
 def test_repeatability_pools_the_repeats_by_their_degrees_of_freedom(arm):
@@ -57,7 +53,7 @@ def test_repeatability_pools_the_repeats_by_their_degrees_of_freedom(arm):
 
 def test_without_repeats_there_is_no_table_and_no_repeatability(arm):
     errors = errors_of(arm, ["a", "b"], np.ones((2, 3)), np.ones((2, 3)))
-    assert repeats(errors) is None
+    assert repeat_table(errors) is None
     assert np.isnan(repeatability(errors)[0])
     assert repeatability(errors)[1] == 0
     ratio, chance = pose_error_over_repeatability(errors, 10)

@@ -175,6 +175,21 @@ def test_more_noise_is_no_matter_of_calibration(arm):
     assert verify(fit, measured(truth, q, rng, 2 * SIGMA, names)).verdict == "noisier"
 
 
+def test_readings_that_agree_with_anything_are_too_few(arm):
+    """Four points are twelve coordinates, of which base and reflector take nine; fifteen leave enough."""
+    _, truth, fit = arm
+    rng = np.random.default_rng(81)
+    few = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (4, 6)), rng))
+    enough = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (15, 6)), rng))
+    assert (few.verdict, few.freedom, enough.verdict) == ("too few readings", 3, "agrees")
+    assert "TOO FEW READINGS: nothing contradicts the calibration" in text_report(few, (), ())
+    for item in (few, enough):  # what the ratio of an unchanged robot is, drawn; 0.5 % exceed the limit
+        squares = rng.chisquare(item.freedom, 400_000) / item.freedom
+        squares /= rng.chisquare(fit.statistics.freedom, len(squares)) / fit.statistics.freedom
+        share = np.mean(item.detectable**2 * squares > np.quantile(squares, 0.995))
+        assert share == pytest.approx(0.9, abs=0.01)
+
+
 def test_a_slip_of_one_reading_is_named_and_left_out(arm):
     _, truth, fit = arm
     rng = np.random.default_rng(8)

@@ -18,7 +18,7 @@ from viz.result_charts import forest
 from viz.viewer_page import ViewerPage
 
 _SHOWN = 24  # changes
-_GRADES = {"agrees": "PASS", "unlike poses": "CHECK"}  # grades of verdicts on new measurements; all others are FAIL
+_GRADES = {"agrees": "PASS", "unlike poses": "CHECK", "too few readings": "CHECK"}  # of new readings; others: FAIL
 
 
 def answer_page(

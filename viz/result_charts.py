@@ -120,9 +120,9 @@ def waterfall(fit: Fit) -> Chart | None:
 def joint_shares(fit: Fit) -> Chart | None:
     """Return how much of the squared error before calibration each joint made, the largest first."""
     budget = findings.joint_budget(fit)
-    if budget is None or not budget.before > 0:
+    shares = [] if budget is None else worst_joints(budget)
+    if budget is None or not (shares and budget.before > 0):  # a robot may have instruments to calibrate alone
         return None
-    shares = worst_joints(budget)
     percent, half = (100 / budget.before * np.array(v) for v in zip(
         *((one.mean_square, 1.96 * one.std) for one in shares), strict=True))  # fmt: skip
     names = [one.cause for one in shares]

@@ -25,19 +25,10 @@ from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import FormatFile, error_comparison
 from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.denavit_hartenberg import Convention, DhRow, Kind, dh_table
+from calib.core.robots.urdf.ur_kinematics import JOINTS, KEYS, LINKS
 from calib.exporting.joint_zeros import joint_zeros
 from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
 from calib.exporting.toolbox import ExactDumper
-
-_UR_JOINTS = {
-    "shoulder": "shoulder_pan_joint",
-    "upper_arm": "shoulder_lift_joint",
-    "forearm": "elbow_joint",
-    "wrist_1": "wrist_1_joint",
-    "wrist_2": "wrist_2_joint",
-    "wrist_3": "wrist_3_joint",
-}
-
 
 _FITTED = 0.25  # part of the poses that judge: offsets need no more
 
@@ -119,7 +110,8 @@ def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     """
     chain, nominal = (serial_chain(robot, mechanism) for mechanism in (robot.mechanism, robot.nominal))
     _check_ur(robot, chain)
-    mount = _mount(robot, nominal)
+    # nominal pose in the base of the link that the shoulder stands on
+    mount = nominal.links[0] * robot.nominal.placement(nominal.joints[0].name).inverse()
     tail, calibrated_tail = nominal.links[-1], chain.links[-1]
     turned = calibrated_tail.rotation @ tail.rotation.T
     theta = float(np.arctan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1]))
@@ -136,9 +128,8 @@ def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
         *provenance_lines(robot),
         *provenance,
     ]
-    keys = ("x", "y", "z", "roll", "pitch", "yaw")
     content: dict[str, object] = {
-        name: dict(zip(keys, _xyz_rpy(origin), strict=True)) for name, origin in zip(_UR_JOINTS, origins, strict=True)
+        name: dict(zip(KEYS, _xyz_rpy(origin), strict=True)) for name, origin in zip(LINKS, origins, strict=True)
     }
     text = yaml.dump({"kinematics": {**content, "hash": "measured_by_calib"}}, Dumper=ExactDumper, sort_keys=False)
     return ControllerFile(("".join(f"# {line}\n" for line in lines) + text).encode(), statement, left)
@@ -161,9 +152,8 @@ def has_ur_kinematics(robot: Robot) -> bool:
 def _check_ur(robot: Robot, chain: SerialChain) -> None:
     """Raise `InputError` unless the chain is that of ur_description: six joints about z, no fixed joints between."""
     names = [joint.name for joint in chain.joints]
-    shoulder = _UR_JOINTS["shoulder"]
-    prefix = names[0].removesuffix(shoulder) if names[0].endswith(shoulder) else ""
-    expected = [prefix + name for name in _UR_JOINTS.values()]
+    prefix = names[0].removesuffix(JOINTS[0]) if names[0].endswith(JOINTS[0]) else ""
+    expected = [prefix + name for name in JOINTS]
     hint = "make the URDF with 'xacro ur.urdf.xacro ur_type:=... name:=ur' of ur_description, and calibrate that"
     if names != expected:
         raise InputError(
@@ -177,12 +167,6 @@ def _check_ur(robot: Robot, chain: SerialChain) -> None:
             raise InputError(
                 f"{robot.urdf.path}, joint '{joint.name}': is not attached to the link of the joint before it; {hint}"
             )
-
-
-def _mount(robot: Robot, nominal: SerialChain) -> pin.SE3:
-    """Nominal pose in the base of the link that the shoulder stands on."""
-    shoulder = nominal.joints[0]
-    return nominal.links[0] * robot.nominal.placement(shoulder.name).inverse()
 
 
 def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:

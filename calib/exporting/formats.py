@@ -52,7 +52,6 @@ def export(
     to be best without them (`calib.core.robots.accuracy_of_files`).
 
     Args:
-        robot: The robot.
         format: `urdf`: the URDF, only edited origins changed. `mjcf`: for MuJoCo, Pinocchio and Drake, loops
             closed. `drake`: URDF with Drake's ball constraints. `toolbox`: robot.yaml for toolbox-parallel-robots, with
             the URDF beside it under the same name. `dh`, `mdh`: Denavit-Hartenberg tables, standard and modified.

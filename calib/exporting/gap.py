@@ -29,7 +29,6 @@ from calib.core.base.units import Dimension, error_scale, quantity_text
 from calib.core.robots import kinematics
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.joint_samples import joint_samples
-from calib.core.robots.mechanism import RelativeFrame
 from calib.core.robots.robot import Robot
 
 LARGEST_CHANGE = 0.01
@@ -81,7 +80,6 @@ def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
     The points are evenly spread (no random numbers); those that cannot be assembled are left out.
 
     Args:
-        robot: The robot.
         count: Number to try.
     """
     lower, upper = joint_ranges(robot)
@@ -127,18 +125,13 @@ def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:
     joints = robot.mechanism.all_joints(configurations.actuated, configurations.passive)
     gaps = []
     for index, loop in enumerate(robot.mechanism.loops):
-        values = _whole_value(robot, joints, loop)
+        whole = replace(loop, rows=tuple(range(6 if loop.full_pose else 3)))
+        values = kinematics.value(kinematics.sweep(robot.mechanism, joints, (whole,)), whole)
         for direction in free_directions(robot, index):
             column = values[:, COMPONENTS.index(direction)]
             change = float(np.max(np.abs(column - column[0])))
             gaps.append(Gap(loop.name, direction, float(column[0]), change, len(poses), where))
     return tuple(gaps)
-
-
-def _whole_value(robot: Robot, joints: FloatArray, loop: RelativeFrame) -> FloatArray:
-    """All components of a closure, held or not, (n, 3 or 6) [m, rad]."""
-    whole = replace(loop, rows=tuple(range(6 if loop.full_pose else 3)))
-    return kinematics.value(kinematics.sweep(robot.mechanism, joints, (whole,)), whole)
 
 
 def require_small(robot: Robot, gaps: tuple[Gap, ...]) -> None:

@@ -128,7 +128,6 @@ def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, byte
     """Return `joint_tables.csv`, and the URDF to use with it.
 
     Args:
-        robot: The robot.
         lines: Comments of each file.
 
     Raises:

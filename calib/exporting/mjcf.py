@@ -63,7 +63,6 @@ def mjcf(model: ClosedModel, path: Path | str = "robot.xml", provenance: Sequenc
     """Return the MJCF file and the meshes that had to be converted for it.
 
     Args:
-        model: The closed robot.
         path: Path of the file; mesh files are named relative to its folder.
         provenance: Further lines for the comment that says where the numbers come from.
 

@@ -50,8 +50,6 @@ class MjcfShapes:
         """Add a link's shapes to its body: visuals in group 2, collisions in group 3.
 
         Args:
-            body: The body.
-            link: The link.
             ends: Positions of its joints, (3,) [m] each, to which rods are drawn if its visuals cannot be read.
         """
         visible = {"group": "2", "contype": "0", "conaffinity": "0"}
@@ -170,7 +168,6 @@ def add_surroundings(world: Element, points: FloatArray) -> None:
     """Add a lamp above the robot, and a floor below that collides with nothing.
 
     Args:
-        world: The world.
         points: Origins of the links' frames at home, (n, 3) [m].
     """
     size = round(max(float(np.max(np.abs(points))), 0.1), 3)  # millimetres: more digits would only be rounding

@@ -49,7 +49,6 @@ def serial_chain(robot: Robot, mechanism: Mechanism) -> SerialChain:
     """Return the chain to the first target of a robot that motors move.
 
     Args:
-        robot: The robot.
         mechanism: Its nominal or its current one.
 
     Raises:
@@ -117,15 +116,10 @@ class Remainder:
         rms, largest = float(np.sqrt(np.mean(distances**2))), float(np.max(distances))
         return cls(rms, largest, angle, len(distances), where)
 
-    @property
-    def exact(self) -> bool:
-        """Whether nothing measurable is left."""
-        return self.largest < _SAME_PLACE and not self.angle >= _SAME_PLACE
-
     def text(self) -> str:
         """Return one clause, in mm and mrad."""
         poses = f"in {self.n_poses} poses {self.where}"
-        if self.exact:
+        if self.largest < _SAME_PLACE and not self.angle >= _SAME_PLACE:
             angle = "" if np.isnan(self.angle) else f", angles within {self.angle:.1g} rad"
             return f"held exactly: target within {self.largest:.1g} m{angle} {poses}"
         angle = "" if np.isnan(self.angle) else f", {self.angle * error_scale('angle'):.4g} mrad at most"
@@ -152,7 +146,6 @@ def remainder(robot: Robot, chain: SerialChain, forward: Callable[[FloatArray], 
 
     Args:
         robot: The robot, with its current values.
-        chain: Its chain.
         forward: The poses of the tip in the base that the format has, (n, 4, 4) [m], at values of the chain's joints,
             (n, n_joints) [m or rad].
     """

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import json
+import re
 import zipfile
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -78,6 +80,23 @@ def json_columns(file: SomeFile) -> dict[str, Sequence[object]]:
     except KeyError as error:
         raise DataError(f"{file.path}: not every record has {error}; give each the same names") from None
     except (ValueError, RecursionError) as error:
+        raise _unreadable(file, error) from None
+
+
+def has_lists(file: SomeFile) -> bool:
+    """Whether the first row of a table has a list of numbers in a cell."""
+    return len(file.first_lines) > 1 and bool(re.search(r'(^|[,"])\[[-+\d.e,\s]+(\]|$)', file.first_lines[1]))
+
+
+def list_columns(file: SomeFile) -> dict[str, Sequence[object]]:
+    """Return the columns of a table with lists in its cells; for errors see `numpy_columns`."""
+    try:
+        header, *rows = (row for row in csv.reader(file.lines) if row)
+        cells = zip(*([re.findall(r"[^\s,\[\]]+", c) if c[:1] == "[" else c for c in row] for row in rows), strict=True)
+        columns = {name: np.array(column) for name, column in zip(header, cells, strict=True)}
+        named = [_name_columns(name, a.astype(float) if a.ndim == 2 else a) for name, a in columns.items()]
+        return {name: column for part in named for name, column in part.items()}
+    except (ValueError, csv.Error) as error:
         raise _unreadable(file, error) from None
 
 

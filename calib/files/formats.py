@@ -140,18 +140,25 @@ FORMATS = (
         text.blank_lines,
     ),
     OtherFormat(
-        "numbers without names, as np.savetxt writes them",
-        "every line has numbers alone",
+        "rows without names of columns, as np.savetxt and programs of trackers write them",
+        "every line has numbers alone, or texts and three numbers or more in the same places",
         "columns are named 1, 2, 3, ...; `columns` says what they stand for",
-        lambda file: text.has_only_numbers(file) and "1" in file.renamed,
+        lambda file: text.has_no_names(file) and any(name.isdigit() for name in file.renamed),
         text.numbered_lines,
     ),
     OtherFormat(
-        "numbers without names, as np.savetxt writes them",
+        "rows without names of columns, as np.savetxt and programs of trackers write them",
         "the same, without `columns`",
         "write a line with the names of the columns above them, such as X [mm],Y [mm]; or say in the robot description"
         ' what they are: columns: {"1": "joint_1 [rad]", "2": ...}',
-        text.has_only_blank_numbers,
+        text.has_no_known_names,
+    ),
+    OtherFormat(
+        "a table with lists in its cells, as pandas writes them",
+        "the first row has a cell such as `[1.0, 2.0]`",
+        "the numbers of a list are columns, as NumPy arrays",
+        arrays.has_lists,
+        arrays.list_columns,
     ),
     OtherFormat(
         "a table with U95 of each point, as Leica's programs write it",

@@ -21,9 +21,10 @@ def servo_lines(file: SomeFile) -> list[str]:
     try:
         servos = json.loads("\n".join(file.lines))
         if "motor_names" in servos:
-            ranges, names = {}, [str(name) for name in servos["motor_names"]]
+            ranges, signs, names = {}, {}, [str(name) for name in servos["motor_names"]]
         else:
             ranges = {str(name): (int(each["range_min"]), int(each["range_max"])) for name, each in servos.items()}
+            signs = {str(name): -1 if each.get("drive_mode") else 1 for name, each in servos.items()}
             names = list(ranges)
     except (ValueError, KeyError, TypeError, AttributeError):
         raise DataError(
@@ -37,7 +38,7 @@ def servo_lines(file: SomeFile) -> list[str]:
             f"{named}logs of its time are in degrees from the stretched arm: {in_degrees} in the robot description of"
             " so101_old_calib.urdf or so100.urdf; zeros and signs by a few poses (docs/howto/hobby_arm.md)"
         )
-    of_range = _line({n: f"{(ranges[n][1] - ranges[n][0]) / 200 * turn:.4g} * {n} [deg]" for n in names})
+    of_range = _line({n: f"{signs[n] * (ranges[n][1] - ranges[n][0]) / 200 * turn:.4g} * {n} [deg]" for n in names})
     of_ticks = _line({n: f"{turn:.5g} * {n} - {(ranges[n][0] + ranges[n][1]) / 2 * turn:.6g} [deg]" for n in names})
     raise DataError(
         f"{named}a log of -100..100 needs {of_range} in the robot description; one in degrees, {in_degrees}; one of raw"

@@ -29,7 +29,8 @@ _TRIPLES = (_AXES, ["rx", "ry", "rz"], ["tx", "ty", "tz"])
 def cells_of(line: str) -> list[str]:
     """Return the cells of a line: parted by tabs, semicolons, commas, or else blanks."""
     separator = next((mark for mark in "\t;," if mark in line), None)
-    return [cell.strip().strip('"') for cell in (line.split(separator) if separator else line.split())]
+    cells = line.split(separator) if separator else re.findall(r'"[^"]*"|\S+', line)
+    return [cell.strip().strip('"') for cell in cells]
 
 
 def is_number(cell: str) -> bool:
@@ -116,17 +117,24 @@ def commented_header_lines(file: SomeFile) -> list[str]:
     ]
 
 
-def has_only_numbers(file: SomeFile) -> bool:
-    """Whether lines have numbers alone, two or more."""
+def has_no_names(file: SomeFile) -> bool:
+    """Whether lines have numbers alone, two or more; or three or more beside texts in the same places."""
     lines = [cells_of(line) for line in file.first_lines[:-1] or file.first_lines if line.strip()]
     lines = [cells for cells in lines if not cells[0].startswith(_MARKS)]
-    return bool(lines) and len(lines[0]) > 1 and all(_numbers(cells) == len(cells) for cells in lines[:SEEN])
+    places = [is_number(cell) for cell in lines[0]] if lines else []
+    counted = [cell for cell in lines[0] if is_number(cell)] if lines else []
+    are_names = counted == [str(k + 1) for k in range(len(counted))]
+    enough = len(places) > 1 and sum(places) >= min(len(places), 3) and not are_names
+    return enough and all([is_number(cell) for cell in cells] == places for cells in lines[:SEEN])
 
 
-def has_only_blank_numbers(file: SomeFile) -> bool:
-    """Whether these are parted by blanks alone, so that no other reader knows them."""
+def has_no_known_names(file: SomeFile) -> bool:
+    """Whether such lines are parted by blanks, or have texts too, so that no other reader knows them."""
     row = _first_row(file.first_lines)
-    return row is not None and not re.search("[,;\t]", file.first_lines[row]) and has_only_numbers(file)
+    if row is None or not has_no_names(file):
+        return False
+    line = file.first_lines[row]
+    return not re.search("[,;\t]", line) or not all(map(is_number, cells_of(line)))
 
 
 def _blank_header(file: SomeFile) -> int | None:
@@ -181,9 +189,16 @@ def has_names_above(file: SomeFile) -> bool:
 
 
 def named_above_lines(file: SomeFile) -> list[str]:
-    """Return the lines with one header in place of names, letters and units."""
+    """Return the lines with one header in place of names, letters and units.
+
+    Raises:
+        DataError: A second table follows.
+    """
     lines, k = file.lines, _axes_line(file)
     assert k is not None  # or another format would have been found
+    for j in range(k + 1, len(lines)):
+        if lines[j][:1].isalpha() and any(axis in map(_letter, cells_of(lines[j])) for axis in ("x", "tx")):
+            raise DataError(f"{file.path}, line {j + 1}: a second table begins; keep one of them in the file")
     letters, above = cells_of(lines[k]), cells_of(lines[k - 1])
     units = cells_of(lines[k + 1]) if k + 1 < len(lines) else []
     has_units = bool(units) and not _numbers(units) and any(units)
@@ -219,14 +234,16 @@ def motive_lines(file: SomeFile) -> list[str]:
     unit = _UNITS.get(settings.get("Length Units", "").casefold(), "m")
     rows = {cells[1]: cells for cells in map(cells_of, lines[:12]) if len(cells) > 2 and cells[1] in ("Name", "Type")}
     k = next((k for k, line in enumerate(lines[:14]) if cells_of(line)[:1] == ["Frame"]), None)
-    if k is None or "Name" not in rows:
+    unlabelled = [cells_of(line) for line in lines[1:k] if line.strip()]  # type, name, number, what is measured
+    names = rows.get("Name", unlabelled[1] if len(unlabelled) == 4 else None)
+    if k is None or names is None:
         raise DataError(f"{file.path}: an export of Motive without a row 'Name' above 'Frame'; export it with headers")
     if settings.get("Rotation Type", "Quaternion") != "Quaternion" and "Rotation" in cells_of(lines[k - 1]):
         raise DataError(f"{file.path}: rotations as {settings['Rotation Type']}; export them from Motive as Quaternion")
     kinds, letters = cells_of(lines[k - 1]), cells_of(lines[k])
     header = []
     for j, letter in enumerate(letters):
-        name = rows["Name"][j].replace(":", "_") if j < len(rows["Name"]) else ""
+        name = names[j].replace(":", "_") if j < len(names) else ""
         kind = kinds[j] if j < len(kinds) else ""
         if kind == "Rotation":
             header.append(f"{name}_q{letter.casefold()}")

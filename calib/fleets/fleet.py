@@ -20,7 +20,6 @@ from calib.core.results.comparing_results import geometry
 from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.result_reading import load_result
 from calib.core.robots.description import description_yaml
-from calib.core.robots.fleet_prior import FleetSection
 from calib.core.robots.robot import Robot
 from calib.fleets.hierarchy import FleetComparison, Hierarchy, learn_without_odd
 from calib.fleets.shared_parameters import evidence_of_fit, section_of, shared_parameters, without_fleet
@@ -240,11 +239,11 @@ def fleet(*results: Path | str) -> Fleet:
     if not any(is_calibration(result) for result in results):
         return _fleet([Path(result) for result in results])
     with TemporaryDirectory() as scratch:
-        names = distinct_names(results)
-        folders = [
-            _as_folder(result, Path(scratch) / name.replace("/", "_").removesuffix(Path(result).suffix))
-            for result, name in zip(results, names, strict=True)
-        ]
+        folders = [*map(Path, results)]
+        for k, (result, name) in enumerate(zip(results, distinct_names(results), strict=True)):
+            if is_calibration(result):
+                folders[k] = Path(scratch) / name.replace("/", "_").removesuffix(Path(result).suffix)
+                result_of_calibration(result, folders[k])
         learned = _fleet(folders)
     section = learned.robot.description.fleet
     assert section is not None
@@ -259,14 +258,6 @@ def fleet(*results: Path | str) -> Fleet:
     )
 
 
-def _as_folder(result: Path | str, folder: Path) -> Path:
-    """The result folder itself, or one that is written for a calibration of Universal Robots."""
-    if not is_calibration(result):
-        return Path(result)
-    result_of_calibration(result, folder)
-    return folder
-
-
 def _fleet(folders: Sequence[Path]) -> Fleet:
     loaded = [load_result(folder) for folder in folders]
     robots = [result.robot for result in loaded]
@@ -279,10 +270,11 @@ def _fleet(folders: Sequence[Path]) -> Fleet:
     learned, odd, compared = learn_without_odd(evidence, _kinds(robots[0], shared))
     like = [result for k, result in enumerate(loaded) if k not in odd]
     section = section_of(learned, len(like), shared, _confirmed_freedom(like))
+    bare = without_fleet(robots[0]).with_nominal_values()
     scales, nominal = np.array([p.sigma_si for p in shared]), np.array([p.nominal_si for p in shared])
     values, stds = _values_of_each(loaded, learned, odd, shared)
     return Fleet(
-        _with_fleet(robots[0], section),
+        replace(bare, files={}, description=bare.description.model_copy(update={"fleet": section})),
         tuple(
             _member(name, result, k in odd, compared[k], shared)
             for k, (name, result) in enumerate(zip(distinct_names(folders), loaded, strict=True))
@@ -348,11 +340,6 @@ def _is_origin(parameter: Parameter) -> bool:
 
 def _term(parameter: Parameter) -> str:
     return parameter.name.partition(".")[2].partition("_")[0]
-
-
-def _with_fleet(robot: Robot, section: FleetSection) -> Robot:
-    bare = without_fleet(robot).with_nominal_values()
-    return replace(bare, files={}, description=bare.description.model_copy(update={"fleet": section}))
 
 
 def _values_of_each(

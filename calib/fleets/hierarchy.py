@@ -147,7 +147,6 @@ def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray |
     """Learn mean and spread; see the module docstring.
 
     Args:
-        results: Evidence of each result.
         kinds: Kind of each parameter, from 0, (n,).
         start: Variances t^2 to start from, (n,).
     """
@@ -218,7 +217,6 @@ def compare_with_fleet(
     """Compare a result with the prediction of others, learned without it.
 
     Args:
-        result: Evidence of the result.
         mean: Prediction of the others, (n,).
         expected: Covariance of the prediction, (n, n).
         freedom: f of the module docstring, (n,).
@@ -245,17 +243,12 @@ def compare_with_fleet(
     return FleetComparison(distances, p_values, float(np.sqrt(together)), chance)
 
 
-def _compare(result: FleetEvidence, others: Hierarchy) -> FleetComparison:
-    return compare_with_fleet(result, others.mean, np.diag(others.variance) + others.covariance, others.freedom)
-
-
 def learn_without_odd(
     results: Sequence[FleetEvidence], kinds: IntArray
 ) -> tuple[Hierarchy, tuple[int, ...], tuple[FleetComparison | None, ...]]:
     """Learn from all results that are not unlike the others.
 
     Args:
-        results: Evidence of each result.
         kinds: Kind of each parameter, (n,).
 
     Returns:
@@ -270,7 +263,14 @@ def learn_without_odd(
         compared: list[FleetComparison | None] = []
         for i in indices:
             rest = [results[k] for k in kept if k != i]
-            compared.append(_compare(results[i], learn(rest, kinds, start)) if len(rest) > 1 else None)
+            others = learn(rest, kinds, start) if len(rest) > 1 else None
+            compared.append(
+                None
+                if others is None
+                else compare_with_fleet(
+                    results[i], others.mean, np.diag(others.variance) + others.covariance, others.freedom
+                )
+            )
         p = np.array([np.nan if likeness is None else likeness.p_value() for likeness in compared])
         p[odd] = np.nan
         worst = int(np.nanargmin(p)) if np.any(np.isfinite(p)) else -1

@@ -37,15 +37,12 @@ def is_calibration(path: Path | str) -> bool:
     return Path(path).suffix.lower() in (".yaml", ".yml") and Path(path).is_file()
 
 
-def result_of_calibration(path: Path | str, folder: Path) -> str:
+def result_of_calibration(path: Path | str, folder: Path) -> None:
     """Write the result folder of a robot with a calibration of its maker.
 
     Args:
         path: The file of the calibration.
         folder: The result folder.
-
-    Returns:
-        The robot's type.
 
     Raises:
         DataError: The robot is of no known type.
@@ -65,7 +62,6 @@ def result_of_calibration(path: Path | str, folder: Path) -> str:
     values = np.hstack([np.round(part / step) * step for part, step in zip((T[:, :3, 3], turns), _STEP, strict=True)])
     names = [f"{Path(path).stem} {k}" for k in range(_POSES)]
     save(calibrate(stock, as_measurements(stock, q, {"maker": values}, names), None, Settings()), folder)
-    return model
 
 
 def _stock(urdf: Path) -> Robot:

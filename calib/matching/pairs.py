@@ -87,13 +87,15 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
         if len(names) - n - 3 not in _WIDTHS:
             raise DataError(
                 f"{path}: {count_noun(n, 'joint value')}, x, y, z and a rotation of 3, 4 or 9 numbers are needed in"
-                f" each"
-                f" row; name the columns, such as {joint_names[0]}, x, rx, qw, or leave out all others"
-                f" (found: {', '.join(table.names)})"
+                f" each row; name the columns, such as {joint_names[0]}, x, rx, qw, or leave out all others (found:"
+                f" {', '.join(table.names)})"
             )
         joints, positions, rotations = order[:n], order[n : n + 3], order[n + 3 :]
-    numbers = {k: table.column(table.names[k], None) if table.units[k] is None else _plain_numbers(table, k)
-               for k in (*joints, *positions, *rotations)}  # fmt: skip
+    used = (*joints, *positions, *rotations)
+    numbers = {
+        k: table.column(table.names[k], None) if table.units[k] is None else np.array(table.text(table.names[k]), float)
+        for k in used
+    }
     units = (_unit(table, joints), _unit(table, positions), _unit(table, rotations))
     steps = [_step(table, (k,), numbers) for k in joints] + [
         _step(table, columns, numbers) for columns in (positions, rotations)
@@ -178,10 +180,6 @@ def _rotation_columns(names: list[str], taken: Sequence[int]) -> tuple[list[int]
             return columns, words
     after = [k for k in left if k > max(taken, default=-1)]
     return (after, "") if len(after) in _WIDTHS else ([], "")
-
-
-def _plain_numbers(table: Table, k: int) -> FloatArray:
-    return np.array([float(text) for text in table.text(table.names[k])])
 
 
 def _unit(table: Table, columns: Sequence[int]) -> str | None:

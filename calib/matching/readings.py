@@ -169,8 +169,7 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     if spread < _STILL:
         raise DataError(
             f"{pairs.path}: the tool moves by {millimetres(spread):.1f} mm only (RMS,"
-            f" {count_noun(len(pairs), 'pair')});"
-            " add pairs in which all joints turn far"
+            f" {count_noun(len(pairs), 'pair')}); add pairs in which all joints turn far"
         )
     limit = _FIT * spread
     for readings in _single_twists(robot, pairs, usual):
@@ -181,9 +180,8 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     if best.aligned.rms_distance > limit:
         raise DataError(
             f"{pairs.path}: no reading of the columns brings the poses near {robot.path}; the nearest"
-            f" ({best.reading.words()}) leaves {millimetres(best.aligned.rms_distance):.0f} mm; is it this robot,"
-            f" with one"
-            " tool and one base in all rows, the joint values of one row with its pose?"
+            f" ({best.reading.words()}) leaves {millimetres(best.aligned.rms_distance):.0f} mm; is it this robot, with"
+            " one tool and one base in all rows, the joint values of one row with its pose?"
         )
     alike: list[PlacedInterpretation] = []
     for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), _miss(one))):

@@ -62,12 +62,11 @@ class Match:
         agreed = self.agreement
         if not agreed.to_the_digits:
             return (
-                f"the controller computes with something that joint origins cannot hold: each pair is"
+                "the controller computes with something that joint origins cannot hold: each pair is"
                 f" {_mm(agreed.left_out)} (RMS) from what all others predict, and the file's digits allow"
-                f" {_mm(agreed.rounding_distance)};"
-                f" {self._terms_tried()}"
+                f" {_mm(agreed.rounding_distance)}; {self._terms_tried()}"
             )
-        elsewhere = f"{_mm(agreed.claim)} and {_mrad(agreed.turn_claim)} at 95 % of all poses"
+        elsewhere = f"{_mm(agreed.claim)} and {agreed.turn_claim * error_scale('angle'):.2g} mrad at 95 % of all poses"
         sentence = (
             f"agrees to {_mm(agreed.rms)} (RMS), which is what the file's digits allow; elsewhere within {elsewhere}"
         )
@@ -146,7 +145,3 @@ class Match:
 
 def _mm(length: float) -> str:
     return f"{millimetres(length):.2g} mm"
-
-
-def _mrad(angle: float) -> str:
-    return f"{angle * error_scale('angle'):.2g} mrad"

@@ -11,6 +11,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.calibrating.calibrate import calibrate
+from calib.core.calibrating.file_robots import behind_last_axis
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.settings import Settings
@@ -106,11 +107,7 @@ class TwinFit:
             "parametrisation": default_sections(),
         }
         model = build(validate_description(content, robot.urdf.path), robot.urdf, robot.urdf.path)
-        parent = {joint.child: joint for joint in robot.urdf.joints}
-        behind, link = [], target.frame
-        while link in parent and parent[link].name not in robot.joint_names:
-            behind.append(parent[link].name)
-            link = parent[link].parent
+        behind = behind_last_axis(model)
         return model.fix([p.name for p in model.parameters if p.name.rpartition(".")[0] in behind])
 
     def _measurements(self, model: Robot) -> tuple[Measurements, FloatArray]:

@@ -19,7 +19,6 @@ with a level axis is a harmonic of that joint.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -38,14 +37,6 @@ _WAVES = (1, 2, 3, 4, 5, 6)
 _SEEN = 1e-6  # least part of a column that joint origins cannot absorb; less counts as nothing
 
 
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """A possible joint error: in words, and phi, (n_pairs, n_joints, n_coefficients)."""
-
-    words: str
-    phi: FloatArray
-
-
 def explanation(
     fit: Fit, again: Callable[[FloatArray], Fit], q: FloatArray, name: str, rounding: FloatArray, seed: int
 ) -> tuple[str, Agreement]:
@@ -60,21 +51,21 @@ def explanation(
     by_joint = linearise(fit.robot, fit.robot.assemble(q), turns=True, joints=True).joint_derivative
     assert by_joint is not None
     tried = [
-        (each, fit.whitening.flatten({name: np.einsum("vij,vjc->vic", by_joint[:, 0], each.phi)}))
-        for each in hypotheses(fit.robot, q)
+        (words, phi, fit.whitening.flatten({name: np.einsum("vij,vjc->vic", by_joint[:, 0], phi)}))
+        for words, phi in hypotheses(fit.robot, q)
     ]
     words, phi, added, moved = list[str](), np.zeros((*q.shape, 0)), np.zeros((6 * len(q), 0)), q
     agreed = agreement(fit, name, rounding, seed)
     while tried and len(words) < _MOST and not agreed.to_the_digits:
         basis = linalg.orth(np.hstack([_rows(fit)[0], added]), _SEEN)
-        spans = [_basis_complement(basis, G) for _, G in tried]
+        spans = [_basis_complement(basis, G) for *_, G in tried]
         rest = _rows(fit)[1] - basis @ (basis.T @ _rows(fit)[1])
         left = [rest - span @ (span.T @ rest) for span in spans]
         best = int(np.argmin([_criterion(rows, span.shape[1]) for rows, span in zip(left, spans, strict=True)]))
         if left[best] @ left[best] > _HALVED * (rest @ rest):
             break
-        one, G = tried.pop(best)
-        words, phi, added = [*words, one.words], np.concatenate([phi, one.phi], axis=2), np.hstack([added, G])
+        word, more, G = tried.pop(best)
+        words, phi, added = [*words, word], np.concatenate([phi, more], axis=2), np.hstack([added, G])
         for _ in range(_ROUNDS):
             J, r = _rows(fit)
             moved = moved - phi @ linalg.lstsq(np.hstack([J, added]), r, _SEEN)[J.shape[1] :]
@@ -89,8 +80,8 @@ def _rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
     return fit.rows.jacobian * scale[:, None], fit.rows.residuals * scale
 
 
-def hypotheses(robot: Robot, q: FloatArray) -> Iterator[Hypothesis]:
-    """Yield the possible errors of each joint at joint values q (n_pairs, n_joints)."""
+def hypotheses(robot: Robot, q: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield the possible errors of each joint at joint values q (n_pairs, n_joints): in words, and phi of `q.shape`."""
     names = robot.joint_names
     rises = np.stack([robot.jacobian(q, link)[:, 2] for link in _links(robot)], axis=2)  # rises of the origins of links
     for j, joint in enumerate(names):
@@ -100,7 +91,7 @@ def hypotheses(robot: Robot, q: FloatArray) -> Iterator[Hypothesis]:
             turned = np.stack([np.sin(waves * q[:, j]), np.cos(waves * q[:, j])], axis=1)
             moves[f"gear of {joint} ({count_noun(waves, 'wave')} a turn)"] = turned
         for words, phi in moves.items():
-            yield Hypothesis(words, np.einsum("j,nc->njc", np.eye(len(names))[j], phi))
+            yield words, np.einsum("j,nc->njc", np.eye(len(names))[j], phi)
 
 
 def _links(robot: Robot) -> list[str]:

@@ -28,7 +28,7 @@ def _let_go() -> None:
     """Release all objects of OMPL at exit: otherwise its bindings write a page about them to standard error."""
     for name in [name for name in sys.modules if name == "ompl" or name.startswith("ompl.")]:
         vars(sys.modules.pop(name)).clear()
-    for name in ("Proven", "base", "geometric", "util"):
+    for name in ("ProvenMotions", "base", "geometric", "util"):
         globals().pop(name, None)
     gc.unfreeze()  # the program freezes all that is there, maybe before this: frozen objects are not collected
     gc.collect()

@@ -34,11 +34,7 @@ _LINK = 5 / 8  # length of a link, over the largest reach
 
 
 def arm_twists(tool: FloatArray) -> FloatArray:
-    """Return the motion of the tool by each of 24 errors of the arm, in the axes of the tool, (n, 6, 24).
-
-    Args:
-        tool: Pose of the tool in the robot's base at each image, (n, 4, 4) [m].
-    """
+    """Return the motion of the tool, in its axes, by 24 errors of the arm, (n, 6, 24), at poses (n, 4, 4) [m]."""
     p, axes, o = tool[:, :3, 3], tool[:, :3, :3], np.zeros((len(tool), 3))
     upright = np.tile([0.0, 0.0, 1.0], (len(tool), 1))
     level = _unit(np.cross(upright, p))

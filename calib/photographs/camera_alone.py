@@ -54,10 +54,7 @@ class FreeBoards(ReadOnlyArrays):
 def free_boards(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...] = ()) -> FreeBoards | None:
     """Return the board placed in each image with enough points; None where a pose is not determined.
 
-    Args:
-        scene: The images.
-        intrinsics: First values of the intrinsics, (9,).
-        free: Indices of the intrinsics that are fitted, of the first six; fy follows fx where it is not among them.
+    `free` are of the first six intrinsics; fy follows fx where it is not among them. First values are (9,).
     """
     images = np.flatnonzero(scene.counts >= _LEAST_ALONE)
     if len(images) == 0:
@@ -147,13 +144,7 @@ def _pose(turn: FloatArray, place: FloatArray) -> FloatArray:
 
 
 def camera_alone(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...] = ()) -> FloatArray:
-    """Return residuals of a fit without the robot, (m, 2) [px]; NaN in images that are not used.
-
-    Args:
-        scene: The images.
-        intrinsics: First values of the intrinsics, (9,).
-        free: Indices of the intrinsics that are fitted.
-    """
+    """Return residuals of a fit without the robot, (m, 2) [px]; NaN in images that are not used."""
     alone = free_boards(scene, intrinsics, free)
     result = np.full_like(scene.pixels, np.nan)
     if alone is not None:
@@ -168,11 +159,6 @@ def point_errors(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...
     residual is larger than chance explains: in one of a hundred sets of good points (`calib.core.numerics.losses`).
     Where more than half of the points would be left out, or too few would stay, the image keeps all: then the image or
     its board is wrong.
-
-    Args:
-        scene: The images.
-        intrinsics: First values of the intrinsics, (9,).
-        free: Indices of the intrinsics that are fitted.
     """
     far: FloatArray = np.zeros(len(scene.pixels))
     alone = free_boards(scene, intrinsics, free)

@@ -98,12 +98,10 @@ class Detection:
 def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Iterator[DetectedImage | Detection]:
     """Find a board in images; yield what was found in each, then all together.
 
+    In place of an image may stand the reason why it could not be read.
+
     If the layout of a ChArUco board with an even number of rows is not known, both layouts are tried, and the one with
     more corners in all images is used at the end. Each image alone is yielded with the layout that shows more in it.
-
-    Args:
-        board: The board.
-        images: Name and image of each, or instead of the image the reason why it could not be read.
 
     Raises:
         DescriptionError: The dictionary does not exist, or has too few markers.
@@ -294,10 +292,6 @@ def _layouts(board: Board) -> tuple[bool, ...]:
 
 def opencv_board(board: Board, legacy: bool) -> object:
     """Return OpenCV's board for a kind with markers.
-
-    Args:
-        board: The board.
-        legacy: Whether a ChArUco board has the older layout.
 
     Raises:
         DescriptionError: The dictionary does not exist, or has too few markers.

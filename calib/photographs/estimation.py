@@ -74,17 +74,7 @@ def solve(
     scaled: bool = False,
     steps: int = _STEPS,
 ) -> HandEyePlacement:
-    """Return the minimum by damped Gauss-Newton steps, with the noise as it is.
-
-    Args:
-        scene: The images.
-        start: Start.
-        free: Intrinsics that are sought.
-        noise: Sizes of the errors.
-        prior: Prior of the intrinsics that are sought.
-        scaled: Whether the size of the board is sought.
-        steps: At most so many.
-    """
+    """Return the minimum by damped Gauss-Newton steps, with the noise as it is."""
     placed, damping, last = start, 0.0, np.inf
     free = list(free)
     a, b, cost = normal_equations(linearise(scene, placed, free, scaled), noise, prior, placed.intrinsics[free])
@@ -122,14 +112,8 @@ def estimate(
 ) -> HandEyeEstimate:
     """Return camera, board and lens with their noise and uncertainty.
 
-    Args:
-        scene: The images.
-        start: Start.
-        free: Intrinsics that are sought.
-        prior: Prior of these.
-        scaled: Whether the size of the board is sought.
-        weighed: Whether images are weighed by the errors that their points share; else every point counts the same.
-        near: Sizes of the errors of a similar problem, to begin with.
+    Images are `weighed` by the errors that their points share, or every point counts the same. `near` are sizes of the
+    errors of a similar problem, to begin with.
 
     Raises:
         NotIdentifiableError: The images do not determine all of it.
@@ -164,13 +148,6 @@ def plain(
     scaled: bool = False,
 ) -> tuple[HandEyePlacement, ErrorSizes]:
     """Return the solution of plain least squares, against priors with the noise that is left, and that noise.
-
-    Args:
-        scene: The images.
-        start: Start.
-        free: Intrinsics that are sought.
-        prior: Prior of these.
-        scaled: Whether the size of the board is sought.
 
     Raises:
         NotIdentifiableError: The images do not determine all of it.

@@ -54,13 +54,7 @@ def intervals(
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return the size of the arm's errors, the covariance of the unknowns (k, k), and degrees of freedom (k,).
 
-    Args:
-        linear: Sums over images at the solution.
-        twists: Motion of the tool by each error of the arm, (n, 6, 24).
-        weights: Weights of the images.
-        near: Sizes of the errors, found without errors of the arm.
-        prior: Prior of the fitted intrinsics.
-        now: Present values of these intrinsics, (f,).
+    `twists` are motions of the tool by each error of the arm, (n, 6, 24); `near` are sizes of the other errors.
     """
     wide = linear.with_arm(twists)
     noise = find_noise(wide, prior, now, near)

@@ -35,16 +35,7 @@ def predict_left_out_images(
     *,
     scaled: bool = False,
 ) -> LeftOutImages:
-    """Return how far each image is from where a fit of the others puts it.
-
-    Args:
-        scene: The images.
-        placed: The solution of all.
-        free: Which intrinsics are sought.
-        weights: What images are weighed by; they stay as they are.
-        prior: Of the intrinsics.
-        scaled: Whether the size of the board is sought.
-    """
+    """Return how far each image is from where a fit of the others puts it; weights stay as they are."""
     pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
     for i in range(len(scene)):
         only: BoolArray = np.arange(len(scene)) == i

@@ -50,13 +50,7 @@ def unlikely(given: FloatArray, size: tuple[int, int]) -> list[tuple[str, str]]:
 
 
 def lens_prior(first: FloatArray, scene: BoardScene, given: bool) -> IntrinsicsPrior:
-    """Return the prior of a lens: so wide that images decide where they can.
-
-    Args:
-        first: Intrinsics to begin with, (9,).
-        scene: The images.
-        given: Whether these were given.
-    """
+    """Return the prior of a lens, so wide that images decide where they can, about first intrinsics, (9,)."""
     width = float(max(scene.size))
     focal = (_FOCAL if given else 1.0) * first[0]
     sigma = np.array([focal, focal, _MIDDLE * width, _MIDDLE * width, _RADIAL, _RADIAL])
@@ -76,16 +70,9 @@ class Choice:
 def lens_choices(
     scene: BoardScene, begin: HandEyePlacement, prior: IntrinsicsPrior, intrinsics: FloatArray | None, lens: str
 ) -> list[Choice]:
-    """Return choices for the lens: as given first; found, with distortion.
+    """Return choices for the lens: as given first; found, with distortion; intrinsics are (9,).
 
     Found without distortion is a way too, where no lens is given and single images show no distortion.
-
-    Args:
-        scene: The images.
-        begin: Start.
-        prior: Prior of the lens.
-        intrinsics: As given, (9,); None where none are.
-        lens: `found`: not as given.
 
     Raises:
         NotIdentifiableError: The images determine none.

@@ -44,12 +44,7 @@ class SceneInterpretation:
 
 
 def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[SceneInterpretation]:
-    """Yield a scene with other meanings of its numbers.
-
-    Args:
-        scene: The images.
-        mounts: Possible mounts of the camera.
-    """
+    """Yield a scene with other meanings of its numbers."""
     n = len(scene)
     for shift in _SHIFTS:
         pairs = np.arange(n) + shift

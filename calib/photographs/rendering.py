@@ -59,12 +59,7 @@ class Photographer:
         object.__setattr__(self, "_rays", _smooth_rays(u, v, self.intrinsics))
 
     def photograph(self, T_camera_board: FloatArray, generator: np.random.Generator) -> GreyImage:
-        """Return the photograph of the board at a pose in the camera, (4, 4) [m].
-
-        Args:
-            T_camera_board: The pose.
-            generator: Generator of the noise.
-        """
+        """Return the photograph of the board at a pose in the camera, (4, 4) [m]."""
         paper: Paper = self._paper  # type: ignore[attr-defined]
         board, margin = np.array(self.board.size), _MARGIN * max(self.board.size)
         width, height = self.size
@@ -116,11 +111,6 @@ def example(board: Board, count: int, generator: np.random.Generator) -> dict[st
     """Return simulated photographs of a board by a camera on a robot's tool, with the poses, as files by name.
 
     The robot's poses are off by 0.2 mm and 0.2 mrad per axis; `truth.json` has where camera and board really are.
-
-    Args:
-        board: The board.
-        count: Number of photographs.
-        generator: Generator of poses, errors and noise.
     """
     size = (640, 480)
     intrinsics = np.array([610.0, 612.0, 323.0, 236.0, -0.12, 0.06, 0.0, 0.0, 0.0])

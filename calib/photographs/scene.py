@@ -13,6 +13,10 @@ and turns it by w.
 The solver needs only sums over the points of each image: J^T J, J^T G, G^T G, J^T r, G^T r and r^T r. Here r are the
 residuals, J is their derivative by the unknowns, and G their derivative by e_i. Weights for errors that the points of
 an image share are then algebra with 6 x 6 matrices (`calib.photographs.shared_errors`).
+
+Names of these files: `placed` or `start`, poses of camera and board with the intrinsics; `free`, indices of the
+intrinsics that are fitted, with a `prior` if they have one, and `now` their values, (f,); `noise`, sizes of errors;
+`scaled`, whether the size of the board is fitted too; `intrinsics`, (9,); `mounts`, possible mounts of the camera.
 """
 
 from __future__ import annotations
@@ -199,14 +203,7 @@ def residuals(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
 def rows(
     scene: BoardScene, placed: HandEyePlacement, free: Sequence[int], scaled: bool = False
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return residuals (m, 2) [px], J (m, 2, k) and G (m, 2, 6).
-
-    Args:
-        scene: The images.
-        placed: Poses of camera and board, and the intrinsics.
-        free: Indices of the intrinsics that are fitted.
-        scaled: Whether the size of the board is fitted, too.
-    """
+    """Return residuals (m, 2) [px], J (m, 2, k) and G (m, 2, 6)."""
     points, poses = points_in_camera(scene, placed)
     pixels, by_point, by_number = project(points, placed.intrinsics)
     body = placed.scale * scene.body

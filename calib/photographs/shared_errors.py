@@ -94,14 +94,7 @@ def prior_of(
 def normal_equations(
     linear: ImageSums, noise: ErrorSizes, prior: IntrinsicsPrior | None, now: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return A (k, k), b (k,) and r^T V^-1 r with the prior's part; see the module docstring.
-
-    Args:
-        linear: Sums over images.
-        noise: Sizes of the errors.
-        prior: Prior of the intrinsics that are sought.
-        now: Present values of these, (k,).
-    """
+    """Return A (k, k), b (k,) and r^T V^-1 r with the prior's part; see the module docstring."""
     gain, square = gains(linear, noise), noise.pixel**2
     weight, off = prior_of(linear, noise, prior, now)
     jgk = linear.jg @ gain
@@ -112,14 +105,7 @@ def normal_equations(
 
 
 def deviance(linear: ImageSums, noise: ErrorSizes, prior: IntrinsicsPrior | None, now: FloatArray) -> float:
-    """Return minus twice the log-likelihood at the best step of a linear problem, but for a constant.
-
-    Args:
-        linear: Sums over images.
-        noise: Sizes of the errors.
-        prior: Of the intrinsics that are sought.
-        now: These, as they are, (f,).
-    """
+    """Return minus twice the log-likelihood at the best step of a linear problem, but for a constant; `now` is (f,)."""
     a, b, c = normal_equations(linear, noise, prior, now)
     return _log_v(linear, noise) + c - float(b @ linalg.lstsq(a, b, rcond=1e-12))
 
@@ -190,11 +176,7 @@ def find_noise(
 ) -> ErrorSizes:
     """Return the sizes of the errors by restricted maximum likelihood, the intrinsics sought being `now`, (k,).
 
-    Args:
-        linear: Sums over images; with errors of the arm, their size is found too.
-        prior: Prior of the intrinsics that are sought.
-        now: Present values of these, (k,).
-        near: Sizes of a similar problem, to begin with.
+    With errors of the arm, their size is found too. `near` are sizes of a similar problem, to begin with.
     """
     low = logarithms(ErrorSizes(1e-3), linear)
     bounds = list(zip(low, np.log([1e3, 0.1, 0.1, 0.1]), strict=False))

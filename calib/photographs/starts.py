@@ -53,12 +53,7 @@ class Start(ReadOnlyArrays):
 
 
 def start(scene: BoardScene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...] = ("tool", "base")) -> Start:
-    """Return first values for a fit of photographs.
-
-    Args:
-        scene: The images.
-        intrinsics: (9,).
-        mounts: Possible mounts of the camera.
+    """Return first values for a fit of photographs; intrinsics are (9,).
 
     Raises:
         DataError: Too few images with enough points.

@@ -19,13 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.core.base.parameter import Parameter, index_of
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import in_si, millimetres
 from calib.core.base.words import count_noun, data_frame, html_with_title, listing
 from calib.core.data.in_memory import PosesLike, as_poses
+from calib.core.data.measurement_columns import rank_in_visit
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import Elimination, Rank, eliminate
@@ -207,7 +208,6 @@ def check(
     """Return the parameters that poses determine, at the robot's present values.
 
     Args:
-        robot: The robot.
         poses: Poses that are or would be measured; of measurements, only joint values and number of readings are used.
             Or joint values alone, (n, n_actuated) [m or rad]. If not given: a hundred, spread over the joint limits.
         task: Poses whose accuracy counts, in the same form; `poses` if not given.
@@ -236,7 +236,7 @@ def check(
     unit = columns[:, free] / lengths[free]
     known = information(unit, priors)
     order = [index_of(parameters, name) for name in robot.description.elimination_order]
-    elimination = eliminate(determined.columns, order)
+    elimination, held = eliminate(determined.columns, order), tuple(map(int, np.flatnonzero(~free)))
     if task is None:
         positions, task_rows = positions_at(robot, configurations)
     else:
@@ -256,7 +256,7 @@ def check(
         sigma_assumed=assumed,
         determination=determined,
         posterior_information=known,
-        groups=null_groups(determined.columns, _spoken_for(free, elimination), lengths),
+        groups=null_groups(determined.columns, held or elimination.dropped, lengths),
         undetermined_groups=null_groups(determined.open_columns, lengths=lengths[free]),
         elimination=elimination,
         scaled=scaled,
@@ -284,17 +284,11 @@ def _columns(
     whitened = whitening.rows(observed, whitening.start(), everything, everything.deviations(robot.values))
     layout = whitening.layout
     flat = whitened.jacobian[layout.group >= 0]
-    return flat, _padded_rows(whitened.jacobian, layout.pose[layout.reading]), -(-len(flat) // len(poses))
-
-
-def _padded_rows(rows: FloatArray, pose: IntArray) -> FloatArray:
-    """Rows pose by pose, filled up with zeros, (n_poses, most rows, n_parameters)."""
-    order = np.argsort(pose, kind="stable")
-    _, block, counts = np.unique(pose[order], return_inverse=True, return_counts=True)
-    place = np.arange(len(pose)) - np.repeat(np.cumsum(counts) - counts, counts)
-    packed = np.zeros((len(counts), int(counts.max()), rows.shape[1]))
-    packed[block, place] = rows[order]
-    return packed
+    pose = layout.pose[layout.reading]  # rows pose by pose, filled up with zeros
+    _, block, counts = np.unique(pose, return_inverse=True, return_counts=True)
+    packed = np.zeros((len(counts), int(counts.max()), whitened.jacobian.shape[1]))
+    packed[block, rank_in_visit(pose)] = whitened.jacobian
+    return flat, packed, -(-len(flat) // len(poses))
 
 
 def _require_rows(robot: Robot, poses: Poses, per_pose: int) -> None:
@@ -305,12 +299,6 @@ def _require_rows(robot: Robot, poses: Poses, per_pose: int) -> None:
             f"{poses.path}: {len(poses)} poses give {per_pose * len(poses)} coordinates for {needed} free parameters"
             f" without a prior; give at least {-(-needed // per_pose)} poses (several times that for a useful result)"
         )
-
-
-def _spoken_for(free: BoolArray, elimination: Elimination) -> tuple[int, ...]:
-    """Parameters by which groups are described: the held ones if any, else those that the elimination drops."""
-    held = tuple(int(k) for k in np.flatnonzero(~free))
-    return held or elimination.dropped
 
 
 @dataclass(frozen=True)
@@ -350,7 +338,9 @@ def accuracy_by_count(
     if problem.prior_information.rank.rank == 0:  # no number of poses determines anything
         return ()
     rank_left = problem.prior_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
-    least = max(1, -(-rank_left // _directions_of_a_pose(rows[candidates])))
+    strengths = linalg.singular_values(rows[candidates])
+    of_a_pose = max(1, int(np.max(np.sum(strengths > _NOTHING_NEW * strengths[:, :1], axis=1))))  # directions, at most
+    least = max(1, -(-rank_left // of_a_pose))
     if counts is None:
         counts = tuple(int(m) for m in np.unique(np.round(np.geomspace(min(least + 1, n), n, _COUNTS))))
     space = Spacing(np.zeros((len(candidates), 3)), 0.0, np.ones(len(candidates), dtype=bool))
@@ -369,12 +359,6 @@ def accuracy_by_count(
     for times in _BEYOND:
         table.append(CountRow(times * n, None, _accuracy(rows, priors, task_rows, float(times))))
     return tuple(table)
-
-
-def _directions_of_a_pose(rows: FloatArray) -> int:
-    """Largest number of directions that a pose determines, by its rows, (n, n_rows, n_parameters)."""
-    strengths = linalg.singular_values(rows)
-    return max(1, int(np.max(np.sum(strengths > _NOTHING_NEW * strengths[:, :1], axis=1))))
 
 
 def _accuracy(rows: FloatArray, priors: FloatArray, task_rows: FloatArray, times: float) -> TaskIndex:

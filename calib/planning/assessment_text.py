@@ -27,7 +27,6 @@ def text_report(assessment: Assessment, source: str, width: int = 120, *, verbos
     """Return an assessment as text.
 
     Args:
-        assessment: The assessment.
         source: Origin of the poses, in words.
         width: Width of the text, in characters.
         verbose: All groups, and a table of all parameters; otherwise the answer on at most 40 lines.

@@ -124,7 +124,6 @@ def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Sp
     """Run the paper's exchange from a start.
 
     Args:
-        problem: The candidates.
         index: Index to raise.
         start: Candidates to start from, (count,).
         spacing: Candidates that may be added.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.base.errors import InputError, nearest
+from calib.core.base.errors import InputError, require_known
 from calib.core.base.memory import zeros_with_room
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.data.plan_files import TOGETHER
@@ -49,7 +49,6 @@ def groups_of(robot: Robot, instruments: str | Sequence[str], count: int | Mappi
     """Return the groups of instruments to choose among.
 
     Args:
-        robot: The robot.
         instruments: `ALL`, `EACH`, or the groups: names of instruments, joined by `+` where they read together.
         count: Number of poses, or a number for each group, which names the groups as well.
 
@@ -73,8 +72,7 @@ def _members(named: Sequence[str], names: Sequence[str]) -> tuple[tuple[str, ...
     groups = tuple(tuple(name.strip() for name in group.split(TOGETHER)) for group in named)
     for group in groups:
         for name in group:
-            if name not in names:
-                raise InputError(f"instruments: no instrument '{name}'{nearest(name, (*names, ALL, EACH))}")
+            require_known(name, names, "instruments: no instrument")
         if len(set(group)) < len(group):
             raise InputError(f"instruments: '{TOGETHER.join(group)}' names an instrument twice")
     if not groups or len({frozenset(group) for group in groups}) < len(groups):

@@ -19,9 +19,6 @@ def advice_after_check(
     """Return the next step after an assessment.
 
     Args:
-        assessment: The assessment.
-        robot: ROBOT, as it was typed.
-        poses: The poses.
         data: DATA, as it was typed; nothing where poses were sampled.
         typed: Options, as `typed_options` has them.
     """
@@ -43,7 +40,6 @@ def advice_after_select(robot: str, out: str, typed: Mapping[str, Sequence[str]]
     """Return the next step after a choice of poses.
 
     Args:
-        robot: ROBOT, as it was typed.
         out: The file with the chosen poses.
         typed: Options, as `typed_options` has them.
     """

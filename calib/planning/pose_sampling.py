@@ -61,7 +61,6 @@ def sample(
 
     Args:
         robot: The robot at its present values.
-        count: Number of poses.
         seed: Seed of the joint values, or a generator of random numbers.
         within: Ranges to stay in, inside the joint limits: by name [SI]; or poses, or joint values alone, that span
             them, (n, n_actuated) [m or rad].

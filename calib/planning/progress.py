@@ -239,7 +239,6 @@ def squares_of(fit: Fit, data: Measurements) -> list[float]:
     If no instrument reads positions, position errors are estimated from the errors of the readings.
 
     Args:
-        fit: The fit.
         data: Measurements that the fit has not used; visits that repeat poses of the fit are left out.
     """
     new = data[~near_measured(data.joints, fit.identification.data.joints)]

@@ -105,7 +105,9 @@ def select(
     blocked = np.flatnonzero(~check.is_free).tolist()
     if blocked and len(blocked) == len(candidates):
         raise InputError(f"{candidates.path}: none of the candidates is free: {check.summary()}")
-    kinds = _start_kinds(random_start, starts)
+    if starts < 1:
+        raise InputError(f"{starts} starts: at least one is needed")
+    kinds = ["random" if random_start else "uniform", *["random"] * (starts - 1)]
     prepare_without = partial(
         prepare, robot, candidates, request, measured, task, skip_unreachable=skip_unreachable, sigma=sigma
     )
@@ -123,6 +125,7 @@ def select(
     pose, joints = setting.pairs.pose[chosen], setting.candidates.joints[setting.pairs.pose[chosen]]
     order = order_in_blocks(joints, robot.home, _blocks(setting, chosen))
     uniform = np.isin(np.arange(len(setting.problem)), setting.uniform())
+    nothing = np.zeros(len(setting.problem), dtype=bool)
     return Selection(
         index=request.index,
         chosen=pose[order],
@@ -133,7 +136,7 @@ def select(
         before=index_values(setting.problem, uniform, setting.sigma),
         after=index_values(setting.problem, best.chosen, setting.sigma),
         raw=_raw(setting, setting.problem.rows[chosen]),
-        measured_only=_index_of_measured(setting),
+        measured_only=index_values(setting.problem, nothing, setting.sigma) if setting.problem.n_before else None,
         efficiency=efficiency,
         bound=bound,
         distance=minimum_distance,
@@ -238,15 +241,3 @@ def _raw(setting: SelectionSetting, rows: FloatArray) -> dict[str, float]:
     scaled = setting.sigma * (rows * known.strengths) @ known.directions.T
     kept = [p for p, free in zip(robot.parameters, robot.is_free, strict=True) if free and not p.family]
     return observability_of(scaled, kept, len(rows), lengths=setting.sigma != WHITENED)[1]
-
-
-def _index_of_measured(setting: SelectionSetting) -> dict[str, float] | None:
-    if setting.problem.n_before == 0:
-        return None
-    return index_values(setting.problem, np.zeros(len(setting.problem), dtype=bool), setting.sigma)
-
-
-def _start_kinds(random_start: bool, starts: int) -> list[str]:
-    if starts < 1:
-        raise InputError(f"{starts} starts: at least one is needed")
-    return ["random" if random_start else "uniform"] + ["random"] * (starts - 1)

@@ -70,7 +70,6 @@ def relax(
     """Bound the index of any choice with as many poses, and as many of each kind, as a given choice.
 
     Args:
-        problem: The candidates.
         index: `O1` or `task`.
         chosen: A choice to start from, (n_candidates,).
         usable: Candidates that may be chosen, (n_candidates,); all others keep weight 0.
@@ -118,7 +117,6 @@ def log_phi(problem: SelectionProblem, index: str, gathered: FloatArray) -> floa
     """Return log phi of the module docstring.
 
     Args:
-        problem: The candidates.
         index: `O1` or `task`.
         gathered: K, (r, r).
     """
@@ -131,7 +129,6 @@ def slopes(problem: SelectionProblem, index: str, gathered: FloatArray) -> Float
     """Return g_k of all candidates, (n_candidates,).
 
     Args:
-        problem: The candidates.
         index: `O1` or `task`.
         gathered: K, (r, r).
     """

@@ -23,7 +23,7 @@ from typing import Protocol
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.errors import InputError, nearest
+from calib.core.base.errors import require_known
 from calib.core.numerics import linalg
 from calib.core.numerics.observability import observability
 from calib.planning.rank_three_scores import ChoiceInformation, DeterminantScores, TaskScores
@@ -55,7 +55,6 @@ def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: floa
     """Return the scores of a choice.
 
     Args:
-        problem: The candidates.
         index: One of `CHOICES`.
         chosen: Mask of the candidates in the choice, (n_candidates,).
         ridge: Added to the diagonal of K, so that a choice that determines too little can be improved at all.
@@ -68,8 +67,7 @@ def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: floa
         return DeterminantScores.from_problem(problem, gathered)
     if index == TASK:
         return TaskScores(problem, gathered)
-    if index not in CHOICES:
-        raise InputError(f"unknown index '{index}'{nearest(index, CHOICES)}")
+    require_known(index, CHOICES, "unknown index")
     return Spectrum(problem, gathered, index)
 
 
@@ -77,7 +75,6 @@ def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> d
     """Return O1 to O5 and, where a task is given, the task index [m] of a choice.
 
     Args:
-        problem: The candidates.
         chosen: Mask of the candidates in the choice, (n_candidates,).
         unit: Unit of a row with noise 1, such as the noise of a position [m].
     """
@@ -102,7 +99,6 @@ def index_of_score(problem: SelectionProblem, index: str, score: float, count: i
     """Return the index that a score of `count` chosen poses stands for; the task index in m.
 
     Args:
-        problem: The candidates.
         index: One of `CHOICES`.
         score: `Scores.value`.
         count: Number of chosen poses.

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.base.errors import InputError, NotIdentifiableError, nearest
+from calib.core.base.errors import InputError, NotIdentifiableError, require_known
 from calib.core.base.memory import require_memory
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Poses
@@ -136,8 +136,7 @@ def prepare(
         UnreachablePoseError: Candidates cannot be assembled.
         NotIdentifiableError: No choice determines the quantity of the index.
     """
-    if request.index not in CHOICES:
-        raise InputError(f"unknown index '{request.index}'{nearest(request.index, CHOICES)}")
+    require_known(request.index, CHOICES, "unknown index")
     require_free(robot)
     poses = as_poses(robot, candidates)
     noise, assumed = assumed_sigma(robot, sigma)
@@ -201,26 +200,11 @@ def _is_excluded(exclude: Sequence[int], n: int) -> BoolArray:
 def require_count(setting: SelectionSetting) -> None:
     """Raise `InputError` if more candidates of a kind are requested than there are, or too few for the index."""
     request, pairs, usable = setting.request, setting.pairs, setting.space.usable
-    _require_candidates(request, usable, pairs)
-    problem = setting.problem
-    missing = problem.prior_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
-    n_read = np.where(usable, pairs.n_read, 0)
-    coordinates = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
-    if coordinates < missing:
-        raise InputError(
-            f"count {request.count}: {coordinates} coordinates cannot determine {missing} parameters;"
-            f" choose at least {-(-missing // int(np.max(n_read)))} poses (several times that for a useful result)"
-        )
-
-
-def _require_candidates(request: Request, usable: BoolArray, pairs: PoseGroupPairs) -> None:
     if request.count < 1:
         raise InputError(f"count {request.count}: choose at least one pose")
-    counts = request.groups.counts
-    kinds = [("", request.count, np.ones(len(usable), dtype=bool))]
+    counts, kinds = request.groups.counts, [("", request.count, np.ones(len(usable), dtype=bool))]
     if counts is not None:
-        names = request.groups.names
-        kinds = [(f" of {name}", counts[g], pairs.group == g) for g, name in enumerate(names)]
+        kinds = [(f" of {name}", counts[g], pairs.group == g) for g, name in enumerate(request.groups.names)]
     for name, count, members in kinds:
         if count < 0:
             raise InputError(f"count {count}{name}: must be zero or more")
@@ -230,6 +214,15 @@ def _require_candidates(request: Request, usable: BoolArray, pairs: PoseGroupPai
             raise InputError(
                 f"count {count}{name} is above the {left} candidates that can be chosen{of}; give more candidates"
             )
+    problem = setting.problem
+    missing = problem.prior_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
+    n_read = np.where(usable, pairs.n_read, 0)
+    coordinates = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
+    if coordinates < missing:
+        raise InputError(
+            f"count {request.count}: {coordinates} coordinates cannot determine {missing} parameters;"
+            f" choose at least {-(-missing // int(np.max(n_read)))} poses (several times that for a useful result)"
+        )
 
 
 def _require_answer(problem: SelectionProblem, request: Request) -> None:

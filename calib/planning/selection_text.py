@@ -28,8 +28,6 @@ def text_report(selection: Selection, poses: Poses, width: int = 120) -> str:
     """Return the result of a selection as text.
 
     Args:
-        selection: The result.
-        poses: The candidates.
         width: Width of the text, in characters.
     """
     return plain_text(
@@ -80,9 +78,6 @@ def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table)
     They keep their rows of the file, all columns as they are.
 
     Args:
-        robot: The robot.
-        selection: The result.
-        poses: The candidates.
         table: The candidates' file.
     """
     comment = f"{_count_sentence(selection, poses)}, chosen by {selection.index}, in order of measurement"

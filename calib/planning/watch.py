@@ -1,8 +1,8 @@
 """Watching a robot being measured: refit after every pose, report accuracy and the next pose, say when to stop.
 
     watch = calib.Watch(robot, "0.1 mm", candidates=candidates)
-    while not (told := watch.update(measured_so_far())).stop:
-        move_to(told.next_pose.joints)
+    while not (progress := watch.update(measured_so_far())).stop:
+        move_to(progress.next_pose.joints)
 
 The goal is a root mean square position error over the candidates. It holds with 95 % where the upper end of two 95 %
 intervals lies below it: that of the error predicted from the covariance of the fit, and that of the errors at the last
@@ -135,9 +135,11 @@ class Watch:
 
     def _judge(self, data: Measurements) -> None:
         """Judge what is new; of many first poses, the last by a fit of the others."""
-        known = 0 if self._data is None else len(self._data)
-        if self._data is not None and not _continues(self._data, data):
-            self._fit, self._squares, known = None, [], 0
+        before, known = self._data, 0
+        if before is not None:
+            known = n = len(before)
+            if len(data) < n or data.names[:n] != before.names or not np.array_equal(data.joints[:n], before.joints):
+                self._fit, self._squares, known = None, [], 0  # others than before
         judge, met = self._fit, self._met
         if judge is None:
             known = int(np.sum(data.pose_numbers < data.n_poses - LAST))
@@ -183,12 +185,6 @@ class Watch:
         present = None if measured is None else measured.joints[-1]
         drawn = np.random.default_rng([self._seed, measured.n_poses]) if self._met and measured is not None else None
         return next_pose(robot, self.candidates, measured, present=present, sigma=sigma, drawn=drawn)
-
-
-def _continues(before: Measurements, data: Measurements) -> bool:
-    """Whether measurements start with those of before."""
-    n = len(before)
-    return len(data) >= n and data.names[:n] == before.names and np.array_equal(data.joints[:n], before.joints)
 
 
 class GrowingFile:

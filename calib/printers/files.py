@@ -45,12 +45,11 @@ def read_klipper(path: Path | str) -> PrinterFile:
             a number that is far off from what all others say.
     """
     cfg = _Klipper(path)
+    if ("printer", "kinematics") not in cfg.entries:
+        _require_own_words(path)
     kinematics = cfg.text("printer", "kinematics")
     if kinematics == "rotary_delta":
-        raise DataError(
-            f"{path}: is a rotary delta, whose arms turn; --klipper is for carriages on towers: begin with calib init"
-            " --template delta, with its lengths as --length"
-        )
+        raise _rotary_delta(path)
     if kinematics != "delta":
         raise DataError(f"{path}: [printer] kinematics is not 'delta'; this is for linear deltas")
     steppers = [f"stepper_{tower}" for tower in TOWERS]
@@ -84,6 +83,13 @@ def read_klipper(path: Path | str) -> PrinterFile:
         require_steps(printer, micro)
         require_plausible(printer)
     return printer
+
+
+def _rotary_delta(path: Path | str) -> DataError:
+    return DataError(
+        f"{path}: is a rotary delta, whose arms turn, and this is for carriages on towers: begin with calib init"
+        " --template delta, with its lengths as --length"
+    )
 
 
 def _times(values: tuple[float, float, float], unit: float) -> tuple[float, float, float]:
@@ -158,11 +164,7 @@ class _Klipper:
 
 
 def read_m665(path: Path | str, firmware: str) -> PrinterFile:
-    """Read the lines M665 and M666 of a file, and of Marlin M851.
-
-    Args:
-        path: The file.
-        firmware: `marlin` or `duet`.
+    """Read the lines M665 and M666 of a file of `marlin` or `duet`, and of Marlin M851.
 
     Raises:
         DataError: A line is missing, or says what the firmware or the model does not know.
@@ -215,6 +217,8 @@ def _require_printer(path: Path | str, geometry: DeltaGeometry) -> None:
 def _require_own_words(path: Path | str) -> None:
     """Raise `DataError` for settings of another firmware, with the lines that say the same."""
     text = read_text(path, "a file with M665 and M666", DataError)
+    if re.search(r"^\s*arm_solution\s+rotary_delta", text, re.MULTILINE):
+        raise _rotary_delta(path)
     smoothie = dict(re.findall(r"^\s*(arm_length|arm_radius|gamma_max|\w+_trim)\s+([-+.\d]+)", text, re.MULTILINE))
     lines = re.findall(r"^EPR:\s*\d+\s+\d+\s+([-+.\d]+)\s+(\w+ \w+ \w+)", text, re.MULTILINE)
     repetier = {what: value for value, what in lines}
@@ -285,11 +289,7 @@ def _require_duet(path: Path | str, rods: tuple[float, ...], ends: Mapping[str, 
 
 
 def read_printer(path: Path | str, firmware: str) -> PrinterFile:
-    """Read a printer's settings; see `read_klipper` and `read_m665`.
-
-    Args:
-        path: The file.
-        firmware: `klipper`, `marlin` or `duet`.
+    """Read a printer's settings of `klipper`, `marlin` or `duet`; see `read_klipper` and `read_m665`.
 
     Raises:
         DataError: As these.

@@ -39,12 +39,7 @@ def geometry_of(robot: Robot) -> DeltaGeometry:
 
 
 def printer_lines(robot: Robot, firmware: str, provenance: Sequence[str] = ()) -> FormatFile:
-    """Return the lines to paste into a firmware's settings.
-
-    Args:
-        robot: The robot.
-        firmware: One of `COMMENTS`.
-        provenance: Lines for the comment.
+    """Return the lines to paste into the settings of a firmware of `COMMENTS`.
 
     Raises:
         InputError: The robot is no linear delta.

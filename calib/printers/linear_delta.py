@@ -185,12 +185,7 @@ def is_linear_delta(description: Description) -> bool:
 
 
 def linear_delta_plan(geometry: DeltaGeometry, copies: int = 1) -> Plan:
-    """Return the printer, cut open where the arms meet the platform; home is the centre, 20 mm high.
-
-    Args:
-        geometry: Its numbers.
-        copies: 2: the robot twice, for distances.
-    """
+    """Return the printer, cut open where the arms meet the platform; home is 20 mm high. Distances need two copies."""
     plan, height = Plan("x, y, z"), 0.02
     for suffix in ("", "_2")[:copies]:
         parent, reach = BASE, 2 * max(geometry.arms)
@@ -222,14 +217,7 @@ def linear_delta_urdf(plan: Plan, title: str) -> str:
 
 
 def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int = 0) -> str:
-    """Return the text of its description; with no more rows than it has parameters, arms are held.
-
-    Args:
-        plan: Result of `linear_delta_plan`.
-        title: Title, for a comment.
-        urdf: The URDF as it names it.
-        n_rows: Number of measured rows; 0: not known yet.
-    """
+    """Return the text of its description; with no more rows than it has parameters, arms are held."""
     twice = "platform_2" in plan.links
     sigma = f"{millimetres(DISTANCE):g} mm"
     caliper = f"  caliper: {{kind: distance, target: nozzle, end: {{frame: platform_2}}, sigma: {sigma}}}\n"

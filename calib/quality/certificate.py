@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +12,12 @@ import numpy as np
 from calib.core.base.units import millimetres
 from calib.core.base.version import PROGRAM
 from calib.core.base.words import as_data
-from calib.core.data.in_memory import PosesLike
-from calib.core.judging.repeatability import IsoFigure, iso_figures
+from calib.core.judging.repeatability import iso_figures
 from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.saved_fit import SAVED
 from calib.core.robots.traceability import TraceabilitySection
 from calib.quality.documents import Document, DocumentRows
-from calib.quality.uncertainty_budget import PROBABILITY, Budget, ErrorPropagation, budget
+from calib.quality.uncertainty_budget import PROBABILITY, Budget
 
 LEGAL = (
     "This certificate was written by software from the data of its user. Only an accredited laboratory, within its"
@@ -57,64 +55,41 @@ _LEAST = 1e-4  # below which numbers are shown as 0
 _SIGNED_BY = ("Calibrated by", "Approved by")
 
 
-@dataclass(frozen=True, eq=False)
-class Certificate:
-    """A certificate.
+def certificate_content(result: LoadedResult, stated: TraceabilitySection, found: Budget) -> dict[str, Any]:
+    """Return the data of a certificate as JSON has it, in SI units.
 
-    Attributes:
+    Args:
         result: The result.
-        stated: Source of the measurements.
-        linear: Linear model of the fit.
-        budget: Uncertainty of the measurand.
-        figures: Figures of ISO 9283, AP and RP of repeated poses.
-        identifier: The same for the same result.
+        stated: Source of its measurements.
+        found: Uncertainty of the measurand.
     """
-
-    result: LoadedResult
-    stated: TraceabilitySection
-    linear: ErrorPropagation
-    budget: Budget
-    figures: tuple[IsoFigure, ...]
-    identifier: str
-
-    @staticmethod
-    def from_result(result: LoadedResult, stated: TraceabilitySection, poses: PosesLike | None = None) -> Certificate:
-        """Return the certificate of a loaded result.
-
-        Args:
-            result: The result.
-            stated: Source of its measurements.
-            poses: Other poses at which the robot will be used.
-        """
-        fit, linear = result.fit, ErrorPropagation.from_fit(result.fit)
-        figures, _ = iso_figures(fit.identification, np.random.default_rng(fit.seed))
-        digest = hashlib.sha256(Path(result.path, SAVED).read_bytes()).hexdigest()
-        kept = tuple(figure for figure in figures if figure.name in ("AP", "RP"))
-        return Certificate(result, stated, linear, budget(linear, stated, poses), kept, f"calib-{digest[:24]}")
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as JSON has it, in SI units."""
-        fit = self.result.fit
-        free = [fit.parameters[name] for name in fit.free_names]
-        content = {
-            "identifier": self.identifier,
-            "robot": self.result.robot.name,
-            "program": PROGRAM,
-            "legal_force": LEGAL,
-            "verdict": self.result.verdict.grade,
-            "traceability": self.stated.model_dump(mode="json", exclude_unset=True),
-            "n_poses": fit.identification.data.n_poses,
-            "measurand": MEASURAND,
-            "expansion_to_correct": self.stated.temperature.expansion * self.stated.temperature.difference,
-            "budget": self.budget.to_dict(),
-            "parameters": [
-                {"name": p.name, "unit": p.unit, "per_si": p.per_si, "value_si": p.value_si, "std_si": p.std_si}
-                for p in free
-            ],
-            "coverage_factor_of_parameters": fit.statistics.coverage_factor,
-            "iso9283": [{"name": f.name, "pose": f.poses, "cycles": f.cycles, **vars(f.figure)} for f in self.figures],
-        }
-        return dict(as_data(content))
+    fit = result.fit
+    figures, _ = iso_figures(fit.identification, np.random.default_rng(fit.seed))
+    digest = hashlib.sha256(Path(result.path, SAVED).read_bytes()).hexdigest()
+    free = [fit.parameters[name] for name in fit.free_names]
+    content = {
+        "identifier": f"calib-{digest[:24]}",
+        "robot": result.robot.name,
+        "program": PROGRAM,
+        "legal_force": LEGAL,
+        "verdict": result.verdict.grade,
+        "traceability": stated.model_dump(mode="json", exclude_unset=True),
+        "n_poses": fit.identification.data.n_poses,
+        "measurand": MEASURAND,
+        "expansion_to_correct": stated.temperature.expansion * stated.temperature.difference,
+        "budget": found.to_dict(),
+        "parameters": [
+            {"name": p.name, "unit": p.unit, "per_si": p.per_si, "value_si": p.value_si, "std_si": p.std_si}
+            for p in free
+        ],
+        "coverage_factor_of_parameters": fit.statistics.coverage_factor,
+        "iso9283": [
+            {"name": f.name, "pose": f.poses, "cycles": f.cycles, **vars(f.figure)}
+            for f in figures
+            if f.name in ("AP", "RP")
+        ],
+    }
+    return dict(as_data(content))
 
 
 def document(content: Mapping[str, Any]) -> Document:
@@ -187,17 +162,8 @@ def _budget_table(found: Mapping[str, Any]) -> DocumentRows:
         )
     effective, blank = _freedom(found["effective_degrees_of_freedom"]), ""
     combined, expanded = _um(found["combined_standard_uncertainty"]), _um(found["expanded_uncertainty"])
-    rows.append(
-        (
-            "combined standard uncertainty",
-            blank,
-            blank,
-            combined,
-            effective,
-            blank,
-            "degrees of freedom: effective (Welch-Satterthwaite)",
-        )
-    )
+    note = "degrees of freedom: effective (Welch-Satterthwaite)"
+    rows.append(("combined standard uncertainty", blank, blank, combined, effective, blank, note))
     coverage = f"coverage factor {found['coverage_factor']:.3f}, coverage probability {100 * PROBABILITY:.0f} %"
     rows.append(("expanded uncertainty", blank, blank, expanded, blank, blank, coverage))
     columns = (

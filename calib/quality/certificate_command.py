@@ -19,10 +19,11 @@ from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.result_reading import load_result
 from calib.core.robots.description import validate_description
 from calib.core.robots.traceability import TraceabilitySection
-from calib.quality.certificate import Certificate, document
+from calib.quality.certificate import certificate_content, document
 from calib.quality.dcc import xml
 from calib.quality.monte_carlo import monte_carlo
 from calib.quality.signature import ENDING, signer, verify
+from calib.quality.uncertainty_budget import ErrorPropagation, budget
 
 _WRITERS: dict[str, Callable[[Mapping[str, Any]], bytes]] = {
     ".xml": xml,
@@ -90,22 +91,21 @@ def command(
     sign = None if key is None else signer(key, _password)
     output.check(out, None if key is None else out + ENDING)
     with output.working("checking the budget") as progress:
-        certificate = one_blas_thread(Certificate.from_result)(loaded, stated, where)
-        content = certificate.to_dict()
+        linear = one_blas_thread(ErrorPropagation.from_fit)(loaded.fit)
+        found = one_blas_thread(budget)(linear, stated, where)
+        content = one_blas_thread(certificate_content)(loaded, stated, found)
         write = _WRITERS[ending]
         file = write(content)  # before the draws, so that missing entries are reported at once
         if draws:
-            drawn = monte_carlo(certificate.linear, certificate.stated, certificate.budget, draws, seed, progress)
+            drawn = monte_carlo(linear, stated, found, draws, seed, progress)
             content["monte_carlo"] = drawn.to_dict()
             file = write(content)
     output.write(out, file, _COMMENTS.get(ending, ""))
     if sign is not None:  # the content of the file, with the line that names the program
         output.write(out + ENDING, sign(read_bytes(out, "a certificate", InputError)))
-    found = certificate.budget
     output.say(
         f"U = {1e6 * found.expanded_uncertainty:.4g} um (k = {found.coverage_factor:.2f}, 95 %) for one coordinate of"
-        f" the tool,"
-        f" at poses like the {content['n_poses']} measured"
+        f" the tool, at poses like the {content['n_poses']} measured"
     )
     if draws:
         difference = (

@@ -86,9 +86,9 @@ def protocol_document(protocol: Protocol) -> Document:
     facts = DocumentRows("Installation", ("what", "found"), (("started", protocol.started), *protocol.machine.items()))
     tables = [
         DocumentRows(
-            phase.value,
+            phase,
             ("check", "expected", "found", "outcome"),
-            tuple((c.subject, c.expected, c.found, c.outcome.value) for c in protocol.checks_of_phase(phase)),
+            tuple((c.subject, c.expected, c.found, c.outcome) for c in protocol.checks if c.phase is phase),
         )
         for phase in Phase
     ]

@@ -11,7 +11,7 @@ import base64
 import hashlib
 import platform
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 
 from calib.core.base.version import DISTRIBUTION, VERSION
+from calib.core.base.words import listing
 from calib.quality.protocol import Check, Outcome, Phase
 
 _PHASE = Phase.INSTALLATION
@@ -77,9 +78,7 @@ def _check_files(of: Distribution) -> Iterator[Check]:
         yield Check(_PHASE, subject, _SEALED, "installed for development: no list of files to compare", Outcome.NOTED)
         return
     changed = [str(file) for file, digest in listed.items() if digest != _digest(Path(str(of.locate_file(file))))]
-    found = (
-        f"{len(listed)} files as listed" if not changed else f"{len(changed)} changed or missing: {_list_few(changed)}"
-    )
+    found = f"{len(changed)} changed or missing: {listing(changed)}" if changed else f"{len(listed)} files as listed"
     yield Check.from_values(_PHASE, subject, _SEALED, found, not changed)
 
 
@@ -109,8 +108,3 @@ def _linear_algebra() -> Iterator[Check]:
 
 def _library(entry: dict[str, object]) -> str:
     return f"{entry['internal_api']} {entry['version']} ({entry.get('architecture', 'unknown kernels')})"
-
-
-def _list_few(names: Iterable[str], most: int = 3) -> str:
-    names = list(names)
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -98,19 +98,16 @@ def _common_digits(found: FloatArray, certified: FloatArray) -> float:
 
 def _robots() -> Iterator[Check]:
     """Check positions, loops, derivatives and the recovery of a known truth on eight robots."""
-    with tempfile.TemporaryDirectory() as folder:
-        for number, (name, robot) in enumerate(sample_robots(Path(folder))):
-            yield from _robot(name, robot, number)
+    for number, (name, robot) in enumerate(sample_robots()):
+        yield from _robot(name, robot, number)
 
 
 def _robot(name: str, robot: Robot, seed: int) -> Iterator[Check]:
     true = draw_robot(robot, seed, part=_SMALL)
     joints = _common_poses(robot, true, _POSES, seed)
-    apart, slopes, off = (
-        _largest_difference(true, joints),
-        _slopes(true, joints[:5]),
-        _recovery_error(robot, true, joints, seed),
-    )
+    apart = _largest_difference(true, joints)
+    slopes = _slopes(true, joints[:5])
+    off = _recovery_error(robot, true, joints, seed)
     subject, expected = f"positions of the {name}", f"within {millimetres(_FAR):g} mm of a product of single transforms"
     yield Check.from_values(_PHASE, subject, expected, f"{millimetres(apart):.1e} mm", apart <= _FAR)
     subject, expected = f"Jacobian of the {name}", f"relative difference to central differences at most {_SLOPES:g}"
@@ -198,19 +195,18 @@ def _recovery_error(robot: Robot, true: Robot, joints: FloatArray, seed: int) ->
 
 def _coverage() -> Iterator[Check]:
     """Count how often intervals of 95 % hold the truth, over calibrations of the first arm from simulated readings."""
-    with tempfile.TemporaryDirectory() as folder:
-        _, robot = next(iter(sample_robots(Path(folder))))
-        hits = list[bool]()
-        joints = robot.sample(_POSES, seed=5)
-        for seed in range(_FITS):
-            true = draw_robot(robot, seed)
-            fit = calibrate(robot, simulate(true, joints, seed=seed), None, Settings())
-            truth = dict(zip([parameter.name for parameter in true.parameters], true.values, strict=True))
-            hits += [
-                estimate.low95_si <= truth[name] <= estimate.high95_si
-                for name, estimate in fit.parameters.items()
-                if estimate.status != "held"
-            ]
+    _, robot = next(sample_robots())
+    hits = list[bool]()
+    joints = robot.sample(_POSES, seed=5)
+    for seed in range(_FITS):
+        true = draw_robot(robot, seed)
+        fit = calibrate(robot, simulate(true, joints, seed=seed), None, Settings())
+        truth = dict(zip([parameter.name for parameter in true.parameters], true.values, strict=True))
+        hits += [
+            estimate.low95_si <= truth[name] <= estimate.high95_si
+            for name, estimate in fit.parameters.items()
+            if estimate.status != "held"
+        ]
     share = float(np.mean(hits))
     expected = f"95 % intervals hold the simulated truth in {_LEAST:.0%} to {_MOST:.0%}"
     found = f"{share:.1%} of {len(hits)} intervals"
@@ -219,10 +215,9 @@ def _coverage() -> Iterator[Check]:
 
 def _check_repeats() -> Iterator[Check]:
     """Calibrate twice from the same readings, and compare every bit of the answers."""
-    with tempfile.TemporaryDirectory() as folder:
-        _, robot = next(iter(sample_robots(Path(folder))))
-        data = simulate(draw_robot(robot, 1), robot.sample(_POSES, seed=1), seed=1)
-        digests = [_digest(calibrate(robot, data, None, Settings())) for _ in range(2)]
+    _, robot = next(sample_robots())
+    data = simulate(draw_robot(robot, 1), robot.sample(_POSES, seed=1), seed=1)
+    digests = [_digest(calibrate(robot, data, None, Settings())) for _ in range(2)]
     found = "the same bits" if digests[0] == digests[1] else "different bits"
     yield Check.from_values(
         _PHASE, "same numbers twice", "two fits of the same readings agree in every bit", found, len(set(digests)) == 1

@@ -7,10 +7,8 @@ and the claim is compared with these.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -43,14 +41,13 @@ def performance_work(robot: Robot | None, data: Measurements | None) -> Iterator
 
 def _check_simulated() -> Iterator[Check]:
     """Compare the claim with the known truth."""
-    with tempfile.TemporaryDirectory() as folder:
-        _, robot = next(iter(sample_robots(Path(folder))))
-        true = draw_robot(robot, seed=11)
-        fit = calibrate(robot, simulate(true, true.sample(_POSES, seed=11), seed=11), None, Settings())
-        verdict = judge(fit)
-        others = true.sample(_OTHERS, seed=12)
-        measured = simulate(true, others, seed=12)
-        off = fit.robot.positions(others) - np.stack([r.values for r in measured.readings.values()], axis=1)
+    _, robot = next(sample_robots())
+    true = draw_robot(robot, seed=11)
+    fit = calibrate(robot, simulate(true, true.sample(_POSES, seed=11), seed=11), None, Settings())
+    verdict = judge(fit)
+    others = true.sample(_OTHERS, seed=12)
+    measured = simulate(true, others, seed=12)
+    off = fit.robot.positions(others) - np.stack([r.values for r in measured.readings.values()], axis=1)
     error = float(np.sqrt(np.mean(np.sum(off**2, axis=-1))))
     yield Check.from_values(
         _PHASE, "verdict on a sound simulated robot", "PASS", verdict.grade, verdict.grade == "PASS"
@@ -66,22 +63,21 @@ def _check_simulated() -> Iterator[Check]:
 
 def _check_mistakes() -> Iterator[Check]:
     """Hand in the same robot with a sign, a scale and an order of joints that are wrong."""
-    with tempfile.TemporaryDirectory() as folder:
-        _, robot = next(iter(sample_robots(Path(folder))))
-        true = draw_robot(robot, seed=13)
-        data = simulate(true, true.sample(_POSES, seed=13), seed=13)
-        changes = {
-            "the second joint with the wrong sign": data.joints * np.array([1, -1, 1, 1, 1, 1]),
-            "the third joint 3 % too large": data.joints * np.array([1, 1, 1.03, 1, 1, 1]),
-            "two joints exchanged": data.joints[:, [0, 1, 2, 3, 5, 4]],
-        }
-        for what, joints in changes.items():
-            grade: str
-            try:
-                grade = judge(calibrate(robot, replace(data, joints=joints), None, Settings(sigma=None))).grade
-            except CalibrationError as error:  # refused with a reason: no number leaves either
-                grade = f"refused ({type(error).__name__})"
-            yield Check.from_values(_PHASE, what, "never PASS", grade, grade != "PASS")
+    _, robot = next(sample_robots())
+    true = draw_robot(robot, seed=13)
+    data = simulate(true, true.sample(_POSES, seed=13), seed=13)
+    changes = {
+        "the second joint with the wrong sign": data.joints * np.array([1, -1, 1, 1, 1, 1]),
+        "the third joint 3 % too large": data.joints * np.array([1, 1, 1.03, 1, 1, 1]),
+        "two joints exchanged": data.joints[:, [0, 1, 2, 3, 5, 4]],
+    }
+    for what, joints in changes.items():
+        grade: str
+        try:
+            grade = judge(calibrate(robot, replace(data, joints=joints), None, Settings(sigma=None))).grade
+        except CalibrationError as error:  # refused with a reason: no number leaves either
+            grade = f"refused ({type(error).__name__})"
+        yield Check.from_values(_PHASE, what, "never PASS", grade, grade != "PASS")
 
 
 def _check_own_data(robot: Robot, data: Measurements) -> Iterator[Check]:

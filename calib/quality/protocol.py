@@ -7,13 +7,13 @@ ones. Operation (OQ): the program computes what references say. Performance (PQ)
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import asdict, dataclass
+from enum import StrEnum
 
 from calib.core.base.errors import CalibrationError
 
 
-class Phase(Enum):
+class Phase(StrEnum):
     """A phase of a qualification, by its name."""
 
     INSTALLATION = "Installation qualification"
@@ -21,7 +21,7 @@ class Phase(Enum):
     PERFORMANCE = "Performance qualification"
 
 
-class Outcome(Enum):
+class Outcome(StrEnum):
     """Result of a check."""
 
     PASS = "PASS"
@@ -52,16 +52,6 @@ class Check:
         """Return a check that passed or failed."""
         return cls(phase, subject, expected, found, Outcome.PASS if passed else Outcome.FAIL)
 
-    def to_dict(self) -> dict[str, str]:
-        """Return the content for JSON."""
-        return {
-            "phase": self.phase.value,
-            "subject": self.subject,
-            "expected": self.expected,
-            "found": self.found,
-            "outcome": self.outcome.value,
-        }
-
 
 @dataclass(frozen=True)
 class Protocol:
@@ -84,10 +74,6 @@ class Protocol:
         """Whether no check failed."""
         return all(check.outcome is not Outcome.FAIL for check in self.checks)
 
-    def checks_of_phase(self, phase: Phase) -> tuple[Check, ...]:
-        """Return the checks of a phase."""
-        return tuple(check for check in self.checks if check.phase is phase)
-
     def to_dict(self) -> dict[str, object]:
         """Return the content for JSON."""
         return {
@@ -95,7 +81,7 @@ class Protocol:
             "started": self.started,
             "seconds": round(self.seconds, 1),
             "machine": self.machine,
-            "checks": [check.to_dict() for check in self.checks],
+            "checks": [asdict(check) for check in self.checks],
         }
 
 

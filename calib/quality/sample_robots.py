@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from calib.core.data.dh_files import read_dh
 from calib.core.robots.loading import load, robot
@@ -42,12 +43,13 @@ NOISE = "0.05 mm"
 """Noise of a simulated tracker, one standard deviation along each axis."""
 
 
-def sample_robots(folder: Path) -> Iterator[tuple[str, Robot]]:
-    """Yield the robots by their names.
+def sample_robots() -> Iterator[tuple[str, Robot]]:
+    """Yield the robots by their names."""
+    with TemporaryDirectory() as folder:
+        yield from _sample_robots(Path(folder))
 
-    Args:
-        folder: For their files.
-    """
+
+def _sample_robots(folder: Path) -> Iterator[tuple[str, Robot]]:
     for name, rows in _ARMS.items():
         stem = name.replace(" ", "_")
         table, urdf = folder / f"{stem}.csv", folder / f"{stem}.urdf"

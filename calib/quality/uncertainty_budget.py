@@ -38,6 +38,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.data.in_memory import PosesLike
 from calib.core.instruments.pixel import Pixel
+from calib.core.judging import findings
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.verdict import JudgedFit
 from calib.core.numerics import linalg
@@ -96,27 +97,30 @@ class BudgetRow:
         standard_uncertainty: Its standard uncertainty, in `unit`.
         unit: Unit of the input quantity.
         sensitivity: Coefficient, m per unit.
-        contribution: To the standard uncertainty of the measurand [m].
+        note: Its source.
         freedom: Degrees of freedom; infinite where it is taken as known.
         type: Kind of its evaluation: A (statistics of observations) or B (other information).
         counts: Whether it is part of the combined one; not where another row has it already.
-        note: Its source.
     """
 
     quantity: str
     standard_uncertainty: float
     unit: str
     sensitivity: float
-    contribution: float
-    freedom: float
-    type: str
-    counts: bool
     note: str
+    freedom: float = math.inf
+    type: str = "B"
+    counts: bool = True
 
     @staticmethod
     def direct(quantity: str, contribution: float, freedom: float, note: str) -> BudgetRow:
         """Return a row of type A whose quantity is a length of the measurand itself."""
-        return BudgetRow(quantity, contribution, "m", 1.0, contribution, freedom, "A", True, note)
+        return BudgetRow(quantity, contribution, "m", 1.0, note, freedom, "A")
+
+    @property
+    def contribution(self) -> float:
+        """Part of the standard uncertainty of the measurand [m]."""
+        return self.sensitivity * self.standard_uncertainty
 
 
 @dataclass(frozen=True)
@@ -148,7 +152,7 @@ class Budget:
 
     def to_dict(self) -> dict[str, object]:
         """Return it as JSON has it, in SI units; null for infinitely many degrees of freedom."""
-        rows = [asdict(row) | {"freedom": _finite(row.freedom)} for row in self.rows]
+        rows = [asdict(row) | {"contribution": row.contribution, "freedom": _finite(row.freedom)} for row in self.rows]
         return {
             "rows": rows,
             "combined_standard_uncertainty": self.combined_uncertainty,
@@ -242,10 +246,7 @@ def _systematic(fit: JudgedFit) -> FloatArray:
         elif isinstance(instrument, Pixel):
             change[:, rows, _FIRST[FOCAL_LENGTH]] = values - np.array(instrument.intrinsics[2:4])
             change[:, rows, _FIRST[PRINCIPAL_POINT] + axes] = 1.0
-    flat = fit.whitening.flatten(changes) / fit.whitening.row_scale(fit.scales.groups)[:, None]
-    weighing = fit.whitening.weighing(fit.scales.ratios)
-    whitened = flat if weighing is None else weighing.whiten(flat)
-    return np.sqrt(fit.weights)[fit.rows.layout.reading, None] * whitened
+    return findings.setting(fit).whiten(changes)
 
 
 def budget(linear: ErrorPropagation, stated: TraceabilitySection, poses: PosesLike | None = None) -> Budget:
@@ -257,46 +258,22 @@ def budget(linear: ErrorPropagation, stated: TraceabilitySection, poses: PosesLi
         poses: Other poses at which the robot will be used.
     """
     fit = linear.fit
-    shares, freedom = (
-        prior_shares(fit.weighted_rows.posterior_information, fit.unknowns.prior),
-        fit.statistics.interval_freedom,
-    )
-    noise, prior, reading = (
-        linear.coordinate_rms(linear.noise),
-        fit.interval_factor * linear.coordinate_rms(shares),
-        fit.first_noise,
-    )
+    shares = prior_shares(fit.weighted_rows.posterior_information, fit.unknowns.prior)
+    freedom = fit.statistics.interval_freedom
+    noise, prior, reading = linear.coordinate_rms(linear.noise), linear.coordinate_rms(shares), fit.first_noise
     unit = {"length": "m", "angle": "rad"}.get(reading.group.part.dimension, "px")
     counted = "scatter of residuals" if fit.interval_factor == 1.0 else "scatter of residuals, and of regions"
+    by_noise = noise / reading.sigma if reading.sigma > 0 else 0.0
     rows = [
-        BudgetRow(
-            NOISE, reading.sigma, unit, _share_of_variance(noise, reading.sigma), noise, freedom, "A", True, counted
-        ),
-        BudgetRow(
-            PRIOR,
-            fit.interval_factor,
-            "1",
-            prior / fit.interval_factor,
-            prior,
-            math.inf,
-            "B",
-            True,
-            "sigma of the description",
-        ),
-        *(
-            [BudgetRow.direct(SIZES, linear.coordinate_rms(linear.sizes), freedom, _FOUND)]
-            if fit.unknowns.families
-            else []
-        ),
+        BudgetRow(NOISE, reading.sigma, unit, by_noise, counted, freedom, "A"),
+        BudgetRow(PRIOR, fit.interval_factor, "1", prior, "sigma of the description"),
         *_from_instrument(linear, stated),
         *_thermal(linear, stated),
     ]
+    if fit.unknowns.families:
+        rows.insert(2, BudgetRow.direct(SIZES, linear.coordinate_rms(linear.sizes), freedom, _FOUND))
     own = sum(row.contribution**2 for row in rows if row.quantity in (NOISE, PRIOR, SIZES))
     return Budget((*rows, *_robot_rows(fit, own, poses)))
-
-
-def _share_of_variance(contribution: float, uncertainty: float) -> float:
-    return contribution / uncertainty if uncertainty > 0 else 0.0
 
 
 def _from_instrument(linear: ErrorPropagation, stated: TraceabilitySection) -> list[BudgetRow]:
@@ -307,22 +284,21 @@ def _from_instrument(linear: ErrorPropagation, stated: TraceabilitySection) -> l
         columns = slice(_FIRST[each.quantity], _FIRST[each.quantity] + each.axes)
         if np.any(linear.systematic[:, columns]):
             u, per = getattr(instrument, each.attribute) / instrument.divisor, float(np.sqrt(np.sum(moved[columns])))
-            rows.append(BudgetRow(each.quantity, u, each.unit, per, per * u, math.inf, "B", True, source))
+            rows.append(BudgetRow(each.quantity, u, each.unit, per, source))
     axes = linear.systematic[:, _FIRST[OFFSET] : _FIRST[OFFSET] + 3]
     if np.any(axes):
         read, u = np.mean(np.sum((linear.derivative @ linear.parameter_response) ** 2, axis=1)), stated.target.centring
         per, note = float(np.sqrt(read * np.mean(axes**2) * 3.0)), "part of the noise as found: not counted again"
-        rows.append(BudgetRow(CENTRING, u, "m", per, per * u, math.inf, "B", False, note))
+        rows.append(BudgetRow(CENTRING, u, "m", per, note, counts=False))
     return rows
 
 
 def _thermal(linear: ErrorPropagation, stated: TraceabilitySection) -> list[BudgetRow]:
     heat, lever = stated.temperature, float(np.sqrt(np.mean(linear.lever**2)))
     by_kelvin, by_ratio = heat.expansion * lever, abs(heat.difference) * lever
-    u, v = heat.uncertainty, heat.expansion_uncertainty
     return [
-        BudgetRow(TEMPERATURE, u, "K", by_kelvin, by_kelvin * u, math.inf, "B", True, "expansion times lever"),
-        BudgetRow(EXPANSION, v, "1/K", by_ratio, by_ratio * v, math.inf, "B", True, "difference times lever"),
+        BudgetRow(TEMPERATURE, heat.uncertainty, "K", by_kelvin, "expansion times lever"),
+        BudgetRow(EXPANSION, heat.expansion_uncertainty, "1/K", by_ratio, "difference times lever"),
     ]
 
 
@@ -335,11 +311,9 @@ def _robot_rows(fit: JudgedFit, included: float, poses: PosesLike | None) -> lis
         rows.append(BudgetRow.direct(REPEATABILITY, scatter, float(freedom), note))
         included += scatter**2
     if claim is not None and claim.at_measured_poses.is_position:
-        total, n, note = (
-            claim.at_measured_poses.rms**2 / 3.0,
-            claim.at_measured_poses.n_poses,
-            "poses left out in turn; holds the noise there",
-        )
+        total = claim.at_measured_poses.rms**2 / 3.0
+        n = claim.at_measured_poses.n_poses
+        note = "poses left out in turn; holds the noise there"
     else:
         known_positions = fit.identification_uncertainty
         total, n = float(np.mean(known_positions.reported_distance**2)) / 3.0, fit.identification.data.n_poses

@@ -1,12 +1,9 @@
 """Pointing: directions in which a target's x axis looked, measured by stars or a plate solver.
 
 Let d be the unit vector of the azimuth and altitude that were read, turned from the measurement frame into the axes of
-the target (x forward, y to the left, z up). Both residuals are 0 without errors:
+the target (x forward, y to the left, z up). Residuals are angles on the sky, so that the zenith is not singular:
 
     left = atan2(d_y, d_x)      up = atan2(d_z, hypot(d_x, d_y))
-
-Azimuth counts from x of the measurement frame, clockwise seen from above as on a compass, or counterclockwise.
-Errors are angles on the sky, so that the zenith is not singular.
 
 When it fails. Directions do not determine lengths.
 """
@@ -26,13 +23,7 @@ from calib.core.instruments.relation import Relation
 
 
 class PointingSection(InstrumentSection):
-    """A mount that points.
-
-    Attributes:
-        target: Target that points along its x axis; the instrument's own name if left out.
-        azimuth: Sense of azimuths: `compass`, from x by way of -y; or `counterclockwise`, from x by way of y.
-        sigma: Noise of each of the two angles [rad].
-    """
+    """Its target points along x; azimuths count from x of the measurement frame, by way of -y on a `compass`."""
 
     target: str | None = None
     azimuth: Literal["compass", "counterclockwise"] = "compass"

@@ -111,7 +111,6 @@ def study(
         robot: The nominal robot, as every fit starts from it.
         poses: Poses to measure: poses with names, or joint values alone, (n, n_actuated) [m or rad]; of measurements,
             what was read at each.
-        draws: Number of calibrations.
         truth: The robot that is measured; `robot` itself if not given; `priors` for one whose parameters are drawn anew
             from the priors each time.
         resample: Simulate nothing: in each draw, as many poses of the measurements `poses` as there are, with

@@ -115,17 +115,3 @@ def names_of(contributions: Iterable[Contribution]) -> list[str]:
     """Return the names of contributions, in the order of the table."""
     chosen = set(contributions)
     return [own.value for own in Contribution if own in chosen]
-
-
-def markdown_table() -> str:
-    """Return the table of docs/uncertainty.md: mechanisms, and the numbers that contain them."""
-    numbers = list(Uncertainty)
-    lines = [
-        f"| mechanism | what it counts | {' | '.join(number.value for number in numbers)} |",
-        f"|---|---|{'|'.join(':-:' for _ in numbers)}|",
-    ]
-    for own in Contribution:
-        page = f"reference/api/calib.core.{own.module}.md"
-        marks = " | ".join("●" if number in own.numbers else "" for number in numbers)
-        lines.append(f"| [{own.value}]({page}) | {own.counts} | {marks} |")
-    return "\n".join(lines) + "\n"

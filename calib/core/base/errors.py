@@ -83,7 +83,6 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
     "; of 'elbow' there are: elbow.rz, elbow.x"
 
     Args:
-        name: The given name.
         valid: Accepted names.
         what: The words before the list.
     """
@@ -103,11 +102,16 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
     return f"; {what} {', '.join(names[:_LISTED])}{more}"
 
 
+def require_known(name: str, valid: Collection[str], message: str, error: type[Exception] = InputError) -> None:
+    """Raise an error with this beginning, the name and the `nearest` valid one, unless the name is valid."""
+    if name not in valid:
+        raise error(f"{message} '{name}'{nearest(name, valid)}")
+
+
 def nearest_column(name: str, columns: Collection[str], taken: Collection[str] = ()) -> str:
     """Return a hint for a column that a file lacks: the nearest one that it has, and all of them.
 
     Args:
-        name: The column.
         columns: Columns of the file.
         taken: Of these, columns that mean something else and are not offered.
     """

@@ -31,7 +31,6 @@ def read_bytes(path: Path | str, expected: str, error: type[CalibrationError]) -
     Args:
         path: The file; also a pipe.
         expected: Expected kind, such as `a CSV file`.
-        error: Class of the error.
 
     Raises:
         CalibrationError: Of the given type: missing, unreadable, or larger than 256 MB.
@@ -58,9 +57,7 @@ def read_text(path: Path | str, expected: str, error: type[CalibrationError], *,
     """Return the text of a file without byte order mark and with one kind of line ends.
 
     Args:
-        path: The file.
         expected: Expected content, for the error.
-        error: Class of the error.
         growing: Whether the file is still written: a last line without its end is left out.
     """
     content = read_bytes(path, expected, error)
@@ -110,7 +107,6 @@ def write_files(
     Each ends in a line that says who wrote it. Pipes and devices are written to as they are.
 
     Args:
-        files: Content by path.
         comment: How comments of these files begin, if not as in tables or XML; see `calib.core.base.own_files.signed`.
             None: they get no line; a manifest in their folder says who wrote them.
         inputs: Files that they were made from.
@@ -159,7 +155,6 @@ def check_folder(path: Path | str, names: Collection[str] = (), *, force: bool =
     """Raise `InputError` now if a result could not be written to the folder `path` later.
 
     Args:
-        path: The folder.
         names: Files that will be written, as far as they are known.
         force: See `write_folder`.
     """
@@ -205,8 +200,6 @@ def write_folder(
     manifest in it says what was written (`calib.core.base.own_files`).
 
     Args:
-        path: The folder.
-        files: Content by name.
         obsolete: Names of files that do not stay if they were there.
         inputs: Files that they were made from.
         force: Replace what this program did not write, or has read, all the same.

@@ -24,7 +24,7 @@ def visible(text: str) -> str:
     >>> visible("a\x1b[31mb")
     'a\\x1b[31mb'
     """
-    return text if text.isprintable() else "".join(map(_visible_letter, text))
+    return text if text.isprintable() else "".join(c if c.isprintable() or c in "\n\t" else _spell(c) for c in text)
 
 
 def unseen(name: str) -> str:
@@ -36,8 +36,8 @@ def unseen(name: str) -> str:
     found = None if name.isascii() and name.isprintable() else _IN_NAMES.search(name)
     if found is None:
         return ""
-    shown = _IN_NAMES.sub(_spell_letter, name[:_WORD_SHOWN])
-    return f"'{shown}' holds {_spell_letter(found)}, which nobody sees; write the name without it"
+    shown = _IN_NAMES.sub(lambda letter: _spell(letter[0]), name[:_WORD_SHOWN])
+    return f"'{shown}' holds {_spell(found[0])}, which nobody sees; write the name without it"
 
 
 def brief(text: str) -> str:
@@ -54,9 +54,5 @@ def _shorten(text: str, kept: int) -> str:
     return f"{text[:kept]}... ({len(text) - 2 * kept} further characters) ...{text[-kept:]}"
 
 
-def _spell_letter(letter: re.Match[str]) -> str:
-    return letter[0].encode("unicode_escape").decode()
-
-
-def _visible_letter(letter: str) -> str:
-    return letter if letter.isprintable() or letter in "\n\t" else letter.encode("unicode_escape").decode()
+def _spell(letter: str) -> str:
+    return letter.encode("unicode_escape").decode()

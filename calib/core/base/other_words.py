@@ -59,7 +59,6 @@ def hint_for(word: str, section: str) -> str:
     """Return the hint for a word that another package uses, as the end of a message; empty without one.
 
     Args:
-        word: The word.
         section: Where it is looked for, as the table has it.
     """
     row = _row(word, section, str) or _row(word, section, _plain)

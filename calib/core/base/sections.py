@@ -179,7 +179,6 @@ class OwnLength:
         """Return it as an unknown of an instrument; nothing if it is known.
 
         Args:
-            name: Name of the parameter.
             start: Nominal value where nothing is expected [m].
         """
         if not self.unknown:
@@ -289,7 +288,6 @@ def read_yaml(path: Path | str, what: str = "a robot description (YAML) or a URD
     """Read a YAML file.
 
     Args:
-        path: The file.
         what: Expected content, for messages.
 
     Raises:
@@ -300,10 +298,6 @@ def read_yaml(path: Path | str, what: str = "a robot description (YAML) or a URD
 
 def parse_yaml(text: str, where: Path | str) -> Any:
     """Return what YAML says.
-
-    Args:
-        text: The YAML.
-        where: Its file, for messages.
 
     Raises:
         DescriptionError: Broken YAML, or aliases that stand for very much; the message names the line.

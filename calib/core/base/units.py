@@ -59,7 +59,6 @@ def per_si(unit: str | None, dimension: Dimension, where: str, error: type[Excep
         unit: Unit name; None or "" means SI.
         dimension: Dimension that the unit must have.
         where: Thing that the unit belongs to, for the error message.
-        error: Class of the error to raise.
 
     Raises:
         InputError: Or the given `error`: the unit is not known, or has another dimension.

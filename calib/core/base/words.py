@@ -121,7 +121,6 @@ def text_table(
     Args:
         headers: Headers of its columns.
         left: Those of them whose cells stand on the left; numbers stand on the right.
-        title: Title above it.
         plain: Whether it has no lines.
     """
     style: dict[str, Any] = {"box": None, "pad_edge": False} if plain else {}

@@ -101,7 +101,7 @@ def _result(
                     " `if __name__ == '__main__':`"
                 ) from lost
             for other, sent in futures.items():
-                if _is_lost(sent):
+                if sent is not None and sent.done() and (sent.cancelled() or sent.exception() is not None):
                     futures[other] = _try_send(_plainly(executor, function), items[other])
             continue
         if succeeded:
@@ -138,10 +138,6 @@ def _answer(function: Callable[[Item], Result], item: Item) -> tuple[bool, Any]:
         return True, function(item)
     except Exception as error:
         return False, error
-
-
-def _is_lost(future: _Sent) -> bool:
-    return future is not None and future.done() and (future.cancelled() or future.exception() is not None)
 
 
 class Steps:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
+import numpy as np
 
+from calib.core.base.units import error_scale
 from calib.core.base.words import count_noun
 from calib.core.commands.common import (
     Output,
@@ -17,11 +17,9 @@ from calib.core.commands.common import (
     with_values,
 )
 from calib.core.data.measurement_files import format_positions, read_poses
-from calib.core.data.measurements import Poses
-from calib.core.judging.claim import ErrorElsewhere
+from calib.core.judging.claim import Claim
 from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
-from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 _FURTHER = 1.05
 """Ratio of errors expected at these poses to those at poses like those measured, from which both are reported."""
@@ -53,10 +51,14 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     if result:
         calibrated = load_result(result, nominal)
         known = calibrated.reported_uncertainty
-        text, summary, remark = _with_uncertainty(known, poses, comment)
+        predicted = known.predict(poses.joints, poses.conditions)
+        measured = predicted.measured or predicted  # positions are written as the instruments see them
+        text = format_positions(known.robot, poses, measured.positions, comment, measured.std)
+        summary = predicted.table() | {"worst_pose": poses.names[predicted.worst]}
         content["position_uncertainty"] = summary
-        content["claim"] = claim = calibrated.content["verdict"].get("claim")
-        content["expected"], expected = _expected_error(claim, summary)
+        content["claim"] = calibrated.content["verdict"].get("claim")
+        known_here = float(np.sqrt(np.mean(predicted.reported_distance**2)))
+        content["expected"], expected = _expected_error(calibrated.verdict.claim, known_here)
         content["beyond_curves"] = beyond = calibrated.remarks_beyond_curves(poses)
         remarks = remarks + beyond
     else:
@@ -69,34 +71,19 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
             output.say(expected)
         output.say(
             f"Positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
-            f" (pose {summary['worst_pose']}), {known.uncertainty.coverage_sentence}{remark}"
+            f" (pose {summary['worst_pose']}), {known.uncertainty.coverage_sentence}{predicted.remark()}"
         )
     output.json(content)
 
 
-def _expected_error(claim: dict[str, Any] | None, known: dict[str, Any]) -> tuple[dict[str, float] | None, str]:
-    """Return how far off the tool is at these poses, as data and in words; None, and nothing, where that is not known.
-
-    Args:
-        claim: The claim of the fit, as in `result.json`.
-        known: Summary of how well positions are known at these poses [mm].
-    """
-    if not claim or not claim.get("is_position") or None in (claim["limit95"], claim.get("known")):
+def _expected_error(claim: Claim | None, known: float) -> tuple[dict[str, float] | None, str]:
+    """How far off the tool is where positions are known to so many metres, as data and in words; None if unknown."""
+    if claim is None or not np.isfinite(claim.at_measured_poses.limit95 + claim.rms):
         return None, ""
-    here = ErrorElsewhere.from_claim(claim["rms"], claim["limit95"], claim["known"], known["rms"])
-    words = f"The real tool is within {here.limit95:.3g} {claim['unit']} of these positions, 95 % of the time"
+    here, scale = claim.error_at(known), error_scale("length")
+    words = f"The real tool is within {scale * here.limit95:.3g} mm of these positions, 95 % of the time"
     if here.times < _FURTHER:
-        words += f", {claim['region']}"
+        words += f", {claim.region}"
     else:
-        words += f". This is {here.times:.2g} times as far as {claim['region']}"
-    return {"rms": here.rms, "limit95": here.limit95, "times": here.times}, words
-
-
-def _with_uncertainty(
-    known: ReportedUncertainty, poses: Poses, comment: tuple[str, ...]
-) -> tuple[str, dict[str, Any], str]:
-    """Return the CSV text with standard deviations, their summary [mm], and what to add to it."""
-    predicted = known.predict(poses.joints, poses.conditions)
-    measured = predicted.measured or predicted  # positions are written as the instruments see them
-    text = format_positions(known.robot, poses, measured.positions, comment, measured.std)
-    return text, predicted.table() | {"worst_pose": poses.names[predicted.worst]}, predicted.remark()
+        words += f". This is {here.times:.2g} times as far as {claim.region}"
+    return {"rms": scale * here.rms, "limit95": scale * here.limit95, "times": here.times}, words

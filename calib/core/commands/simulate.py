@@ -100,8 +100,7 @@ def _camera(robot: Robot) -> Pixel:
     if len(cameras) != 1:
         raise InputError(
             f"{robot.path}: has {count_noun(len(cameras), 'camera')} that can photograph; --photographs needs one,"
-            f" whose"
-            " 'board' and 'image' are stated"
+            " whose 'board' and 'image' are stated"
         )
     return cameras[0]
 

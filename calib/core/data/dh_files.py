@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from calib.core.base.errors import DataError, nearest
+from calib.core.base.errors import DataError, nearest, require_known
 from calib.core.base.units import DISPLAY_UNIT, PER_SI, Dimension, per_si, quantity
 from calib.core.data.table_writing import format_table
 from calib.core.data.tables import Table, check_plausible, read_number, read_table
@@ -30,7 +30,6 @@ def read_dh(path: Path | str, convention: str | None = None) -> DhTable:
     """Read a table.
 
     Args:
-        path: The file.
         convention: `standard` or `modified`; if not given, the file must say it.
 
     Raises:
@@ -38,8 +37,7 @@ def read_dh(path: Path | str, convention: str | None = None) -> DhTable:
     """
     table = read_table(path)
     for name in table.names:
-        if name not in _COLUMNS:
-            raise DataError(f"{path}: unknown column '{name}'{nearest(name, _COLUMNS)}")
+        require_known(name, _COLUMNS, f"{path}: unknown column", DataError)
     for name in _NEEDED:
         if name not in table.names:
             raise DataError(
@@ -77,8 +75,7 @@ def format_dh(table: DhTable, comments: Sequence[str] = ()) -> str:
 def _convention(table: Table, given: str | None) -> Convention:
     marked = [text.removeprefix(_MARK).strip() for text in table.comments if text.startswith(_MARK)]
     for word in [*marked, *([given] if given else [])]:
-        if word not in CONVENTIONS:
-            raise DataError(f"{table.path}: unknown convention '{word}'{nearest(word, CONVENTIONS)}")
+        require_known(word, CONVENTIONS, f"{table.path}: unknown convention", DataError)
         if given and word != given:
             raise DataError(
                 f"{table.path}: says 'convention: {word}', but --convention is {given}; correct one of them"

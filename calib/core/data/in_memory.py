@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DataError, InputError, nearest
+from calib.core.base.errors import DataError, InputError, require_known
 from calib.core.base.letters import unseen
 from calib.core.data.joining import join_measurements
 from calib.core.data.measurement_files import read_measurements, sources
@@ -92,10 +92,7 @@ def as_measurements(
         readings = _positions_by_instrument(robot, len(poses), readings)
     readings_by_name: dict[str, Readings] = {}
     for name, given in readings.items():
-        if name not in [instrument.name for instrument in robot.instruments]:
-            raise DataError(
-                f"no instrument '{name}'{nearest(name, [instrument.name for instrument in robot.instruments])}"
-            )
+        require_known(name, [instrument.name for instrument in robot.instruments], "no instrument", DataError)
         instrument = robot.instrument(name)
         if isinstance(given, Readings):
             readings_by_name[name] = given
@@ -129,7 +126,6 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
 
     Args:
         robot: Its instruments say what else is read, and how well that is known.
-        data: The measurements.
         sigma: Standard deviation per axis of what was read in each row, (n,) or (n, 3) [m].
 
     Raises:

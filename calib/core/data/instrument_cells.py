@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.base.errors import DataError, nearest, nearest_column
+from calib.core.base.errors import DataError, nearest, nearest_column, require_known
 from calib.core.base.units import Dimension
 from calib.core.data.measurement_columns import correlation_columns, std_columns
 from calib.core.data.measurements import setup_pairs
@@ -41,9 +41,7 @@ def readings_in(
     """Return the readings of an instrument in the rows of a table.
 
     Args:
-        robot: The robot.
         instrument: One of its instruments.
-        table: The table.
         rows: Visit of each row, (n_table_rows,).
         own_lines: Whether readings keep their file and line, because other files have the joint values.
 
@@ -127,8 +125,7 @@ def setups_of(robot: Robot, table: Table) -> IntArray:
         raise DataError(f"{table.path}: no column 'setup'; the description names the setups {', '.join(names)}")
     numbers = []
     for line, text in zip(table.lines, table.text("setup"), strict=True):
-        if text not in names:
-            raise DataError(f"{table.path}, line {line}, column 'setup': no setup '{text}'{nearest(text, names)}")
+        require_known(text, names, f"{table.path}, line {line}, column 'setup': no setup", DataError)
         numbers.append(names.index(text))
     return np.array(numbers, dtype=np.intp)
 

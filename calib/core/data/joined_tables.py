@@ -32,15 +32,10 @@ def join_by_pose_column(tables: Sequence[Table], robot: Robot) -> list[Table]:
     leaders = [table for table in tables if joints <= set(table.names)]
     if len(leaders) != 1:
         raise DataError(f"{tables[0].path}: join: {how} needs one file with joint values, not {len(leaders)}")
+    every, leader = np.arange(len(leaders[0].rows)), leaders[0]
     return [
-        _with_pose_numbers(leaders[0]) if table is leaders[0] else _follower(table, leaders[0], robot)
-        for table in tables
+        _with_poses(table, every, every) if table is leader else _follower(table, leader, robot) for table in tables
     ]
-
-
-def _with_pose_numbers(table: Table) -> Table:
-    """The table with its poses counted from 1."""
-    return _with_poses(table, np.arange(len(table.rows)), np.arange(len(table.rows)))
 
 
 def _follower(table: Table, leader: Table, robot: Robot) -> Table:

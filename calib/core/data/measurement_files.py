@@ -16,7 +16,7 @@ from typing import cast
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.errors import DataError, InputError, listed_columns, nearest
+from calib.core.base.errors import DataError, InputError, listed_columns, nearest, require_known
 from calib.core.data.instrument_cells import (
     columns_in,
     labels_of_rows,
@@ -139,7 +139,6 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     """Return the visits of a table; where it does not name its poses, they are counted on from `first`.
 
     Args:
-        table: The table.
         robot: Robot with these joints.
         used: Columns that something is read from, other than joints and conditions of a visit.
         first: Visits before the first row.
@@ -279,7 +278,6 @@ def conditions_of_table(
     """Return the conditions of the robot in each row of a table.
 
     Args:
-        table: The table.
         robot: Its terms say what they depend on.
         joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then what
             their order would tell counts as nothing.
@@ -336,11 +334,9 @@ def _visits_by_pose(table: Table, poses: Poses) -> IntArray:
     first = dict(zip(poses.names[::-1], range(len(poses) - 1, -1, -1), strict=True))
     rows = []
     for line, name in zip(table.lines, table.text("pose"), strict=True):
-        if name not in first:
-            raise DataError(
-                f"{table.path}, line {line}, column 'pose': no file with joint values has a pose '{name}'"
-                f"{nearest(name, first)}"
-            )
+        require_known(
+            name, first, f"{table.path}, line {line}, column 'pose': no file with joint values has a pose", DataError
+        )
         rows.append(first[name])
     return np.array(rows, dtype=np.intp)
 

@@ -245,7 +245,6 @@ class Measurements(Poses):
 
         Args:
             validation: Part of the poses to hold out, between 0 and 1.
-            seed: Seed of the random choice.
 
         Returns:
             Measurements to identify with, and to validate with, both in file order.

@@ -21,7 +21,6 @@ def read_parameters(path: Path | str, robot: RobotLike, *, complete: bool = Fals
     """Read parameter values in SI by name; parameters that the file does not name are absent.
 
     Args:
-        path: The file.
         robot: Robot with these parameters; loaded, or its description or URDF.
         complete: Whether a parameter that the file does not name is an error.
 

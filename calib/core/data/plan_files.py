@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, IntArray
-from calib.core.base.errors import DataError, nearest
+from calib.core.base.errors import DataError, require_known
 from calib.core.data.instrument_cells import columns_in
 from calib.core.data.measurement_files import poses_of_table, read_measurements
 from calib.core.data.measurements import Poses, check_repeats, setup_pairs
@@ -64,7 +64,6 @@ def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None =
 
     Args:
         paths: The file; several are measurements that belong together.
-        robot: The robot.
         table: Content of a single file, if it was read before.
 
     Raises:
@@ -111,12 +110,9 @@ def _reading(robot: Robot, table: Table) -> dict[str, BoolArray]:
     result = {name: np.ones(n, dtype=bool) for name in names}
     for k, cell in enumerate(_instrument_cells(robot, table)):
         named = [name.strip() for name in cell.split(TOGETHER)] if cell else names
-        unknown = next((name for name in named if name not in names), None)
-        if unknown is not None:
-            raise DataError(
-                f"{table.path}, line {table.lines[k]}, column '{INSTRUMENT}': no instrument '{unknown:.60}'"
-                f"{nearest(unknown, names)}"
-            )
+        for name in named:
+            lacks = f"{table.path}, line {table.lines[k]}, column '{INSTRUMENT}': no instrument"
+            require_known(name, names, lacks, DataError)
         for name in names:
             result[name][k] = name in named
     return result

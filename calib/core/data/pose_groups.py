@@ -84,7 +84,6 @@ def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[Int
     Args:
         joints: Joint values, (n, n_actuated) [m or rad].
         by_name: A number for each row, the same for those of one pose name, (n,).
-        seed: Seed of the order.
     """
     groups = repeated_poses(joints, by_name)
     return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]

@@ -34,7 +34,6 @@ def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | N
 
     Args:
         source: The file or the table in memory.
-        robot: The robot.
         growing: Lines so far of a file that is still written.
 
     Raises:
@@ -42,7 +41,8 @@ def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | N
             units are; or blanks separate the columns.
     """
     table = read_table(source, robot.description.columns, growing=growing)
-    _check_separator(robot, table)
+    if len(table.names) == 1 and table.names[0] not in robot.joint_names and len(table.rows[0][0].split()) > 1:
+        raise DataError(f"{table.path}: blanks separate the columns; write commas, semicolons or tabs between them")
     _check_units(robot, table)
     guessed = _joints(robot, table) | _positions(robot, table)
     spread = _deviation_columns(robot, table, guessed)
@@ -72,12 +72,6 @@ def _deviation_columns(robot: Robot, table: Table, guessed: Mapping[str, str]) -
     if not set(columns) <= {*table.names, *guessed.values()}:
         return {}
     return {name: f"{reading[0].name}_std_{axis}" for name, axis in found.items()}
-
-
-def _check_separator(robot: Robot, table: Table) -> None:
-    """Raise `DataError` if blanks separate the columns."""
-    if len(table.names) == 1 and table.names[0] not in robot.joint_names and len(table.rows[0][0].split()) > 1:
-        raise DataError(f"{table.path}: blanks separate the columns; write commas, semicolons or tabs between them")
 
 
 def _check_units(robot: Robot, table: Table) -> None:

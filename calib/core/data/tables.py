@@ -100,7 +100,6 @@ class Table:
         """Return a column of numbers in SI, (n_rows,).
 
         Args:
-            name: The column.
             dimension: Its dimension; None: pure numbers.
             gaps: Whether cells may be empty; these are NaN.
 
@@ -181,8 +180,6 @@ def read_number(cell: str, where: str, separator: str = ",") -> float:
     """Read the number in a cell.
 
     Args:
-        cell: Its text.
-        where: For the message.
         separator: Separator of cells; if that is not the comma, the comma may be the decimal mark.
 
     Raises:
@@ -210,9 +207,6 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
     """Raise `DataError` if a number without a unit is so large that it cannot be SI.
 
     Args:
-        value: The number [m or rad].
-        dimension: Its dimension.
-        where: For the message.
         place: Place for the unit, such as `into the header`.
     """
     if dimension not in _SUSPICIOUS:

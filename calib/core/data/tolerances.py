@@ -30,12 +30,9 @@ def stated_tolerance(comments: Iterable[str], path: str) -> float | None:
             continue
         if key.casefold() != _KEY:
             raise DataError(f"{path}: comment '{key}: {text}': did you mean '{_KEY}'?")
-        found.append(_length(text, f"{path}: comment '{key}: {text}'"))
+        where = f"{path}: comment '{key}: {text}'"
+        size = quantity(text, "length", where, DataError) if re.search(r"[^\d.eE+-]", text) else 0.0
+        if size <= 0:
+            raise DataError(f"{where}: is not a length with a unit; write '# {_KEY}: 0.1 mm', or leave the line out")
+        found.append(size)
     return min(found, default=None)
-
-
-def _length(text: str, where: str) -> float:
-    size = quantity(text, "length", where, DataError) if re.search(r"[^\d.eE+-]", text) else 0.0
-    if size <= 0:
-        raise DataError(f"{where}: is not a length with a unit; write '# {_KEY}: 0.1 mm', or leave the line out")
-    return size

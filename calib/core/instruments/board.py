@@ -221,6 +221,11 @@ def read_board(text: str, where: str, folder: Path | None = None) -> Board:
         inner = content.get("board") if isinstance(content, dict) else None
         if isinstance(content, dict) and "target_type" in content:
             return validate_board(_board_of_kalibr(content, str(path)), str(path))
+        target = content.get("target_finder", content) if isinstance(content, dict) else None
+        if isinstance(target, dict) and {"rows", "cols", "spacing"} <= set(target):
+            # ROS-Industrial's grid: its larger dot is at the bottom left, ours at the top left: a quarter turn
+            grid = {"kind": "dots", "columns": target["rows"], "rows": target["cols"], "spacing": target["spacing"]}
+            return validate_board(grid, str(path))
         return validate_board(inner if isinstance(inner, dict) else content, str(path))
     if not colon and kind not in BOARD_KINDS:
         raise DescriptionError(f"{where}: is neither a YAML file nor a kind of board{nearest(kind, BOARD_KINDS)}")
@@ -251,10 +256,16 @@ def _board_of_kalibr(content: dict[str, Any], where: str) -> dict[str, Any]:
             "rows": int(content["targetRows"]) + 1,
             "square": content["rowSpacingMeters"],
         }
+    dots = ("targetCols", "targetRows", "spacingMeters")
+    if kind == "circlegrid" and content.get("asymmetricGrid") and all(key in content for key in dots):
+        columns, rows, spacing = (content[key] for key in dots)
+        return {"kind": "circles", "columns": columns, "rows": rows, "spacing": spacing}
     if kind != "aprilgrid" or not all(isinstance(content.get(key), (int, float)) for key in keys):
         raise DescriptionError(
-            f"{where}: is a target file of Kalibr, of which aprilgrid ({', '.join(keys)}) and checkerboard"
-            f" ({', '.join(counts)}) are read; write this one as kind, columns, rows and sizes"
+            f"{where}: is a target file of Kalibr, of which aprilgrid ({', '.join(keys)}), checkerboard"
+            f" ({', '.join(counts)}) and asymmetric circlegrid ({', '.join(dots)}) are read; write this one as kind,"
+            " columns, rows and sizes. A symmetric grid looks the same after a turn, unless the dot of one corner is"
+            " larger (kind dots)"
         )
     columns, rows, size, spacing = (content[key] for key in keys)
     return {

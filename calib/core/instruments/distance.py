@@ -14,52 +14,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from pydantic import model_validator
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, DataError
 from calib.core.base.sections import (
     KNOWN_ZERO,
-    LENGTH_COMPONENTS,
-    Length,
     LengthOrUnknown,
     OwnLength,
     PositiveLength,
-    Section,
 )
 from calib.core.base.units import micrometres, millimetres
-from calib.core.instruments.kind import Comparison, Guess, InstrumentSection, Part, Place, Readings, Scene, View
+from calib.core.instruments.kind import Comparison, Guess, InstrumentSection, Part, Readings, Scene, View
 from calib.core.instruments.noise import Noise, PartNoise
-from calib.core.instruments.relation import Relation
+from calib.core.instruments.relation import RelatedSection, Relation
 from calib.core.numerics.rigid import centre, common_offset
 
 DISTANCE = Part("distance", ("distance",), "length", is_distance=True)
 _NOTHING = 1e-6  # distance that has no direction [m]
-
-
-class EndSection(Section):
-    """The fixed point that distances are measured from.
-
-    Attributes:
-        frame: Link that it is fixed to.
-        xyz: Its position in that link [m].
-        position: `known`: it is there; `unknown`: found from the measurements.
-        sigma: Expected distance of an unknown one from `xyz`, one standard deviation [m]; left out, `xyz` says nothing.
-    """
-
-    frame: str
-    xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
-    position: Literal["known", "unknown"] = "known"
-    sigma: PositiveLength | None = None
-
-    @model_validator(mode="after")
-    def _sigma_of_unknown(self) -> EndSection:
-        if self.sigma is not None and self.position == "known":
-            raise ValueError("sigma is for a point whose position is unknown")
-        return self
 
 
 class DistanceSection(InstrumentSection):
@@ -73,7 +46,7 @@ class DistanceSection(InstrumentSection):
     """
 
     target: str | None = None
-    end: EndSection | None = None
+    end: RelatedSection | None = None
     offset: LengthOrUnknown = KNOWN_ZERO
     sigma: PositiveLength | None = None
 
@@ -89,10 +62,7 @@ class Distance(Relation):
     @classmethod
     def from_section(cls, name: str, section: DistanceSection) -> Distance:
         """Return the instrument that an entry of a robot description means."""
-        end, own = section.end, tuple[Place, ...]()
-        if end is not None:
-            unknown = LENGTH_COMPONENTS if end.position == "unknown" else ()
-            own = (Place(f"{name}_end", end.frame, end.xyz, unknown=unknown, sigma=end.sigma),)
+        own = () if section.end is None else (section.end.place(f"{name}_end"),)
         unknowns = section.offset.parameters(f"{name}.offset")
         noise = Noise((PartNoise.from_sigma(section.sigma, 1),))
         return cls(name, section.target or name, own, section.offset, noise=noise, unknowns=unknowns)

@@ -11,8 +11,8 @@ Derivatives are central differences of fourth order, whose error, h^4 of truncat
 h = 1e-4 for frames that are a metre apart.
 
 First values are least squares over the open places and the unknown numbers, with the robot as it is, from where they
-are said to be and, where the orientation of a place is not known, from the rotations of a cube. What the readings do
-not tell stays there.
+are said to be and, where the pose of a place is not known, from the rotations of a cube. What the readings do not tell
+stays there, the target more than places.
 
 When it fails. A target that is nearer than a millimetre to where f has no derivative; places that readings of so rough
 a robot do not tell apart.
@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+import pinocchio as pin
 import scipy
 from scipy.spatial.transform import Rotation
 
@@ -38,8 +39,9 @@ from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Gue
 _STEP = 1e-4  # m, rad; of unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
 _ROUNDING = 1e-11  # part of the largest derivative that counts as none
-_STAY = 1e-3  # weight of leaving where a place is said to be by its scale, against the median residual
+_STAY, _STAY_TARGET = 1e-3, 0.1  # weights of leaving where a place, or the target, is said to be
 _FEW = 60  # readings from which starts are compared
+_LOST = 5  # unknown components of a place that may be turned in any way
 _TRIED, _IMPROVED = 5, 50  # evaluations of a start, and of the best ones
 _KEPT = 3
 
@@ -169,13 +171,16 @@ class Relation(FrameInstrument):
         return tuple(guess for _, guess in best)
 
     def _starts(self, scene: Scene, names: list[str]) -> Iterator[Guess]:
-        """Places as described; without an expected orientation, turned in each of a cube's ways."""
+        """Places as described; without an expected orientation, turned in each of a cube's ways that are free."""
         places = {name: scene.places[name] for name in names}
         yield Guess(places, scene.unknowns)
         sigmas = {place.name: place.sigma_angle for place in self.own}
         for name in names:
-            if set(ANGLE_COMPONENTS) <= set(scene.unknown[name]) and sigmas.get(name) is None:
+            held = [k for k, part in enumerate(ANGLE_COMPONENTS) if part not in scene.unknown[name]]
+            if len(scene.unknown[name]) >= _LOST and sigmas.get(name) is None:
                 for turn in cube_rotations()[1:]:
+                    if np.any(np.abs(Rotation.from_matrix(turn).as_rotvec()[held]) > _STEP):
+                        continue
                     turned = places[name].copy()
                     turned[:3, :3] = turned[:3, :3] @ turn
                     yield Guess(places | {name: turned}, scene.unknowns)
@@ -197,7 +202,7 @@ def _refine_guess(
         for name, step in steps.items():
             places[name] = places[name].copy()
             places[name][:3, 3] += step[:3]
-            places[name][:3, :3] = places[name][:3, :3] @ Rotation.from_rotvec(step[3:]).as_matrix()
+            places[name][:3, :3] = places[name][:3, :3] @ pin.exp3(step[3:])
         assert start.unknowns is not None  # of `_starts`
         return Guess(places, start.unknowns + scales * x[:n_own])
 
@@ -210,8 +215,9 @@ def _refine_guess(
         return np.nan_to_num(result.ravel())
 
     zero = np.zeros(n_own + len(open_))
+    stay = np.array([_STAY] * n_own + [_STAY_TARGET if name == kind.target else _STAY for name, _ in open_])
     scale = max(float(np.median(np.abs(misses(zero)))), 1e-6)
     fitted = scipy.optimize.least_squares(
-        lambda x: np.concatenate([misses(x) / scale, _STAY * x]), zero, loss="soft_l1", max_nfev=most
+        lambda x: np.concatenate([misses(x) / scale, stay * x]), zero, loss="soft_l1", max_nfev=most
     ).x
     return float(np.sum(np.sqrt(np.abs(misses(fitted))))), guess_at(fitted)

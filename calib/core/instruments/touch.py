@@ -8,12 +8,8 @@ tolerance is stated, and radii r of the ball and R of the sphere:
     plane    p_z - r                       one row; the ball is on the side where z > 0
     sphere   |p - c - e| - (R + r)         one row
 
-Where the places are, and the ball on its link, is mostly not known. First values: sockets and ball solve a linear
-system, R_k t + t_k = s in every pose (R_k, t_k) of the ball's link; an artefact is then laid onto its sockets; planes
-and spheres are laid through the ball's centres.
-
-When it fails. A ball whose link hardly turns is not distinguished from the sockets: the linear system keeps it near
-where the description has it. A turn about the line of all points of an artefact moves none of them and is not free.
+When it fails. A ball whose link hardly turns is not distinguished from the sockets: first values keep it near where the
+description has it. A turn about the line of all points of an artefact moves none of them and is not free.
 """
 
 from __future__ import annotations
@@ -27,10 +23,9 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.parameter import Parameter
 from calib.core.base.sections import LENGTH_COMPONENTS, OwnLength
 from calib.core.instruments.distance import distances
-from calib.core.instruments.kind import Comparison, Guess, Part, Readings, Scene, View
+from calib.core.instruments.kind import Comparison, Part, Readings, View
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.instruments.relation import Relation
-from calib.core.instruments.touch_places import first_touches
 from calib.core.instruments.touch_sections import Surface, TouchSection
 
 _PARTS: dict[Surface, Part] = {
@@ -154,10 +149,6 @@ class Touch(Relation):
         number = self.radius_unknown(which)
         stated = known[self.pair_of(which)]
         return np.where(number >= 0, np.append(unknowns, 0.0)[number], stated)
-
-    def first_values(self, scene: Scene) -> tuple[Guess, ...]:
-        """Return places of what is touched, and of the ball, as the module docstring says."""
-        return (first_touches(self, scene),) if len(scene.readings) else ()
 
 
 def _tolerances(

@@ -34,6 +34,10 @@ there tell as much as k, the number of parameters that the calibration decided: 
 off there as if k of the N rows used had decided them: N / k times C. If the readings agree by this, nothing says that
 the robot has changed, and the verdict is about the poses. If a change stands out even so, the robot has drifted.
 
+Few readings. With m degrees of freedom, errors s times as large as expected are seen with a chance of 90 % if s^2 times
+the 10 % point of F(m, nu) reaches its limit: 1.6 times with 30, 22 times with one. Readings that would not even show
+errors `TELLING` times as large agree with anything: then the verdict is that they are too few.
+
 Millimetres. The mean square of distances sums squares of unequal size. It is judged as an F of the same mean and
 variance, at a chance of 0.1 %, so that no verdict contradicts the distances shown with it.
 
@@ -46,6 +50,7 @@ are not distinguished: that is a new calibration's work.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,12 +61,23 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.data.in_memory import MeasurementsLike, PosesLike, as_measurements, as_poses
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
-from calib.core.judging.promise import Change, HasPromise, Promise, System, candidates, six_digits, without_outliers
+from calib.core.judging.promise import (
+    POWER,
+    Change,
+    HasPromise,
+    Promise,
+    System,
+    candidates,
+    six_digits,
+    without_outliers,
+)
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.settling import poses_that_settle
 from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.rows.simulate import simulate
 
+TELLING = 3.0
+"""Errors over those expected that readings must show, to agree with a calibration."""
 _LEVEL = FALSE_ALARM / 2  # level of each of two tests
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
@@ -71,10 +87,11 @@ class Acceptance:
     """Verdict of new measurements on a calibrated robot.
 
     Attributes:
-        verdict: `agrees`, `drifted`, `noisier`, `unlike poses` or `calibrate again`.
+        verdict: `agrees`, `drifted`, `noisier`, `unlike poses`, `too few readings` or `calibrate again`.
         ratio: Root mean square whitened residual, expected: 1; it decides the verdict. It weights each direction by
             its uncertainty.
         low95, high95: Limits of the ratio in 95 of 100 cases, if the robot is as calibrated.
+        detectable: Smallest ratio of real errors to those expected that is seen with the chance `POWER`.
         p_value: Chance of so large a ratio, if the robot is as calibrated.
         p_drift: Chance of so large a largest change of a single parameter, if the robot is as calibrated.
         p_rest: Chance of so large residuals after that change.
@@ -98,6 +115,7 @@ class Acceptance:
     ratio: float
     low95: float
     high95: float
+    detectable: float
     p_value: float
     p_drift: float
     p_rest: float
@@ -121,14 +139,11 @@ class Acceptance:
         )
 
     def __str__(self) -> str:
-        following = (
-            "go on using the robot" if self.verdict == "agrees" else "calib.fit(robot, data) of new measurements"
-        )
+        following = {"agrees": "go on using the robot", "too few readings": "measure more poses"}
         return (
-            f"{repr(self)[1:-1]}\n"
-            "Inside: verdict, p_value; errors, at the new poses; changes, of which each could explain the readings;"
-            " outliers\n"
-            f"Next: {following}"
+            f"{repr(self)[1:-1]}\nInside: verdict, p_value; errors, at the new poses; changes, of which each could"
+            " explain the readings; outliers\n"
+            f"Next: {following.get(self.verdict, 'calib.fit(robot, data) of new measurements')}"
         )
 
 
@@ -163,14 +178,18 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
             unlike, system = True, system.with_common_error(system.errors.data, same_setup)
             tests = _Tests.from_system(system)
             verdict = tests.verdict_of_unexplained if tests.fail else "unlike poses"
-    low, high = scipy.special.fdtri(tests.independent, promise.freedom, [0.025, 0.975])
-    changes = tests.changes
-    again = () if verdict in ("agrees", "noisier") or not changes else poses_that_settle(promise, changes[0])
+    by_chance = [1.0 - POWER, 0.025, 0.975, 1.0 - _LEVEL]
+    missed, low, high, limit = np.sqrt(scipy.special.fdtri(tests.independent, promise.freedom, by_chance)).tolist()
+    if verdict == "agrees" and limit > TELLING * missed:
+        verdict = "too few readings"
+    changes, settled = tests.changes, verdict in ("agrees", "noisier", "too few readings")
+    again = () if settled or not changes else poses_that_settle(promise, changes[0])
     return Acceptance(
         verdict,
         float(np.sqrt(system.square / system.freedom)),
-        float(np.sqrt(low)),
-        float(np.sqrt(high)),
+        low,
+        high,
+        limit / missed,
         tests.p_value,
         tests.p_drift,
         tests.p_rest,
@@ -279,6 +298,9 @@ def poses_needed(
     """
     promise = Promise.from_calibration(calibrated)
     planned = as_poses(promise.robot, poses)
+    names = [c.name for c in candidates(promise.robot)]
+    if name not in names:
+        raise DataError(f"'{name}' is no parameter or joint zero that can change{nearest(name, names)}")
     if not (np.isfinite(size) and size != 0):
         raise DataError(f"change of '{name}': {size:g} is not a change; give a number other than zero")
 
@@ -289,16 +311,8 @@ def poses_needed(
             return False
         return any(c.name == name and c.visible <= abs(size) for c in changes)
 
-    names = [c.name for c in candidates(promise.robot)]
-    if name not in names:
-        raise DataError(f"'{name}' is no parameter or joint zero that can change{nearest(name, names)}")
-    if not shows(len(planned)):
-        return None
-    low, high = 0, len(planned)  # more poses show more
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if shows(middle) else (middle, high)
-    return high
+    needed = 1 + bisect_left(range(1, len(planned) + 1), True, key=shows)  # more poses show more
+    return needed if needed <= len(planned) else None
 
 
 def _is_noise(promise: Promise, system: System) -> bool:

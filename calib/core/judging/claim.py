@@ -89,25 +89,13 @@ class ErrorElsewhere:
     """Expected error of a robot at other poses than those measured.
 
     Attributes:
-        rms, limit95: Root mean square and 95 % limit of the error, in the unit of the claim.
+        rms, limit95: Root mean square and 95 % limit of the error [m].
         times: Ratio to the error at the poses measured.
     """
 
     rms: float
     limit95: float
     times: float
-
-    @staticmethod
-    def from_claim(rms: float, limit95: float, known: float, known_there: float) -> ErrorElsewhere:
-        """Return it by the module docstring.
-
-        Args:
-            rms, limit95: Claimed at the poses measured.
-            known: Root mean square to which positions are known there.
-            known_there: The same at the other poses. All in one unit.
-        """
-        times = float(np.sqrt(1.0 + max(known_there**2 - known**2, 0.0) / rms**2))
-        return ErrorElsewhere(times * rms, times * limit95, times)
 
 
 @dataclass(frozen=True)
@@ -156,7 +144,9 @@ class Claim:
 
     def error_at(self, known: float) -> ErrorElsewhere:
         """Return the expected error at poses where positions are known to `rms` (root mean square) [m]."""
-        return ErrorElsewhere.from_claim(self.at_measured_poses.rms, self.at_measured_poses.limit95, self.rms, known)
+        rms = self.at_measured_poses.rms
+        times = float(np.sqrt(1.0 + max(known**2 - self.rms**2, 0.0) / rms**2))
+        return ErrorElsewhere(times * rms, times * self.at_measured_poses.limit95, times)
 
     @property
     def contains(self) -> Contributions:
@@ -180,9 +170,8 @@ class Claim:
         else:
             off = f"off by {measured.in_unit(measured.rms)} RMS, {self.region}"
         shown = "".join(
-            f" At {seen.accuracy.pose_words}: RMS {seen.accuracy.in_unit(seen.accuracy.rms)},"
-            f" {kept.in_unit(kept.rms)} without"
-            " outliers."
+            f" At {seen.accuracy.pose_words}: RMS {seen.accuracy.in_unit(seen.accuracy.rms)}, {kept.in_unit(kept.rms)}"
+            " without outliers."
             for seen in self.unused
             if (kept := seen.without_outliers)
         )

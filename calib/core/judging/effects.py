@@ -82,6 +82,11 @@ class EffectSetting:
         """Changes of the rows for an error of 1 of each joint, (n_rows, n_actuated)."""
         return self.whiten(self.fit.joint_derivative)
 
+    @cached_property
+    def frame_columns(self) -> FloatArray:
+        """Changes of the rows for shifts and turns of the measurement frame, and for its lengths, (n_rows, 7)."""
+        return self.whiten(_frame_columns(self))
+
     def size(self, rows: FloatArray) -> FloatArray:
         """Return the root mean square of whitened rows (n_rows, k) over the readings of `dimension`, (k,) [SI]."""
         layout, whole = self.fit.whitening.layout, rows if self._weighing is None else self._weighing.unwhiten(rows)
@@ -223,7 +228,7 @@ def effects(setting: EffectSetting) -> Iterator[Effects]:
 
 def scale(setting: EffectSetting) -> FloatArray:
     """Return the change of the rows if every length is read too long, (n_rows, 1) for a part of 1."""
-    return setting.whiten({name: -lengths for name, lengths in _lengths(setting).items()})
+    return -setting.frame_columns[:, 6:]
 
 
 def gains(setting: EffectSetting) -> FloatArray:
@@ -232,7 +237,7 @@ def gains(setting: EffectSetting) -> FloatArray:
 
 
 def _frame_effects(setting: EffectSetting) -> Iterator[Effects]:
-    shifts, turns = setting.whiten(_shifts(setting)), setting.whiten(_turns(setting))
+    shifts, turns = setting.frame_columns[:, :3], setting.frame_columns[:, 3:6]
     lengths, visit = scale(setting), setting.visit
     for axis, name in enumerate("xyz"):
         yield Effects(Kind.AXIS, name, shifts[:, axis : axis + 1], visit)
@@ -289,39 +294,23 @@ def _position_rows(instrument: Instrument) -> list[int]:
     return [k for k, part in enumerate(instrument.part_of_row) if instrument.parts[part].is_position]
 
 
-def _shifts(setting: EffectSetting) -> dict[str, FloatArray]:
-    """Derivative of readings by shifts of the measurement frame along x, y and z, (n, n_rows, 3) each."""
-    result: dict[str, FloatArray] = {}
+def _frame_columns(setting: EffectSetting) -> dict[str, FloatArray]:
+    """Derivative of readings by shifts along x, y, z, turns about them, and the size of lengths, (n, n_rows, 7) each.
+
+    The lengths are distances, and positions from the middle of the points.
+    """
+    result, points = dict[str, FloatArray](), _points(setting)
     for name, readings in setting.data.readings.items():
         instrument = setting.fit.robot.instrument(name)
-        result[name] = np.zeros((len(readings), instrument.n_rows, 3))
+        result[name] = columns = np.zeros((len(readings), instrument.n_rows, 7))
         rows = _position_rows(instrument)
         if len(rows) == 3:
-            result[name][:, rows] = np.eye(3)
-    return result
-
-
-def _turns(setting: EffectSetting) -> dict[str, FloatArray]:
-    """Derivative of readings by turns of the measurement frame, (n, n_rows, 3) [m per rad] each."""
-    result, points = _shifts(setting), _points(setting)
-    for name, arms in points.items():
-        rows = _position_rows(setting.fit.robot.instrument(name))
-        for axis, direction in enumerate(np.eye(3)):
-            result[name][:, rows, axis] = np.cross(arms, direction)
-    return result
-
-
-def _lengths(setting: EffectSetting) -> dict[str, FloatArray]:
-    """The lengths that were read, (n, n_rows, 1) [m]: distances, and positions from the middle of the points."""
-    points = _points(setting)
-    result: dict[str, FloatArray] = {}
-    for name, readings in setting.data.readings.items():
-        instrument = setting.fit.robot.instrument(name)
-        result[name] = np.zeros((len(readings), instrument.n_rows, 1))
+            columns[:, rows, :3] = np.eye(3)
         if name in points:
-            result[name][:, _position_rows(instrument), 0] = points[name]
+            columns[:, rows, 3:6] = np.cross(points[name][:, None], np.eye(3)).swapaxes(1, 2)
+            columns[:, rows, 6] = points[name]
         elif len(instrument.parts) == 1 and instrument.parts[0].is_distance:
-            result[name][:, 0, 0] = readings.values[:, 0]
+            columns[:, 0, 6] = readings.values[:, 0]
     return result
 
 

@@ -94,23 +94,6 @@ class ErrorBudget:
     advice: str
 
 
-@dataclass(frozen=True, eq=False)
-class _ErrorPath:
-    """Integrals over the way from before to after: sums over the rows of each reading, and gradients.
-
-    Attributes:
-        before: |e(0)|^2 of each reading, (n_readings,).
-        explained_by_cause: s_k of each reading and cause, (n_readings, n_causes).
-        gradient: Gradient of the sum of s_k by the unknowns, (n_causes, n_free).
-        pose: Pose of each reading, (n_readings,).
-    """
-
-    before: FloatArray
-    explained_by_cause: FloatArray
-    gradient: FloatArray
-    pose: IntArray
-
-
 def causes_of(robot: Robot) -> tuple[str, ...]:
     """Return the cause that each parameter stands for, (n_parameters,)."""
     places = {robot.mechanism.origin(name) for name in robot.mechanism.places}
@@ -149,22 +132,22 @@ def error_budget(fit: Fit, causes_by_parameter: Sequence[str] | None = None) -> 
     members = np.array([of_parameter == cause for cause in causes])
     layout = rows.layout
     counted = np.array([group.part.name == errors.main_part.name for group in layout.groups] + [False])[layout.group]
-    path = _integrate(fit, errors, members, layout, counted)
-    n, width, removed = len(path.before), int(np.sum(counted)), path.explained_by_cause
+    before, removed, gradient, pose = _integrate(fit, errors, members, layout, counted)
+    n, width = len(before), int(np.sum(counted))
     if fit.validation is None:
         leverage = _leverage(rows, unknowns, members, counted)
-        left = float(np.sum(path.before) - np.sum(removed))
+        left = float(np.sum(before) - np.sum(removed))
         removed = removed - left / max(width - float(np.sum(leverage)), 1.0) * leverage / n
-    rest = path.before - np.sum(removed, axis=1)
-    spread = np.einsum("kf,fg,kg->k", path.gradient, fit.statistics.covariance, path.gradient) / n**2
+    rest = before - np.sum(removed, axis=1)
+    spread = np.einsum("kf,fg,kg->k", gradient, fit.statistics.covariance, gradient) / n**2
     shares = [
-        CauseShare(cause, float(np.mean(part)), float(np.hypot(_std(part, path.pose), np.sqrt(max(extra, 0.0)))))
+        CauseShare(cause, float(np.mean(part)), float(np.hypot(_std(part, pose), np.sqrt(max(extra, 0.0)))))
         for cause, part, extra in zip(causes, removed.T, spread, strict=True)
     ]
     typical = np.array([group.typical if group.stated else np.nan for group in layout.groups])
     stated = float(np.sum(typical[layout.group[counted]] ** 2)) / n
     noise, noise_std, source = _noise(errors, stated, width / n)
-    left, left_std = float(np.mean(rest)), _std(rest, path.pose)
+    left, left_std = float(np.mean(rest)), _std(rest, pose)
     if source:
         beyond = CauseShare(UNEXPLAINED, left - noise, float(np.hypot(left_std, noise_std)))
         shares += [CauseShare(NOISE, noise, noise_std), beyond]
@@ -174,8 +157,8 @@ def error_budget(fit: Fit, causes_by_parameter: Sequence[str] | None = None) -> 
         fit.validation is None,
         errors.main_part,
         n,
-        len(np.unique(path.pose)),
-        float(np.mean(path.before)),
+        len(np.unique(pose)),
+        float(np.mean(before)),
         left,
         tuple(shares),
         source,
@@ -183,15 +166,14 @@ def error_budget(fit: Fit, causes_by_parameter: Sequence[str] | None = None) -> 
     )
 
 
-def _integrate(fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, counted: BoolArray) -> _ErrorPath:
-    """Integrate over the way from before to after.
+def _integrate(
+    fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, counted: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+    """Integrate over the way from before to after, for parameters of causes (n_causes, n_free) and rows that count.
 
-    Args:
-        fit: The fit.
-        errors: The readings.
-        members: Mask of the parameters of each cause, (n_causes, n_free).
-        layout: Layout of the rows.
-        counted: Mask of the rows that count, (n_rows,).
+    Returns:
+        |e(0)|^2 of each reading, (n_readings,); s_k of each, (n_readings, n_causes); the gradient of the sum of s_k by
+        the unknowns, (n_causes, n_free); and the pose of each reading.
     """
     before, after, unknowns = fit.placed, fit.robot, fit.unknowns
     way = after.values - before.values
@@ -218,7 +200,7 @@ def _integrate(fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, c
     squares = np.where(counted, _flat(errors.before, layout), 0.0) ** 2
     columns = (np.bincount(layout.reading, column) for column in (squares, *removed.T))
     sums: FloatArray = np.stack([column[chosen] for column in columns], axis=1).astype(float)
-    return _ErrorPath(sums[:, 0], sums[:, 1:], gradient, layout.pose[chosen])
+    return sums[:, 0], sums[:, 1:], gradient, layout.pose[chosen]
 
 
 def _batches(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout) -> tuple[FloatArray, FloatArray]:

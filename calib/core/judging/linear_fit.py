@@ -62,14 +62,16 @@ class LinearFit:
     def sizes(self, effects: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the sizes (k,) of effects Z (n_rows, k) if all of them were parameters, and their standard deviations.
 
-        Infinite deviations are of effects that were not made. What the fit absorbs is hardly known.
+        Infinite deviations are of effects that were not made. What the fit absorbs is hardly known, and no size comes
+        of it: there residuals are what the solver left.
         """
         size = np.linalg.norm(effects, axis=0)
         made = np.flatnonzero(size > 0)
         columns = effects[:, made] / size[made]
         left = self.after_fit(columns)
-        inverse = np.linalg.inv(columns.T @ left + ABSORBED * np.eye(len(made)))
-        found = -inverse @ (columns.T @ self.rows.residuals)
+        values, vectors = linalg.eigh(columns.T @ left)
+        inverse, seen = vectors / (values + ABSORBED) @ vectors.T, vectors[:, values > ABSORBED]
+        found = -inverse @ (seen @ (seen.T @ (columns.T @ self.rows.residuals)))
         scatter = np.sqrt(np.sum((self.rows.residuals + left @ found) ** 2) / max(self.freedom - len(made), 1.0))
         sizes, deviations = np.zeros(len(size)), np.full(len(size), np.inf)
         sizes[made], deviations[made] = found / size[made], scatter * np.sqrt(np.diag(inverse)) / size[made]

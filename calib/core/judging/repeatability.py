@@ -10,14 +10,15 @@ Reference: iso9283.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.units import millimetres
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.numerics import iso9283
@@ -54,37 +55,6 @@ class IsoFigure:
 
 
 @dataclass(frozen=True, eq=False)
-class Repeats(ReadOnlyArrays):
-    """Accuracy and repeatability of the points that were read more than once at a pose.
-
-    Attributes:
-        poses: Pose of each, (n,).
-        readings: Number of readings of each, (n,).
-        accuracy_before, accuracy_after: AP, (n,) [m].
-        repeatability: RP, (n,) [m].
-    """
-
-    poses: IntArray
-    readings: IntArray
-    accuracy_before: FloatArray
-    accuracy_after: FloatArray
-    repeatability: FloatArray
-
-    def table(self) -> dict[str, object]:
-        """Return mean and largest values [mm]."""
-
-        def both(values: FloatArray) -> dict[str, float]:
-            return {"mean": millimetres(float(np.mean(values))), "max": millimetres(float(np.max(values)))}
-
-        return {
-            "n_poses": len(np.unique(self.poses)),
-            "n_readings": int(np.sum(self.readings)),
-            "pose_accuracy": {"before": both(self.accuracy_before), "after": both(self.accuracy_after)},
-            "pose_repeatability": both(self.repeatability),
-        }
-
-
-@dataclass(frozen=True, eq=False)
 class PoseScatter:
     """Errors of one instrument at one pose, reading by reading."""
 
@@ -118,18 +88,25 @@ def _pose_scatters(errors: ErrorSet, part_name: str = "") -> list[PoseScatter]:
     return result
 
 
-def repeats(errors: ErrorSet) -> Repeats | None:
-    """Return accuracy and repeatability; None where no point was read more than once at a pose."""
+def repeat_table(errors: ErrorSet) -> dict[str, Any] | None:
+    """Return AP and RP [mm] of the points that were read more than once at a pose, mean and largest; None without."""
     several = _pose_scatters(errors)
     if not several:
         return None
-    return Repeats(
-        np.array([scatter.pose for scatter in several], dtype=np.intp),
-        np.array([len(scatter.after) for scatter in several], dtype=np.intp),
-        np.array([np.linalg.norm(scatter.before.mean(axis=0)) for scatter in several]),
-        np.array([np.linalg.norm(scatter.after.mean(axis=0)) for scatter in several]),
-        np.array([iso9283.repeatability(scatter.after) for scatter in several]),
-    )
+
+    def summary(lengths: Iterable[float]) -> dict[str, float]:
+        values = np.array([millimetres(length) for length in lengths])
+        return {"mean": float(np.mean(values)), "max": float(np.max(values))}
+
+    return {
+        "n_poses": len({scatter.pose for scatter in several}),
+        "n_readings": sum(len(scatter.after) for scatter in several),
+        "pose_accuracy": {
+            "before": summary(float(np.linalg.norm(scatter.before.mean(axis=0))) for scatter in several),
+            "after": summary(float(np.linalg.norm(scatter.after.mean(axis=0))) for scatter in several),
+        },
+        "pose_repeatability": summary(iso9283.repeatability(scatter.after) for scatter in several),
+    }
 
 
 def repeatability(errors: ErrorSet) -> tuple[float, int]:

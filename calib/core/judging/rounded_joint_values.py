@@ -18,8 +18,6 @@ Reference: satterthwaite1946.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy
 
@@ -37,38 +35,20 @@ _DIFFERENT = 8  # values that a joint must take for its steps to show
 _UNITS: dict[Dimension, tuple[str, ...]] = {"angle": ("deg", "rad"), "length": ("mm", "m")}
 
 
-@dataclass(frozen=True)
-class Rounding:
-    """Rounding of joint values, by their digits and by the residuals.
-
-    Attributes:
-        steps: Steps of the joints that have any, in words.
-        part: Part of the noise, squared, that rounding to them makes.
-        chance: Chance that residuals scatter as much along the joints without rounding.
-    """
-
-    steps: str
-    part: float
-    chance: float
-
-
-def rounding(fit: Fit) -> Rounding | None:
+def rounding(fit: Fit) -> tuple[str, float, float] | None:
     """Look for joint values in steps; None where there are none.
 
-    Args:
-        fit: The fit.
+    Returns:
+        The steps in words; the part of the noise, squared, that rounding to them makes; and the chance that residuals
+        scatter as much along the joints without rounding.
     """
     robot = fit.nominal
     steps = joint_steps(robot, fit.identification.data.joints)
     if not np.any(steps > 0):
         return None
-    words: dict[str, None] = {}
-    for name, step in zip(robot.joint_names, steps, strict=True):
-        dimension = robot.mechanism.dimensions[name]
-        if step > 0:
-            words[quantity_text(float(step), dimension, units=DISPLAY_UNIT)] = None
-    scatter = steps / np.sqrt(12.0)
-    return Rounding(listing(list(words), " and "), *_score(fit, scatter))
+    sizes = zip(steps.tolist(), (robot.mechanism.dimensions[name] for name in robot.joint_names), strict=True)
+    words = dict.fromkeys(quantity_text(step, dimension, units=DISPLAY_UNIT) for step, dimension in sizes if step > 0)
+    return listing(list(words), " and "), *_score(fit, steps / np.sqrt(12.0))
 
 
 def joint_steps(robot: Robot, joints: FloatArray) -> FloatArray:

@@ -198,14 +198,14 @@ def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
 
 
 def check_copies(fit: Fit) -> Iterator[Reason]:
-    """Look for readings that are in the data more than once, to the last digit."""
-    data = fit.identification.data
-    copies = np.zeros(0, dtype=np.intp) if fit.computed else copied_visits(fit.nominal, data)
-    if len(copies) >= COPIED * len(data) and len(copies):
+    """Look for readings that are in the data more than once, to the last digit, whichever of them the fit has used."""
+    sets = [fit.identification.data, *([] if fit.validation is None else [fit.validation.data])]
+    copies = [] if fit.computed else [data.labels[k] for data in sets for k in copied_visits(fit.nominal, data)]
+    total = sum(map(len, sets))
+    if copies and len(copies) >= COPIED * total:
         yield Code.COPIED.says(
-            f"{len(copies)} of {count_noun(len(data), 'reading')} are copies of others to the last digit, so"
-            f" intervals are"
-            f" too narrow: {listing([data.labels[k] for k in copies])}. Leave the copies out"
+            f"{len(copies)} of {count_noun(total, 'reading')} are copies of others to the last digit, so intervals are"
+            f" too narrow: {listing(copies)}. Leave the copies out"
         )
 
 
@@ -245,13 +245,12 @@ def repeats(fit: Fit) -> Iterator[Reason]:
 
 def check_rounding(fit: Fit) -> Iterator[Reason]:
     """See whether joint values were rounded to so few digits that this makes much of the noise."""
-    steps = None if fit.computed else rounding(fit)
-    if steps is not None and ROUNDED < steps.part < ALL_ROUNDED and steps.chance < FALSE_ALARM:
-        estimate, part = fit.first_noise, fit.first_noise.group.part
-        size = estimate.sigma * float(np.sqrt(min(steps.part, 1.0)))
+    steps, share, chance = (None if fit.computed else rounding(fit)) or ("", 0.0, 1.0)
+    if ROUNDED < share < ALL_ROUNDED and chance < FALSE_ALARM:
+        noise, part = fit.first_noise.sigma * float(np.sqrt(min(share, 1.0))), fit.first_noise.group.part
         yield Code.ROUNDED.says(
-            f"joint values were rounded to steps of {steps.steps}, which makes about"
-            f" {quantity_text(size, part.dimension, '.2g')} of noise. Export joint values with all digits of the"
+            f"joint values were rounded to steps of {steps}, which makes about"
+            f" {quantity_text(noise, part.dimension, '.2g')} of noise. Export joint values with all digits of the"
             " controller"
         )
 

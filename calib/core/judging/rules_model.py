@@ -160,9 +160,8 @@ def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
         if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not needless:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse at {accuracy.pose_words}{anew}:"
-                f" {accuracy.in_unit(accuracy.rms)} RMS"
-                f" after, {accuracy.in_unit(accuracy.before)} before, and {times:.1f} times what it claims"
-                f" ({claimed.in_unit(claimed.rms)}){worse}",
+                f" {accuracy.in_unit(accuracy.rms)} RMS after, {accuracy.in_unit(accuracy.before)} before, and"
+                f" {times:.1f} times what it claims ({claimed.in_unit(claimed.rms)}){worse}",
                 answer=Answer.HOLD_OUT if moved else None,
             )
         else:
@@ -202,10 +201,8 @@ def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
             return None
     except DataError:  # no points were measured
         return None
-    code, places = (
-        (Code.BASE_ELSEWHERE if base else Code.TARGET_ELSEWHERE),
-        _base_in_words(robot, placed) if base else "",
-    )
+    code = Code.BASE_ELSEWHERE if base else Code.TARGET_ELSEWHERE
+    places = _base_in_words(robot, placed) if base else ""
     if targets:
         wrong = [k for k, name in enumerate(seen) if robot.description.targets[name].position == "known"]
         places += " and " if places else "targets: "
@@ -242,11 +239,9 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
         before, after = (millimetres(errors.rms("after")) for errors in (fit.validation, moved.errors))
         placed = f". Placed anew, its error falls from {before:.3g} to {after:.3g} mm RMS, by which it is judged here"
     yield Code.FRAME_MOVED.says(
-        "the tracker, the base or its frame probably moved between the two files, by"
-        f" {millimetres(moved.shift):.3g} mm and {np.degrees(moved.angle):.2g} deg: this explains all but"
-        f" {millimetres(moved.rms_after):.3g} mm RMS{placed}. Measure both from one place, or hold out poses of one"
-        f" file"
-        " (--validate 0.25)"
+        f"the tracker, the base or its frame probably moved between the two files, by {millimetres(moved.shift):.3g} mm"
+        f" and {np.degrees(moved.angle):.2g} deg: this explains all but {millimetres(moved.rms_after):.3g} mm"
+        f" RMS{placed}. Measure both from one place, or hold out poses of one file (--validate 0.25)"
     )
 
 
@@ -263,8 +258,7 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
         evidence += f"{'; ' if evidence else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
         yield Code.NOTHING_TO_CORRECT.says(
             f"nothing to correct: {evidence}. Measurements with {noise_in_words(fit.first_noise, fit.sigma)} of noise"
-            f" show no"
-            " error of the nominal robot"
+            " show no error of the nominal robot"
         )
     elif entries and all(entry.after >= entry.before for entry in entries):
         yield Code.NO_GAIN.says(

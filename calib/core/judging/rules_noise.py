@@ -57,9 +57,8 @@ def noise(fit: Fit) -> Iterator[Reason]:
     elif fit.computed:
         yield Code.NO_NOISE.says(
             f"noise found: {noise_in_words(fit.first_noise, sigma, 1)}, less than any sensor has; these data were"
-            f" computed,"
-            " not measured, and the intervals say nothing about a real robot. Give measured readings, or simulated ones"
-            " that have noise"
+            " computed, not measured, and the intervals say nothing about a real robot. Give measured readings, or"
+            " simulated ones that have noise"
         )
     else:
         for estimate in fit.noise:

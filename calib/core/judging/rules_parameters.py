@@ -108,8 +108,7 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     if alone - scaled > max(SCALED_SIGMAS**2, MOST * (alone - by_noise)) and scaled < geared:
         yield Code.LENGTHS_SCALED.says(
             f"all measured lengths are {_scale_sentence(part)} in the description: no robot is that far off. Look at"
-            f" the unit"
-            " of the measurements, the scale of the instrument and the size of the artefact"
+            " the unit of the measurements, the scale of the instrument and the size of the artefact"
         )
 
 

@@ -134,8 +134,7 @@ def check_joint_limits(fit: Fit) -> Iterator[Reason]:
     if len(beyond):
         joints = [robot.joint_names[j] for j in np.flatnonzero(np.max(excess, axis=0) > BEYOND_LIMIT)]
         yield Code.BEYOND_JOINT_LIMITS.says(
-            f"{count_noun(len(beyond), 'pose lies', 'poses lie')} beyond the URDF's limits of"
-            f" {joints_named(*joints)}:"
+            f"{count_noun(len(beyond), 'pose lies', 'poses lie')} beyond the URDF's limits of {joints_named(*joints)}:"
             f" {listing([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
             " limits"
         )
@@ -167,9 +166,8 @@ def check_curve_ranges(fit: Fit) -> Iterator[Reason]:
         joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
         yield Code.BEYOND_CURVES.says(
             f"{count_noun(len(poses), 'validation pose lies', 'validation poses lie')} where no error curve of"
-            f" {joints_named(*joints)} was learned:"
-            f" {listing([fit.validation.data.labels[k] for k in poses])}. The curve is unknown there: measure there too"
-            " before you rely on it"
+            f" {joints_named(*joints)} was learned: {listing([fit.validation.data.labels[k] for k in poses])}. The"
+            " curve is unknown there: measure there too before you rely on it"
         )
 
 

@@ -40,8 +40,8 @@ def poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
     try:
         order = some[_order(promise, promise.joints[some], change)]
         for count in _COUNTS:
-            shown = _visible(promise, promise.joints[order[:count]], change)
-            if shown <= abs(change.value) or count >= len(order):
+            shown = {own.name: own.visible for own in _system(promise, promise.joints[order[:count]]).changes()}
+            if shown.get(change.name, np.inf) <= abs(change.value) or count >= len(order):
                 break
     except CalibrationError:  # its poses cannot be looked at again, such as those of setups
         return ()
@@ -52,12 +52,6 @@ def _system(promise: Promise, joints: FloatArray) -> System:
     return System.from_promise(
         promise, simulate(promise.robot, joints, 0.0, np.random.default_rng(0)), same_setup=False
     )
-
-
-def _visible(promise: Promise, joints: FloatArray, change: Change) -> float:
-    """Smallest size of the change that readings at poses (n, n_actuated) show [m or rad]; infinite where none."""
-    changes = _system(promise, joints).changes()
-    return next((known.visible for known in changes if known.name == change.name), np.inf)
 
 
 def _order(promise: Promise, joints: FloatArray, change: Change) -> IntArray:

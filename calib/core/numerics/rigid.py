@@ -120,13 +120,3 @@ def common_offset(points: FloatArray, distances: FloatArray, near: FloatArray, o
     guess = np.append(near - middle, offset)
     change = linalg.lstsq(columns, squares - squares.mean() - columns @ guess, rcond=_DETERMINED)
     return offset + float(change[3])
-
-
-def centre_of_sphere(points: FloatArray, near: FloatArray) -> tuple[FloatArray, float]:
-    """Return centre (3,) and radius of the sphere that points (n, 3) lie on [m]; see `centre` for `near`."""
-    middle = points.mean(axis=0)
-    q = points - middle
-    squares = np.sum(q**2, axis=1)
-    columns, guess = 2.0 * q, near - middle
-    x = guess + linalg.lstsq(columns, squares - squares.mean() - columns @ guess, rcond=_DETERMINED)
-    return middle + x, float(np.sqrt(x @ x + squares.mean()))

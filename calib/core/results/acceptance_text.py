@@ -23,6 +23,8 @@ _SENTENCES = {
     "noisier": "NOISIER: readings of one pose scatter more than expected, which no calibration can correct",
     "unlike poses": "UNLIKE POSES: errors are larger than at the poses of the calibration. These poses lie elsewhere,"
     " where the model may be wrong although the robot has not changed",
+    "too few readings": "TOO FEW READINGS: nothing contradicts the calibration, but only errors {detectable:.2g} times"
+    " as large as expected would show (chance 90 %). Measure more poses",
     "calibrate again": "CALIBRATE AGAIN: the readings are off, and no single change explains this",
 }
 
@@ -36,13 +38,16 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
         missing: Reasons for missing figures.
     """
     data = acceptance.errors.data
-    parts: list[str | Table] = [_SENTENCES[acceptance.verdict], *_errors(acceptance), *_drift(acceptance)]
+    parts: list[str | Table] = [
+        _SENTENCES[acceptance.verdict].format(detectable=acceptance.detectable),
+        *_errors(acceptance),
+        *_drift(acceptance),
+    ]
     if acceptance.repeated_visits:
         parts.append(
             f"To settle it, measure {count_noun(len(acceptance.repeated_visits), 'pose')} of the calibration again:"
             f" {listing(acceptance.repeated_visits, ', ', len(acceptance.repeated_visits))}. A difference at these"
-            f" poses is a change of"
-            " the robot"
+            " poses is a change of the robot"
         )
     if acceptance.outliers:
         parts.append(f"Left out, further off than noise explains: {listing(acceptance.outliers, '; ')}")
@@ -79,6 +84,7 @@ def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Seque
             "ratio": acceptance.ratio,
             "ratio_low95": acceptance.low95,
             "ratio_high95": acceptance.high95,
+            "ratio_detectable": acceptance.detectable,
             "p_value": acceptance.p_value,
             "p_drift": acceptance.p_drift,
             "p_rest": acceptance.p_rest,

@@ -26,7 +26,7 @@ Reference: holm1979, satterthwaite1946.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
@@ -105,15 +105,17 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     folders = [Path(result).resolve() for result in results if not isinstance(result, Fit)]
     if len(set(folders)) < len(folders):
         raise InputError("a result folder is given twice; give each once")
-    loaded = [_read_result(result, f"fit {k + 1}") for k, result in enumerate(results)]
-    for result in loaded[1:]:
-        if geometry(result.loaded.robot) != geometry(loaded[0].loaded.robot):
-            raise DataError(f"{result.name}: is the result of another robot than {loaded[0].name}; their URDFs differ")
     names_of_folders = iter(distinct_names([result for result in results if not isinstance(result, Fit)]))
     loaded = [
-        result if isinstance(given, Fit) else replace(result, name=next(names_of_folders))
-        for given, result in zip(results, loaded, strict=True)
+        _fitted(given, f"fit {k + 1}")
+        if isinstance(given, Fit)
+        else _Result(next(names_of_folders), load_result(given, failed_too=True))
+        for k, given in enumerate(results)
     ]
+    first, *others = (result.loaded for result in loaded)
+    for other in others:
+        if geometry(other.robot) != geometry(first.robot):
+            raise DataError(f"{other.path}: is the result of another robot than {first.path}; their URDFs differ")
     pairs = list(combinations(loaded, 2))
     notes = [note for first, other in pairs for note in _notes(first, other)]
     tested = [_p_values(first, other) for first, other in pairs]
@@ -179,11 +181,9 @@ def difference_covariance(first: FloatArray, second: FloatArray, precision: Floa
     return first + second - shared - shared.T
 
 
-def _read_result(result: Fit | Path | str, name: str) -> _Result:
-    if not isinstance(result, Fit):
-        return _Result(str(result), load_result(result, failed_too=True))
-    loaded = LoadedResult(name, result.nominal, result.robot, to_dict(result), {})
-    vars(loaded)["fit"] = result  # it need not be evaluated again
+def _fitted(fit: Fit, name: str) -> _Result:
+    loaded = LoadedResult(name, fit.nominal, fit.robot, to_dict(fit), {})
+    vars(loaded)["fit"] = fit  # it need not be evaluated again
     return _Result(name, loaded)
 
 

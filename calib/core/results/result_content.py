@@ -10,7 +10,7 @@ from calib.core.base.words import as_data
 from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
 from calib.core.judging.next_step import next_step
-from calib.core.judging.repeatability import repeatability
+from calib.core.judging.repeatability import repeat_table, repeatability
 from calib.core.judging.verdict import judge
 from calib.core.results.saved_fit import VERSION
 from calib.core.results.sections.attempts import folds_table, starts_table
@@ -18,7 +18,7 @@ from calib.core.results.sections.budget import budget_table
 from calib.core.results.sections.contents import contents_table
 from calib.core.results.sections.determination import correlated_pairs, position_uncertainty_table, rank_content
 from calib.core.results.sections.files_held import file_entries
-from calib.core.results.sections.noise import instrument_blocks, repeat_table
+from calib.core.results.sections.noise import instrument_blocks
 from calib.core.results.sections.outliers import excluded_rows, outlier_rows, with_excluded
 from calib.core.results.sections.parameters import parameter_rows
 from calib.core.results.sections.terms import terms_table

@@ -157,11 +157,9 @@ def _residual_columns(
     used = label == "identification"
     studentised = findings.studentise_errors(fit)
     layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.values**2))) if used else 1.0
-    instrument, of_instrument, readings = (
-        fit.nominal.instrument(name),
-        layout.readings_of(name),
-        error_set.data.readings[name],
-    )
+    instrument = fit.nominal.instrument(name)
+    of_instrument = layout.readings_of(name)
+    readings = error_set.data.readings[name]
     visits, n = layout.visit[of_instrument], len(readings)
     columns: dict[str, Sequence[object] | FloatArray] = {
         "set": [label] * n,

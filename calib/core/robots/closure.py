@@ -70,7 +70,6 @@ def actuated_jacobian(
     """Pose of a target in the measurement frame and how the actuated joints move it, through the loops.
 
     Args:
-        mechanism: The mechanism.
         target: The target seen from the measurement frame.
         actuated: Actuated joints, (n, n_actuated) [m or rad].
         passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
@@ -121,12 +120,10 @@ def scale_closure(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray
     """Return C_p with metres divided by the characteristic length, so that its entries are pure numbers.
 
     Args:
-        mechanism: The robot.
         slope_passive: C_p, (n, n_rows, n_passive) [m or rad per m or rad].
     """
     rows = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
-    columns = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-    return slope_passive * rows[:, None] * columns
+    return slope_passive * rows[:, None] * mechanism.passive_scale
 
 
 def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:

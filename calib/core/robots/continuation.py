@@ -67,8 +67,6 @@ def newton(
     """Newton on the passive joints; accepted only where it contracts at once and stays in the assembly mode.
 
     Args:
-        mechanism: The robot.
-        mode: Its assembly mode.
         actuated: Actuated joints, (n, n_actuated) [m or rad].
         passive: Where to start, (n, n_passive) [m or rad].
         slopes: Whether C_p and C_a are wanted at the solution.
@@ -87,9 +85,8 @@ def newton(
     else:
         reduced = mechanism.reduced_to(mechanism.loops)
         rest = actuated @ mechanism.select_actuated[reduced.joints].T + mechanism.constant[reduced.joints]
-        scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
         model = fast.tree(mechanism, reduced), fast.loops(mechanism, reduced), mode.places, mode.signs
-        fast.close(*model, rest, passive, scale, enough, sure, LARGEST_STEP, _MAX_NEWTON, *found)
+        fast.close(*model, rest, passive, mechanism.passive_scale, enough, sure, LARGEST_STEP, _MAX_NEWTON, *found)
     return passive, *found
 
 
@@ -111,7 +108,6 @@ def _correct(
         slope, slope_actuated, accepted: Where to put the results.
     """
     (enough, sure), (n, n_passive), loops = limits, passive.shape, LoopRows(mechanism)
-    scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
     coordinates = loops.moving if len(slope) else loops.passive
     for part in loops.chunks(n):
         index = np.arange(part.start, part.stop)
@@ -124,7 +120,10 @@ def _correct(
             on = ~done
             if np.any(on):
                 correction = solve_each(slopes[:, :, :n_passive], values)
-                last, longest = np.max(np.abs(correction / scale), axis=1), np.minimum(last, 2 * LARGEST_STEP)
+                last, longest = (
+                    np.max(np.abs(correction / mechanism.passive_scale), axis=1),
+                    np.minimum(last, 2 * LARGEST_STEP),
+                )
                 # below 1e-9 rounding decides the ratio of two corrections, so it says nothing about the branch
                 contracts = (worst > enough) & (last <= np.maximum(0.5 * longest, 1e-9))
                 passive[index] -= np.where(contracts[:, None], correction, 0.0)
@@ -152,19 +151,12 @@ def solve_each(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return solution
 
 
-def scaled_passive(mechanism: Mechanism, passive: FloatArray) -> FloatArray:
-    """Return changes of passive joints (n, n_passive) [m or rad] with lengths over the characteristic length."""
-    return passive / np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-
-
 def follow(
     mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, *, thorough: bool = True
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Solve poses in the assembly mode of home, by one of the ways of the module docstring.
 
     Args:
-        mechanism: The robot.
-        mode: Home and its assembly mode.
         actuated: Actuated joints, (n, n_actuated) [m or rad].
         thorough: Whether poses are tried in every way that do not follow from the nearest solved one.
 
@@ -229,7 +221,7 @@ def carry(
         """Go from the part `low` of the change to `high`; return which poses arrived, and their passive joints."""
         partway = mechanism if high == 1 else mode.mechanism.interpolated(mechanism, high)
         solved, slope, _, ok = newton(partway, mode, actuated[index], at)
-        ok &= np.max(np.abs(scaled_passive(partway, solved - at)), axis=1, initial=0.0) < 4 * LARGEST_STEP
+        ok &= np.max(np.abs((solved - at) / partway.passive_scale), axis=1, initial=0.0) < 4 * LARGEST_STEP
         if high == 1:
             solutions.take(solved, slope, ok, index)
         left = np.flatnonzero(~ok)
@@ -279,8 +271,6 @@ def hangs_together(
     Where all arrive at the passive joints that they are known to have, each of them follows from home.
 
     Args:
-        mechanism: The robot.
-        mode: Home and its assembly mode.
         actuated: Actuated joints, (n, n_actuated) [m or rad].
         passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
 
@@ -361,7 +351,7 @@ def _continue(
         next_a = np.where(come < 1, start_a[who] + come * way[who], goal[who])
         predicted = at_p[who] - step[:, None] * tangent[who]
         solved, new_slope, new_slope_a, accepted = newton(mechanism, mode, next_a, predicted)
-        accepted &= np.max(np.abs(scaled_passive(mechanism, solved - at_p[who])), axis=1) < 4 * LARGEST_STEP
+        accepted &= np.max(np.abs((solved - at_p[who]) / mechanism.passive_scale), axis=1) < 4 * LARGEST_STEP
         part[active] = halved[:, -1] / 2
         good, first = np.unique(who[accepted], return_index=True)
         took = np.flatnonzero(accepted)[first]

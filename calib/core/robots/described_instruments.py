@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.errors import DescriptionError, require_known
 from calib.core.base.sections import COMPONENTS
 from calib.core.instruments.kind import FrameInstrument, Instrument, Place, placed
 from calib.core.instruments.kinds import KINDS
@@ -25,10 +25,6 @@ _TARGETS_GROUP = "targets"
 def instruments_of(description: Description, where: str) -> tuple[Instrument, ...]:
     """Return the instruments of a description.
 
-    Args:
-        description: The description.
-        where: Its file, for messages.
-
     Raises:
         DescriptionError: An instrument looks at a target that does not exist, or two instruments have the same column.
     """
@@ -38,11 +34,9 @@ def instruments_of(description: Description, where: str) -> tuple[Instrument, ..
     sections = description.instruments.items()
     instruments = tuple(KINDS[section.kind].from_section(name, section) for name, section in sections)
     for instrument in instruments:
-        if isinstance(instrument, FrameInstrument) and instrument.target not in description.targets:
-            raise DescriptionError(
-                f"{where}: instruments.{instrument.name}: no target '{instrument.target}'"
-                f"{nearest(instrument.target, description.targets)}"
-            )
+        if isinstance(instrument, FrameInstrument):
+            lacks = f"{where}: instruments.{instrument.name}: no target"
+            require_known(instrument.target, description.targets, lacks, DescriptionError)
     _check_columns(description, instruments, where)
     return instruments
 
@@ -83,10 +77,8 @@ def places_of(description: Description, instruments: tuple[Instrument, ...], whe
         raise DescriptionError(f"{where}: two places are called '{again}'; rename one")
     for setup, moved in description.setups.items():
         for name in moved:
+            require_known(name, ("base", *names[1:]), f"{where}: setups.{setup}: no place", DescriptionError)
             key = _key(name)
-            if key not in names:
-                valid = ["base", *names[1:]]
-                raise DescriptionError(f"{where}: setups.{setup}: no place '{name}'{nearest(name, valid)}")
             original = places[names.index(key)]
             if not original.unknown:
                 raise DescriptionError(

@@ -104,10 +104,6 @@ def _origin_or_joint(value: Any) -> str:
     return "joint" if "joint" in keys else "origin"
 
 
-def _name_or_list(value: Any) -> str:
-    return "name" if isinstance(value, str) else "list"
-
-
 class Description(Section):
     """A robot description, as the YAML file has it. See docs/robot_description.md for every key.
 
@@ -151,7 +147,7 @@ class Description(Section):
             ],
             Tag("list"),
         ],
-        Discriminator(_name_or_list),
+        Discriminator(lambda value: "name" if isinstance(value, str) else "list"),
     ]
     joint_terms: tuple[AnyTerm, ...] = ()
     payload: str | None = None

@@ -77,7 +77,6 @@ def robot_for(robot: Robot, file_format: str, *, force: bool = False) -> Robot:
 
     Args:
         robot: The robot; one of a fit knows which robot is best in each kind of file.
-        file_format: The format.
         force: Whether the file is written even if it is worse than the nominal robot, or of unknown accuracy.
 
     Raises:

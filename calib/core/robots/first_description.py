@@ -229,7 +229,6 @@ def description_text(
     """Return the YAML text of a plain URDF's description, with comments.
 
     Args:
-        urdf: The URDF.
         description: Its description.
         remark: Remark on the joints that it leaves out.
         measure: How is measured, of `MEASURES`; positions of the target if not given.

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.errors import DescriptionError, require_known
 from calib.core.base.parameter import Parameter
 from calib.core.base.sections import Quantity, Section
 from calib.core.base.units import quantity
@@ -74,8 +74,7 @@ class FleetSection(Section):
         """Raise `DescriptionError` for a parameter that a robot does not have, or that is none of its own."""
         known = {p.name: p for p in parameters}
         for name in (*self.parameters, *self.unlike):
-            if name not in known:
-                raise DescriptionError(f"{where}: fleet: no parameter '{name}'{nearest(name, known)}")
+            require_known(name, known, f"{where}: fleet: no parameter", DescriptionError)
             if known[name].placement or known[name].family:
                 raise DescriptionError(
                     f"{where}: fleet: '{name}' is not a parameter that robots of a model share: places differ by where"
@@ -84,10 +83,6 @@ class FleetSection(Section):
 
     def expected(self, parameters: Iterable[Parameter], where: str) -> tuple[Parameter, ...]:
         """Return parameters with their priors from the fleet; those that the fleet does not know stay as they are.
-
-        Args:
-            parameters: Parameters of the robot.
-            where: File of the description, for messages.
 
         Raises:
             DescriptionError: A number has a unit of another dimension, or a spread is not positive.

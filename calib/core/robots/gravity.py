@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.errors import DescriptionError, nearest, require_known
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import Dimension
 from calib.core.numerics import linalg
@@ -78,12 +78,10 @@ def check_gravity(description: Description, mechanism: Mechanism, where: str) ->
     section = description.gravity
     if section is None:
         return
-    if section.frame is not None and section.frame not in mechanism.frames:
-        close = nearest(section.frame, mechanism.frames)
-        raise DescriptionError(f"{where}: gravity.frame: no link or joint '{section.frame}'{close}")
+    if section.frame is not None:
+        require_known(section.frame, mechanism.frames, f"{where}: gravity.frame: no link or joint", DescriptionError)
     for name in section.setups:
-        if name not in description.setups:
-            raise DescriptionError(f"{where}: gravity.setups: no setup '{name}'{nearest(name, description.setups)}")
+        require_known(name, description.setups, f"{where}: gravity.setups: no setup", DescriptionError)
 
 
 def check_inclinometers(description: Description, mechanism: Mechanism, where: str) -> None:
@@ -91,9 +89,7 @@ def check_inclinometers(description: Description, mechanism: Mechanism, where: s
     taken: dict[str, str] = {}
     for sensor, section in description.inclinometers.items():
         place = f"{where}: inclinometers.{sensor}"
-        if section.frame not in mechanism.frames:
-            close = nearest(section.frame, mechanism.frames)
-            raise DescriptionError(f"{place}.frame: no link or joint '{section.frame}'{close}")
+        require_known(section.frame, mechanism.frames, f"{place}.frame: no link or joint", DescriptionError)
         support = mechanism.support[mechanism.frames[section.frame]]
         for name in section.joints:
             if name not in mechanism.actuated:
@@ -167,7 +163,6 @@ def accelerations(
 
     Args:
         section: Entry of a description.
-        setups: Names of the setups.
         mechanism: The nominal mechanism.
         joints: All joints, (n, n_joints) [m or rad].
         context: Readings of sensors, and their setups.
@@ -258,7 +253,6 @@ def turn_columns(
 
     Args:
         terms: All terms, the turns last.
-        mechanism: The robot.
         q: Commands, (n, n_actuated) [m or rad].
         context: Their conditions, the torque among them.
         slopes: Derivative of the torque by each turn, (n, n_driven) each.
@@ -304,7 +298,6 @@ def gravity_torque(
         load: Mass of the payload, (n,) [kg].
         payload: Frame at whose origin it hangs; None: that of the first target that motors move.
         acceleration: By gravity in the root link's axes, (n, 3) [m/s^2].
-        where: Name of the robot in messages.
 
     Raises:
         DescriptionError: The URDF has no masses, and it is not stated that a payload alone loads the joints.
@@ -320,7 +313,9 @@ def gravity_torque(
             " links, or say with `payload` which frame carries the masses of a column 'load', or leave the term out"
         )
     if np.any(load):
-        gravity += load[:, None] * _gravity(_with_one_kilogram(mechanism, payload), joints, acceleration)
+        kilogram = mechanism.model.copy()  # without any other mass
+        kilogram.inertias[payload_frame(mechanism, payload)] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
+        gravity += load[:, None] * _gravity(kilogram, joints, acceleration)
     torque: FloatArray = gravity @ mechanism.select_actuated
     if mechanism.loops and len(q):
         rate = -np.linalg.solve(slope, residual(mechanism, q, passive)[2])
@@ -359,10 +354,3 @@ def payload_frame(mechanism: Mechanism, payload: str | None) -> int:
     """Return the joint index of the frame that a payload hangs at; None: of the first target that motors move."""
     tool = (*mechanism.moved_targets, mechanism.targets[0])[0]
     return tool.b if payload is None else mechanism.joint(payload)
-
-
-def _with_one_kilogram(mechanism: Mechanism, payload: str | None) -> pin.Model:
-    """The mechanism's model with one kilogram at a frame's origin and no other mass."""
-    model = mechanism.model.copy()
-    model.inertias[payload_frame(mechanism, payload)] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
-    return model

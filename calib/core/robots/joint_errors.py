@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DescriptionError, InputError, nearest
+from calib.core.base.errors import DescriptionError, InputError, require_known
 from calib.core.base.units import Dimension, quantity
 from calib.core.robots import loops
 from calib.core.robots.description import Description
@@ -33,23 +33,16 @@ def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, 
             of the payload does not exist or does not move, or a frame or setup of gravity does not exist.
     """
     check_gravity(description, mechanism, where)
-    if description.payload is not None and description.payload not in mechanism.frames:
-        name = description.payload
-        raise DescriptionError(f"{where}: payload: no link, joint or target '{name}'{nearest(name, mechanism.frames)}")
-    if description.payload is not None and not np.any(
-        mechanism.support[mechanism.frames[description.payload]] @ mechanism.select_moving
-    ):
-        raise DescriptionError(f"{where}: payload: no motor moves '{description.payload}'; name a frame that moves")
+    if (payload := description.payload) is not None:
+        require_known(payload, mechanism.frames, f"{where}: payload: no link, joint or target", DescriptionError)
+        if not np.any(mechanism.support[mechanism.frames[payload]] @ mechanism.select_moving):
+            raise DescriptionError(f"{where}: payload: no motor moves '{payload}'; name a frame that moves")
     joints = {joint.name: joint for joint in urdf.joints}
     terms: list[JointTerm] = []
     for section in description.terms:
-        names = mechanism.actuated if section.joint == "all" else (section.joint,)
-        for name in names:
-            if name not in mechanism.actuated:
-                raise DescriptionError(
-                    f"{where}: joint term '{section.term}': no actuated joint '{name}'"
-                    f"{nearest(name, (*mechanism.actuated, 'all'))}"
-                )
+        valid, missing = (*mechanism.actuated, "all"), f"{where}: joint term '{section.term}': no actuated joint"
+        require_known(section.joint, valid, missing, DescriptionError)
+        for name in mechanism.actuated if section.joint == "all" else (section.joint,):
             terms.append(_term(section, name, joints[name], mechanism, where))
     return (*terms, *gravity_turn(description, terms, mechanism))
 
@@ -82,10 +75,7 @@ def columns_of_terms(
     """Return phi of each term for each joint that it moves, (n, n_moved, n_coefficients) each; 0 for other terms.
 
     Args:
-        terms: The terms.
-        mechanism: The robot.
         q: Commands, (n, n_actuated) [m or rad].
-        context: Conditions of the commands.
     """
     columns = []
     for term in terms:
@@ -177,7 +167,6 @@ def commands_for(robot: RobotData, actual: FloatArray, context: Context | None =
 
     Args:
         actual: Values to reach; where all driven joints are given, (n, n_driven), only the actuated ones count.
-        context: Conditions of the commands.
     """
     n_actuated = len(robot.joint_names)
     goal = q = np.array(actual[:, :n_actuated])

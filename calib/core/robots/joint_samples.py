@@ -25,7 +25,6 @@ def joint_samples(mode: AssemblyMode, count: int) -> FloatArray:
 
     Args:
         mode: Home of the nominal robot.
-        count: Number of points.
     """
     mechanism = mode.mechanism
     motion = np.zeros(len(mechanism.driven))

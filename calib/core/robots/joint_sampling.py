@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.errors import DataError, InputError, nearest
+from calib.core.base.errors import DataError, InputError, require_known
 from calib.core.base.words import listing, warn_once
 from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.urdf.text import UrdfText
@@ -32,8 +32,7 @@ _MOST_TURNS = 10
 def validate_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
     """Return the ranges; raise `InputError` for an unknown name or a range that is not valid."""
     for name, span in within.items():
-        if name not in known:
-            raise InputError(f"within: no joint or coordinate '{name}'{nearest(name, known)}")
+        require_known(name, known, "within: no joint or coordinate")
         if np.shape(span) != (2,):
             raise InputError(f"within: {name} needs a range, such as (-0.5, 0.5)")
         low, high = span
@@ -50,11 +49,9 @@ def joint_box(
     Joints with a range get this range, as far as it is inside their limits.
 
     Args:
-        mechanism: The robot.
         urdf: The URDF with its limits.
         home: Home of the actuated joints, (n_actuated,) [m or rad].
         ranges: Ranges that are valid.
-        path: Name of the robot in messages.
 
     Returns:
         Lower and upper, (n_actuated,) each [m or rad].
@@ -105,8 +102,6 @@ def draw_spread(
     """Return up to `count` random values in a box, fewer if too few are usable; see the module docstring.
 
     Args:
-        count: Number of values.
-        rng: Generator of random numbers.
         box: Lower and upper, (n_actuated,) each [m or rad].
         home: Centre towards which the box is shrunk, (n_actuated,) [m or rad].
         usable: Function that returns the indices of usable joint values among (n, n_actuated).

@@ -237,7 +237,6 @@ def close(
     """Newton on the passive joints, in place, as `calib.core.robots.continuation.newton` says.
 
     Args:
-        tree: The model.
         loops: The loops, whose gaps must be zero.
         blocks, signs: `places` and `signs` of the assembly mode.
         rest: Joint values without the passive ones, (n, n_joints).
@@ -323,8 +322,6 @@ def motion(
     """Derivative through the loops, as `calib.core.rows.jacobian` says.
 
     Args:
-        tree: The model.
-        loops: Its loops.
         T: Result of `poses`.
         places: Frames a and b of each row, which coordinate, and whether it is a turn, not a position, (4, n_rows).
         signs: Effect of each joint: +1 moves only b, -1 only a, else 0; of each row, then of each row of the loops,

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib.core.base.arrays import FloatArray, IntArray, as_slice
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.robots.mechanism import JointSubset, Mechanism, RelativeFrame, flat_poses
 
 CHUNK = 64
@@ -54,37 +54,26 @@ def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
         yield slice(k * n // count, (k + 1) * n // count)
 
 
-class WorldTwists:
-    """Twists that are given in the frames before origins, to be seen in the world.
+def twists_in_world(swept: Sweep, joints: IntArray, twists: FloatArray) -> FloatArray:
+    """Return Ad(T_before) xi, (n, 6, n_twists), of twists in the frames before origins.
 
     Args:
-        reduced: The joints that count.
-        joints: Place of each twist's origin among them, (n_twists,).
+        joints: Place of each twist's origin among the joints that count, (n_twists,).
         twists: xi, (n_twists, 6).
     """
-
-    def __init__(self, reduced: JointSubset, joints: IntArray, twists: FloatArray) -> None:
-        parents = reduced.parents[joints]
-        self._frames, at = np.unique(parents, return_inverse=True)
-        spread = np.zeros((len(self._frames), 6, len(joints)))  # R xi of all frames and twists is one product
-        spread[at, :, np.arange(len(joints))] = twists
-        turning = np.flatnonzero(np.any(twists[:, 3:], axis=1))
-        self._turning, self._points = as_slice(turning), parents[turning]
-        self._linear = spread[:, :3].reshape(3 * len(self._frames), len(joints))
-        self._angular = spread[:, 3:, turning].reshape(3 * len(self._frames), len(turning))
-
-    def in_world(self, swept: Sweep) -> FloatArray:
-        """Return Ad(T_before) xi, (n, 6, n_twists)."""
-        n, turning = len(swept.poses), self._turning
-        axes = swept.poses[:, self._frames, :9].reshape(n, -1, 3).transpose(0, 2, 1).reshape(3 * n, -1)
-        x, y, z = swept.poses[:, self._points, 9:].transpose(2, 0, 1)
-        turns = (axes @ self._angular).reshape(n, 3, -1)
-        result = np.zeros((n, 6, self._linear.shape[1]))
-        result[:, :3], result[:, 3:, turning] = (axes @ self._linear).reshape(n, 3, -1), turns
-        result[:, 0, turning] += y * turns[:, 2] - z * turns[:, 1]
-        result[:, 1, turning] += z * turns[:, 0] - x * turns[:, 2]
-        result[:, 2, turning] += x * turns[:, 1] - y * turns[:, 0]
-        return result
+    before, (n, k) = swept.reduced.parents[joints], (len(swept.poses), len(joints))
+    frames, at = np.unique(before, return_inverse=True)
+    spread = np.zeros((len(frames), 3, 2, k))  # R xi of all frames and twists is one product
+    spread[at, :, :, np.arange(k)] = twists.reshape(k, 2, 3).transpose(0, 2, 1)
+    axes = swept.rotation[:, frames].transpose(0, 2, 1, 3).reshape(3 * n, -1)
+    turned = (axes @ spread.reshape(-1, 2 * k)).reshape(n, 3, 2, k)
+    result = turned.transpose(0, 2, 1, 3).reshape(n, 6, k)
+    x, y, z = swept.translation[:, before].transpose(2, 0, 1)
+    u, v, w = result[:, 3:].transpose(1, 0, 2)
+    result[:, 0] += y * w - z * v
+    result[:, 1] += z * u - x * w
+    result[:, 2] += x * v - y * u
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,16 +106,9 @@ class TwistMap:
 
     @cached_property
     def entries(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """Joint and column of each twist that is not zero, (n_entries,), and the twist, (n_entries, 6); turns last."""
+        """Joint and column of each twist that is not zero, (n_entries,), and the twist, (n_entries, 6)."""
         joints, columns = np.nonzero(np.any(self.before != 0.0, axis=1))
-        twists = self.before[joints, :, columns]
-        order = np.argsort(np.any(twists[:, 3:] != 0.0, axis=1), kind="stable")
-        return joints[order], columns[order], twists[order]
-
-    @cached_property
-    def world(self) -> WorldTwists:
-        """The entries' twists."""
-        return WorldTwists(self.reduced, self.entries[0], self.entries[2])
+        return joints, columns, self.before[joints, :, columns]
 
     @cached_property
     def signs_of_entries(self) -> tuple[FloatArray, FloatArray]:
@@ -160,7 +142,6 @@ class Coordinates:
         """Return those of coordinates.
 
         Args:
-            reduced: The joints that count.
             signs: Effect of each joint that counts: +1 moves only b, -1 only a, else 0, (n_rows or 1, n_reduced).
             select: E of the coordinates, (n_joints, n_coordinates).
         """
@@ -292,9 +273,7 @@ def sweep(
     "World" is where the robot stands after the joints that move all frames of `pairs` alike (`Mechanism.reduced_to`).
 
     Args:
-        mechanism: The robot.
         joints: Configurations.
-        pairs: Frames that are needed.
         shared: Data that other sweeps for these pairs have computed.
         poses_only: Whether the Jacobian is not needed.
     """
@@ -396,8 +375,6 @@ def motion_map(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool)
     dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
 
     Args:
-        swept: Kinematics of the poses.
-        pairs: The frames.
         angular: Whether dw is wanted too.
 
     Returns:
@@ -418,7 +395,6 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
     """Return d(value)/d(coordinates), (n, n_rows, n_coordinates).
 
     Args:
-        swept: Kinematics of the poses.
         mapping: From `twist_map` or `motion_map`.
         coordinates: In the model of the same joints.
     """
@@ -433,14 +409,14 @@ def origin_derivative(
     """Compute map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
 
     Args:
-        swept: Kinematics of the poses.
         mapping: From V_b - V_a to the rows, (n, n_rows, 6).
         loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
         along: The twists, and what they move.
         result: Array to fill, (n, n_rows, k).
     """
     n, n_rows = mapping.shape[:2]
-    world, (own, in_loops) = along.world.in_world(swept), along.signs_of_entries
+    joints, columns, twists = along.entries
+    world, (own, in_loops) = twists_in_world(swept, joints, twists), along.signs_of_entries
     moved = np.matmul(mapping, world)
     moved *= own
     if loops is not None:
@@ -450,6 +426,6 @@ def origin_derivative(
         moved -= np.matmul(through, opened)
     if along.sums is None:
         result.fill(0.0)
-        result[:, :, along.entries[1]] = moved
+        result[:, :, columns] = moved
     else:
         np.matmul(moved.reshape(n * n_rows, -1), along.sums, out=result.reshape(n * n_rows, -1))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.core.base.errors import DescriptionError, InputError, nearest
+from calib.core.base.errors import DescriptionError, InputError, nearest, require_known
 from calib.core.base.mapped_columns import mapped_column
 from calib.core.base.parameter import index_of
 from calib.core.base.registry import list_entry_points
@@ -71,7 +71,6 @@ def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None)
     That is its arm; with the loops of an MJCF or SDF file, the whole robot.
 
     Args:
-        urdf: The robot.
         urdf_path: How the description names the file.
         target: Link that carries the measured point; the arm's end if not given.
 
@@ -144,7 +143,6 @@ def robot(
     """Make a robot from a URDF without a robot description; what is left out is as for a plain URDF (`load`).
 
     Args:
-        urdf: The URDF.
         motors: Joints with a motor, in the order of every joint vector.
         target: Link that carries the measured point, whose position there is unknown; or `targets` as in a description.
         base: Link that the robot stands with, whose place in the measurement frame is unknown; or `base` as in a
@@ -229,9 +227,7 @@ def build(description: Description, urdf: UrdfText, where: str) -> Robot:
     """Put a robot together at its nominal values.
 
     Args:
-        description: The description.
         urdf: The URDF that it names.
-        where: Its name in messages.
 
     Raises:
         DescriptionError: They do not fit each other.
@@ -281,12 +277,11 @@ def _check_columns(
         if name in taken:
             raise DescriptionError(f"{where}: columns: '{taken[name]}' and '{foreign}' both stand for '{name}'")
         taken[name] = foreign
-        if name in texts and unit is None and mapped.plain:
-            continue
-        if name not in dimensions:
-            raise DescriptionError(
-                f"{where}: columns.{foreign}: no column '{name}'{nearest(name, (*dimensions, *sorted(texts)))}"
-            )
+        if name in texts:
+            if unit is None and mapped.plain:
+                continue
+            raise DescriptionError(f"{where}: columns.{foreign}: '{name}' holds words; leave out unit, sign and factor")
+        require_known(name, dimensions.keys() | texts, f"{where}: columns.{foreign}: no column", DescriptionError)
         dimension = dimensions[name]
         if mapped.factor == 0.0:
             raise DescriptionError(f"{where}: columns.{foreign}: a factor of zero loses the column; correct it")
@@ -307,10 +302,7 @@ def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], whe
             for k, name in enumerate(mechanism.origin_names)
             if np.any(mechanism.select_actuated[k]) or np.any(mechanism.select_passive[k])
         ]
-        if instrument.joint not in moving:
-            raise DescriptionError(
-                f"{place}: no joint '{instrument.joint}' that moves{nearest(instrument.joint, moving)}"
-            )
+        require_known(instrument.joint, moving, f"{place}: no moving joint", DescriptionError)
         dimension_read, dimension = instrument.parts[0].dimension, mechanism.dimensions[instrument.joint]
         if dimension_read != dimension:
             moves = "slides" if dimension == "length" else "turns"

@@ -37,7 +37,7 @@ from calib.core.robots.closure import (
     scale_closure,
     singular_values,
 )
-from calib.core.robots.continuation import closing_tolerance, follow, hangs_together, newton, scaled_passive
+from calib.core.robots.continuation import closing_tolerance, follow, hangs_together, newton
 from calib.core.robots.mechanism import Mechanism
 
 LIMIT_MARGIN = 1e-9
@@ -85,7 +85,7 @@ def close(
         thorough: See `calib.core.robots.continuation.follow`; False may leave poses open that close.
         limits: Whether a solution beyond the limits of a passive joint is none.
     """
-    n, n_passive = len(actuated), len(mechanism.passive)
+    n = len(actuated)
     if not mechanism.loops:
         return LoopSolution(np.zeros((n, 0)), np.ones(n, dtype=bool), np.zeros((n, 0, 0)))
     if seed is None:
@@ -93,7 +93,7 @@ def close(
         passive = wrap_turns(mechanism, mode, passive)
     else:
         slope, seeded = None, np.all(np.isfinite(seed), axis=1)
-        passive, ok = np.full((n, n_passive), np.nan), np.zeros(n, dtype=bool)
+        passive, ok = np.full(seed.shape, np.nan), np.zeros(n, dtype=bool)
         part = slice(None) if np.all(seeded) else seeded
         passive[part], _, _, ok[part] = newton(mechanism, mode, actuated[part], seed[part], slopes=False)
         passive = wrap_turns(mechanism, mode, passive)
@@ -118,7 +118,7 @@ def reached_from_home(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatA
     arrived, ok = hangs_together(mechanism, mode, actuated, passive)
     if not np.all(ok) or not np.all(are_within_limits(mechanism, passive)):
         return False
-    apart = scaled_passive(mechanism, wrap_turns(mechanism, mode, arrived) - passive)
+    apart = (wrap_turns(mechanism, mode, arrived) - passive) / mechanism.passive_scale
     return bool(np.max(np.abs(apart), initial=0.0) < _SAME_SOLUTION)
 
 
@@ -126,8 +126,6 @@ def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) ->
     """Bring turning joints within half a turn of home, or within their limits: a full turn is the same pose.
 
     Args:
-        mechanism: The robot.
-        mode: Home and its assembly mode.
         passive: Passive joints, (n, n_passive) [m or rad].
     """
     turn = 2 * np.pi
@@ -156,8 +154,6 @@ def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray)
     All are 0 where the loops do close, but in another assembly mode, or where no way leads from home.
 
     Args:
-        mechanism: The robot.
-        mode: The assembly mode of home.
         actuated: Actuated joints of a pose that could not be closed, (n_actuated,) [m or rad].
     """
     weight = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
@@ -168,8 +164,7 @@ def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray)
     def slope(passive: FloatArray) -> FloatArray:
         return weight[:, None] * residual(mechanism, actuated[None], passive[None])[1][0]
 
-    scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-    best = scipy.optimize.least_squares(values, mode.passive, jac=slope, x_scale=scale, max_nfev=200)
+    best = scipy.optimize.least_squares(values, mode.passive, jac=slope, x_scale=mechanism.passive_scale, max_nfev=200)
     lengths, angles = loop_openings(mechanism, best.fun[None] / weight)
     return lengths[0], angles[0]
 
@@ -178,8 +173,6 @@ def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> 
     """Return the reason why a pose could not be closed, in words.
 
     Args:
-        mechanism: The robot.
-        mode: The assembly mode of home.
         actuated: Its actuated joints, (n_actuated,) [m or rad].
     """
     passive, _, closes = follow(mechanism, mode, actuated[None])
@@ -212,10 +205,8 @@ def check_home(mechanism: Mechanism, home: dict[str, float], singularity_limit: 
     """Check that the home configuration closes, polish it, and record its assembly mode.
 
     Args:
-        mechanism: The robot.
         home: Joint values by name [m or rad]; names that are missing count as 0 where there are no loops.
         singularity_limit: Smallest acceptable singular value of the scaled C_p at home.
-        where: The description, for messages.
 
     Raises:
         DescriptionError: Home does not close, or is singular.
@@ -259,16 +250,11 @@ def _check_closed(mechanism: Mechanism, values: FloatArray, where: str) -> None:
 def _check_regular(mechanism: Mechanism, slope: FloatArray, limit: float, where: str) -> None:
     smallest = float(singular_values(mechanism, slope)[0])
     if smallest < limit:
-        loose = [mechanism.loops[i].name for i in _loose_loops(mechanism, slope[0])]
+        left = linalg.svd(scale_closure(mechanism, slope)[0])[0][:, -1]  # the direction in which closures hold nothing
+        lengths, angles = loop_openings(mechanism, left[None])
+        loose = [mechanism.loops[i].name for i in np.flatnonzero(np.hypot(lengths, angles)[0] > 0.3)]
         raise DescriptionError(
             f"{where}: home: the closures do not determine the passive joints (smallest singular value {smallest:.2g}"
             f" of the scaled passive Jacobian, limit {limit:g}; look at {', '.join(loose)}): home is singular, or"
             " closed_loop_axes names a direction that the mechanism does not constrain"
         )
-
-
-def _loose_loops(mechanism: Mechanism, slope: FloatArray) -> list[int]:
-    """Loops whose rows make up the direction in which the closures hold nothing."""
-    left = linalg.svd(scale_closure(mechanism, slope[None])[0])[0][:, -1]
-    lengths, angles = loop_openings(mechanism, left[None])
-    return [int(i) for i in np.flatnonzero(np.hypot(lengths, angles)[0] > 0.3)]

@@ -28,7 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.errors import DescriptionError, require_known
 from calib.core.base.units import Dimension
 
 
@@ -92,22 +92,6 @@ def _bytes_of_pose() -> int:
 
 
 _POSE_BYTES = _bytes_of_pose()
-
-
-def twists_before_origins(placements: FloatArray, twists: FloatArray) -> FloatArray:
-    """Return Ad(placement) xi, twists of origins in the frames before them, (..., 6, k).
-
-    Args:
-        placements: `flat_poses` of the origins, (..., 12).
-        twists: xi, (..., 6, k).
-    """
-    rotation = placements[..., :9].reshape(*placements.shape[:-1], 3, 3).swapaxes(-1, -2)
-    x, y, z = np.moveaxis(placements[..., 9:], -1, 0)[..., None]
-    along, across, up = np.moveaxis(rotation, -2, 0)
-    action = np.zeros((*placements.shape[:-1], 6, 6))
-    action[..., :3, :3] = action[..., 3:, 3:] = rotation
-    action[..., :3, 3:] = np.stack([y * up - z * across, z * along - x * up, x * across - y * along], axis=-2)
-    return np.matmul(action, twists)
 
 
 def rigid(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pin.SE3:
@@ -189,8 +173,7 @@ class Mechanism(ReadOnlyArrays):
 
     def joint(self, name: str) -> int:
         """Return the index of a link's or joint's frame; an unknown name is a `DescriptionError`."""
-        if name not in self.frames:
-            raise DescriptionError(f"no link or joint '{name}'{nearest(name, self.frames)}")
+        require_known(name, self.frames, "no link or joint", DescriptionError)
         return self.frames[name]
 
     def origin(self, place: str) -> str:
@@ -253,9 +236,14 @@ class Mechanism(ReadOnlyArrays):
         Args:
             twists: Combinations of xi, of all origins, (6 n_joints, k); None: every one alone.
         """
-        n = self.n_joints
-        every = np.eye(6 * n) if twists is None else twists
-        return twists_before_origins(self.placements, every.reshape(n, 6, -1))
+        n, every = self.n_joints, np.eye(6 * self.n_joints) if twists is None else twists
+        rotation = self.placements[:, :9].reshape(n, 3, 3).transpose(0, 2, 1)
+        x, y, z = self.placements[:, 9:].T[:, :, None]
+        along, across, up = rotation.transpose(1, 0, 2)
+        action = np.zeros((n, 6, 6))
+        action[:, :3, :3] = action[:, 3:, 3:] = rotation
+        action[:, :3, 3:] = np.stack([y * up - z * across, z * along - x * up, x * across - y * along], axis=1)
+        return np.matmul(action, every.reshape(n, 6, -1))
 
     def interpolated(self, other: Mechanism, part: float) -> Mechanism:
         """Return the mechanism whose origins have moved by this part (0 to 1) of the way to those of `other`."""
@@ -315,6 +303,11 @@ class Mechanism(ReadOnlyArrays):
         """The same of each driven joint, (n_driven,)."""
         lengths = [self.dimensions[name] == "length" for name in self.driven]
         return np.where(np.array(lengths, dtype=bool), self.length, 1.0)
+
+    @cached_property
+    def passive_scale(self) -> FloatArray:
+        """The same of each passive joint, (n_passive,)."""
+        return np.where(self.is_metre_column, self.length, 1.0)
 
     @cached_property
     def is_metre_row(self) -> BoolArray:

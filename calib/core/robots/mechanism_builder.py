@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DescriptionError, UrdfError, nearest
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.errors import DescriptionError, UrdfError, nearest, require_known
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS
 from calib.core.base.units import Dimension, quantity
 from calib.core.base.words import count_noun
@@ -32,12 +32,6 @@ def build_mechanism(
     where: str,
 ) -> Mechanism:
     """Build the mechanism of a URDF and its description.
-
-    Args:
-        urdf: The URDF.
-        description: The robot description.
-        instruments: Its instruments.
-        where: File of the description, for messages.
 
     Raises:
         DescriptionError: A name that the URDF does not have, a joint of a type that is not supported on the way to what
@@ -66,7 +60,8 @@ def build_mechanism(
     between = np.array([support[pair.b] != support[pair.a] for pair in (*targets, *seen, *loops)])
     names = {name for name, moves in zip(origin_names, between.T, strict=True) if np.any(moves)}
     require_supported([joint for joint in urdf.joints if joint.name in names], where)
-    groups = _joint_groups(urdf, description, origin_names, _moves_one_side(support, loops), where)
+    in_loop = np.any([support[loop.b] != support[loop.a] for loop in loops] or [[False] * len(origin_names)], axis=0)
+    groups = _joint_groups(urdf, description, origin_names, in_loop, where)
     _check_count(groups.passive, loops, where)
     return Mechanism(
         model=model,
@@ -111,8 +106,7 @@ def home_values(urdf: UrdfText, description: Description, where: str) -> dict[st
     moving = _moving(urdf)
     values = {}
     for name, value in description.home.items():
-        if name not in moving:
-            raise DescriptionError(f"{where}: home: no moving joint '{name}'{nearest(name, moving)}")
+        require_known(name, moving, f"{where}: home: no moving joint", DescriptionError)
         values[name] = quantity(value, _dimension(moving[name]), f"{where}: home.{name}", DescriptionError)
     return values
 
@@ -178,8 +172,7 @@ def _new_name(name: str, other: str, taken: list[str]) -> str:
 
 
 def _frame(frames: Mapping[str, int], name: str, where: str) -> int:
-    if name not in frames:
-        raise DescriptionError(f"{where}: no link or joint '{name}'{nearest(name, frames)}")
+    require_known(name, frames, f"{where}: no link or joint", DescriptionError)
     return frames[name]
 
 
@@ -223,14 +216,8 @@ class _JointGroups:
     followers: dict[str, tuple[str, float, float]]
 
 
-def _moves_one_side(support: FloatArray, loops: Loops) -> list[bool]:
-    """Joints that move one side of a closure and not the other."""
-    inside = [support[loop.b] != support[loop.a] for loop in loops]
-    return [bool(moves) for moves in np.any(inside, axis=0)] if inside else [False] * support.shape[1]
-
-
 def _joint_groups(
-    urdf: UrdfText, description: Description, origin_names: list[str], in_loop: list[bool], where: str
+    urdf: UrdfText, description: Description, origin_names: list[str], in_loop: BoolArray, where: str
 ) -> _JointGroups:
     moving = _moving(urdf)
     types = {joint.name: joint.type for joint in urdf.joints}

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.core.base.errors import DescriptionError, InputError, ParameterError, nearest
+from calib.core.base.errors import DescriptionError, InputError, ParameterError, nearest, require_known
 from calib.core.base.parameter import Parameter, index_of
 from calib.core.base.registry import brought, list_entry_points
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
@@ -37,11 +37,9 @@ def build_parametrisation(
     """Build the parametrisation that a description names or lists, plus unknown places, with the priors of its names.
 
     Args:
-        description: The robot description.
         urdf: The URDF, whose numbers the nominal origins are.
         mechanism: The nominal mechanism.
         places: Places that instruments look from and at.
-        where: File of the description, for messages.
 
     Raises:
         DescriptionError: Unknown plugin, origin or unit, a component listed twice, or a prior of no parameter.
@@ -64,7 +62,8 @@ def _without_names(
     description: Description, urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...], where: str
 ) -> Parametrisation:
     """The parametrisation without the `prior` of single parameters."""
-    origins = _nominal_origins(urdf, mechanism, places)
+    origins = {joint.name: Origin(np.array(joint.xyz), np.array(joint.rpy)) for joint in urdf.joints}
+    origins |= {mechanism.origin(place.name): Origin(np.array(place.xyz), np.array(place.rpy)) for place in places}
     unknown = [entry for place in places for entry in _unknown_components(place, mechanism.origin(place.name))]
     inverted = frozenset(mechanism.origin(place.name) for place in places if place.inverted)
     if isinstance(description.parametrisation, str):
@@ -82,14 +81,6 @@ def _without_names(
     listed = sorted(description.origins, key=lambda section: section.origin == "all")  # exact entries win
     entries = [(section, description.priors, False) for section in listed]
     return _components(entries + unknown, origins, mechanism, inverted, where)
-
-
-def _nominal_origins(urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...]) -> dict[str, Origin]:
-    """Nominal origins by name: the exact numbers of the two files."""
-    result = {joint.name: Origin(np.array(joint.xyz), np.array(joint.rpy)) for joint in urdf.joints}
-    for place in places:
-        result[mechanism.origin(place.name)] = Origin(np.array(place.xyz), np.array(place.rpy))
-    return result
 
 
 def _components(
@@ -155,12 +146,8 @@ def _unknown_components(place: Place, origin: str) -> list[tuple[OriginSection, 
 
 def _origins_of(section: OriginSection, mechanism: Mechanism, where: str) -> list[str]:
     known = {name: i + 1 for i, name in enumerate(mechanism.origin_names) if name not in mechanism.tilts}
+    require_known(section.origin, (*known, "all"), f"{where}: parametrisation: no joint origin", DescriptionError)
     if section.origin != "all":
-        if section.origin not in known:
-            raise DescriptionError(
-                f"{where}: parametrisation: no joint origin '{section.origin}'"
-                f"{nearest(section.origin, (*known, 'all'))}"
-            )
         return [section.origin]
     virtual = set(mechanism.places.values())
     return [name for name, index in known.items() if index not in virtual and mechanism.is_seen[index - 1]]
@@ -196,11 +183,8 @@ def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism,
     twists = parametrisation.twists(nominal)
     edited = parametrisation.placements(nominal)
     for origin in (*edited, *twists):
-        if origin not in mechanism.origin_names:
-            raise DescriptionError(
-                f"{where}: parametrisation '{name}': edits an origin '{origin}' that the robot does not have"
-                f"{nearest(origin, mechanism.origin_names)}"
-            )
+        lacks = f"{where}: parametrisation '{name}': the robot has no origin"
+        require_known(origin, mechanism.origin_names, lacks, DescriptionError)
     if set(edited) != set(twists) or any(twist.shape != (6, len(nominal)) for twist in twists.values()):
         raise DescriptionError(
             f"{where}: parametrisation '{name}': twists must give a (6, {len(nominal)}) array for each of the origins"

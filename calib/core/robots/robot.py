@@ -264,7 +264,6 @@ class Robot(RobotData, HintedObject):
         These poses are not at contact: `calib.sample` brings them there, and gives poses with names.
 
         Args:
-            count: Number of configurations.
             seed: Seed, or a generator of random numbers.
             within: Ranges to stay in, inside the joint limits: by name [SI], or joint values that span them,
                 (n, n_actuated) [m or rad].

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from calib.core.base.errors import InputError, nearest
+from calib.core.base.errors import InputError, require_known
 from calib.core.base.units import millimetres, quantity
 from calib.core.robots.urdf.loop_mechanisms import BASE, Lengths, Plan, delta, five_bar, four_bar, stewart, three_rrr
 from calib.core.robots.urdf.writing import robot_text
@@ -60,8 +60,7 @@ def read_lengths(name: str, given: Iterable[str]) -> dict[str, float]:
         key, equals, value = (part.strip() for part in text.partition("="))
         if not equals:
             raise InputError(f"--length {text}: is not NAME=VALUE, such as {next(iter(lengths))}=200mm")
-        if key not in lengths:
-            raise InputError(f"--length {text}: template {name} has no length '{key}'{nearest(key, lengths)}")
+        require_known(key, lengths, f"--length {text}: template {name} has no length")
         if key in seen:
             raise InputError(f"--length {text}: '{key}' is given twice")
         seen.add(key)
@@ -75,7 +74,6 @@ def loop_files(name: str, lengths: Lengths, urdf: str) -> tuple[str, str]:
     """Return the text of a template's URDF and of its description.
 
     Args:
-        name: Name of the template.
         lengths: Every length of it [m].
         urdf: How the description names the URDF.
 

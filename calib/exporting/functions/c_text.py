@@ -32,7 +32,6 @@ def c_text(facts: RobotFacts, lines: Sequence[str]) -> str:
     """Return the file.
 
     Args:
-        facts: Facts of the robot.
         lines: Comments on the origin of the numbers.
     """
     parts = [_comment(facts, lines), _sizes(facts), template("c_types"), _tables(facts)]

@@ -267,7 +267,6 @@ def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str
     """Return the header of a file on a robot, line by line.
 
     Args:
-        facts: Facts of the robot.
         lines: Sources of the numbers.
         base: Name in the file of the pose of the measurement frame.
     """

@@ -18,7 +18,6 @@ def function_file(robot: Robot, language: str, lines: Sequence[str]) -> bytes:
 
     Args:
         robot: The robot, with its current values.
-        language: One of `LANGUAGES`.
         lines: Comments on the origin of the numbers.
 
     Raises:

@@ -33,7 +33,6 @@ def python_text(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
     """Return the file.
 
     Args:
-        facts: Facts of the robot.
         library: `numpy`, `jax` or `torch`.
         lines: Comments on the origin of the numbers.
     """

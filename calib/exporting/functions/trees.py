@@ -128,8 +128,6 @@ def tree_of(
     """Return the facts of a mechanism.
 
     Args:
-        mechanism: The mechanism.
-        mode: Its assembly mode.
         frames: Joint indices of frames that are needed in addition to those of the loops; they come first.
         starts: Closed configurations, home first, (n_starts, n_driven + n_passive) [m or rad].
         from_root: Whether the world is the root link.

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from calib.core.base.errors import InputError, nearest
+from calib.core.base.errors import InputError, require_known
 from calib.core.base.units import Dimension, quantity
 from calib.core.base.words import count_noun
 from calib.core.commands.common import Output, load_robot, shared_options, values_options, with_values
@@ -82,8 +82,7 @@ def _ranges(text: str, robot: Robot) -> dict[str, tuple[float, float]]:
     name, unit = match["name"].strip(), match["unit"]
     dimensions: dict[str, Dimension] = {joint: robot.mechanism.dimensions[joint] for joint in robot.joint_names}
     dimensions |= {f"{target}_{axis}": "length" for target in robot.target_names for axis in "xyz"}
-    if name not in dimensions:
-        raise InputError(f"--within {text}: no joint or coordinate '{name}'{nearest(name, dimensions)}")
+    require_known(name, dimensions, f"--within {text}: no joint or coordinate")
     low, high = (
         quantity(f"{match[key].strip()} {unit}", dimensions[name], f"--within {text}") for key in ("low", "high")
     )

@@ -141,36 +141,26 @@ class _Joints:
     """Joint values as a program writes them, and as the description counts them."""
 
     def __init__(self, program: RobotProgram, robot: Robot, third_joint: str | None) -> None:
-        self.language, self.third_joint = program.language, third_joint
-        n = len(robot.joint_names)
+        n, is_fanuc = len(robot.joint_names), program.language == fanuc.LANGUAGE
+        self._coupled = (np.arange(n) == 2) * (is_fanuc and third_joint == COUPLED[1])
         lengths = [name for name in robot.joint_names if robot.mechanism.dimensions[name] != "angle"]
         joints = [target for target in program.targets if target.rotation is None]
         self.why = ""
         if joints and (n != len(joints[0].cells) or lengths):
             mismatch = f"joint '{lengths[0]}' is a length" if lengths else f"the robot has {count_noun(n, 'motor')}"
             self.why = f"has {count_noun(len(joints[0].cells), 'angle')}, and {mismatch}"
-        elif program.language == fanuc.LANGUAGE and third_joint is None:
+        elif is_fanuc and third_joint is None:
             self.why = (
                 "has joint values; say with --third-joint whether the description's third joint is J3 or J2 + J3"
                 " (descriptions of ROS-Industrial: j2+j3)"
             )
-        self.zero = Sides(robot, np.zeros(n) if program.language != fanuc.LANGUAGE else robot.home)
-
-    @property
-    def _is_coupled(self) -> bool:
-        return self.language == fanuc.LANGUAGE and self.third_joint == COUPLED[1]
+        self.zero = Sides(robot, robot.home if is_fanuc else np.zeros(n))
 
     def to_joints(self, values: Sequence[float]) -> FloatArray:
-        q = np.array(values)
-        if self._is_coupled:
-            q[2] += q[1]
-        return q
+        return np.array(values) + values[1] * self._coupled
 
     def to_program(self, q: FloatArray) -> tuple[float, ...]:
-        values = q.copy()
-        if self._is_coupled:
-            values[2] -= values[1]
-        return tuple(map(float, values))
+        return tuple(map(float, q - q[1] * self._coupled))
 
 
 def _solve_targets(program: RobotProgram, cell: NominalCell, joints: _Joints) -> tuple[FloatArray, list[str]]:

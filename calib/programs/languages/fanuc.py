@@ -24,7 +24,6 @@ from calib.programs.languages.tokens import ProgramWords, Span
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
 _CHANGED = ("TOOL_OFFSET", "OFFSET", "VOFFSET", "INC", "CV_TCP")
 _NUMBERED = ("UFRAME_NUM", "UTOOL_NUM")
-_EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 _STATE = ("UFRAME", "UTOOL", *_NUMBERED)
 
 
@@ -151,6 +150,10 @@ class FanucReader(Reader):
             places.append((first, code.partner[first + 1] + 1))
             first = code.partner[first + 1] + 1
         self.flow.move(code.tokens[at].start, lambda state: self._targets(places, (first, stop), state))
+        for left, right in code.split(first, stop):
+            equals = code.find_mark(left, right, "=")
+            if equals < right:
+                self.run_at_any_time(left, lambda at=left, end=right, k=equals: self._assignment(at, end, k))  # type: ignore[misc]
         for k in code.names(first, stop):
             if code.tokens[k - 1].text == "CALL" and code.tokens[k].text not in self.given:
                 shown, line = code.excerpt(k, k + 1), code.line(k)

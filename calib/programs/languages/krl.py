@@ -46,7 +46,7 @@ class KrlReader(KrlFrames):
         "begin": ROUTINES,
         "finish": "END ENDFCT",
         "close": "ENDIF ENDFOR ENDWHILE ENDLOOP ENDSWITCH",
-        "pass_line": _NO_STATEMENTS,
+        "pass_statement": _NO_STATEMENTS,
         "modified": " ".join(_MODIFIERS),
         "skip": "THEN DO",
         "begin_branch": "ELSE DEFAULT",
@@ -91,13 +91,9 @@ class KrlReader(KrlFrames):
                 self._declaration(file, at, stop)
             at = stop + 1
 
-    def pass_line(self, at: int, _: int) -> int:
-        """Go on behind the line."""
-        return self.line_end(at)
-
     def wait(self, at: int, _: int) -> int:
         """Process the condition that the program waits for."""
-        stop = self.line_end(at)
+        stop = self.code.line_end(at)
         self.decide(at + 1, stop)
         return stop
 
@@ -108,13 +104,13 @@ class KrlReader(KrlFrames):
             first += 1
         if self.code.tokens[first].text in self.words:
             return first
-        stop = self.line_end(at)
+        stop = self.code.line_end(at)
         self._declaration(0, at, stop)
         return stop
 
     def begin_at_any_time(self, at: int, _: int) -> int:
         """Process `INTERRUPT DECL ... DO` and `TRIGGER ... DO`: a statement that is run while the robot moves."""
-        stop, do = self.line_end(at), self.word(at, "DO")
+        stop, do = self.code.line_end(at), self.word(at, "DO")
         self.decide(at, do)
         if do + 1 < stop:
             self.run_at_any_time(at, lambda: self.statement(do + 1, self.word(do, "PRIO")))
@@ -140,6 +136,8 @@ class KrlReader(KrlFrames):
             if code.bracket_content(equals + 1, right, "{"):
                 shown = self.sources[file].text[code.tokens[left].start : code.tokens[equals - 1].end]
                 self.declare(code.text(left, equals), Data(shown, file, (equals + 1, right), kind, shared))
+            else:
+                self.uses.note_change(code.tokens[left].text, "is not declared as plain numbers")
             if file == 0:
                 self.expression(equals + 1, right)
             names = {code.tokens[k].text for k in code.names(equals + 1, right)}
@@ -156,6 +154,8 @@ class KrlReader(KrlFrames):
             self.assign(at, stop, equals)
             self.uses.note_change(word)
             self.select_assigned(at, stop, equals)
+        elif word in ("ANIN", "DIGIN") and equals < stop:  # sets a variable again and again while the robot moves
+            self.run_at_any_time(at, lambda: self.change(code.tokens[at + 2].text))
         elif word in self.harmless or (is_name and after.text == "(" and code.partner[at + 1] + 1 == stop):
             self.expression(at, stop)
         elif is_name and stop > at + 1 and after.kind == "name" and word != "ASYPTP":

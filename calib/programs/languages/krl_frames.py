@@ -50,10 +50,6 @@ class KrlFrames(Reader):
         } | {*start, *_LISTS}
         super().__init__(codes, start, frames, KRL | set(harmless))
 
-    def line_end(self, at: int) -> int:
-        """Return the index of the end of a word's line."""
-        return self.code.line_end(at)
-
     def word(self, first: int, *words: str) -> int:
         """Return the index of the next of these words in the line, or of the end of the line."""
         while self.code.tokens[first].kind != "end" and self.code.tokens[first].text not in words:
@@ -123,19 +119,22 @@ class KrlFrames(Reader):
             return given
         return Unknown(f"{shown} is not known here; give $config.dat with --frames", whole=True)
 
-    def _form(self, name: str, state: State) -> tuple[Hashable, Hashable, Hashable]:
+    def _form(self, form: Hashable, state: State) -> dict[str, Hashable]:
         """Tool, base and interpolation mode of an inline form."""
-        data, members = self.declared.get(name), dict[str, str]()
+        if isinstance(form, Unknown):
+            return dict.fromkeys(SELECTED, form)
+        name, members = str(form), dict[str, str]()
+        data = self.declared.get(name)
         if data is not None and data.kind == "FDAT":
             code = self.codes[data.file]
             for first, stop in code.split(data.span[0] + 1, data.span[1] - 1):
                 members[code.tokens[first].text] = code.text(first + 1, stop)
         if not {"TOOL_NO", "BASE_NO"} <= set(members) or self.uses.is_set(name):
             why = f"{name} is {'set while the program runs' if members else 'declared nowhere here'}"
-            return (Unknown(why, whole=True),) * 3
+            return dict.fromkeys(SELECTED, Unknown(why, whole=True))
         tool = self.frame_named(f"TOOL_DATA[{members['TOOL_NO']}]", state)
         base = self.frame_named(f"BASE_DATA[{members['BASE_NO']}]", state)
-        return tool, base, members.get("IPO_FRAME", "#BASE")
+        return dict(zip(SELECTED, (tool, base, members.get("IPO_FRAME", "#BASE")), strict=True))
 
     # statements that select
 
@@ -179,19 +178,16 @@ class KrlFrames(Reader):
             frame = f"{what[1:]}_DATA[{code.text(*given[1])}]"
             self._select(f"${what[1:]}", lambda state: self.frame_named(frame, state))
         elif what in BAS_FORMS and not maybe:
-            self.flow.change(SELECTED, lambda state: {**state, **self._complete_form(str(state["FDAT_ACT"]), state)})
+            self.flow.change(SELECTED, lambda state: {**state, **self._form(state["FDAT_ACT"], state)})
         elif what not in BAS_HARMLESS:
             self.flow.mark_unknown(f"is not selected behind {code.excerpt(at, span[1] + 1)}", SELECTED)
         return True
-
-    def _complete_form(self, name: str, state: State) -> dict[str, Hashable]:
-        return dict(zip(SELECTED, self._form(name, state), strict=True))
 
     # selections for one motion or spline
 
     def spline(self, at: int, _: int) -> int:
         """Begin a spline, with its own selections after WITH."""
-        stop = self.line_end(at)
+        stop = self.code.line_end(at)
         self.save("of the program")
         self.read_with_clause(self.word(at, "WITH"), stop)
         return stop
@@ -199,7 +195,7 @@ class KrlFrames(Reader):
     def end_spline(self, at: int, _: int) -> int:
         """End a spline."""
         self.restore("of the program")
-        return self.line_end(at)
+        return self.code.line_end(at)
 
     def save(self, key: str) -> None:
         """Save the selected tool and base under a key."""
@@ -231,4 +227,4 @@ class KrlFrames(Reader):
                 self._select(name, None, f"is set in part (line {line})")
 
     def _with_form(self, name: str, form: str) -> Callable[[State], State]:
-        return lambda state: {**state, name: self._complete_form(form, state)[name]}
+        return lambda state: {**state, name: self._form(form, state)[name]}

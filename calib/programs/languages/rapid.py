@@ -120,10 +120,6 @@ class RapidReader(RapidData):
         end = len(self.code.tokens) - 1
         return next((k for k in range(at, end) if self.code.tokens[k].text == "ENDRECORD"), end) + 1
 
-    def pass_statement(self, at: int, _: int) -> int:
-        """Go on after the statement."""
-        return self.end(at)
-
     def begin_trap(self, at: int, _: int) -> int:
         """Begin a routine that runs whenever an interrupt comes."""
         self.flow.begin(self.code.tokens[at + 1].text, self.code.location(at), at_any_time=True)
@@ -144,7 +140,8 @@ class RapidReader(RapidData):
         local = (at > 0 and code.tokens[at - 1].text == "LOCAL") or bool(self.flow.routine)
         equals = code.find_mark(name, stop, ":=")
         if kind in SIZES:
-            shared, value = code.tokens[at].text != "CONST" and not local, (equals + 1, stop)
+            shared = self.sets_by_name or (code.tokens[at].text != "CONST" and not local)
+            value = equals + 1, stop
             shown, key = code.excerpt(name, name + 1), code.tokens[name].text
             if not code.is_mark(name + 1, "{"):
                 self.declare(key, Data(shown, 0, value if equals < stop else NO_VALUE, kind, shared))
@@ -180,6 +177,8 @@ class RapidReader(RapidData):
         name = self.code.tokens[at].text
         if name in RAPID_SETS:
             self.note_arguments(span, f"is set by '{self.code.excerpt(at, at + 1)}'")
+        if name == "WAITUNTIL":
+            self.uses.decide(self.names(*span), self.code.line(at))
         return name in RAPID_SETS or name in self.harmless
 
     def statement(self, at: int, stop: int) -> None:

@@ -21,6 +21,7 @@ _WORDS = word_pattern(r"![^\n]*", r"[^\W\d]\w*", r":=|<=|>=|<>|[-+*/()\[\]{}=<>,
 SIZES = {"ROBTARGET": 4, "JOINTTARGET": 2, "TOOLDATA": 3, "WOBJDATA": 5}  # parts of the types that count here
 _REFERENCES = ("INOUT", "PERS", "VAR", "REF")
 TWO_TARGETS = re.compile(r"(MOVE|TRIGG|ARC|DISP|PAINT)C")
+_BY_NAME = ("SETDATAVAL", "SETALLDATAVAL", "GETDATAVAL")  # set or read data, LOCAL too, by a name that is text
 _FIXED = {"TOOL0": Frame(), "WOBJ0": Frame()}
 
 
@@ -40,6 +41,7 @@ class RapidData(Reader):
         code = ProgramWords(source, _WORDS, lines="blank", ends=";:")
         start: State = {"PDISP": None, "EOFFS": None, "CONFL": True, "CONFJ": True}
         super().__init__([code], start, {**_FIXED, **frames}, RAPID | set(harmless))
+        self.sets_by_name = any(token.text in _BY_NAME for token in code.tokens)
         traps = [at for at in code.names(0, len(code.tokens) - 2) if code.tokens[at].text == "TRAP"]
         self.routines |= {code.tokens[at + 1].text: False for at in traps}
 

@@ -97,10 +97,6 @@ class Reader(Statements):
         """Process a call of a routine of the language, if it is one; return whether it is."""
         return self.code.tokens[at].text in self.harmless
 
-    def change(self, name: str, why: str = "is set while the program runs") -> None:
-        """Record that data change."""
-        self.uses.note_change(name, why)
-
     def program(self) -> RobotProgram:
         """Read all statements, follow the program, and process its moves.
 
@@ -113,15 +109,6 @@ class Reader(Statements):
         return program_of(self.language, self.sources, self.visits)
 
     # parts of statements
-
-    def names(self, first: int, stop: int) -> set[str]:
-        """Return the data in some words."""
-        return {self.code.tokens[at].text for at in self.code.names(first, stop)}
-
-    def decide(self, first: int, stop: int) -> None:
-        """Record that the program decides by these words."""
-        self.expression(first, stop)
-        self.uses.decide(self.names(first, stop), self.code.line(first))
 
     def expression(self, first: int, stop: int) -> None:
         """Process the calls of an expression."""

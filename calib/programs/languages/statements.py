@@ -57,20 +57,21 @@ class Statements(ABC):
         """Process a statement that begins with none of `words`."""
 
     @abstractmethod
-    def names(self, first: int, stop: int) -> set[str]:
-        """Return the data in some words."""
-
-    @abstractmethod
-    def decide(self, first: int, stop: int) -> None:
-        """Record that the program decides by these words."""
-
-    @abstractmethod
     def expression(self, first: int, stop: int) -> None:
         """Process the calls of an expression."""
 
-    @abstractmethod
+    def names(self, first: int, stop: int) -> set[str]:
+        """Return the data in some words."""
+        return {self.code.tokens[at].text for at in self.code.names(first, stop)}
+
+    def decide(self, first: int, stop: int) -> None:
+        """Record that the program decides by these words."""
+        self.expression(first, stop)
+        self.uses.decide(self.names(first, stop), self.code.line(first))
+
     def change(self, name: str, why: str = "is set while the program runs") -> None:
         """Record that data change."""
+        self.uses.note_change(name, why)
 
     def read(self, at: int = 0) -> None:
         """Read all statements from a word on.
@@ -168,6 +169,10 @@ class Statements(ABC):
     def skip(self, at: int, behind: int) -> int:
         """Go on behind the word."""
         return behind
+
+    def pass_statement(self, at: int, _: int) -> int:
+        """Go on behind the statement, whatever words it has."""
+        return self.code.line_end(at)
 
     def condition(self, at: int, _: int) -> int:
         """Process the condition behind a word."""

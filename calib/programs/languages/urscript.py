@@ -28,6 +28,13 @@ _MOVES = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc":
 _GOALS = ("", "pose", "q", "pose_to", "pose_via")
 _NO_TOOL = "no set_tcp before it selects a tool; add one, or TCP to the frames (--frames)"
 _AT_RUN_TIME = "is computed at run time"
+_MOVED_ALONG = {
+    "force_mode": "end_force_mode",
+    "path_offset_enable": "path_offset_disable",
+    "track_conveyor_linear": "stop_conveyor_tracking",
+    "track_conveyor_circular": "stop_conveyor_tracking",
+}
+"""What moves all targets along by an amount that is computed at run time, and what ends that: names of settings."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +74,7 @@ class UrscriptReader(Reader):
     def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
         source = ProgramSource.read(path, "a URScript program")
         code = ProgramWords(source, _WORDS, fold_case=False, lines="outside", ends=";:")
-        start = {"tool": frames.get("TCP", Unknown(_NO_TOOL, whole=True))}
+        start = {"tool": frames.get("TCP", Unknown(_NO_TOOL, whole=True)), **dict.fromkeys(_MOVED_ALONG.values())}
         super().__init__([code], start, frames, URSCRIPT | set(harmless))
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
@@ -108,8 +115,17 @@ class UrscriptReader(Reader):
         elif name == "set_tcp":
             tool = None if maybe else next(iter(self.code.split(*span)), None)
             self.flow.change(["tool"], lambda state: {**state, "tool": self._tool(tool)})
+        elif name == "assert":
+            self.uses.decide(self.names(*span), self.code.line(at))
+        elif name in _MOVED_ALONG.values():
+            if not maybe:
+                self.flow.note_setting(name, None)
         elif name in URSCRIPT_COMPUTED:
             where = self.sources[0].path, self.code.line(at)
+            self.uses.decide(self.names(*span), where[1])
+            if name in _MOVED_ALONG:
+                why = f"moves along by '{name}' (line {where[1]})"
+                self.flow.note_setting(_MOVED_ALONG[name], Unknown(why))
             self.visits.append(
                 Visit(where, name, None, why="moves the robot by an amount that it computes at run time")
             )
@@ -165,6 +181,9 @@ class UrscriptReader(Reader):
     def _target(self, goal: _Goal, state: State) -> Reached:
         data = goal.data
         self.require_constant(data)
+        for moved in (state[key] for key in _MOVED_ALONG.values()):
+            if isinstance(moved, Unknown):
+                raise LeftOutError(moved.why)
         cells = self._numbers(data.span) or ()
         if not self._is_pose(data.span):
             return self.target(data, cells)

@@ -105,7 +105,10 @@ def worst_joint(fit: Fit) -> str:
     if budget is None or not joints:
         return ""
     percent = [100 * np.array([one.mean_square, 1.96 * one.std]) / budget.before for one in joints[:2]]
-    words = [f"{one.cause} {part:.2g} % ± {half:.2g} %" for one, (part, half) in zip(joints, percent, strict=False)]
+    words = [
+        f"{one.cause} {float(f'{part:.2g}'):g} % ± {half:.2g} %"
+        for one, (part, half) in zip(joints, percent, strict=False)
+    ]
     lowest, next_part = percent[0][0] - percent[0][1], percent[1][0] if percent[1:] else 0.0
     doubt = "" if lowest > next_part else "not determined: "
     return f"{doubt}{words[0]} of the squared error before calibration" + (f"; next {words[1]}" if words[1:] else "")

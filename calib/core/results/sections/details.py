@@ -36,8 +36,7 @@ def _size(fit: Fit) -> list[str]:
     data, statistics = fit.identification.data, fit.statistics
     return [
         f"{count_noun(data.n_poses, 'pose')}, {count_noun(data.n_readings, 'reading')}, {statistics.freedom:.0f}"
-        f" degrees of"
-        f" freedom, {fit.seconds:.3f} s"
+        f" degrees of freedom, {fit.seconds:.3f} s"
     ]
 
 

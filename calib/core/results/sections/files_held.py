@@ -44,8 +44,7 @@ def files_grid(fit: Fit) -> Grid | None:
     return Grid(
         f"What files are worth, {unit} ({whole.part} error, {whole.pose_words})",
         f"What files are worth: {whole.part} error [{unit}], {whole.pose_words}; the error at one more such pose is"
-        f" below"
-        " the 95 % limit with a chance of 95 %",
+        " below the 95 % limit with a chance of 95 %",
         (*columns, GridColumn("formats", words=True)),
         tuple(rows),
         (len(rows) - 1,),

@@ -8,9 +8,8 @@ import numpy as np
 
 from calib.core.base.units import ERROR_UNIT, error_scale, millimetres, quantity_text
 from calib.core.base.words import count_noun
-from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
-from calib.core.judging.repeatability import repeatability, repeats
+from calib.core.judging.repeatability import repeat_table, repeatability
 from calib.core.results.sections.accuracy import error_sets
 
 
@@ -96,9 +95,8 @@ def scatter_lines(fit: Fit) -> list[str]:
     lines = []
     if fit.statistics.shared_scatter is not None:
         lines.append(
-            f"Readings of the same pose share errors: poses scatter {fit.statistics.shared_scatter.ratio:.2g} times"
-            f" as much as"
-            " independent readings would. Intervals include it"
+            f"Readings of the same pose share errors: poses scatter {fit.statistics.shared_scatter.ratio:.2g} times as"
+            " much as independent readings would. Intervals include it"
         )
     for name, offsets in fit.offsets.items():
         instrument = fit.nominal.instrument(name)
@@ -117,12 +115,6 @@ def scatter_lines(fit: Fit) -> list[str]:
     return lines
 
 
-def repeat_table(errors: ErrorSet) -> dict[str, object] | None:
-    """Return ISO 9283-style accuracy and repeatability [mm]; None without repeats."""
-    figures = repeats(errors)
-    return None if figures is None else figures.table()
-
-
 def repeat_lines(fit: Fit) -> list[str]:
     """Return how repeats scatter, one line each; none without repeats."""
     lines = []
@@ -130,13 +122,12 @@ def repeat_lines(fit: Fit) -> list[str]:
     if np.isfinite(scatter):
         lines.append(f"Scatter of the repeats: {millimetres(scatter):.4g} mm per axis")
     for name, errors in (("used", fit.identification), ("not used", fit.validation)):
-        repeated = None if errors is None else repeats(errors)
-        if repeated is not None:
-            sizes = (repeated.accuracy_before, repeated.accuracy_after, repeated.repeatability)
-            before, after, again = map(millimetres, sizes)
+        table = None if errors is None else repeat_table(errors)
+        if table is not None:
+            (before, after), again = table["pose_accuracy"].values(), table["pose_repeatability"]
             lines.append(
-                f"ISO 9283-style, {count_noun(len(repeated.poses), 'pose')} {name}: accuracy AP {before.mean():.3f} mm"
-                f" before, {after.mean():.3f} after (largest {after.max():.3f}); repeatability RP {again.mean():.3f} mm"
-                f" (largest {again.max():.3f})"
+                f"ISO 9283-style, {count_noun(table['n_poses'], 'pose')} {name}: accuracy AP {before['mean']:.3f} mm"
+                f" before, {after['mean']:.3f} after (largest {after['max']:.3f}); repeatability RP {again['mean']:.3f}"
+                f" mm (largest {again['max']:.3f})"
             )
     return lines

@@ -17,7 +17,6 @@ def check_term(term: JointTerm, q: FloatArray, j: int, context: Context) -> None
     """Raise `ComputationError` where a term does not keep what its class promises.
 
     Args:
-        term: The term.
         q: Commands that show it, (n, n_actuated) [m or rad].
         j: Place of its joint among the actuated ones.
         context: Conditions that show it, the torque among them if it asks for it.

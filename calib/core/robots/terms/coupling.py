@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calib.core.base.errors import nearest
+from calib.core.base.errors import require_known
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import Dimension
 from calib.core.robots.terms.formula import Formula, Proportional, Source
@@ -52,8 +52,7 @@ class Coupling(JointTerm):
             ValueError: There is no such other joint.
         """
         other = section.driven_by
-        if other not in joint.actuated:
-            raise ValueError(f"driven_by: no actuated joint '{other}'{nearest(other, joint.actuated)}")
+        require_known(other, joint.actuated, "driven_by: no actuated joint", ValueError)
         if other == joint.name:
             raise ValueError("driven_by names the joint itself; use the term `gain`")
         size = EXPECTED[joint.dimension] if sigma is None else sigma

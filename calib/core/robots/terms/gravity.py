@@ -132,7 +132,6 @@ def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[
 
     Args:
         conditions: `COLUMNS` by name, (n,) each [SI].
-        path: Path of the file.
         lines: Line of each row in the file.
         sensor: Prefix of these names in the file.
     """

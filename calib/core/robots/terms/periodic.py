@@ -37,7 +37,6 @@ def period(dimension: Dimension, section: TermSection, key: str, length: float |
     """Return the period of a joint's term: a turn [rad], or the stated length of a prismatic joint [m].
 
     Args:
-        dimension: Dimension of the joint.
         section: Entry of the term in the description.
         key: Key of the length in this entry.
         length: Length that the entry states [m]; None if it states none.

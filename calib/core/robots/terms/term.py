@@ -214,7 +214,6 @@ class JointTerm(ABC):
 
         Args:
             joint: The joint.
-            section: The entry.
             sigma: Its sigma [m or rad], or None.
 
         Raises:
@@ -226,7 +225,6 @@ class JointTerm(ABC):
         """Return the entries that are tried if a robot's terms are not named.
 
         Args:
-            term: Its name.
             joints: The joints that can show it.
             actuated: All actuated joints.
         """
@@ -339,8 +337,6 @@ def coefficient(name: str, dimension: Dimension, sigma: float, family: str = "")
     """Return the parameter of a coefficient, nominally zero.
 
     Args:
-        name: Its name.
-        dimension: Dimension of the joint.
         sigma: Expected size [m or rad].
         family: Name of a family of coefficients whose common size is found from the data; empty: sigma is used.
     """

@@ -18,7 +18,7 @@ import math
 import re
 from dataclasses import dataclass, replace
 
-from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.errors import DescriptionError, require_known
 from calib.core.base.words import listing
 from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText, require_supported
 
@@ -79,7 +79,6 @@ def arm_chain(urdf: UrdfText, target: str | None = None) -> ArmChain:
     """Return the chain to a link, or if none is given, to the end of the arm.
 
     Args:
-        urdf: The URDF.
         target: Link that carries the measured point.
 
     Raises:
@@ -87,8 +86,7 @@ def arm_chain(urdf: UrdfText, target: str | None = None) -> ArmChain:
     """
     tree = _Tree(urdf)
     if target is not None:
-        if target not in urdf.links:
-            raise DescriptionError(f"{urdf.path}: no link '{target}'{nearest(target, urdf.links)}")
+        require_known(target, urdf.links, f"{urdf.path}: no link", DescriptionError)
         return tree.chain(target)
     return tree.arm()
 

@@ -137,12 +137,7 @@ def dh_table(links: Sequence[pin.SE3], joints: Sequence[DhRow], convention: Conv
 
 
 def urdf_text(table: DhTable, name: str) -> str:
-    """Return a URDF of a table: links `base_link`, `link_1`, ..., `flange`, and a joint for each row.
-
-    Args:
-        table: The table.
-        name: Name of the robot.
-    """
+    """Return a URDF of a table: links `base_link`, `link_1`, ..., `flange`, and a joint for each row."""
     joints: list[str] = []
     links = [BASE_LINK]
     rest = pin.SE3.Identity()

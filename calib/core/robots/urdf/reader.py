@@ -16,7 +16,7 @@ import xml.parsers.expat
 from collections import Counter
 from dataclasses import dataclass
 
-from calib.core.base.errors import UrdfError, nearest
+from calib.core.base.errors import UrdfError, require_known
 from calib.core.base.letters import unseen
 
 Triple = tuple[float, float, float]
@@ -176,10 +176,7 @@ class UrdfReader:
     def _start_joint(self, attributes: dict[str, str]) -> None:
         name = self._require(attributes, "name", "<joint>")
         kind = self._require(attributes, "type", f"joint '{name}'")
-        if kind not in MOVING_TYPES + HELD_TYPES:
-            raise UrdfError(
-                f"{self.path}, joint '{name}': unknown type '{kind}'{nearest(kind, MOVING_TYPES + HELD_TYPES)}"
-            )
+        require_known(kind, MOVING_TYPES + HELD_TYPES, f"{self.path}, joint '{name}': unknown type", UrdfError)
         self._seen = {}
         self._joint = {
             "name": name,
@@ -296,19 +293,15 @@ def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
     parent_of: dict[str, UrdfJoint] = {}
     for joint in joints:
         for side in (joint.parent, joint.child):
-            if side not in known:
-                raise UrdfError(f"{path}, joint '{joint.name}': link '{side}' does not exist{nearest(side, known)}")
+            require_known(side, known, f"{path}, joint '{joint.name}': no link", UrdfError)
         if joint.child in parent_of:
             raise UrdfError(
                 f"{path}: link '{joint.child}' is the child of joints '{parent_of[joint.child].name}'"
                 f" and '{joint.name}'; cut the loop and name it as closed_loop in the robot description"
             )
         parent_of[joint.child] = joint
-        if joint.mimic and joint.mimic[0] not in names:
-            raise UrdfError(
-                f"{path}, joint '{joint.name}': mimics '{joint.mimic[0]}', which does not exist"
-                f"{nearest(joint.mimic[0], names)}"
-            )
+        if joint.mimic:
+            require_known(joint.mimic[0], names, f"{path}, joint '{joint.name}': mimics no joint", UrdfError)
     roots = [link for link in links if link not in parent_of]
     if len(roots) != 1:
         fault = "joints form a ring, no root link" if not roots else f"several root links: {', '.join(roots[:5])}"

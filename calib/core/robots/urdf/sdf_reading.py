@@ -42,7 +42,6 @@ def read_sdf(source: bytes, path: str) -> MjcfRobot:
 
     Args:
         source: Its bytes.
-        path: Path of its file.
 
     Raises:
         UrdfError: It is not valid, or URDF has no words for what is in it.

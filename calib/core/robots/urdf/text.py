@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DescriptionError, UrdfError, nearest
+from calib.core.base.errors import DescriptionError, UrdfError, require_known
 from calib.core.base.files import read_bytes
 from calib.core.robots.urdf.mjcf_reading import MjcfRobot, outermost, read_mjcf
 from calib.core.robots.urdf.reader import (
@@ -115,8 +115,7 @@ class UrdfText:
         by_name = {joint.name: joint for joint in self.joints}
         edits: list[Edit] = []
         for name, (xyz, rpy) in origins.items():
-            if name not in by_name:
-                raise UrdfError(f"{self.path}: no joint '{name}'{nearest(name, by_name)}")
+            require_known(name, by_name, f"{self.path}: no joint", UrdfError)
             if not all(math.isfinite(value) for value in (*xyz, *rpy)):
                 raise UrdfError(f"{self.path}, joint '{name}': the new origin {xyz} {rpy} is not finite")
             edits.extend(self._origin_edits(by_name[name], xyz, rpy))
@@ -157,7 +156,6 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
     calibration of Universal Robots (YAML).
 
     Args:
-        path: The file.
         arguments: Arguments of a xacro file, by name.
 
     Raises:
@@ -182,7 +180,6 @@ def require_supported(joints: Iterable[UrdfJoint], where: str) -> None:
 
     Args:
         joints: Joints between the frames of the instruments.
-        where: For the message.
     """
     for joint in joints:
         if joint.type in UNSUPPORTED_TYPES:

@@ -28,7 +28,6 @@ def robot_text(name: str, note: str, links: Sequence[str], joints: Sequence[str]
     """Return a new URDF.
 
     Args:
-        name: Name of the robot.
         note: A comment at its head.
         links: Names of links.
         joints: Joints of `joint_text`.
@@ -49,7 +48,6 @@ def joint_text(
     """Return the element of a joint of a new URDF.
 
     Args:
-        name: Name of the joint.
         kind: As URDF calls it.
         links: Parent and child.
         xyz, rpy: Its origin [m], [rad].

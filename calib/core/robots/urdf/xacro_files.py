@@ -45,7 +45,6 @@ def expand(path: Path | str, arguments: Mapping[str, str]) -> bytes:
     """Return the URDF that a xacro file stands for, by the package xacro, which not everybody has.
 
     Args:
-        path: The file.
         arguments: Values of its arguments by name.
 
     Raises:

@@ -69,7 +69,7 @@ def test_report_and_result_say_it(fit, tmp_path):
     assert said["interval"] == names_of(fit.parameters.contains)
     assert said["position"] == names_of(fit.identification_uncertainty.contains)
     report = " ".join(fit.report(verbose=True).split())
-    assert f"What is counted in the intervals of parameters: {', '.join(said['interval'])}" in report
+    assert f"Intervals of parameters: counts {', '.join(said['interval'])}" in report
     fit.save(tmp_path / "out", pages=False, force=True)
     loaded = calib.load_result(tmp_path / "out")
     assert loaded.parameters.contains == fit.parameters.contains

@@ -1,5 +1,7 @@
 """Sizes of families, noise and scatter: against dense matrices, closed forms, and simulated data."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy
@@ -157,14 +159,13 @@ def test_what_a_block_alone_decides_is_no_error_of_it(small):
     assert squares[0][0] > 1.0
 
 
-def test_a_model_without_a_family_is_that_of_size_zero(small):
-    model = MixedModel.from_rows(small)
-    without, none = (
-        model.without_families(np.array([True, False])).solve(LOGS),
-        model.solve(np.array([-20.0, *LOGS[1:]])),
-    )
-    assert without.cost == pytest.approx(none.cost, rel=1e-9)
-    np.testing.assert_allclose(without.coefficients, none.coefficients, atol=1e-9)
+def test_a_family_of_no_size_is_not_there(small):
+    kept = FAMILY != 0
+    without = MixedModel.from_rows(replace(small, columns=small.columns[:, kept], family=FAMILY[kept])).solve(LOGS)
+    none = MixedModel.from_rows(small).solve(np.array([-np.inf, *LOGS[1:]]))
+    assert none.cost == pytest.approx(without.cost, rel=1e-9)
+    np.testing.assert_allclose(none.coefficients[kept], without.coefficients, atol=1e-9)
+    assert not np.any(none.coefficients[~kept])
 
 
 def test_a_balanced_one_way_layout_has_the_sizes_of_its_mean_squares(monkeypatch):
@@ -251,7 +252,7 @@ def test_intervals_hold_over_sizes_that_are_drawn():
         b, means, variances = by_components(found.model, columns[cut:]), [], []
         for logs in draw_sizes(found, 20, rng):
             solved = found.model.solve(logs)
-            means.append(b @ (solved.scale * solved.v))
+            means.append(b @ solved.condensed_coefficients)
             variances.append(np.sum(b @ solved.covariance * b, axis=1) + solved.model.sizes(logs)[1][0] ** 2)
         std = np.sqrt(np.mean(variances, axis=0) + np.var(means, axis=0))
         held.append(np.abs(values[cut:] - np.mean(means, axis=0)) < 1.96 * std)
@@ -263,3 +264,13 @@ def test_the_information_about_a_size_of_zero_is_finite():
     found = likeliest_sizes(MixedModel.from_rows(rows))
     known = information_by_size(found)
     assert np.all(np.linalg.eigvalsh(known) > 0.5)
+
+
+def test_the_average_information_is_the_mean_of_fishers_and_the_second_derivative(small):
+    """Of variances themselves, in which a covariance is linear."""
+    model, step = MixedModel.from_rows(small), 1e-4
+    solved = model.solve(LOGS)
+    second = [(model.solve(LOGS + step * e).gradient - model.solve(LOGS - step * e).gradient) / (2 * step)
+              for e in np.eye(4)]  # fmt: skip
+    by_variances = np.array(second) - np.diag(2.0 * solved.gradient)  # d^2 / d(log s)^2 has the slope, too
+    np.testing.assert_allclose(solved.average_information, (solved.information + by_variances) / 2.0, rtol=1e-5)

@@ -157,7 +157,7 @@ class _Part:
             *self._chart_name("errors", "Error before and after"),
             "The share of errors that are smaller: the further to the left, the better. The scale is logarithmic."
             + extra,
-            (panel(x, axis("smaller [%]", ends=[0, 101]), layers),),
+            (panel(x, axis("smaller [%]", ends=[0, 103]), layers),),
             600,
         )
 

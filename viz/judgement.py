@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,11 +34,21 @@ class Judgement:
         return {"grade": self.grade, "reasons": reasons, "next": self.following}
 
 
-def judgement_of_fit(fit: Fit) -> Judgement:
-    """Return the verdict of a fit."""
+def following_words(fit: Fit, command: str) -> str:
+    """Return the next step, with the files of the command line that made the fit where it names all of them."""
+    following, words = next_step(fit), shlex.split(command)
+    folder = next((words[k + 1] for k, word in enumerate(words[:-1]) if word in ("--out", "-o")), "")
+    data = fit.identification.data.path
+    if not folder or not {fit.nominal.path, data} <= set(words):
+        return str(following)
+    return following.with_file_names(fit.nominal.path, [data], folder, {})
+
+
+def judgement_of_fit(fit: Fit, command: str = "") -> Judgement:
+    """Return the verdict of a fit, with the next step as in `following_words`."""
     verdict = judge(fit)
     reasons = tuple((reason.grade, reason.text) for reason in verdict.reasons)
-    return Judgement(verdict.grade, reasons, verdict.nothing_to_correct, str(next_step(fit)))
+    return Judgement(verdict.grade, reasons, verdict.nothing_to_correct, following_words(fit, command))
 
 
 def judgement_of_result(entry: dict[str, Any], following: str = "") -> Judgement:

@@ -26,12 +26,14 @@ def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
         fit: The fit.
         logo: Image for the report, as `calib.core.base.files.image_address` gives it.
     """
+    from viz.judgement import judgement_of_fit
     from viz.report_page import command_line, report_page
     from viz.scene import scene_of_fit
     from viz.viewer_page import scene_page
 
-    scene = scene_of_fit(fit)
-    report = report_page(fit, command=command_line(), viewer="viewer.html", logo=logo, scene=scene)
+    command = command_line()
+    scene = scene_of_fit(fit, judgement_of_fit(fit, command))
+    report = report_page(fit, command=command, viewer="viewer.html", logo=logo, scene=scene)
     return {
         "report.html": report.html.encode(),
         "viewer.html": scene_page(scene, report="report.html").html.encode(),

@@ -134,11 +134,9 @@ def reading_errors_of_measurements(
         return ()
     data = replace(data, readings={name: data.readings[name] for name in others})
     before = {name: seen.residuals for name, seen in _seen_readings(nominal, data).items()}
-    after = (
-        before if calibrated is None else {k: seen.residuals for k, seen in _seen_readings(calibrated, data).items()}
-    )
-    if calibrated is None:
-        after = {name: np.full_like(residuals, np.nan) for name, residuals in before.items()}
+    after = {name: np.full_like(residuals, np.nan) for name, residuals in before.items()}
+    if calibrated is not None:
+        after = {name: seen.residuals for name, seen in _seen_readings(calibrated, data).items()}
     errors = ErrorSet(data, nominal.instruments, before, after, np.full(len(data), np.nan))
     return _join_tables(_tables_of_set(MEASURED, errors, nominal, calibrated, {}))
 

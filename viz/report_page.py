@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from markupsafe import Markup, escape
 
 from calib import Fit, Robot
 from calib.core.base.version import PROGRAM
 from calib.core.base.words import sentence
-from calib.core.judging.next_step import next_step
 from calib.core.judging.verdict import judge
 from calib.core.results.sections.accuracy import accuracy_grids
 from calib.core.results.sections.budget import budget_grid, budget_table, worst_joint
@@ -35,6 +35,7 @@ from calib.core.results.sections.parameters import parameter_grid
 from viz.charts import Charts
 from viz.error_charts import conditions, coverage, error_charts, page_rows
 from viz.joint_charts import corrections, dials
+from viz.judgement import following_words
 from viz.page_parts import chart_parts, places
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks, record, signatures
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 
 _PACKAGES = ("pin", "numpy", "scipy", "trimesh", "meshcat", "bokeh")
 _DECIMALS, _MOST_DECIMALS = 4, 9
+_LONGEST_LABEL = 24
 _BESIDE = 2  # plots beside the robot in space: of the first part of readings
 
 
@@ -92,7 +94,7 @@ def report_page(
         fit=fit,
         robot=fit.nominal,
         verdict=judge(fit),
-        following=_following(fit, command).partition(": "),
+        following=following_words(fit, command).partition(": "),
         headline=headline,
         space=_space(shown, headline.part.name),
         accuracy=accuracy_grids(fit),
@@ -168,16 +170,6 @@ def _charts(fit: Fit, scene: ViewerScene | None) -> Charts:
     )
 
 
-def _following(fit: Fit, command: str) -> str:
-    """The next step, with the files of the command line that made the fit where it names all of them."""
-    following, words = next_step(fit), shlex.split(command)
-    folder = next((words[k + 1] for k, word in enumerate(words[:-1]) if word in ("--out", "-o")), "")
-    data = fit.identification.data.path
-    if not folder or not {fit.nominal.path, data} <= set(words):
-        return str(following)
-    return following.with_file_names(fit.nominal.path, [data], folder, {})
-
-
 def _space(scene: ViewerScene | None, part: str) -> list[float] | None:
     """RMS distance [mm] before and after of points that one instrument sees in another unit; None where none does."""
     alike = [] if scene is None else [other for other in scene.others if other.part == part]
@@ -188,7 +180,7 @@ def page_environment() -> Environment:
     """Return the environment of printed pages: all inserted text is escaped; with formats for numbers."""
     environment = templates(trim_blocks=True, lstrip_blocks=True)
     formats = {"mm": millimetres, "number": number, "significant": significant, "sentence": sentence, "cell": cell}
-    environment.filters |= formats | {"powers": powers}
+    environment.filters |= formats | {"powers": powers, "unbroken": unbroken, "labelled": labelled}
     return environment
 
 
@@ -246,6 +238,19 @@ def millimetres(value: float) -> str:
     """Format a length in mm with three significant digits; a dash for unknown."""
     size = abs(value)
     return number(value, 4 if size < 0.1 else 3 if size < 1 else 2 if size < 10 else 1)
+
+
+def unbroken(text: str) -> Markup:
+    """Return text as HTML whose options, such as --html, are not broken after their hyphens; copied, it is the same."""
+    return Markup(re.sub(r"(?<![\w-])--\w[\w-]*", r'<span class="option">\g<0></span>', str(escape(text))))
+
+
+def labelled(line: str) -> Markup:
+    """Return a line as HTML, with what stands before its colon in bold type where it is short."""
+    label, colon, rest = line.partition(": ")
+    if not rest or len(label) > _LONGEST_LABEL:
+        return unbroken(line)
+    return Markup("<strong>{}</strong> {}").format(label + colon.strip(), unbroken(rest))
 
 
 def powers(text: str) -> str:

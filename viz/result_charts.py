@@ -55,13 +55,14 @@ def _piece(names: Sequence[str], groups: Sequence[Any], x: Any, band: tuple[str,
 
 
 def parameters(fit: Fit) -> Chart | None:
-    """Return the change of every free parameter of the robot with its interval, in sigmas of what was expected."""
+    """Return the change of every free parameter of the robot with its interval, in sigmas expected; largest first."""
     own = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
     if not own:
         return None
     found = [fit.parameters[p.name] for p in own]
-    sigma = np.array([p.sigma for p in own])
-    change = np.array([one.value - one.nominal for one in found]) / sigma
+    ratio = np.array([one.value - one.nominal for one in found]) / [p.sigma for p in own]
+    order = np.argsort(-np.abs(ratio), kind="stable")
+    found, sigma, change = [found[k] for k in order], np.array([own[k].sigma for k in order]), ratio[order]
     half = np.array([one.high95 - one.value for one in found]) / sigma
     texts = [
         f"{one.name}: {one.nominal:.4f} → {one.value:.4f} {one.unit}, 95 % from {one.low95:.4f} to {one.high95:.4f};"
@@ -71,14 +72,14 @@ def parameters(fit: Fit) -> Chart | None:
     drawn = forest(
         [one.name for one in found],
         [("change", COLOURS["after"], change, half, texts)],
-        "change [standard deviations of what was expected]",
+        "change [expected standard deviations]",
         ("expected beforehand (95 %)", 2.0),
     )
     return Chart(
         "forest",
         "Parameters: change, 95 % interval, and what was expected",
-        "Beyond the band, the robot is further from its drawing than expected; an interval that is as wide as the band"
-        " says that the measurements determined little.",
+        "The largest change is at the top. Beyond the band, the robot is further from its drawing than expected; an"
+        " interval that is as wide as the band says that the measurements determined little.",
         drawn,
         440,
     )

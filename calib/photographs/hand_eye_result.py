@@ -144,9 +144,9 @@ def report(result: HandEye, frames: Frames) -> str:
     lines.append("Largest: " + listing([f"image {scene.names[i]} {by_image[i]:.2f} px" for i in worst]))
     if result.intrinsics_given is not None and result.lens_found:
         given = f"; {result.rms_given:.3f} px with the intrinsics given" if np.isfinite(result.rms_given) else ""
-        lines.append(f"Lens: found from these images (left out: {rms(result.left_out.pixels):.3f} px{given})")
+        lines.append(f"Lens: found from these images (left out: {rms(result.left_out.pixels):.3f} px{given}):")
     elif result.lens_found:
-        lines.append("Lens: found from these images, because none was given")
+        lines.append("Lens: found from these images, because none was given:")
     else:
         lines.append("Lens: as given")
     if result.lens_found:

@@ -57,21 +57,3 @@ def test_tables_of_manufacturers_have_their_arms(tmp_path, run_calib, table, q, 
 def test_simulated_files_say_so_on_their_first_line():
     for path in EXAMPLES.glob("*_simulated.csv"):
         assert path.read_text().lower().startswith("# simulated")
-
-
-def test_the_description_of_the_five_bar_is_the_one_that_its_tutorial_builds():
-    from snippets import blocks
-
-    built = next(
-        block.text
-        for block in blocks((DOCS / "tutorials" / "five_bar.md").read_text())
-        if block.title == "minimal.yaml"
-    )
-    shipped = (EXAMPLES / "five_bar.yaml").read_text()
-    assert _settings(built.replace("docs/examples/", "")) == _settings(shipped)
-
-
-def _settings(text):
-    import yaml
-
-    return yaml.safe_load(text)

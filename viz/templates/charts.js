@@ -97,15 +97,15 @@ class Chart {
   /** @param room width that the panel has [px] */
   figure({ x, y, layers, title, height, equal, bare }, room) {
     const range = ({ log, ends, names }, turned) => (names.length ? new Bokeh.Range1d({ start: turned ? names.length - 0.5 : -0.5, end: turned ? -0.5 : names.length - 0.5 })
-      : ends ? new Bokeh.Range1d({ start: ends[0], end: ends[1] }) : new Bokeh.DataRange1d({ range_padding: 0.06 }));
+      : ends ? new Bokeh.Range1d({ start: ends[0], end: ends[1] }) : new Bokeh.DataRange1d({ range_padding: 0.12 }));
     const figure = new Bokeh.Plotting.Figure({
-      height, sizing_mode: "stretch_width", title: title || null, x_axis_label: 7.2 * x.label.length > room - 60 ? x.label.replace(" [", "\n[") : x.label, y_axis_label: y.label || null,
+      height, sizing_mode: "stretch_width", title: title && 7.5 * title.length > room ? title.replace(" ", "\n") : title || null, x_axis_label: 7.2 * x.label.length > room - 60 ? x.label.replace(" [", "\n[") : x.label, y_axis_label: y.label || null,
       x_axis_type: x.log ? "log" : "linear", y_axis_type: y.log ? "log" : "linear",
       x_range: range(x, false), y_range: range(y, true), match_aspect: equal, tools: "pan,wheel_zoom,box_zoom,box_select,tap,reset,save",
       toolbar_location: "above", background_fill_color: null, border_fill_color: null, outline_line_color: null,
       lod_threshold: null,
     });
-    this.look(figure, x, y, height);
+    this.look(figure, x, y, height, room);
     if (bare) [...figure.xaxes, ...figure.yaxes, ...figure.center.filter((part) => part.type === "Grid")].forEach((part) => { part.visible = false; });
     const own = []; // what a selection in this panel changes
     const hovered = layers.flatMap((layer) => this.layer(figure, layer, own));
@@ -123,14 +123,14 @@ class Chart {
     return figure;
   }
 
-  look(figure, x, y, height) {
+  look(figure, x, y, height, room) {
     for (const [axes, { names, log }] of [[figure.xaxes, x], [figure.yaxes, y]]) {
       for (const axis of axes) {
         Object.assign(axis, { axis_label_text_color: this.ink, major_label_text_color: this.ink, axis_line_color: this.ink, major_tick_line_color: this.ink,
           minor_tick_line_color: null, axis_label_text_font_size: "13px", axis_label_text_font_style: "normal", major_label_text_font_size: "12px" });
         if (names.length) {
           axis.ticker = new Bokeh.FixedTicker({ ticks: names.map((_, k) => k), minor_ticks: [] });
-          axis.major_label_overrides = new Map(names.map((name, k) => [k, name]));
+          axis.major_label_overrides = new Map(names.map((name, k) => [k, 16 * name.length > room ? name.replace(/(.{12,}?) /, "$1\n") : name]));
         } else if (!log && height < 220) axis.ticker.desired_num_ticks = 3;
         if (log) axis.formatter = new Bokeh.BasicTickFormatter({ use_scientific: false });
       }
@@ -257,7 +257,6 @@ class Space {
     document.getElementById("turn").hidden = !TOUCH;
     if (this.viewer.sameScale()) page.getElementById("same-scale").click(); // what is left has colours of its own
     document.querySelectorAll("[data-press]").forEach((button) => button.dispatchEvent(new Event("shown")));
-    this.keep();
     window.addEventListener("beforeprint", () => this.keep());
     document.body.dataset.space = "true";
   }
@@ -275,7 +274,8 @@ async function startReport() {
   const selection = new Selection(rows);
   const drawn = Object.entries(charts).map(([name, chart]) => new Chart(name, chart, selection));
   window.calibrationReport = { selection, charts: drawn };
-  if (document.getElementById("space")) await new Space(selection).open();
+  const space = document.getElementById("space") && new Space(selection);
+  if (space) await space.open();
   if (drawn.length) {
     await run("bokeh");
     await run("bokeh-api");
@@ -286,7 +286,10 @@ async function startReport() {
   drawn.forEach(({ node }) => near.observe(node));
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawn.forEach((chart) => chart.again()));
   document.body.dataset.ready = "true";
-  const rest = async () => { for (const chart of drawn) { await chart.draw(); await new Promise((next) => { setTimeout(next, 30); }); } };
+  const rest = async () => {
+    if (space) space.keep();
+    for (const chart of drawn) { await chart.draw(); await new Promise((next) => { setTimeout(next, 30); }); }
+  };
   window.calibrationReport.all = rest;
   (window.requestIdleCallback || setTimeout)(rest);
 }

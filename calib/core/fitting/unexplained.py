@@ -120,5 +120,6 @@ def _shown(model: KindModel, kinds: tuple[CandidateTerm, ...], at: SolvedModel) 
             },
         )
     )
-    none = np.append(least[:n], known.logs[n:])
-    return model.undecided(at.model.without_families(absent), none, [known.logs], sections)
+    shown_logs, none = known.logs.copy(), np.append(least[:n], known.logs[n:])
+    shown_logs[:n][absent] = none[:n][absent] = -np.inf
+    return model.undecided(at.model, none, shown_logs[None], sections)

@@ -32,8 +32,10 @@ logarithms of sizes, w_i = d log V_i / d(log size), are
                            mixed     sum of w_i T_ic^2 / V_i over the rows and the columns of f
                            noise, d  1/2 sum of w_i w'_i (1 - 2 h_i) + 1/2 tr(K A^-1 K' A^-1),  K = Z^T (w / V) Z
 
-With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B, or
-the sum of w_i w'_j (B_i . B_j)^2 over rows i and j.
+A search of the sizes steps by the mean of Fisher's information and the second derivative of -log L, which asks for no
+products of matrices (gilmour1995): with M the derivatives dW Q y, 1/2 M^T Q M.
+
+With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B.
 
 Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Those below
 a ten-thousandth of the largest are put aside: rows do not see them. So are, with a least length, those of a family
@@ -47,24 +49,26 @@ Q_kk^-1, the noise of the pose included.
 When it fails. Far from the linear model, and where the sizes of families are as large as the rows (`size_search` has
 priors for them). A family with one size has coefficients that are about as large as each other.
 
-Reference: patterson1971; harville1977; mackay1992.
+Reference: patterson1971; harville1977; gilmour1995; mackay1992.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import blocks_of_equal_length
+from calib.core.numerics.identifiability import inverse_of_triangle
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
 _DECIDES = 1e-6  # part of a direction that other poses decide, from which they predict it
+_LEAST_EFFECT = 1e-3  # how far a coefficient moves all rows, over their noise, below which it is left out of a solution
 _RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding might make singular
 
 
@@ -130,6 +134,11 @@ class MixedModel(ReadOnlyArrays):
         return np.flatnonzero(~self.rows.has_stated_noise)
 
     @cached_property
+    def _lengths(self) -> FloatArray:
+        """Lengths of the columns, (n,)."""
+        return np.linalg.norm(self.x, axis=0)
+
+    @cached_property
     def has_prior(self) -> FloatArray:
         """Diagonal of P, (n,)."""
         return np.where(self.family == FLAT, 0.0, 1.0)
@@ -149,29 +158,26 @@ class MixedModel(ReadOnlyArrays):
             start = end
         return result
 
-    def without_families(self, families: BoolArray) -> MixedModel:
-        """Return the model without the columns of some families, (n_families,); their sizes stay, and say nothing."""
-        kept = ~np.append(families, [False, False])[self.family]
-        parts = tuple(part.empty if part.family >= 0 and families[part.family] else part for part in self.parts)
-        return replace(self, parts=parts, x=self.x[:, kept], family=self.family[kept])
-
     def solve(self, logs: FloatArray) -> SolvedModel:
-        """Solve it with sizes whose logarithms are given, (n_sizes,)."""
+        """Solve it with sizes whose logarithms are given, (n_sizes,); a family whose logarithm is -inf is left out."""
         families, noise, scatter = self.sizes(logs)
         variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
         scale = np.append(families, [1.0, 1.0])[self.family]  # the last ones for -2 and -1
+        seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _LEAST_EFFECT))
         root = np.sqrt(variance)
-        z, y = self.x * scale / root[:, None], self.y / root
-        matrix = z.T @ z  # of a matrix with itself: half of the work
-        matrix[np.diag_indices_from(matrix)] += self.has_prior + _RIDGE * np.diag(matrix)
+        z, y = self.whiten_columns(seen, scale, variance), self.y / root
+        matrix, prior = z.T @ z, self.has_prior[seen]  # of a matrix with itself: half of the work
+        matrix[np.diag_indices_from(matrix)] += prior + _RIDGE * np.diag(matrix)
         upper = np.linalg.cholesky(matrix).T
-        inverse, _ = scipy.linalg.lapack.dpotri(upper)
-        inverse = np.triu(inverse) + np.triu(inverse, 1).T
-        v = inverse @ (z.T @ y)
+        v = scipy.linalg.cho_solve((upper, False), z.T @ y, check_finite=False)
         left = y - z @ v
         determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(np.sum(np.log(variance)))
-        cost = float(np.sum(left**2) + np.sum(self.has_prior * v**2))
-        return SolvedModel(self, logs, scale, variance, z, upper, inverse, v, left, 0.5 * (determinant + cost))
+        cost = float(np.sum(left**2) + np.sum(prior * v**2))
+        return SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (determinant + cost))
+
+    def whiten_columns(self, seen: IntArray, scale: FloatArray, variance: FloatArray) -> FloatArray:
+        """Return V^-1/2 Z of some columns, (n_rows, n_seen); arguments are attributes of `SolvedModel`."""
+        return self.x[:, seen] * scale[seen] / np.sqrt(variance)[:, None]
 
 
 def _rotate_rows(rows: MixedRows) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
@@ -197,11 +203,10 @@ class SolvedModel(ReadOnlyArrays):
         model: The model.
         logs: Logarithms of the sizes, (n_sizes,).
         scale: Diagonal of S, (n,).
+        seen: Columns that rows see with these sizes, (n_seen,); coefficients of the others are zero.
         variance: Diagonal of V, (n_rows,).
-        z: V^-1/2 Z, (n_rows, n).
-        upper: R with A = R^T R, (n, n).
-        inverse: A^-1, (n, n).
-        v: Scaled coefficients, (n,).
+        upper: R with A = R^T R, (n_seen, n_seen).
+        v: Scaled coefficients, (n_seen,).
         whitened_residuals: V^-1/2 r, (n_rows,).
         cost: -log L, up to a constant.
     """
@@ -209,23 +214,32 @@ class SolvedModel(ReadOnlyArrays):
     model: MixedModel
     logs: FloatArray
     scale: FloatArray
+    seen: IntArray
     variance: FloatArray
-    z: FloatArray
     upper: FloatArray
-    inverse: FloatArray
     v: FloatArray
     whitened_residuals: FloatArray
     cost: float
 
-    @cached_property
-    def _spread(self) -> FloatArray:
-        """V^-1/2 Z R^-1, with A = R^T R, (n_rows, n)."""
-        return scipy.linalg.blas.dtrsm(1.0, self.upper, self.z, side=1)
+    @property
+    def z(self) -> FloatArray:
+        """V^-1/2 Z, (n_rows, n_seen)."""
+        return self.model.whiten_columns(self.seen, self.scale, self.variance)
 
     @cached_property
-    def _span(self) -> FloatArray:
-        """V^-1/2 T, (n_rows, n)."""
-        return scipy.linalg.blas.dtrsm(1.0, self.upper, self._spread, side=1, trans_a=1)
+    def _root(self) -> FloatArray:
+        """R^-1, (n_seen, n_seen)."""
+        return inverse_of_triangle(self.upper)
+
+    @cached_property
+    def _unseen_part(self) -> FloatArray:
+        """Diagonal of A^-1, (n_seen,)."""
+        return np.asarray(np.einsum("ij,ij->i", self._root, self._root))
+
+    @cached_property
+    def _spread(self) -> FloatArray:
+        """V^-1/2 Z R^-1, (n_rows, n_seen)."""
+        return np.asarray(scipy.linalg.blas.dtrmm(1.0, self._root, self.z, side=1))
 
     @cached_property
     def _leverage(self) -> FloatArray:
@@ -234,8 +248,8 @@ class SolvedModel(ReadOnlyArrays):
 
     @cached_property
     def _members(self) -> FloatArray:
-        """1 where a column is of a family, else 0, (n_families, n)."""
-        return (self.model.family == np.arange(self.model.n_families)[:, None]).astype(float)
+        """1 where a column is of a family, else 0, (n_families, n_seen)."""
+        return (self.model.family[self.seen] == np.arange(self.model.n_families)[:, None]).astype(float)
 
     @cached_property
     def _shares(self) -> FloatArray:
@@ -248,37 +262,57 @@ class SolvedModel(ReadOnlyArrays):
             shares.append(2.0 * scatter**2 * model.spread / self.variance)
         return np.array(shares).reshape(-1, len(group))
 
-    @property
+    @cached_property
     def gradient(self) -> FloatArray:
         """Gradient of `cost` by the logarithms of the sizes, (n_sizes,)."""
-        of_families = self._members @ (1.0 - np.diag(self.inverse) - self.v**2)
+        of_families = self._members @ (1.0 - self._unseen_part - self.v**2)
         return np.concatenate([of_families, 0.5 * self._shares @ (1.0 - self._leverage - self.whitened_residuals**2)])
 
-    @property
+    @cached_property
     def information(self) -> FloatArray:
         """Fisher's, of the logarithms of the sizes, (n_sizes, n_sizes)."""
         shares, members = self._shares, self._members
-        families = 2.0 * members @ self.inverse**2 @ members.T
-        families += np.diag(2.0 * members @ (1.0 - 2.0 * np.diag(self.inverse)))
-        mixed = members @ (shares @ self._span**2).T
-        if len(self._spread) < len(shares) * self._spread.shape[1]:  # the shorter of two ways to the same products
-            seen = shares @ (self._spread @ self._spread.T) ** 2 @ shares.T
-        else:
-            weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]
-            of_columns = np.array([(rows.T @ rows).ravel() for rows in weighed]).reshape(len(shares), -1)
-            seen = of_columns @ of_columns.T
-        noise = 0.5 * ((shares * (1.0 - 2.0 * self._leverage)) @ shares.T + seen)
+        families = 2.0 * members @ (self._root @ self._root.T) ** 2 @ members.T
+        families += np.diag(2.0 * members @ (1.0 - 2.0 * self._unseen_part))
+        span = scipy.linalg.blas.dtrmm(1.0, self._root, self._spread, side=1, trans_a=1)  # V^-1/2 T
+        mixed = members @ (shares @ span**2).T
+        weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]
+        of_columns = np.array([(rows.T @ rows).ravel() for rows in weighed]).reshape(len(shares), -1)
+        noise = 0.5 * ((shares * (1.0 - 2.0 * self._leverage)) @ shares.T + of_columns @ of_columns.T)
         return np.block([[families, mixed], [mixed.T, noise]])
+
+    @property
+    def average_information(self) -> FloatArray:
+        """Mean of Fisher's information and the second derivative of `cost`, about, (n_sizes, n_sizes)."""
+        z = self.z
+        families = 2.0 * z @ (self._members * self.v).T
+        moved = np.hstack([families, (self._shares * self.whitened_residuals).T])
+        seen = scipy.linalg.solve_triangular(self.upper, z.T @ moved, trans=1, check_finite=False)
+        return 0.5 * (moved.T @ moved - seen.T @ seen)
+
+    def freedom(self, families: IntArray) -> float:
+        """Return how many coefficients of some families the rows decide."""
+        return float(np.sum((1.0 - self._unseen_part)[np.isin(self.model.family[self.seen], families)]))
+
+    @property
+    def condensed_coefficients(self) -> FloatArray:
+        """Coefficients u of the condensed columns, (n,)."""
+        result = np.zeros(len(self.scale))
+        result[self.seen] = self.scale[self.seen] * self.v
+        return result
 
     @property
     def coefficients(self) -> FloatArray:
         """Coefficients u of all columns, (n_columns,)."""
-        return self.model.coefficients(self.scale * self.v)
+        return self.model.coefficients(self.condensed_coefficients)
 
-    @cached_property
+    @property
     def covariance(self) -> FloatArray:
         """Covariance of u of the condensed columns, (n, n)."""
-        return self.scale[:, None] * self.inverse * self.scale
+        result = np.diag(self.scale**2)
+        root = self.scale[self.seen, None] * self._root
+        result[np.ix_(self.seen, self.seen)] = root @ root.T
+        return result
 
     def left_out_squares(self, block: IntArray, weight: FloatArray) -> FloatArray:
         """Return weighted squares of errors of blocks of poses, each predicted by all others, (n_blocks,).
@@ -302,7 +336,7 @@ class SolvedModel(ReadOnlyArrays):
 
     def _remaining_rows(self, places: IntArray) -> tuple[FloatArray, FloatArray]:
         """Eigenvalues (k,) and eigenvectors (k, k) of V^1/2 Q V^1/2 of some rows."""
-        return linalg.eigh(np.eye(len(places)) - self._span[places] @ self.z[places].T)
+        return linalg.eigh(np.eye(len(places)) - self._spread[places] @ self._spread[places].T)
 
     def left_out_errors(self) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
         """Yield of each pose its rows (k,), and of these the error (k,) and its covariance (k, k).

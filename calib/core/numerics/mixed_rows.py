@@ -71,11 +71,6 @@ class FamilyPart(ReadOnlyArrays):
     kept: FloatArray
     family: int
 
-    @property
-    def empty(self) -> FamilyPart:
-        """The same columns, with coefficients of zero."""
-        return FamilyPart(self.members, np.zeros((len(self.members), 0)), self.family)
-
     @staticmethod
     def from_columns(members: IntArray, columns: FloatArray, family: int, least: float = 0.0) -> FamilyPart:
         """Return the part of the columns of a family, (n_rows, n); without components shorter than `least`."""

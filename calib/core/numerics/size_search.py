@@ -3,10 +3,10 @@
 Prior. A family that is there is about as large as is expected, s = 1: its size has a half-Cauchy density, 1 / (1 + s^2)
 (gelman2006), which lets sizes grow where rows ask for it. That of noise and of d is flat.
 
-Search. Newton's steps on the logarithms of the sizes with Fisher's information, which needs no second derivatives and
-is positive; the curvature of the prior is added. A step that does not lower the cost is damped (Levenberg, Marquardt)
-and tried again. From one start: families half as large as is expected, noise and scatter each a part of what flat
-columns leave. A size falls to no less than its bound, which is as good as zero.
+Search. Newton's steps on the logarithms of the sizes with the average information (`calib.core.numerics.mixed_model`),
+which is positive; the curvature of the prior is added. A step that does not lower the cost is damped (Levenberg,
+Marquardt) and tried again. From one start: families half as large as is expected, noise and scatter each a part of what
+flat columns leave. A size falls to no less than its bound, which is as good as zero.
 
 Others. The likelihood is even in every size s: a family that is not there has its maximum at s = 0, where log s has no
 scale. So the posterior is approximated by a normal one in s itself, and drawn sizes are turned to positive ones. With I
@@ -26,7 +26,7 @@ Reference: gelman2006; patterson1971.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -49,17 +49,20 @@ _ROUNDS = 80
 _HOPELESS = 1e6  # damping beyond which no step lowers the cost
 
 
-def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: BoolArray | None = None) -> SolvedModel:
+def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: BoolArray | None = None) -> SolvedModel:
     """Return the model solved with the sizes of the largest posterior density.
 
     Args:
         model: The model.
         start: Logarithms of the sizes to begin with, (n_sizes,); by the module docstring if not given.
-        zero: Sizes that are held at their bound, (n_sizes,); none if not given.
+        absent: Families that are left out, (n_families,): the logarithms of their sizes are -inf; none if not given.
     """
     bounds = _Bounds.from_model(model)
-    none = np.zeros(len(bounds.least), dtype=bool) if zero is None else zero
-    begin = np.clip(bounds.first if start is None else start, bounds.least, None)
+    none = np.zeros(len(bounds.least), dtype=bool)
+    if absent is not None:
+        none[: len(absent)] = absent
+        bounds = replace(bounds, least=np.where(none, -np.inf, bounds.least))
+    begin = np.maximum(bounds.first if start is None else start, bounds.least)
     at = model.solve(np.where(none, bounds.least, begin))
     damping = 1e-3
     for _ in range(_ROUNDS):
@@ -67,7 +70,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: Bo
         free = ~(none | ((at.logs <= bounds.least + _AT_BOUND) & (gradient > 0.0)))
         if not np.any(free) or np.max(np.abs(gradient[free])) < _STANDS / 2.0:
             break
-        information = at.information + np.diag(_curvature(at))
+        information = at.average_information + np.diag(_curvature(at))
         better, damping = _try_step(at, gradient, information, free, bounds, damping)
         if better is None:
             break
@@ -76,9 +79,9 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: Bo
         if gain < _GAIN:
             break
         damping *= 0.3
-    falling = (at.gradient + _slope(at) > 0.0) & (at.logs < bounds.first + np.log(_SMALL))
-    without = model.solve(np.where(falling, bounds.least, at.logs))
-    return without if np.any(falling) and _cost(without) <= _cost(at) else at
+    falling = (at.gradient + _slope(at) > 0.0) & (at.logs < bounds.first + np.log(_SMALL)) & ~none
+    without = model.solve(np.where(falling, bounds.least, at.logs)) if np.any(falling) else at
+    return without if _cost(without) <= _cost(at) else at
 
 
 def scatter_given_noise(at: SolvedModel) -> float:

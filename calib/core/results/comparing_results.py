@@ -37,7 +37,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.parameter import Parameter, index_of
-from calib.core.base.words import count_noun, distinct_names
+from calib.core.base.words import count_noun, distinct_names, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import HARDLY
@@ -117,7 +117,10 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
         if geometry(other.robot) != geometry(first.robot):
             raise DataError(f"{other.path}: is the result of another robot than {first.path}; their URDFs differ")
     pairs = list(combinations(loaded, 2))
-    notes = [note for first, other in pairs for note in _notes(first, other)]
+    notes: dict[str, list[str]] = {}  # pairs by what is to say of them
+    for first, other in pairs:
+        for note in _notes(first, other):
+            notes.setdefault(note, []).append(f"{first.name} and {other.name}")
     tested = [_p_values(first, other) for first, other in pairs]
     names = list(dict.fromkeys(name for result in loaded for name in (p.name for p in result.loaded.robot.parameters)))
     raw = np.array([[p_values.get(name, np.nan) for name in names] for p_values, _ in tested])
@@ -152,7 +155,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
             )
             for (first, other), differing, (by_name, _), all_together in zip(pairs, real, tested, together, strict=True)
         ),
-        tuple(notes),
+        tuple(f"{listing(of_pairs, '; ')}: {note}" for note, of_pairs in notes.items()),
     )
 
 
@@ -203,18 +206,17 @@ def _why_not(first: _Result, other: _Result) -> str:
 
 
 def _notes(first: _Result, other: _Result) -> list[str]:
-    pair = f"{first.name} and {other.name}"
     why = _why_not(first, other)
     if why:
-        return [f"{pair}: no tests, because {why}."]
-    notes = [f"{pair}: tested as measurements with independent noise; no reading is in both."]
+        return [f"no tests, because {why}."]
+    notes = ["tested as measurements with independent noise; no reading is in both."]
     only = sorted(set(first.free) ^ set(other.free))
     if only:
         notes.append(
-            f"{pair}: {count_noun(len(only), 'parameter')} free in one alone ({only[0]}); this may make others differ."
+            f"{count_noun(len(only), 'parameter')} free in one alone ({only[0]}); this may make others differ."
         )
     if "CHECK" in {result.grade for result in (first, other)}:
-        notes.append(f"{pair}: a verdict is CHECK; where errors are systematic, too many differences count as real.")
+        notes.append("a verdict is CHECK; where errors are systematic, too many differences count as real.")
     return notes
 
 

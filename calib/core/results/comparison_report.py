@@ -143,7 +143,7 @@ class ResultComparison:
         kinds = "with less certain differences, or without a test" if tested else "without a test"
         lines = [f"... and {count_noun(more, 'parameter')} {kinds}"] if more else []
         answer = [*tested, *self.notes]  # a note says why a pair was not tested
-        key = f"values +- 95 %; * differs from {self.names[0]}; p is corrected for the number of tests"
+        key = f"values ± 95 %; * differs from {self.names[0]}; p is corrected for the number of tests"
         return plain_text(["\n".join([*answer, "", *heads]) + "\n", table, *lines, key], _WIDTH, wrap=True)
 
     def rank_differences(self) -> list[Difference]:
@@ -155,7 +155,7 @@ class ResultComparison:
 
     def conclusion(self) -> str:
         """Return which differences are real: a line for each two results, and one that says what is marked."""
-        key = f"Marked *: differs from {self.names[0]}; values +- 95 %; p corrected, real below {HARDLY:g}."
+        key = f"Marked *: differs from {self.names[0]}; values ± 95 %; p corrected, real below {HARDLY:g}."
         return "\n".join([*(pair.sentence() for pair in self.pairs), key])
 
     def to_dict(self) -> dict[str, object]:

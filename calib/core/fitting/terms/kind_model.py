@@ -10,7 +10,7 @@ covariance of u around those of the fit. The difference to the C of the fit is a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -156,30 +156,29 @@ class KindModel:
         )
 
     def undecided(
-        self, model: MixedModel, fitted: FloatArray, others: Iterable[FloatArray], terms: tuple[TermSection, ...]
+        self, model: MixedModel, fitted: FloatArray, others: FloatArray, terms: tuple[TermSection, ...]
     ) -> UndecidedTerms | None:
         """Return the uncertainty that the sizes add to the covariance of the fit; None if they add none.
 
         Args:
             model: Model of `rows`.
             fitted: Logarithms of the sizes that the fit has, (n_sizes,).
-            others: Logarithms of each set of sizes that may be right, (n_sizes,) each.
+            others: Logarithms of each set of sizes that may be right, (n_sets, n_sizes).
             terms: Entries of terms that the fit does not have, and these sets have.
         """
         at = model.solve(fitted)
-        more, steps = [], []
-        for logs in others:
-            solved = model.solve(logs)
-            more.append(solved.covariance)
-            steps.append(solved.scale * solved.v - at.scale * at.v)
-        added = sum(more, start=np.zeros_like(at.covariance)) / len(more) - at.covariance
-        added += np.array(steps).T @ np.array(steps) / len(steps)
-        sizes = np.linalg.norm(model.x, axis=0) + 1e-30
-        values, vectors = linalg.eigh(sizes[:, None] * added * sizes)
-        kept = values > _LITTLE * max(float(values[-1]), 0.0)
+        added, before = -at.covariance, at.condensed_coefficients
+        for solved in map(model.solve, others):
+            step = solved.condensed_coefficients - before
+            added += (solved.covariance + np.outer(step, step)) / len(others)
+        moved = np.flatnonzero(np.diag(added))  # the others are in no set of sizes
+        sizes = np.linalg.norm(model.x[:, moved], axis=0) + 1e-30
+        values, vectors = linalg.eigh(sizes[:, None] * added[np.ix_(moved, moved)] * sizes)
+        kept = values > _LITTLE * float(np.max(values, initial=0.0))
         if not np.any(kept):
             return None
-        condensed = vectors[:, kept] * np.sqrt(values[kept]) / sizes[:, None]
+        condensed = np.zeros((len(added), int(np.sum(kept))))
+        condensed[moved] = vectors[:, kept] * np.sqrt(values[kept]) / sizes[:, None]
         spread = np.stack([model.coefficients(column) for column in condensed.T], axis=1)
         spread *= self._unknowns.scales[:, None]
         names = [k for k, row in enumerate(spread) if np.any(row)]

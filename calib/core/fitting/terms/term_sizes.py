@@ -6,8 +6,8 @@ show (`calib.core.fitting.terms.candidate_terms`). Each kind is a family of the 
 are normal with a size that is found by restricted likelihood, together with the noise and with an error of each joint
 that is another one at each pose, which stands for what no kind describes.
 
-Which kinds are fitted. From the model of all, kinds are left out one by one, those of most coefficients first. A kind
-stays where both are true:
+Which kinds are fitted. From the model of all, kinds are left out one by one, those of most coefficients first, until
+all stay. A kind stays where both are true:
 
     prediction   blocks of poses left out are predicted better, by more than one standard error over the blocks: boxes
                  of joint space; where there are several setups, boxes of each. Squares of errors count. Likelihood
@@ -135,12 +135,6 @@ class _TermModel:
         found = np.zeros(len(scales.groups), dtype=bool)
         return model.rows(model.informative_rows, scales.groups, scales.ratios, found)
 
-    def _without_families(self, families: BoolArray) -> SolvedModel:
-        """The model without some families, (n_families,), and with the likeliest sizes of the others."""
-        zero = np.arange(len(self._solved_model.logs)) < len(families)
-        zero[: len(families)] = families
-        return likeliest_sizes(self._solved_model.model.without_families(families), self._solved_model.logs, zero)
-
     @cached_property
     def _blocks(self) -> IntArray:
         """Block of each pose of the model by the module docstring, (n_poses,)."""
@@ -159,10 +153,21 @@ class _TermModel:
         return np.unique(block[visits], return_inverse=True)[1]
 
     def _solve_with_kinds(self, kinds: frozenset[str]) -> SolvedModel:
-        """The model with some of the requested kinds."""
+        """The model with some of the requested kinds; sizes are searched from those of the most similar set of them."""
+        full = self._solved_model
+        self._solved.setdefault(self._requested_kinds, full)
         if kinds not in self._solved:
-            self._solved[kinds] = self._without_families(self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds)))
+            near = self._solved[min(self._solved, key=lambda known: len(known ^ kinds))].logs
+            absent = self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds))
+            solved = likeliest_sizes(full.model, np.where(np.isneginf(near), full.logs, near), absent)
+            self._solved[kinds] = replace(solved)  # without what it remembers, which takes memory
         return self._solved[kinds]
+
+    def _most_evidence(self, kind: str, kinds: frozenset[str]) -> float:
+        """The most that a kind may raise the log likelihood, by solved sets of kinds: more kinds fit better."""
+        fewer, more = kinds - {kind}, kinds | {kind}
+        worst = min((at.cost for known, at in self._solved.items() if known <= fewer), default=np.inf)
+        return worst - min((at.cost for known, at in self._solved.items() if known >= more), default=-np.inf)
 
     def _squares(self, at: SolvedModel) -> FloatArray:
         """Squares of errors of blocks left out, in units of what no term leaves, (n_blocks,)."""
@@ -176,10 +181,14 @@ class _TermModel:
 
     def _earns(self, kind: str, kinds: frozenset[str]) -> bool:
         """Whether a kind earns its place among some by the module docstring."""
+        needed = TELLS + float(np.log(len(self._requested_kinds)))
+        if self._most_evidence(kind, kinds) <= needed:
+            return False
         at, without = self._solve_with_kinds(kinds | {kind}), self._solve_with_kinds(kinds - {kind})
+        if without.cost - at.cost <= needed:
+            return False
         fewer = self._squares(without) - self._squares(at)
-        clearly = float(np.sum(fewer)) > np.sqrt(len(fewer)) * float(np.std(fewer, ddof=1))
-        return clearly and without.cost - at.cost > TELLS + float(np.log(len(self._requested_kinds)))
+        return float(np.sum(fewer)) > np.sqrt(len(fewer)) * float(np.std(fewer, ddof=1))
 
     @cached_property
     def _requested_kinds(self) -> frozenset[str]:
@@ -193,9 +202,9 @@ class _TermModel:
         seen = set[frozenset[str]]()
         while kinds not in seen:
             seen.add(kinds)
-            idle = next((kind for kind in self._kinds_by_freedom(kinds) if not self._earns(kind, kinds)), None)
-            if idle is not None:
-                kinds -= {idle}
+            for kind in self._kinds_by_freedom(kinds):
+                kinds = kinds if self._earns(kind, kinds) else kinds - {kind}
+            if kinds not in seen:
                 continue
             more = [kind for kind in sorted(every - kinds) if self._earns(kind, kinds)]
             kinds |= {min(more, key=lambda kind: self._solve_with_kinds(kinds | {kind}).cost)} if more else kinds
@@ -208,11 +217,12 @@ class _TermModel:
 
     def _is_shown(self, k: int) -> bool:
         """Whether rows show a family of the chosen model: its log likelihood is higher with it."""
-        logs = self._chosen_model.logs[: len(self._families)]
-        least = logs <= self._smallest_logs[: len(logs)]
+        chosen, n = self._chosen_model, len(self._families)
+        least = chosen.logs[:n] <= self._smallest_logs[:n]
         if least[k]:
             return False
-        return self._without_families(least | (np.arange(len(logs)) == k)).cost - self._chosen_model.cost > _SHOWS
+        without = likeliest_sizes(chosen.model, chosen.logs, least | (np.arange(n) == k))
+        return without.cost - chosen.cost > _SHOWS
 
     @cached_property
     def _is_fitted(self) -> BoolArray:
@@ -228,8 +238,7 @@ class _TermModel:
     def _kinds_by_freedom(self, kinds: frozenset[str]) -> list[str]:
         """Some kinds, that of most coefficients that rows decide first."""
         at = self._solve_with_kinds(kinds)
-        decided = 1.0 - np.diag(at.inverse)
-        return sorted(kinds, key=lambda kind: -np.sum(decided[np.isin(at.model.family, self._members(kind))]))
+        return sorted(kinds, key=lambda kind: -at.freedom(self._members(kind)))
 
     def _members(self, kind: str) -> IntArray:
         return np.flatnonzero(self._terms == kind)
@@ -258,7 +267,7 @@ class _TermModel:
             self._solve_with_kinds(self._requested_kinds - {candidate.term}).cost - self._solved_model.cost
             if there
             else float("nan"),
-            float(np.exp(self._chosen_model.logs[most])),
+            float(np.exp(max(self._chosen_model.logs[most], self._smallest_logs[most]))),
             (float(low), float(high)),
             tuple(self._families[k].joint for k in there if self._families[k].joint),
         )
@@ -270,8 +279,8 @@ class _TermModel:
 
     def undecided(self, fitted_terms: tuple[TermSection, ...]) -> UndecidedTerms | None:
         """Return what the sizes leave uncertain of these terms and of the others; None if that is nothing."""
-        logs = self._chosen_model.logs.copy()
-        logs[: len(self._families)][~self._is_fitted] = self._smallest_logs[: len(self._families)][~self._is_fitted]
+        fitted = np.append(self._is_fitted, np.ones(len(self._smallest_logs) - len(self._families), dtype=bool))
+        logs = np.where(fitted, self._chosen_model.logs, self._smallest_logs)
         others = missing_terms(self._fit.robot.with_terms(fitted_terms), self._sections)
         return self._kind_model.undecided(MixedModel.from_rows(self._rows, _SHORTEST), logs, self._draws, others)
 

@@ -106,7 +106,7 @@ def worst_joint(fit: Fit) -> str:
         return ""
     percent = [100 * np.array([one.mean_square, 1.96 * one.std]) / budget.before for one in joints[:2]]
     words = [
-        f"{one.cause} {float(f'{part:.2g}'):g} % ± {half:.2g} %"
+        f"{one.cause} {float(f'{part:.2g}'):g} % ± {float(f'{half:.2g}'):g} %"  # 150, not 1.5e+02
         for one, (part, half) in zip(joints, percent, strict=False)
     ]
     lowest, next_part = percent[0][0] - percent[0][1], percent[1][0] if percent[1:] else 0.0

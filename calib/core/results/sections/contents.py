@@ -30,6 +30,6 @@ def contents_table(fit: Fit) -> dict[str, list[str]]:
 def contents_lines(fit: Fit) -> list[str]:
     """Return the same in words, one line for each number."""
     return [
-        f"What is counted in the {number.value.replace('`', '')}: {', '.join(names_of(contains))}"
+        f"{number.value[0].upper()}{number.value[1:].replace('`', '')}: counts {', '.join(names_of(contains))}"
         for number, contains in _contents(fit).items()
     ]

@@ -1,0 +1,87 @@
+"""Processor time and memory of a fit with joint terms chosen, of a chain of many joints.
+
+    python tests/benchmarks/many_joints.py [JOINTS] [POSES]
+
+The chain is simulated: origins that are off, a once-a-turn error of each joint, one three times a turn, noise of
+0.1 mm. What it prints is one row of a table: time of the fit without terms, with terms, of the verdict; most memory.
+"""
+
+import resource
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from timing import least
+
+import calib
+
+SIGMA = 1e-4
+AXES = ("0 0 1", "0 1 0", "1 0 0")
+DESCRIPTION = """urdf: chain.urdf
+name_mot: [{joints}]
+base: {{frame: link0, pose: unknown}}
+targets: {{ball: {{frame: link{last}, xyz: [50 mm, 20 mm, 100 mm], position: unknown, sigma: 5 mm}}}}
+instruments:
+  tracker: {{kind: position, target: ball}}
+parametrisation:
+  - {{origin: all, components: [x, y, z], sigma: 1 mm}}
+  - {{origin: all, components: [rx, ry, rz], sigma: 3 mrad}}
+"""
+
+
+def chain(n, rng):
+    """A robot of n turning joints, one after another, their axes in turn along z, y and x."""
+    text = '<robot name="chain"><link name="link0"/>'
+    for k in range(n):
+        x, y, z = rng.uniform(-0.12, 0.12, 3) + np.array([0.0, 0.0, 0.1])
+        text += (
+            f'<link name="link{k + 1}"><inertial><mass value="1"/><origin xyz="0 0 0.05"/>'
+            '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="j{k + 1}" type="revolute"><parent link="link{k}"/><child link="link{k + 1}"/>'
+            f'<origin xyz="{x:.3f} {y:.3f} {z:.3f}"/><axis xyz="{AXES[k % 3]}"/>'
+            '<limit lower="-1.5" upper="1.5" effort="100" velocity="1"/></joint>'
+        )
+    joints = ", ".join(f"j{k + 1}" for k in range(n))
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "chain.urdf").write_text(text + "</robot>")
+        path = Path(folder) / "chain.yaml"
+        path.write_text(DESCRIPTION.format(joints=joints, last=n))
+        return calib.load(path)
+
+
+def measured(robot, n_poses, rng):
+    """Simulated readings of the chain whose origins and joints are off, by the joint values that were commanded."""
+    held = robot.description.held
+    sigma = np.array([0.0 if p.name in held else p.sigma_si for p in robot.parameters])
+    true = robot.with_parameters(robot.values + sigma * rng.standard_normal(len(sigma)))
+    n = len(robot.joint_names)
+    q = rng.uniform(-1.4, 1.4, (n_poses, n))
+    off = 1e-3 * np.sin(q + rng.uniform(0.0, 6.0, n)) * rng.uniform(0.0, 1.0, n) + 3e-4 * np.sin(3.0 * q)
+    return replace(calib.simulate(true, q + off, SIGMA, 1), joints=q)
+
+
+def main(n=20, n_poses=400):
+    """Print the row."""
+    robot = chain(n, np.random.default_rng(7))
+    data = measured(robot, n_poses, np.random.default_rng(3))
+    plain = least(1, fit=lambda: calib.fit(robot, data))["fit"]
+    start = time.process_time()
+    fit = calib.fit(robot, data, terms="auto")
+    chosen = time.process_time()
+    grade = fit.verdict.grade
+    judged = time.process_time()
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    terms = ", ".join(f"{trial.term} {trial.size:.3f}" for trial in fit.terms.trials if trial.added)
+    print("| joints | poses | without terms | `--terms auto` | verdict | memory | terms |")
+    print("|---:|---:|---:|---:|---:|---:|---|")
+    print(
+        f"| {n} | {n_poses} | {plain:.1f} s | {chosen - start:.1f} s | {judged - chosen:.1f} s ({grade})"
+        f" | {memory:.2f} GB | {terms} |"
+    )
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))

@@ -14,6 +14,8 @@ import pytest
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: threads of processes side by side wait for each other
 
+from six_axis_arm import six_axis_arm
+
 import calib
 from calib.pictures import pages
 
@@ -21,18 +23,22 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 LONGEST = (
-    "test_snippets.py",
-    "test_viewer_page.py",
-    "test_report_page.py",
-    "test_every_reason.py",
-    "test_hand_eye.py",
-    "test_photographs.py",
-    "test_match.py",
-    "test_suspects.py",
+    "test_many_calibrations.py",
+    "test_functions.py",
+    "test_motion.py",
     "test_qualification.py",
+    "test_wheel.py",
+    "test_suspects.py",
+    "test_selection.py",
     "test_code_comparison.py",
+    "test_watch.py",
+    "test_redundancy.py",
+    "test_sharing.py",
+    "test_viz_report.py",
+    "test_searched_input.py",
     "test_term_choice.py",
-    "test_function_gradients.py",
+    "test_every_headline.py",
+    "test_snippets.py",
 )
 """Files that take longest: first, so that no process is left alone with one at the end."""
 
@@ -123,6 +129,24 @@ def amount(request: pytest.FixtureRequest) -> int:
 def medrue() -> calib.Robot:
     """MedRUE at its nominal parameters."""
     return calib.load(ROOT / "urdf" / "medrue.yaml")
+
+
+@pytest.fixture(scope="session")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> calib.Robot:
+    """The arm of `six_axis_arm`, without priors."""
+    return six_axis_arm(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="session")
+def robot() -> calib.Robot:
+    """The arm of docs/examples."""
+    return calib.load(ROOT / "docs" / "examples" / "arm.yaml")
+
+
+@pytest.fixture(scope="session")
+def data(robot: calib.Robot) -> calib.Measurements:
+    """80 simulated positions of the arm of docs/examples."""
+    return calib.read_measurements(ROOT / "docs" / "examples" / "arm_simulated.csv", robot)
 
 
 @pytest.fixture(scope="session")

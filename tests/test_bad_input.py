@@ -141,7 +141,8 @@ BAD_URDFS = {  # more in tests/test_urdf_text.py
 def test_a_bad_urdf_is_refused(folder, refused, content, message):
     assert content != ARM_URDF
     (folder / "arm.urdf").write_bytes(content if isinstance(content, bytes) else content.encode())
-    for command in (FIT, "init arm.urdf --out new.yaml", "predict arm.urdf data.csv --out new.csv"):
+    commands = FIT, "init arm.urdf --out new.yaml", "predict arm.urdf data.csv --out new.csv"
+    for command in commands[:1] if "&a11;" in content else commands:  # a second to read
         assert message in refused(command)
 
 
@@ -152,16 +153,12 @@ def test_a_shape_that_says_nothing_is_refused_before_anything_is_written(folder,
 
 
 def test_a_pose_that_cannot_be_assembled_is_refused_with_pose_and_loop(folder, refused):
-    medrue = Path(__file__).parents[1] / "urdf" / "medrue.yaml"
-    header = "pose,q1 [mm],q2,q3,q4,q5,q6,tool_x,tool_y,tool_z"
-    good, bad = "300,0.59,2.478,0.59,2.478,-0.573,0.2,0.4,0.1", "300,-1.5,-1.5,0.59,2.478,-0.573,0.2,0.4,0.1"
-    rows = [f"good{k},{good}" for k in range(20)]
-    (folder / "data.csv").write_text("\n".join([header, *rows, f"far,{bad}"]) + "\n")
-    for command in ("fit", "predict", "simulate"):
-        options = "--sigma-mm 0 --seed 1 " if command == "simulate" else ""
-        line = refused(f"{command} {medrue} data.csv {options}--out {'new' if command == 'fit' else 'new.csv'}")
-        assert "data.csv, line 22 (pose far): " in line
-        assert "E1_B-E1_D" in line or "loop" in line
+    good = (EXAMPLES / "five_bar_simulated.csv").read_text().splitlines()[:12]  # two of them are comments
+    (folder / "data.csv").write_text("\n".join([*good, "far,0,0,734,1350,-276"]) + "\n")
+    for command in (FIT, PREDICT, SIMULATE):
+        line = refused(command.replace("arm.yaml", str(EXAMPLES / "five_bar.yaml")))
+        assert "data.csv, line 13 (pose far): " in line
+        assert "its loops close only with passive joint left_elbow" in line
 
 
 BAD_OPTIONS = {
@@ -257,18 +254,11 @@ def test_no_command_shows_the_help(run_calib):
     assert "Usage: calib [OPTIONS] COMMAND" in done.err
 
 
-@pytest.mark.parametrize(
-    ("command", "message"),
-    [
-        ("fit arm.yaml bad.csv --out out", "calib: bad.csv, line 2, column 'turn': 'a' is not a number\n"),
-        ("fitt", "calib: No such command 'fitt'. Did you mean 'fit'? (see calib --help)\n"),
-    ],
-)
-def test_the_program_as_a_process_says_the_same(folder, spawn_calib, command, message):
+def test_the_program_as_a_process_says_the_same(folder, spawn_calib):
     (folder / "bad.csv").write_text(data(line2="a,0,0,0,0,0"))
     before = tree(folder)
-    done = spawn_calib(*command.split(), cwd=folder)
-    assert (done.code, done.out, done.err) == (2, "", message)
+    done = spawn_calib("fit", "arm.yaml", "bad.csv", "--out", "out", cwd=folder)
+    assert (done.code, done.out, done.err) == (2, "", "calib: bad.csv, line 2, column 'turn': 'a' is not a number\n")
     assert tree(folder) == before
 
 

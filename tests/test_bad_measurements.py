@@ -130,7 +130,7 @@ def test_all_poses_equal_fix_no_measurement_frame(folder, fit_file):
 
 
 def test_noise_of_metres_fails_and_exports_no_robot(folder, fit_file):
-    run, result = fit_file(joints(60), arm_positions(folder, joints(60), sigma=2.0))
+    run, result = fit_file(joints(30), arm_positions(folder, joints(30), sigma=2.0))
     assert run.code == 3
     assert "calibrated.urdf was not written" in one_line(run)
     assert run.err.startswith("calib: verdict FAIL: ")
@@ -142,7 +142,7 @@ def test_noise_of_metres_fails_and_exports_no_robot(folder, fit_file):
 
 
 def test_a_forced_export_says_so_in_every_format(folder, fit_file, run_calib):
-    run, result = fit_file(joints(60), arm_positions(folder, joints(60), sigma=2.0), "arm.yaml", "--force")
+    run, result = fit_file(joints(30), arm_positions(folder, joints(30), sigma=2.0), "arm.yaml", "--force")
     assert run.code == 0
     assert result["verdict"]["forced"] is True
     assert (folder / "out" / "calibrated.urdf").exists()

@@ -3,18 +3,13 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
+from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, noisy, write_six_axis
 
 import calib
 from calib.core.data.measurements import with_points
 from calib.core.judging.claim import Benefit, Claim
 
 SIGMA = 4e-5
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
 @pytest.fixture(scope="module")

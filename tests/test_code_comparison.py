@@ -176,7 +176,7 @@ def stand_ins(tmp_path_factory):
 
 def compared_sets(sets):
     """All, or few: each code starts anew for each, which takes seconds."""
-    return sets if THOROUGH else (sets[0], *sets[3:])
+    return sets if THOROUGH else (sets[0], sets[4])
 
 
 @pytest.fixture(scope="module")
@@ -210,6 +210,7 @@ def test_codes_find_the_simulated_robot_in_rows_that_they_never_saw(ran, amount)
         assert ours == pytest.approx(plain, rel=alike)
 
 
+@pytest.mark.amount(0, 1)
 def test_codes_find_a_simulated_camera(ran):
     _, rows = ran
     # two coordinates, and what eight images of 35 corners leave unknown of 18 numbers: a few per cent

@@ -2,17 +2,12 @@
 
 import numpy as np
 import pytest
-from six_axis_arm import joints, measurements, noisy, six_axis_arm
+from six_axis_arm import joints, measurements, noisy
 
 import calib
 from calib.core.judging.copied_readings import copied_visits
 
 SIGMA = 4e-5
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
 def with_copies(data, rows):

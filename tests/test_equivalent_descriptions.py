@@ -161,7 +161,10 @@ def test_a_fit_says_the_same_of_a_robot_described_in_another_way(told, first, tm
         np.testing.assert_allclose([std[key] for key in sorted(std)], [same_std[key] for key in sorted(std)], rtol=1e-5)
 
 
-@pytest.mark.parametrize("ways", [("renamed", "reversed", "split"), ("reversed", "other angles")])
+@pytest.mark.parametrize(
+    "ways",
+    [("renamed", "reversed", "split"), pytest.param(("reversed", "other angles"), marks=pytest.mark.amount(0, 1))],
+)
 def test_searches_start_and_end_at_the_same_places(tmp_path, ways):
     chain, order = list(CHAIN), (5, 2, 0, 3, 4, 1)
     for what in ways:

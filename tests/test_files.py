@@ -219,7 +219,7 @@ def in_process(code, *arguments, **options):
     return subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
 
 
-@pytest.mark.amount(4, 1)
+@pytest.mark.amount(8, 1)
 def test_writing_that_is_ended_before_any_of_its_lines_leaves_the_old_or_the_new(amount):
     """Killed, and interrupted, at one line in so many; with the exchange of names in one step and without."""
     command = [sys.executable, ROOT / "tests" / "interrupted_writing.py", "--every", str(amount)]

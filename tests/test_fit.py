@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
+from six_axis_arm import FREE, YAML, joints, measurements, noisy, write_six_axis
 
 import calib
 from calib.core.fitting.fitted import Convergence
@@ -21,11 +21,6 @@ from calib.core.robots.terms.terms import parse_terms
 
 SIGMA = 4e-5
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from function_robots import ROBOTS, by_name, exported, poses_of_engine, some_con
 
 N = 6
 NAMES = ("five-bar", "six-axis arm, every term", "Stewart platform, compliance")
-JAX = pytest.param("jax", marks=pytest.mark.amount(1, 2))
+JAX = pytest.param("jax", marks=pytest.mark.amount(0, 2))
 """It compiles the five-bar for a quarter of a minute, the arm for as long, and the platform for more than a minute."""
 LIBRARIES = (JAX, *(pytest.param(name, marks=pytest.mark.amount(3, 3)) for name in ("torch", "casadi")))
 

@@ -7,6 +7,7 @@ import sys
 import function_robots
 import numpy as np
 import pytest
+from families import family
 from function_robots import ROBOTS, by_name, exported, imported, near, poses_of_engine, some_commands, some_conditions
 from small_robots import ARM_YAML, write_arm, write_parallelogram, write_pose_loop
 
@@ -18,6 +19,10 @@ from calib.exporting.functions.c_text import c_name
 N = {"six-axis arm, every term": 100, "example arm": 100}
 """Poses of each robot; of those with loops, 40: `tests/function_robots.py` looks at 10 000 of each."""
 LANGUAGES = ("numpy", "c")
+EACH = [(name, language) for name in ROBOTS for language in LANGUAGES]
+DIFFERENT = ("six-axis arm, every term", "Stewart platform, compliance", "five-bar", "delta robot")
+"""Robots that have what the others have."""
+SOME = [each for each in EACH if each[0] in DIFFERENT or each == ("MedRUE with a rail's terms", "c")]
 COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
 
@@ -67,8 +72,7 @@ def cases(tmp_path_factory):
     return of
 
 
-@pytest.mark.parametrize("language", LANGUAGES)
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(("name", "language"), family(EACH, SOME))
 def test_poses_are_those_of_the_engine_and_open_loops_are_no_numbers(cases, name, language):
     case = cases(name)
     for tool, truth in enumerate(case.truth):
@@ -113,8 +117,7 @@ def test_the_jacobian_is_that_of_differences_of_the_engine(cases, name, language
         assert np.abs(motion[:, :, j] - np.hstack([rate[:, :3, 3], turning])).max() < 2e-7
 
 
-@pytest.mark.parametrize("language", LANGUAGES)
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(("name", "language"), family(EACH, SOME))
 def test_commands_for_a_pose_lead_back_to_it(cases, name, language):
     case = cases(name)
     some = np.flatnonzero(distance(case) >= 0.1)[:25]

@@ -194,7 +194,7 @@ def without_guesses(monkeypatch):
     monkeypatch.setattr("calib.core.instruments.pixel.guesses", lambda result, now, known: [now])
 
 
-@pytest.mark.amount(15, 40)
+@pytest.mark.amount(0, 40)
 def test_95_percent_intervals_hold_the_truth(arm, monkeypatch, amount):
     without_guesses(monkeypatch)
     camera, body = places(8)

@@ -143,7 +143,7 @@ def test_a_link_that_never_turns_keeps_the_ball_where_it_is_believed(tmp_path):
     np.testing.assert_allclose(placed.mechanism.placement("left").translation, robot.positions(q[:1])[0, 0], atol=1e-3)
 
 
-@pytest.mark.amount(8, 60)
+@pytest.mark.amount(0, 60)
 def test_95_percent_intervals_hold_the_truth(tmp_path, amount):
     robot = arm_with(tmp_path, PLATE)
     truth = robot.with_parameters(TRUTH | BALL)
@@ -317,7 +317,7 @@ def test_one_socket_does_not_see_the_scale_of_the_robot_and_a_bar_of_known_lengt
             if p.dimension == "length"
         }
     )
-    poses = sample(robot, 60, np.random.default_rng(0))
+    poses = sample(robot, 20, np.random.default_rng(0))
     gap = predict_readings(grown, grown.assemble(poses.joints), poses.planned)["probe"].values
     assert np.max(np.abs(gap)) == (pytest.approx(0.0005, abs=1e-4) if seen else pytest.approx(0.0, abs=1e-9))
     run = run_calib("check", tmp_path / "arm.yaml", "--json", tmp_path / "check.json")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from families import family
 
 import calib
 from calib.core.data.measurements import Poses
@@ -131,7 +132,7 @@ def test_a_simulated_calibration_finds_the_truth(tmp_path, name):
     assert after < 4 * sigma  # 120 to 360 readings of some 20 determined combinations: about one sigma at most
 
 
-@pytest.mark.parametrize("name", TEMPLATES)
+@pytest.mark.parametrize("name", family(TEMPLATES, ["five_bar"]))
 def test_the_command_writes_a_robot_that_can_be_checked_and_exported(tmp_path, run_calib, name):
     first = next(iter(TEMPLATES[name].lengths))
     length = f"{first}={1e3 * LENGTHS[name][first]}mm"

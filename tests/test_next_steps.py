@@ -19,16 +19,6 @@ EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
 
 @pytest.fixture(scope="module")
-def robot():
-    return calib.load(EXAMPLES / "arm.yaml")
-
-
-@pytest.fixture(scope="module")
-def data(robot):
-    return calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
-
-
-@pytest.fixture(scope="module")
 def fit(robot, data):
     return calib.fit(robot, data)
 

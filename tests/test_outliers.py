@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import test_kind_pixel as pixel
-from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, six_axis_arm, write_six_axis
+from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, write_six_axis
 from small_robots import write_arm
 
 import calib
@@ -16,11 +16,6 @@ from viz.reading_errors import reading_errors_of_fit
 
 SIGMA = 4e-5
 RNG = np.random.default_rng(11)
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
 def with_errors(arm, poses, size, n=80, seed=2):

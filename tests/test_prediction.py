@@ -249,7 +249,7 @@ def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, re
     assert said in " ".join(run.out.split())
 
 
-@pytest.mark.amount(2, 6)
+@pytest.mark.amount(1, 6)
 def test_what_is_expected_at_further_poses_like_those_measured_is_what_is_claimed(tmp_path, amount):
     """Simulated, a curve of each joint from few poses: positions of poses that were used are known far better."""
     robot, expected = six_axis_arm(tmp_path).with_terms(parse_terms("curve")), []

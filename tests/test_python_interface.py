@@ -21,16 +21,6 @@ EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
 
 @pytest.fixture(scope="module")
-def robot():
-    return calib.load(EXAMPLES / "arm.yaml")
-
-
-@pytest.fixture(scope="module")
-def data(robot):
-    return calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
-
-
-@pytest.fixture(scope="module")
 def fit(robot, data):
     used, held = data.split(validation=0.25, seed=1)
     return calib.fit(robot, used, validation=held)

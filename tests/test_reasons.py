@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from six_axis_arm import joints, noisy, six_axis_arm
+from situations import Shop
 
 import calib
 from calib.core.judging import rules_model
@@ -15,15 +15,11 @@ from calib.core.judging.reasons import Code
 from calib.core.judging.verdict import judge
 
 ROOT = Path(__file__).resolve().parents[1]
-SIGMA = 4e-5
 
 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory):
-    arm = six_axis_arm(tmp_path_factory.mktemp("arm"))
-    away = np.where(arm.is_free, [parameter.sigma_si for parameter in arm.parameters], 0.0) * 0.5
-    true = arm.with_parameters(arm.values + away * np.random.default_rng(6).standard_normal(len(away)))
-    return calib.fit(arm, noisy(true, joints(80), SIGMA, 1), sigma=SIGMA)
+    return Shop(tmp_path_factory.mktemp("shop")).good
 
 
 def told(rule, fit):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from six_axis_arm import YAML, joints, six_axis_arm, write_six_axis
+from six_axis_arm import YAML, joints, write_six_axis
 
 import calib
 from calib.core.data.measurement_files import read_measurements
@@ -11,11 +11,6 @@ from calib.core.judging.repeatability import pose_error_over_repeatability, repe
 from calib.core.results.result_content import to_dict
 
 HEADER = ",".join(["pose", *(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [mm]" for axis in "xyz")])
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
 def file_of(folder, rows):

@@ -1,27 +1,18 @@
 """What a terminal shows of a fit: the answer on one screen, and with verbose all of it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import calib
 from calib.core.judging.reasons import Reason, Verdict
 
-EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 LINES = 40
 
 
 @pytest.fixture(scope="module")
-def data():
-    robot = calib.load(EXAMPLES / "arm.yaml")
-    return calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
-
-
-@pytest.fixture(scope="module")
-def fit(data):
+def fit(robot, data):
     used, others = data.split(validation=0.25, seed=1)
-    return calib.fit(calib.load(EXAMPLES / "arm.yaml"), used, validation=others, folds=3)
+    return calib.fit(robot, used, validation=others, folds=3)
 
 
 def test_the_answer_has_verdict_errors_and_the_surest_changes(fit):

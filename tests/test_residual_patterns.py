@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from kind_checks import positions_by_joint
 from scipy.stats import f
-from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_six_axis
+from six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
 
 import calib
 from calib.core.data.measurements import directions_of_motion
@@ -16,11 +16,6 @@ from calib.core.judging.effects import ORDERS, wave_orders
 SIGMA = 4e-5
 N_WAVES = 3 * 6 * 119
 """Tests of waves, times three families: six joints that go through less than half a turn show all but the first."""
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
 def fitted(arm, q_true, shift=0.0, n=80, seed=3):
@@ -174,10 +169,10 @@ def test_where_readings_of_a_pose_share_an_error_a_finding_needs_poses_foretold_
     assert result.p_value == pytest.approx(N_WAVES * f.sf(ratio, 2, linear.pose_freedom - 2), rel=1e-6, abs=0.0)
 
 
-@pytest.mark.amount(25, 100)
+@pytest.mark.amount(10, 100)
 def test_good_data_show_a_pattern_in_one_set_of_a_hundred(arm, amount):
     with_patterns = sum(bool(significant(fitted(arm, joints(80), seed=seed))) for seed in range(amount))
-    assert with_patterns <= (4 if amount == 100 else 2)  # chance of more: 0.3 %, and 0.2 %
+    assert with_patterns <= (4 if amount == 100 else 1)  # chance of more: 0.3 %, and 0.4 %
 
 
 def test_a_constant_shift_is_found_where_nothing_absorbs_it(tmp_path):

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +11,7 @@ from small_robots import ARM_YAML, write_arm
 import calib
 from calib.core.results.comparing_results import difference_covariance, holm
 
-EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 3e-5
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return calib.load(EXAMPLES / "arm.yaml")
 
 
 @pytest.fixture(scope="module")

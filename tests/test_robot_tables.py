@@ -13,16 +13,6 @@ from calib.core.base.words import warn_once
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
 
-@pytest.fixture(scope="module")
-def robot():
-    return calib.load(EXAMPLES / "arm.yaml")
-
-
-@pytest.fixture(scope="module")
-def data(robot):
-    return calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
-
-
 @pytest.fixture(autouse=True)
 def untold():
     warn_once.cache_clear()

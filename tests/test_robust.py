@@ -1,16 +1,11 @@
 import numpy as np
 import pytest
-from six_axis_arm import joints, measurements, six_axis_arm
+from six_axis_arm import joints, measurements
 
 import calib
 from calib.core.numerics.losses import scale_of, weights
 
 SIGMA = 4e-5
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from six_axis_arm import FREE, YAML, joints, noisy, six_axis_arm, write_six_axis
+from six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
 import calib
 from calib.core.fitting.terms.candidate_terms import TermChoice
@@ -13,11 +13,6 @@ from calib.core.judging.claim import claim_of
 from calib.core.robots.accuracy_of_files import PoseUse
 
 SIGMA = 4e-5
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
 def test_a_limit_is_an_order_statistic_and_needs_19():

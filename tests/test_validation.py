@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from six_axis_arm import joints, noisy, six_axis_arm
+from six_axis_arm import joints, noisy
 
 import calib
 from calib.core.data.in_memory import measurements as from_readings
@@ -93,11 +93,6 @@ def test_every_pose_is_in_one_fold_and_repeats_are_in_the_same(seed):
     assert sorted(np.concatenate(folds)) == list(range(23))
     assert max(map(len, folds)) - min(map(len, folds)) <= 4
     assert sum(bool({0, 4, 9, 15} & set(fold)) for fold in folds) == 1
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
 def test_folds_predict_each_pose_by_a_fit_that_did_not_see_it(arm):

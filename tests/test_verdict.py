@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
+from situations import SIGMA, Shop
+from six_axis_arm import FREE, YAML, joints, measurements, noisy, write_six_axis
 
 import calib
 from calib.core.data.measurements import with_points
@@ -19,38 +20,31 @@ from calib.core.judging.next_step import next_step
 from calib.core.judging.rounded_joint_values import joint_steps, rounding
 from calib.core.judging.rules_reach import _covariance_given
 
-SIGMA = 4e-5
-ALONE = "  - {origin: j6, components: [y, z], sigma: 2 mm}\n  - {origin: ball, components: [x, y, z], sigma: 2 mm}\n"
-"""What only a pose that moves joint 6 tells apart."""
-
 
 @pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    return six_axis_arm(tmp_path_factory.mktemp("arm"))
+def shop(tmp_path_factory):
+    return Shop(tmp_path_factory.mktemp("shop"))
 
 
-@pytest.fixture(scope="module")
-def truth(arm):
-    """The arm with errors of half its parameters' sigma."""
-    values = arm.values.copy()
-    values[arm.is_free] += (
-        0.5
-        * np.random.default_rng(6).standard_normal(arm.is_free.sum())
-        * [p.sigma_si for p, use in zip(arm.parameters, arm.is_free, strict=True) if use]
-    )
-    return arm.with_parameters(values)
+@pytest.fixture
+def arm(shop):
+    """The arm without priors."""
+    return shop.arm
 
 
-@pytest.fixture(scope="module")
-def good(arm, truth):
-    data, other = noisy(truth, joints(80), SIGMA, 1), noisy(truth, joints(30, 5), SIGMA, 2)
-    return calib.fit(arm, data, sigma=SIGMA, validation=other)
+@pytest.fixture
+def truth(shop):
+    return shop.truth
 
 
-@pytest.fixture(scope="module")
-def prior_arm(tmp_path_factory):
-    """The arm with priors on all of its components."""
-    return calib.load(write_six_axis(tmp_path_factory.mktemp("arm"), YAML + FREE))
+@pytest.fixture
+def good(shop):
+    return shop.good
+
+
+@pytest.fixture
+def prior_arm(shop):
+    return shop.prior
 
 
 def reason(fit, code):
@@ -220,8 +214,9 @@ def test_a_healthy_robot_passes_although_the_fit_adds_its_own_noise(arm, seed):
 STATED = (10 * SIGMA, SIGMA)
 
 
-def test_a_gain_that_is_far_from_halving_the_error_proves_a_fit_with_more_noise_than_stated(arm, truth):
-    """The joints sag with their angle, which the model leaves out: unused poses get better by a quarter or so."""
+def test_a_gain_that_is_far_from_halving_the_error_proves_a_fit_with_more_noise_than_stated(shop, arm):
+    """The joints sag with their angle, which the model leaves out: unused poses get better by a third or so."""
+    truth = shop.off(arm, 0.2)
 
     def measured(q, seed):
         sagged = q + 3e-3 * np.sin(3 * q)
@@ -290,10 +285,10 @@ def test_the_score_for_rounding_is_that_of_whole_matrices(arm, truth):
     m, r = findings.linear(fit).after_fit(np.eye(120)), findings.linear(fit).rows.residuals
     variance = r @ r / findings.linear(fit).freedom
     mean, square = np.trace(m @ q), np.trace(m @ q @ m @ q)
-    result = rounding(fit)
-    assert result.part == pytest.approx(mean / variance / findings.linear(fit).freedom, rel=1e-6)
+    _, part, chance = rounding(fit)
+    assert part == pytest.approx(mean / variance / findings.linear(fit).freedom, rel=1e-6)
     freedom, statistic = mean**2 / square, r @ q @ r / variance
-    assert result.chance == pytest.approx(chi2.sf(statistic * mean / square, freedom), rel=1e-6)
+    assert chance == pytest.approx(chi2.sf(statistic * mean / square, freedom), rel=1e-6)
 
 
 def test_a_scale_that_nothing_shows_is_named(tmp_path, prior_arm):

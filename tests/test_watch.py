@@ -28,16 +28,6 @@ HEADER = next(k for k, line in enumerate(LINES) if not line.startswith("#")) + 1
 
 
 @pytest.fixture(scope="module")
-def robot():
-    return calib.load(EXAMPLES / "arm.yaml")
-
-
-@pytest.fixture(scope="module")
-def data(robot):
-    return calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
-
-
-@pytest.fixture(scope="module")
 def candidates(robot):
     return calib.sample(robot, 20, seed=2)
 

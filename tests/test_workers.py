@@ -224,7 +224,7 @@ def test_processes_end_with_their_program_and_hold_no_pipe_open(number: signal.S
         assert ended(output)
 
 
-@pytest.mark.amount(4, 12)
+@pytest.mark.amount(2, 12)
 def test_ctrl_c_ends_program_and_processes_at_any_moment(tmp_path: Path, amount: int) -> None:
     """As a terminal sends it, to all of them; at most moments a large result is half-way through a pipe."""
     script, chance = tmp_path / "program.py", random.Random(1)

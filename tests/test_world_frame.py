@@ -65,8 +65,9 @@ def test_point_covariance_is_the_scatter_of_the_carried_point() -> None:
     generator = np.random.default_rng(6)
     far, sigma = np.array([2.0, -1.0, 0.5]), 1e-4
     predicted = rigid_fit(NESTS, NESTS, sigma).point_covariance(far[None])[0]
-    results = [rigid_fit(NESTS, NESTS + generator.normal(0, sigma, NESTS.shape)).apply(far) for _ in range(2000)]
-    assert np.abs(np.linalg.eigvals(np.linalg.solve(predicted, np.cov(np.array(results).T))) - 1).max() < 0.13
+    results = [rigid_fit(NESTS, NESTS + generator.normal(0, sigma, NESTS.shape)).apply(far) for _ in range(500)]
+    ratios = np.linalg.eigvals(np.linalg.solve(predicted, np.cov(np.array(results).T)))
+    assert np.abs(ratios - 1).max() < 0.26  # four standard deviations
 
 
 @pytest.mark.parametrize("sigma", [1e-4, None])

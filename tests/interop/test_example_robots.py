@@ -53,7 +53,7 @@ VARIANTS = (  # of an arm above: the same links with other limits, lengths, shap
     "ur_description/urdf/ur5_joint_limited_robot.urdf",
     "ur_description/urdf/ur10_joint_limited_robot.urdf",
 )
-FIRST = ("double_pendulum_continuous", "finger_edu", "kinova", "panda", "talos_left_arm")
+FIRST = ("double_pendulum_continuous", "finger_edu", "panda", "talos_left_arm")
 """Arms of `make test`: two to seven axes, turning without limits, with and without a gripper."""
 PARALLEL_AXES = {  # what slides the target along both axes cannot be told from where the base is
     "asr_twodof_description/urdf/TwoDofs.urdf": "Tip.z",

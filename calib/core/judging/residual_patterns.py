@@ -45,7 +45,7 @@ from calib.core.judging.effects import Effects, EffectSetting, effects
 from calib.core.judging.linear_fit import ABSORBED, LinearFit
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, FALSE_ALARM
-from calib.core.numerics.tall import slices
+from calib.core.numerics.tall import KEPT, slices
 
 SMALLEST_EFFECT = 0.1
 """Least root mean square of an effect, over that of the noise, that is worth a finding."""
@@ -174,7 +174,9 @@ def _effects_with_residuals(residuals: LinearFit, kept: Sequence[tuple[_EffectTe
 def _moments(residuals: LinearFit, some: list[Effects]) -> Iterator[_Moments]:
     """Yield the moments of effects with one base; see the module docstring."""
     base, span = some[0].base, residuals.span
-    others = [base, span.jacobian, residuals.rows.residuals[:, None], *([] if span.more is None else [span.more])]
+    tall = len(span) > KEPT  # then J T is not kept, and made of sums over rows
+    known = [span[:]] if not tall else [span.jacobian] if span.more is None else [span.jacobian, span.more]
+    others = [base, residuals.rows.residuals[:, None], *known]
     b, n, width = base.shape[1], len(span.root), sum(other.shape[1] for other in others)
     shapes = [effect.factors(some[0].visit[:1]).shape[1:] for effect in some]
     squares = [np.zeros((m, b * f, b * f)) for m, f in shapes]
@@ -194,7 +196,10 @@ def _moments(residuals: LinearFit, some: list[Effects]) -> Iterator[_Moments]:
     for effect, square, (m, f) in zip(some, squares, shapes, strict=True):
         each = products[:, b:, first : first + m * f].reshape(b, width - b, m, f)
         own, first = each.transpose(2, 1, 0, 3).reshape(m, width - b, b * f), first + m * f
-        yield _Moments(effect, square, np.concatenate([span.root.T @ own[:, :n], own[:, n + 1 :]], axis=1), own[:, n])
+        score, absorbed = own[:, 0], own[:, 1:]
+        if tall:
+            absorbed = np.concatenate([span.root.T @ absorbed[:, :n], absorbed[:, n:]], axis=1)
+        yield _Moments(effect, square, absorbed, score)
 
 
 def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:

@@ -10,7 +10,8 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 
 ROWS_AT_ONCE = 1 << 13
-_KEPT = 1 << 15  # rows up to which a product is kept
+KEPT = 1 << 15
+"""Rows up to which a product is kept."""
 Places = IntArray | slice
 """Which rows."""
 
@@ -40,7 +41,7 @@ class Span:
 
     def __getitem__(self, rows: Places) -> FloatArray:
         """Return some rows, (..., k)."""
-        if len(self) <= _KEPT:
+        if len(self) <= KEPT:
             known = self._whole[rows]
         else:  # as one matrix: T is read once, not for every block of rows
             some = self.jacobian[rows]

@@ -112,10 +112,10 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
         else _Result(next(names_of_folders), load_result(given, failed_too=True))
         for k, given in enumerate(results)
     ]
-    first, *others = (result.loaded for result in loaded)
-    for other in others:
-        if geometry(other.robot) != geometry(first.robot):
-            raise DataError(f"{other.path}: is the result of another robot than {first.path}; their URDFs differ")
+    of_first, *of_others = (result.loaded for result in loaded)
+    for found in of_others:
+        if geometry(found.robot) != geometry(of_first.robot):
+            raise DataError(f"{found.path}: is the result of another robot than {of_first.path}; their URDFs differ")
     pairs = list(combinations(loaded, 2))
     notes: dict[str, list[str]] = {}  # pairs by what is to say of them
     for first, other in pairs:

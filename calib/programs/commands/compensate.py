@@ -136,7 +136,7 @@ def command(robot: str, program: str, result: str | None, out: str, output: Outp
 
 
 def _compensate_table(job: Job, *, keep: str | None, grid: str | None, skip_unreachable: bool) -> None:
-    """Write a table with which the calibrated robot goes where it says, or a table of corrections."""
+    """Write a table of joint commands for the calibrated robot, or a grid of corrections."""
     output, nominal = job.output, job.nominal
     rows = _read_program(job.program, nominal, output)
     output.check(job.out)
@@ -185,11 +185,11 @@ _KINDS: dict[str, tuple[Callable[..., None], tuple[str, ...]]] = {
     "G-code": (compensate_gcode, ("harmless", "zero", "start", "tolerance_mm", "dialect")),
     "tables": (_compensate_table, ("skip_unreachable", "keep", "grid")),
 }
-"""What compensates each kind of program, and its options; the others belong to all."""
+"""The function that compensates each kind of program, and its options; all other options belong to every kind."""
 
 
 def _read_program(path: str, robot: Robot, output: Output) -> Poses | Goals:
-    """The program; joint values count where there are both."""
+    """The program as joint values if the table has joint columns, else as goals."""
     names = read_table(path, robot.description.columns).names
     present = [name for name in robot.commanded_names if name in names]
     if not present:
@@ -206,7 +206,7 @@ def _read_program(path: str, robot: Robot, output: Output) -> Poses | Goals:
 
 
 def _require_all(compensation: Compensation, frame: str) -> None:
-    """Raise `UnreachablePoseError` that names the rows without a command, and the frame of goals."""
+    """Raise `UnreachablePoseError` that names the rows without a command."""
     misses = compensation.unreached_rows()
     if misses:
         raise UnreachablePoseError(
@@ -217,7 +217,7 @@ def _require_all(compensation: Compensation, frame: str) -> None:
 
 
 def _columns(robot: Robot, program: Poses | Goals, compensation: Compensation) -> list[tuple[str, list[object]]]:
-    """Columns of the file; cells without a command are empty."""
+    """Columns of the written table; cells without a command are empty."""
     columns = list(pose_columns(robot, compensation.names, compensation.q).items())
     if isinstance(program, Goals):
         for name, values in _poses_to_command(robot, program, compensation).items():
@@ -230,7 +230,7 @@ def _columns(robot: Robot, program: Poses | Goals, compensation: Compensation) -
 
 
 def _poses_to_command(robot: Robot, program: Goals, compensation: Compensation) -> dict[str, FloatArray]:
-    """Poses to command to a controller with the nominal model, in the columns of the program."""
+    """Columns of the poses [mm, deg] to send to a controller that has the nominal model."""
     positions, rotations = compensation.controller_poses(robot)
     name = compensation.target
     shown = {f"{name}_{axis} [mm]": millimetres(positions[:, k]) for k, axis in enumerate("xyz")}
@@ -243,12 +243,12 @@ def _poses_to_command(robot: Robot, program: Goals, compensation: Compensation) 
 
 
 def _rpy(rotations: FloatArray) -> FloatArray:
-    """Roll, pitch, yaw about fixed axes, (n, 3) [rad]; NaN where the rotation is."""
+    """Roll, pitch, yaw about fixed axes, (n, 3) [rad]; NaN for a rotation with NaN."""
     return np.array([np.full(3, np.nan) if np.isnan(R).any() else pin.rpy.matrixToRpy(R) for R in rotations])
 
 
 def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
-    """One entry for each row; null where there is no number."""
+    """One entry of --json for each row; null where there is no number."""
     joints, figures = joint_columns(robot, compensation.q), compensation.figures()
     return [
         {
@@ -262,6 +262,6 @@ def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
 
 
 def _held_out_error(folder: str) -> float | None:
-    """Root mean square error of measurements that the fit had not seen [mm]; None where it was not given any."""
+    """Root mean square error of the validation measurements [mm]; None if the fit had none."""
     errors = read_content(folder)["errors"].get("validation")
     return None if errors is None else errors["after"].get("rms")

@@ -28,7 +28,7 @@ def compensate_gcode(
     harmless: Collection[str],
     tolerance_mm: float | None,
 ) -> None:
-    """Write a G-code program with which the calibrated robot goes where the given program says.
+    """Write a G-code program that leads the calibrated robot through the points of the given program.
 
     Raises:
         InputError: An option has a value that cannot be.
@@ -81,7 +81,7 @@ def _point(text: str | None, option: str) -> tuple[float, ...] | None:
 
 
 def _figures(compensated: CompensatedMoves) -> dict[str, dict[str, float]]:
-    """Root mean square and largest error [mm]: without compensation, expected with it, and measured between points."""
+    """Root mean square and largest error [mm]: without compensation, expected with it, and along the cut moves."""
     measured = compensated.deviations[np.isfinite(compensated.deviations)]
     between = measured + ROUNDING if len(measured) else np.zeros(1)
     shown = {"before_mm": compensated.before, "expected_mm": compensated.expected, "between_mm": between}

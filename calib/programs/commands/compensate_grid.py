@@ -14,15 +14,10 @@ from calib.programs.reaching.goals import Goals
 
 
 def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
-    """Write the table of corrections, and report the error of interpolation in it.
-
-    Args:
-        job: Robot, files and output of the command.
-        program: Program whose positions the table must cover.
-        grid: Value of --grid.
+    """Write the table of corrections for the box of a program's positions, and report its interpolation error.
 
     Raises:
-        InputError: A program of joints, or numbers of nodes that make no grid.
+        InputError: The program has joint values, or `grid` is not three usable numbers of nodes.
     """
     if not isinstance(program, Goals):
         raise InputError("--grid: PROGRAM has joints; give positions with one orientation")

@@ -30,7 +30,7 @@ def compensate_controller(
     third_joint: str | None,
     skip_unreachable: bool,
 ) -> None:
-    """Write a controller's program, and the files beside it, with which the calibrated robot goes where it says.
+    """Write a controller's program, and the files beside it, for the calibrated robot.
 
     Raises:
         DataError: A program that cannot be read; with its line.

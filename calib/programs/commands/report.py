@@ -19,26 +19,18 @@ from calib.programs.languages.straight_moves import CompensatedMoves
 from calib.programs.reaching.compensation import Compensation
 
 COUNTED = "expected errors include measurement noise, the priors, and what the model leaves out"
-"""What an expected error counts."""
+"""The contributions to an expected error, as every report states them."""
 Figures = Mapping[str, Mapping[str, float]]
-"""Summaries by their name with the unit."""
+"""Summaries (`rms` and `max`) by name with unit, such as `before_mm`."""
 
 
 def frame_sentences(frame: str) -> str:
-    """Say where and how errors count, in two sentences.
-
-    Args:
-        frame: Its frame, in words.
-    """
+    """Return two sentences: the frame in which errors count, and their contributions."""
     return f"Errors are {frame}.\n{COUNTED[0].upper()}{COUNTED[1:]}."
 
 
 def no_correction_sentence(result: str) -> str:
-    """Say why nothing was corrected.
-
-    Args:
-        result: Folder of the calibration.
-    """
+    """Return the reason why the program was left unchanged; `result` is the folder of the calibration."""
     return f"the verdict of {result} is that nothing is to be corrected"
 
 
@@ -50,13 +42,11 @@ def summary(values: FloatArray) -> dict[str, float]:
 def expected_error_sentence(
     subject: str, expected: Mapping[str, float], unit: str, before: Mapping[str, float] | None = None
 ) -> str:
-    """Say how large an error is expected to be, with the correction and without.
+    """Return a sentence on the expected error with the correction and, unless `before` is None, without it.
 
     Args:
-        subject: The thing that it is about, such as `The tool`.
-        expected: Its `summary`.
-        unit: Unit of this.
-        before: `summary` of the errors without the correction, with the same uncertainty; None: nothing is corrected.
+        subject: Subject of the sentence, such as `The tool`.
+        expected, before: `summary` of the errors with and without the correction, in `unit`.
     """
     now = (
         f"{subject} is expected to be off by {expected['rms']:.4f} {unit} (RMS), {expected['max']:.4f} {unit} at worst"
@@ -67,7 +57,7 @@ def expected_error_sentence(
 
 
 def figures_of(compensation: Compensation) -> dict[str, dict[str, float]]:
-    """Return root mean square and largest error of all rows, before and after."""
+    """Return the `summary` of all compensated rows, for errors before and after."""
     return {
         f"{name}_{unit}": summary(values[compensation.ok])
         for (name, unit), values in compensation.figures().items()
@@ -77,15 +67,12 @@ def figures_of(compensation: Compensation) -> dict[str, dict[str, float]]:
 
 @dataclass(frozen=True)
 class Job:
-    """A program to compensate.
+    """A program to compensate, with the calibration to use and the file to write.
 
     Attributes:
-        nominal: The robot as it is described.
+        nominal: The robot as described.
         robot_knowledge: The calibrated robot.
-        program: File of the program.
-        result: Folder of the calibration.
-        out: File to write.
-        output: Stream to print to.
+        program, result, out: Paths of the program, of the calibration's folder, and of the file to write.
     """
 
     nominal: Robot
@@ -96,7 +83,7 @@ class Job:
     output: Output
 
     def comments(self, *lines: str) -> tuple[str, ...]:
-        """Return comments of the file, with remarks on a calibration that failed."""
+        """Return comments for the written file; a failed calibration adds its remarks."""
         return (*lines, *failure_lines(self.output, self.result, self.out))
 
     def report(
@@ -108,15 +95,16 @@ class Job:
         more: Sequence[str] = (),
         subjects: tuple[str, str] = ("The tool", "Its orientation"),
     ) -> None:
-        """Print the report.
+        """Print the report, as text and as --json.
 
         Args:
-            compensated: The thing that was compensated.
-            figures: `before_mm`, `expected_mm`, the same of angles where they count, and others for --json.
+            compensated: The compensated rows, moves or targets.
+            figures: `before_mm` and `expected_mm`; `before_angle_mrad` and `expected_angle_mrad` where orientation
+                counts; further figures for --json.
             content: Further content of --json.
-            what: Parts of the program; what was done with them; what was done where nothing is to be corrected.
+            what: Three parts of a sentence: the subject, its predicate if corrected, its predicate if unchanged.
             more: Further sentences.
-            subjects: The things whose length, and whose angle, is off.
+            subjects: Subjects of the sentences on the error of length and of angle.
         """
         kept = compensated.nothing_to_correct
         common = {"frame": compensated.frame, "counted": COUNTED, "nothing_to_correct": kept}

@@ -109,7 +109,7 @@ def command(
 
 
 def _expected_error_lines(solution: Solution, reached: IntArray, source: str) -> list[str]:
-    """Say how large the error of the real robot is expected to be at its goals."""
+    """Return sentences on the expected error of the real robot at the reached goals."""
     expected, shown = solution.expected, solution.expected.figures()
     lines = (
         [f"The joint values are those of the nominal robot: {no_correction_sentence(source)}"]
@@ -126,7 +126,7 @@ def _expected_error_lines(solution: Solution, reached: IntArray, source: str) ->
 
 
 def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, ...]) -> str:
-    """CSV text of the goals that are reached, with the conditions under which they are."""
+    """CSV text of the reached goals, with the conditions at each."""
     reached = np.flatnonzero(solution.ok)
     reached_goals = goals.subset(reached)
     columns: dict[str, list[object]] = {"pose": list(reached_goals.names)}
@@ -143,7 +143,7 @@ def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, 
 
 
 def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, object]]:
-    """One entry for each target; joints are null where it is out of reach."""
+    """One entry of --json for each goal; joints are null where it is out of reach."""
     joints, expected = joint_columns(robot, solution.q), solution.expected.figures()
     return [
         {

@@ -23,12 +23,7 @@ EVERYTHING = "*"
 
 @dataclass(frozen=True)
 class Unknown:
-    """A setting that is not known.
-
-    Attributes:
-        why: Reason.
-        whole: Whether the reason is a whole sentence; else the setting is its subject.
-    """
+    """A setting whose value is unknown; `why` is a whole sentence if `whole`, else the setting is its subject."""
 
     why: str
     whole: bool = False
@@ -36,7 +31,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step of a routine: `change`, `move`, `label`, `jump`, `note_jump` (a jump that may be left out) or `call`."""
+    """A step of a routine; `maybe` is a jump that may not be taken."""
 
     kind: str
     place: str = ""
@@ -64,20 +59,19 @@ class _Routine:
         return self.states.get(len(self.steps))
 
     def state_at(self, at: int, state: State) -> State:
-        """Return the state at a step that a path reaches with `state`; where paths may meet, both are joined."""
+        """Return the state at a step reached with `state`, joined with earlier states where paths meet."""
         many = at in (0, len(self.steps)) or self.steps[at].kind in ("label", "call")
         return _join_states(self.states[at], state) if many and at in self.states else state
 
 
 @dataclass
 class Block:
-    """Branches or a loop that are not closed yet.
+    """Branches or a loop that are still open.
 
     Attributes:
-        kind: Word that opened it.
-        line: Line of this word.
-        loop: Whether it is a loop.
-        end: Label after it.
+        kind, line: Word that opened the block, and its line.
+        loop: Whether the block is a loop.
+        end: Label after the block.
         again: Label of the next branch or round.
     """
 
@@ -98,14 +92,14 @@ class Flow:
     def __init__(self, start: State) -> None:
         self.start = dict(start)
         self.routines: dict[str, _Routine] = {}
-        self._open: list[tuple[str, list[Block]]] = [("", [])]  # outside of all routines at first
+        self._open: list[tuple[str, list[Block]]] = [("", [])]  # reading begins outside all routines
         self.routines[""] = _Routine(at_any_time=False)
         self._count = 0
 
     # steps that a reader records
 
     def begin(self, name: str, where: str = "", *, at_any_time: bool = False) -> None:
-        """Begin a routine, which may be inside of an open one.
+        """Begin a routine, which may lie inside an open one.
 
         Raises:
             DataError: There is a routine with this name.
@@ -116,7 +110,7 @@ class Flow:
         self._open.append((name, []))
 
     def finish(self) -> None:
-        """End the routine that is open."""
+        """End the open routine."""
         self.label("return")
         if len(self._open) > 1:
             self._open.pop()
@@ -158,11 +152,11 @@ class Flow:
         self._add(_Step("change", change=change, keys=some or frozenset([EVERYTHING]), why=why))
 
     def move(self, at: int, move: Callable[[State | None], None]) -> None:
-        """Record a move at a place of the text; `move` is called in the end with the state there, None if unreached."""
+        """Record a move at a place of the text; `follow` calls `move` with the state there, None if unreachable."""
         self._add(_Step("move", move=move, at=at))
 
     def call(self, name: str, *, maybe: bool = False) -> None:
-        """Record a call of a routine; with `maybe` it may be left out."""
+        """Record a call of a routine; with `maybe` the program may skip the call."""
         over = self._new() if maybe else ""
         if maybe:
             self.note_jump(over)
@@ -179,7 +173,7 @@ class Flow:
         self._add(_Step("jump", name))
 
     def note_jump(self, name: str) -> None:
-        """Record a jump that may be left out."""
+        """Record a jump that may not be taken."""
         self._add(_Step("maybe", name))
 
     def _new(self) -> str:
@@ -203,7 +197,7 @@ class Flow:
         self.label(self.blocks[-1].again)
 
     def pass_over(self) -> None:
-        """Record that the branch that begins here, or the rest of the loop, may be left out."""
+        """Record that the program may skip the branch that begins here, or the rest of the loop."""
         block = self.blocks[-1]
         self.note_jump(block.end if block.loop else block.again)
 
@@ -277,7 +271,7 @@ class Flow:
                         work.append(caller)
 
     def _arrive(self, name: str, at: int, state: State) -> None:
-        """Merge a state into the state at a step; queue the step if this changes it."""
+        """Merge a state into the state at a step, and queue the step if that state has changed."""
         routine = self.routines[name]
         together = routine.state_at(at, {**state, **self._loose})
         if together != routine.states.get(at):
@@ -290,7 +284,7 @@ class Flow:
             self._take_step(self._names[number], at)
 
     def _take_step(self, name: str, at: int) -> None:
-        """Propagate the state of a step to all next steps; at the end of a routine, go on after all of its calls."""
+        """Propagate the state of a step to all next steps; the end of a routine leads back to all its calls."""
         routine = self.routines[name]
         if at == len(routine.steps):
             for caller in self._callers[name]:
@@ -321,7 +315,7 @@ class Flow:
 
 
 def _join_states(one: State, other: State) -> State:
-    """State where two branches meet; an unknown setting stays unknown."""
+    """State where two branches meet; a setting with different values becomes unknown."""
     both = dict(one)
     for key, value in one.items():
         if value != other.get(key) and not isinstance(value, Unknown):

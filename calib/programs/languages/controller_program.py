@@ -1,9 +1,9 @@
-"""Compensated programs of controllers that know the nominal robot.
+"""Compensated programs of controllers that use the nominal model.
 
-Poses become joints of the nominal robot (`calib.programs.languages.postures`), in the order in which the program goes
-to them; joints are compensated as every program of joints (`calib.programs.reaching.compensation`); and of a pose the
-nominal kinematics of what was found is written: what the controller makes joints of. So it is a pose that the
-controller can reach, in the tool and frame that it had.
+Poses become joints of the nominal robot (`calib.programs.languages.postures`) in the order in which the program goes
+to them. Joints are compensated as in every program of joints (`calib.programs.reaching.compensation`). The written
+pose of a target is the nominal forward kinematics of its joint command, in the target's own tool and frame, so the
+controller's inverse kinematics reaches it.
 
 The written file is read back: `rounding` is the motion of the target by the file's decimals.
 """
@@ -28,24 +28,24 @@ from calib.programs.languages.robot_program import ProgramTarget, RobotProgram
 from calib.programs.reaching.compensation import Compensation, compensate
 
 COUPLED = ("j3", "j2+j3")
-"""How the third joint of a description counts, of FANUC: as J3, or as the sum of J2 and J3."""
+"""Meanings of the third joint in a FANUC description: J3, or the sum of J2 and J3."""
 _JUST = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class CompensatedProgram:
-    """A program of a controller with other numbers.
+    """A controller's program with compensated targets.
 
     Attributes:
-        program: The program.
-        compensation: Compensation of the targets that could be solved, in the program's order.
+        program: The program as read.
+        compensation: Compensation of the targets with a solution, in the program's order.
         rows: Numbers of these targets, (n,).
-        values: Numbers of each target [SI]; None where it stays as it is.
-        reasons: Why a target stays; empty where it does not.
-        configurations: A remark on every target whose joints are no longer as its configuration says.
+        values: New numbers of each target [SI]; None where the target stays unchanged.
+        reasons: Why a target stays unchanged; empty where it does not.
+        configurations: A remark on every target whose joints no longer match its stated configuration.
         rounding: Distances by which the decimals of the file move the target, (n,) [m].
         lever: Largest distance of the program's tools from the description's target [m].
-        base, flange: Links that the controller counts from.
+        base, flange: Links between which the controller states poses.
     """
 
     program: RobotProgram
@@ -60,7 +60,7 @@ class CompensatedProgram:
     flange: str
 
     def files(self) -> tuple[bytes, ...]:
-        """Return the files of the program as they shall be."""
+        """Return the contents of the compensated files."""
         return self.program.rewritten(self.values)
 
 
@@ -72,18 +72,18 @@ def compensate_program(
     flange: str | None = None,
     third_joint: str | None = None,
 ) -> CompensatedProgram:
-    """Change a controller's program so that the calibrated robot does what was meant.
+    """Change a controller's program so that the calibrated robot goes to the program's targets.
 
     Args:
-        calibrated: A fit, a loaded result or a robot, as of `compensate`.
+        calibrated: A fit, a loaded result or a robot.
         program: The program.
-        base: Link of the controller's base; `base` if there is one, else that of the description.
-        flange: Link of its flange; `tool0` if there is one, else that of the target.
-        third_joint: One of `COUPLED`, for joint values of FANUC; those are left where it is not given.
+        base: Link of the controller's base; default: `base` if the URDF has it, else the description's base.
+        flange: Link of the controller's flange; default: `tool0` if the URDF has it, else the target's link.
+        third_joint: Member of `COUPLED`, for joint values of FANUC; without it, they stay unchanged.
 
     Raises:
-        DataError: No target can be solved, or joint values of another robot.
-        InputError: A link that cannot be what the user calls it.
+        DataError: No target can be solved, or the joint values are of another robot.
+        InputError: No such link, or a link that moves against the description's base or target.
     """
     known = known_robot(calibrated)
     nominal = as_described(known.robot)
@@ -138,7 +138,7 @@ def compensate_program(
 
 
 class _Joints:
-    """Joint values as a program writes them, and as the description counts them."""
+    """Conversion between joint values of a program and of the description."""
 
     def __init__(self, program: RobotProgram, robot: Robot, third_joint: str | None) -> None:
         n, is_fanuc = len(robot.joint_names), program.language == fanuc.LANGUAGE
@@ -164,7 +164,7 @@ class _Joints:
 
 
 def _solve_targets(program: RobotProgram, cell: NominalCell, joints: _Joints) -> tuple[FloatArray, list[str]]:
-    """Joints of the nominal robot at each target, (n, n_actuated) [m or rad], NaN where there are none, and why."""
+    """Joints of the nominal robot at each target, (n, n_actuated) [m or rad], NaN without a solution, and why."""
     n = len(cell.robot.home)
     q, reasons = np.full((len(program.targets), n), np.nan), [""] * len(program.targets)
     before = cell.robot.home
@@ -196,7 +196,7 @@ def _rounding_shift(
 def _remark_on_configuration(
     cell: NominalCell, joints: _Joints, target: ProgramTarget, q: FloatArray, command: FloatArray
 ) -> list[str]:
-    """A remark where the command is not as the target's configuration says, and the program's joints were."""
+    """A remark if the command violates the target's configuration more than the program's joints did."""
     says = target.configuration
     if says is None:
         return []

@@ -1,9 +1,9 @@
 """A table for controllers that can only add a correction to a position.
 
-At the nodes of a grid of positions, all with one orientation, the table has what to add to a nominal pose so that the
-real robot goes there: what `calib.programs.reaching.compensation` tells a nominal controller, minus the pose itself.
-Between nodes, controllers interpolate linearly in each direction; how wrong that is, is measured at the middle of every
-cell and at every row of the program that the grid was made for.
+At the nodes of a grid of positions, all with one orientation, the table has the correction that a nominal pose needs so
+that the real robot goes there: the compensated pose (`calib.programs.reaching.compensation`) minus the pose itself.
+Controllers interpolate linearly between nodes. The error of this is computed at the middle of every cell and at every
+row of the program that the grid is for.
 """
 
 from __future__ import annotations
@@ -34,11 +34,10 @@ class CorrectionGrid(ReadOnlyArrays):
     Attributes:
         nodes: Positions, x slowest and z fastest, (n, 3) [m].
         shift: Correction of the position, (n, 3) [m].
-        turn: Rotation vector to turn by about the axes of the measurement frame, (n, 3) [rad]; zero where the program
-            has no orientations.
-        position_errors: Errors of linear interpolation where it was tried, (n_tried,) [m].
-        angle_errors: The same of the turn, (n_tried,) [rad].
-        compensation: Compensation of the nodes, and then of where interpolation was tried.
+        turn: Correction of the orientation: rotation vector about the axes of the measurement frame, (n, 3) [rad];
+            zero if the program has no orientations.
+        position_errors, angle_errors: Errors of linear interpolation at the test positions, (n_test,) [m], [rad].
+        compensation: Compensation of the nodes, then of the test positions.
     """
 
     nodes: FloatArray
@@ -55,24 +54,24 @@ class CorrectionGrid(ReadOnlyArrays):
 
     @property
     def expected_error(self) -> FloatArray:
-        """Root mean square distance that is left at the nodes, (n,) [m]; NaN where that is not known."""
+        """Root mean square distance that remains at the nodes, (n,) [m]; NaN where unknown."""
         return self.compensation.expected[: len(self.nodes)]
 
 
 def correction_grid(
     calibrated: Robot | Calibrated | KnownRobot, program: Goals, counts: tuple[int, int, int]
 ) -> CorrectionGrid:
-    """Return the corrections over the box that holds a program.
+    """Return the corrections over the box of a program's positions.
 
     Args:
-        calibrated: The robot, as of `calib.programs.reaching.compensation.compensate`.
+        calibrated: A fit, a loaded result or a robot.
         program: Positions, all with one orientation; without orientations for a robot of three joints.
-        counts: Nodes along x, y and z; 1 where the program does not extend.
+        counts: Numbers of nodes along x, y and z; 1 along an axis on which the program has one coordinate.
 
     Raises:
-        InputError: Numbers of nodes that make no grid, or the robot is a delta printer.
+        InputError: Unusable numbers of nodes, or the robot is a delta printer.
         DataError: Several orientations, or none where the correction depends on it.
-        UnreachablePoseError: A node, a middle of a cell or a row is out of reach.
+        UnreachablePoseError: A node, a cell's middle or a row is out of reach.
     """
     known = known_robot(calibrated)
     require_nominal_controller(known.robot)
@@ -93,7 +92,7 @@ def correction_grid(
 
 
 def _one_orientation(robot: Robot, program: Goals) -> FloatArray | None:
-    """The orientation of all rows, (3, 3); None for a robot that positions determine."""
+    """The orientation of all rows, (3, 3); None if the program has none and the robot needs none."""
     if program.rotations is None:
         if program.directions is not None or len(robot.joint_names) > 3:
             raise DataError(
@@ -129,7 +128,7 @@ def _mesh(axes: list[FloatArray]) -> FloatArray:
 def _corrections(
     known: KnownRobot, target: str, positions: FloatArray, rotation: FloatArray | None
 ) -> tuple[FloatArray, Compensation]:
-    """Shift [m] and turn [rad] at positions (n, 3), (n, 6), and the compensation that says so."""
+    """Shift [m] and turn [rad] at positions (n, 3), as (n, 6), and the compensation behind them."""
     labels = tuple("grid at x {:.4f}, y {:.4f}, z {:.4f} m".format(*position) for position in positions)
     goals = Goals(positions, labels=labels, target=target)
     if rotation is not None:

@@ -1,8 +1,8 @@
 """Uses of a program's data other than as targets.
 
-Numbers of a target may be changed only where the program does nothing else with them. If it sets them, they are not
-what the text says. If it decides by them (a condition, a count), other numbers may lead it elsewhere. If it computes
-another target from them, that one moves along; so what is computed is followed to what is decided by it.
+Numbers of a target may be changed only if the program does nothing else with them. If the program sets them, they are
+not the numbers of the text. If a condition or count depends on them, other numbers may change the program's path. If
+the program computes other data from them, these count too, so decisions are followed back to their sources.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class DataUses:
         self._sources: dict[str, set[str]] = {}
 
     def note_change(self, name: str, why: str = "is set while the program runs") -> None:
-        """Note that a name becomes another value."""
+        """Note that the program assigns a new value to a name."""
         self._set.setdefault(name, why)
 
     def compute(self, name: str, sources: Iterable[str]) -> None:
@@ -27,12 +27,12 @@ class DataUses:
         self._sources.setdefault(name, set()).update(sources)
 
     def decide(self, names: Iterable[str], line: int) -> None:
-        """Note that the program decides by these names, or tells them to what is not known."""
+        """Note that the program's path depends on these names, or that an unknown routine gets them."""
         for name in names:
             self._decides.setdefault(name, f"also decides what the program does, in line {line}")
 
     def follow(self) -> None:
-        """Follow what is decided back to what it is computed from."""
+        """Mark all data from which deciding names are computed as deciding, too."""
         work = list(self._decides)
         while work:
             name = work.pop()

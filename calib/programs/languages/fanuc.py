@@ -1,9 +1,9 @@
 """Targets of FANUC's teach pendant programs as text (`.ls`): the positions of `/POS` that lines of `/MN` go to.
 
-Each position says its user frame (UF) and tool (UT); what these are, the controller knows, and a table of frames says
-(`UFRAME[1]`, `UTOOL[1]`). Position registers, offsets, increments and further motion groups are computed at run time.
-An instruction ends with a semicolon, on its line or on a later one. What is no motion, no jump, no assignment and no
-known instruction (a call, a macro) may change frames and tools.
+Each position states its user frame (UF) and tool (UT) by number; their values are in the controller, and a table of
+frames gives them here (`UFRAME[1]`, `UTOOL[1]`). Position registers, offsets, increments and further motion groups are
+computed at run time. An instruction ends with a semicolon, on its line or on a later one. An instruction that is no
+motion, jump, assignment or known word (a call, a macro) may change frames and tools.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _STATE = ("UFRAME", "UTOOL", *_NUMBERED)
 
 
 class FanucReader(Reader):
-    """Reads a program; user frames and tools of number 0 are the robot's base and its flange."""
+    """Reads a program; user frame 0 is the robot's base, and tool 0 its flange."""
 
     language, breaking, by_value, lost, danger = LANGUAGE, False, True, _STATE, "change it"
 
@@ -45,7 +45,7 @@ class FanucReader(Reader):
         return [], False
 
     def read(self, at: int = 0) -> None:
-        """Read all instructions; a jump may be to any label if its number is computed."""
+        """Read all instructions; a jump with a computed number may lead to any label."""
         code = self.code
         self.flow.jump("first")
         self.flow.label("any label")
@@ -64,7 +64,7 @@ class FanucReader(Reader):
         return f"P[{number_at(self.code, span[0]) if plain else '*'}]"
 
     def names(self, first: int, stop: int) -> set[str]:
-        """Return the registers and positions in some words."""
+        """Return the registers and positions in a span of words."""
         names = set()
         for at in self.code.names(first, stop):
             if self.code.is_mark(at + 1, "["):
@@ -73,7 +73,7 @@ class FanucReader(Reader):
         return names
 
     def decide(self, first: int, stop: int) -> None:
-        """Record that the program decides by these words."""
+        """Record that the program's path depends on these words."""
         self.uses.decide(self.names(first, stop), self.code.line(first))
 
     def statement(self, at: int, stop: int) -> None:
@@ -185,7 +185,7 @@ class FanucReader(Reader):
         return self.positions[name[2:-1]]
 
     def _require_known(self, options: Span) -> None:
-        """Raise `LeftOutError` for a word behind the places of a motion that is not known."""
+        """Raise `LeftOutError` for an unknown motion option."""
         for at in self.code.names(*options):
             known = self.code.tokens[at].text.rstrip("0123456789") in FANUC_OPTIONS | {*_CHANGED}
             if not known and self.code.tokens[at - 1].text != "CALL":

@@ -35,10 +35,10 @@ _TURNING = (0, 3, 4, 5)
 
 
 def sections_of(source: ProgramSource) -> tuple[slice, slice]:
-    """Return where the instructions and the positions of a program are.
+    """Return the text ranges of the instructions and of the positions of a program.
 
     Raises:
-        DataError: It has no such sections.
+        DataError: The program has no such sections.
     """
     sections = {match[1]: match for match in reversed([*_SECTION.finditer(source.text)])}
     if not {"MN", "POS"} <= set(sections) or sections["MN"].start() > sections["POS"].start():
@@ -53,10 +53,10 @@ class FanucPosition:
 
     Attributes:
         code: Words of the section.
-        text_start: Its first word.
-        groups: Its motion groups.
-        fields: Place of the number of each field of its first group, from behind the equals sign, and its unit.
-        statements: Values behind colons: UF, UT, CONFIG.
+        text_start: Index of the position's first word.
+        groups: Names of its motion groups.
+        fields: By name of each field of the first group: index of its equals sign, span of its number, and its unit.
+        statements: Values after colons: UF, UT, CONFIG.
     """
 
     code: ProgramWords
@@ -67,22 +67,23 @@ class FanucPosition:
 
     @property
     def place(self) -> Place:
-        """Where it stands."""
+        """File and first word."""
         return 0, self.text_start
 
     @property
     def name(self) -> str:
-        """Name in the program."""
+        """Name in messages, such as `P[1]`."""
         return f"P[{number_at(self.code, self.text_start)}]"
 
     def target(self) -> ProgramTarget:
-        """Return it as a target, in its frame and of its tool.
+        """Return the target, in its frame and of its tool.
 
-        N U T: as in the reference pose; F, D, B: the wrist flipped, the elbow down, behind axis 1. Turns: all 0.
+        Letters of CONFIG compare with the reference pose: N, U, T are the same sides as there; F: wrist flipped, D:
+        elbow down, B: behind axis 1. All turns must be 0.
 
         Raises:
-            LeftOutError: Other axes than the robot's move, or its configuration counts turns.
-            DataError: It is not complete; see `_error`.
+            LeftOutError: External axes or other motion groups move, or the configuration counts turns.
+            DataError: The position is not complete.
         """
         if self.groups != ("GP1",):
             raise LeftOutError("moves other motion groups, which the description does not have")
@@ -110,7 +111,7 @@ class FanucPosition:
         return DataError(f"{self.code.location(self.text_start)}: {what}")
 
     def _cells(self, names: Sequence[str]) -> tuple[Number, ...]:
-        """Numbers with the blanks before them, which make room for a sign."""
+        """Numbers with the blanks before them, which leave room for a sign."""
         source, fields = self.code.source, [self.fields[name] for name in names]
         units = [MILLIMETRE if unit == "MM" else DEGREE for _, _, unit in fields]
         cells = cells_at(source, 0, [number for _, number, _ in fields], units)
@@ -126,15 +127,15 @@ class FanucPosition:
 
 
 def number_at(code: ProgramWords, at: int) -> str:
-    """Return the number in brackets behind a word, without the comment behind it."""
+    """Return the number in brackets after a word, without its comment."""
     return code.tokens[at + 2].text.partition(":")[0].strip()
 
 
 def positions_of(source: ProgramSource, part: slice) -> dict[str, FanucPosition]:
-    """Return the positions of a section by number.
+    """Return the positions of a section by their numbers as text.
 
     Raises:
-        DataError: One is given twice.
+        DataError: A position stands there twice.
     """
     code, positions = ProgramWords(source, WORDS, lines="blank", part=part), dict[str, FanucPosition]()
     for at in code.names(0, len(code.tokens) - 5):

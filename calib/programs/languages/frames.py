@@ -18,7 +18,7 @@ from calib.programs.languages.visits import Place
 
 @dataclass(frozen=True)
 class Frame:
-    """A tool or frame, and where the data of the program stand that it is."""
+    """Pose of a tool or frame, and the places of the program's data that define it."""
 
     pose: pin.SE3 = field(default_factory=pin.SE3.Identity)
     places: tuple[Place, ...] = ()
@@ -29,10 +29,10 @@ Frames = Mapping[str, Frame | Unknown]
 
 
 def as_selected_frame(what: str, value: Hashable) -> Frame:
-    """Return a tool or frame that is selected.
+    """Return the selected tool or frame; `what` names it in messages.
 
     Raises:
-        LeftOutError: It is not known.
+        LeftOutError: Its value is unknown.
     """
     if not isinstance(value, Frame):
         unknown = value if isinstance(value, Unknown) else Unknown("is not known")
@@ -41,10 +41,10 @@ def as_selected_frame(what: str, value: Hashable) -> Frame:
 
 
 def read_frames(path: Path | str) -> dict[str, Frame | Unknown]:
-    """Read tools and frames that a program names and does not declare.
+    """Read a table of tools and frames that a program uses without declaring them.
 
-    Columns: `name`; x, y, z [m]; rx, ry, rz [rad], about fixed axes. The pose of a tool is seen from the flange, of a
-    frame from the robot's base.
+    Columns: `name`; x, y, z [m]; rx, ry, rz [rad], about fixed axes. A tool is given in the flange, a frame in the
+    robot's base.
 
     Raises:
         DataError: The message names file, line and column.

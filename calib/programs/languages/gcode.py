@@ -1,22 +1,21 @@
-"""Reading of G-code programs of straight moves: where each leads.
+"""Reader of G-code programs with straight moves.
 
-Read are G0 and G1 with X, Y and Z, absolute (G90) or relative (G91), in millimetres (G21) or inches (G20), a line
-without a G meaning the motion before it. A program begins in G90 and G21.
+The reader takes G0 and G1 with X, Y and Z, absolute (G90) or relative (G91), in millimetres (G21) or inches (G20). A
+line without a G repeats the motion before it. A program begins in G90 and G21.
 
-Whatever a move depends on is known, or the move is refused with its line: where the machine stands, axis by axis;
-whether numbers are relative; their unit; the zero and the tool that they belong to. A word leaves all this as it is
-only where `calib.programs.languages.gcode_dialects` says so. Any other word (a macro, a change of tools) may change all
-of it, and position and modes are unknown until the program sets them again. Zero and tool cannot be set again: after
-the first move such a word ends what can be compensated; before it, the word prepares the machine, and the program's
-zero is the one that it leaves. Homing of all axes leads to where the user says; homing of one may move the others.
-Words that certainly change what X, Y and Z mean, lines that are run elsewhere, again or under a condition, and moves
-that are not straight are refused wherever they stand. If the firmware is not known, a line is taken to be run whole,
-and refused where firmwares would read other numbers or commands in it.
+A move is refused with its line unless everything that it depends on is known: the position of the machine axis by
+axis, whether numbers are relative, their unit, and the zero and tool.
+- `calib.programs.languages.gcode_dialects` lists the words that leave all this unchanged. After any other word (a
+  macro, a change of tools), position and modes are unknown until the program sets them again.
+- A program cannot set zero and tool again. An unlisted word after the first move therefore ends what can be
+  compensated; before the first move, it prepares the machine and leaves the program's zero.
+- Homing of all axes leads to the position that the user gives; homing of one axis may move the others.
+- Always refused: words that certainly change the meaning of X, Y and Z; lines that are run elsewhere, repeatedly or
+  under a condition; moves that are not straight. For unknown firmware, a line on which firmwares disagree.
 
-G90 and G91 change what E means on some machines and on others not; a program that has E behind them must say so (M82,
-M83).
+G90 and G91 change the meaning of E on some machines only; a program that has E after them must state it (M82, M83).
 
-Reading takes a time in proportion to the length: an expression takes one word and never goes back.
+Reading takes time in proportion to the length: a regular expression takes one word and never goes back.
 """
 
 from __future__ import annotations
@@ -45,9 +44,9 @@ def read_gcode(
 
     Args:
         path: The file.
-        start: Position of the machine at first and after homing of all axes, (3,) [m]; not known if not given.
-        dialect: The firmware, of `calib.programs.languages.gcode_dialects.DIALECTS`; found in the file if not given.
-        harmless: Further words that leave position, coordinates, modes and tool as they are, such as a macro.
+        start: Position of the machine at first and after homing of all axes, (3,) [m]; None: unknown.
+        dialect: The firmware, a key of `calib.programs.languages.gcode_dialects.DIALECTS`; None: derived from the file.
+        harmless: Further words, such as a macro, that leave position, coordinates, modes and tool unchanged.
 
     Raises:
         DataError: The message names file and line.
@@ -64,16 +63,16 @@ def read_gcode(
 
 @dataclass
 class _GcodeReader:
-    """Modes that hold from line to line; None where they are unknown.
+    """Modes that hold from line to line; None where unknown.
 
     Attributes:
-        home: Position of the machine after homing of all axes.
-        harmless_words: Words that the user calls harmless.
-        position: Its position, axis by axis [m].
-        is_start_known: Whether the move before led there.
-        selected: Whether G54 was.
+        home: Position of the machine after homing of all axes [m].
+        harmless_words: Words that the user declares harmless.
+        position: Position of the machine, axis by axis [m].
+        is_start_known: Whether the last move led to `position`.
+        selected: Whether the program has selected G54.
         saved: Modes (relative, e_relative, unit) to restore, by name.
-        since: The last word that led the machine to a place that is not known, and its line.
+        since: The last word after which the position was unknown, and its line.
         prepared: The last word that may have moved the zero or changed the tool.
         shifted: The first such word after a move.
     """
@@ -113,12 +112,12 @@ class _GcodeReader:
             self._take(number, line)
 
     def _mark_moved(self, word: str, line: GcodeLine) -> None:
-        """Record that the firmware has moved the machine."""
+        """Record that the firmware has moved the machine to an unknown position."""
         self.position, self.is_start_known = [None] * 3, False
         self.since = f"{word:.40} (line {line.where.rpartition(' ')[2]})"
 
     def _forget(self, word: str, line: GcodeLine) -> None:
-        """Process a word that is not known."""
+        """Process an unknown word."""
         self._mark_moved(word, line)
         self.relative, self.e_relative, self.e = None, None, None
         self.unit = None if self.dialect.inches else MILLIMETRE
@@ -131,7 +130,7 @@ class _GcodeReader:
         self.shifted = self.shifted or (self.since if self.moves else "")
 
     def _name(self, line: GcodeLine) -> None:
-        """Process a command that is a name."""
+        """Process a command that is a name (`START_PRINT`)."""
         if line.name in CONDITIONAL:
             raise line.refusal(f"{line.name} depends on what is not known here; write out what is run")
         given = {key.upper(): value for key, _, value in (part.partition("=") for part in line.rest.split())}
@@ -147,7 +146,7 @@ class _GcodeReader:
             self.tool = line.tool
 
     def _read_other_word(self, word: str, line: GcodeLine, name: str = "default") -> None:
-        """Process a word of the lists; some save and restore modes under a name."""
+        """Process a word of the dialect's lists; some save and restore modes under a name."""
         if word in CHANGING:
             raise line.refusal(f"{word} changes the meaning of X, Y and Z; set it outside the program")
         if word in CALLING:
@@ -186,7 +185,7 @@ class _GcodeReader:
             self._extrude(float(line.argument_texts["E"]))
 
     def _g(self, code: str, line: GcodeLine) -> None:
-        """Process a G that is not for homing; unknown ones are refused."""
+        """Process a G word other than homing, or refuse it."""
         letters = {*line.argument_texts}
         if code in ("G0", "G1"):
             self.motion = code
@@ -198,14 +197,14 @@ class _GcodeReader:
             self.unit = unit
         elif code in ("G90", "G91"):
             relative = code == "G91"
-            if relative != self.e_relative:  # it changes E too on some machines, on others it does not
+            if relative != self.e_relative:  # some machines change the meaning of E too
                 self.e_relative = None
             self.relative = relative
         elif code in REFUSED:
             retracts = code in ("G10", "G11") and letters <= self.dialect.retracting
             if not retracts and not (code == "G92" and letters == {"E"}):
                 raise line.refusal(f"{code}: {REFUSED[code]}")
-        elif code == "G54" and code not in self.dialect.harmless:  # perhaps not what a machine begins in
+        elif code == "G54" and code not in self.dialect.harmless:  # the machine may begin in another system
             if self.moves and not self.selected:
                 self._forget(code, line)
             self.selected = True
@@ -224,11 +223,11 @@ class _GcodeReader:
         letters = {*line.argument_texts, *filter(str.isalpha, line.rest.upper())}
         if self.home is not None and letters <= {*AXES, "W"} and (letters & {*AXES}) in (set(), {*AXES}):
             self.position = list(self.home)
-        if self.prepared:  # homing takes back a zero that was moved
+        if self.prepared:  # homing may undo a moved zero
             self._shift()
 
     def _extrude(self, value: float) -> tuple[float, float] | None:
-        """Process E; return it before and after, None where its meaning is not known."""
+        """Process E; return its value before and after, None where its meaning is unknown."""
         before = self.e
         if self.e_relative:
             self.e = None

@@ -1,8 +1,8 @@
 """The meaning of G-code words in firmwares: which words leave the machine as it was, and where firmwares differ.
 
-A word that is on no list here may do anything. Lists hold what the manuals of a firmware say (Marlin's and
-RepRapFirmware's dictionaries of G-code, Klipper's page of commands, LinuxCNC's of G and M codes); a program whose
-firmware is not known may have the words that are harmless in all of them.
+A word that is on no list here may do anything. The lists follow the firmwares' manuals (Marlin's and RepRapFirmware's
+dictionaries of G-code, Klipper's page of commands, LinuxCNC's lists of G and M codes). If the firmware is unknown, only
+words count as harmless that are so in all of them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from calib.programs.languages.harmless import LISTS
 
 
 def parse_words(text: str) -> frozenset[str]:
-    """Return the words of a text; `M3-5` stands for M3, M4 and M5."""
+    """Return the words of a text; `M3-5` means M3, M4 and M5."""
     words: set[str] = set()
     for word in text.split():
         first, _, last = word[1:].partition("-")
@@ -26,7 +26,7 @@ def parse_words(text: str) -> frozenset[str]:
 
 
 def _listed(name: str) -> frozenset[str]:
-    """The words of a list next to the code."""
+    """The words of a list in `harmless.txt`."""
     return parse_words(" ".join(LISTS[name]))
 
 
@@ -35,23 +35,22 @@ class Dialect:
     """The rules of a firmware.
 
     Attributes:
-        name: As in `--dialect`; empty where the firmware is not known.
+        name: Name for `--dialect`; empty if the firmware is unknown.
         harmless: Words that change neither position nor coordinates, modes or tool.
         moving: Words that move the machine and change nothing else.
-        at_once: Whether the order of words in a line means nothing and T only prepares a tool, as in RS274; else
-            commands are run one after the other, each with the words behind it.
+        at_once: Whether the order of words in a line is irrelevant and T only prepares a tool, as in RS274; else
+            commands run one after the other, each with the words after it.
         allows_several: Whether a line may have several commands.
-        modal: Whether X, Y, Z without a G go on with the motion before.
+        modal: Whether X, Y, Z without a G repeat the motion before.
         parentheses: Whether a text in parentheses is certainly a comment.
         inches: Whether numbers can be in inches.
-        spelling: An expression for commands as they must be spelled.
+        spelling: Regular expression of valid commands.
         e_follows: Whether G91 makes E relative, whatever M82 says.
-        exponents: Whether E behind a digit may be an exponent.
-        same_tool: Whether calling the tool that is in place certainly does nothing.
-        move_words: Letters that leave G0 and G1 a straight move.
+        exponents: Whether E after a digit may be an exponent.
+        same_tool: Whether selecting the present tool again certainly does nothing.
+        move_words: Letters with which G0 and G1 remain straight moves.
         retracting: Letters that G10 and G11 may have without moving a zero.
-        saving: The word that saves modes, ...
-        restoring: ... and the one that restores them.
+        saving, restoring: The words that save and restore modes.
         restores_once: Whether saved modes are restored once, the last first.
     """
 
@@ -81,15 +80,15 @@ REFUSED = {
     "G93": "speeds per move do not fit moves that are cut; write speeds per minute (G94)",
     **dict.fromkeys(("G10", "G11"), "sets offsets or tools; only a retraction, without other words, is read"),
 }
-"""Words that are always refused: G, ..."""
+"""Reason why each of these G words is always refused."""
 CHANGING = _listed("G-code CHANGING")
-"""... words that change the meaning of X, Y and Z, ..."""
+"""Words that change the meaning of X, Y and Z."""
 CALLING = parse_words("M32 M47 M97-99 M808 SDCARD_PRINT_FILE SDCARD_LOOP_BEGIN SDCARD_LOOP_END")
-"""... and lines that are run elsewhere, again, ..."""
+"""Words that run lines elsewhere or again."""
 CONDITIONAL = parse_words("IF ELIF ELSE WHILE BREAK CONTINUE ABORT")
-"""... or under a condition."""
+"""Words that run lines under a condition."""
 TEXT = "M117"
-"""The word before a text that is no code in any firmware."""
+"""The word before a text that no firmware reads as code."""
 
 _EVERYWHERE = _listed("G-code")
 _PROBING = parse_words("G29 M420")
@@ -143,19 +142,19 @@ DIALECTS = {
         ),
     )
 }
-"""By the name for `--dialect`."""
-_FLAVOURS = {"klipper": "klipper", "reprapfirmware": "rrf"}  # many print with Klipper what was made for Marlin
+"""Rules of each firmware by its name for `--dialect`."""
+_FLAVOURS = {"klipper": "klipper", "reprapfirmware": "rrf"}  # not Marlin: Klipper prints many such files
 _FLAVOUR = re.compile(r"^;\s*(?:gcode_flavor\s*=|FLAVOR:)\s*(\w+)", re.IGNORECASE | re.ASCII)
 _NAME = re.compile(r"\s*([A-Z_]{2}\w*)", re.IGNORECASE | re.ASCII)
 
 
 def find_dialect(path: Path | str, lines: Iterable[str], name: str | None = None) -> Dialect:
-    """Return the rules that a program is read by.
+    """Return the rules for reading a program.
 
     Args:
         path: The file; `.nc` and `.ngc` are programs of milling machines.
-        lines: Its lines: they may name the flavour that slicers note, or have a command that only Klipper has.
-        name: The firmware, if it is known.
+        lines: Its lines, which may name the flavour (as slicers do) or have a command that only Klipper has.
+        name: The firmware, if known.
 
     Raises:
         InputError: The firmware has no rules here.

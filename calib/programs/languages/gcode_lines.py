@@ -1,8 +1,7 @@
 """Lines of G-code in parts: commands, words of a letter and a number, names, texts and comments.
 
-The grammar of a line is regular: a sequence of words, or a name and its text. An expression takes one word or comment
-and never goes back, so that reading takes a time in proportion to the length. Refused is a line that the firmware reads
-differently from what it seems to say; if the firmware is not known, a line that firmwares read differently.
+The grammar of a line is regular: a sequence of words, or a name and its text. A line is refused if the firmware reads it
+differently from its apparent meaning or, for unknown firmware, if firmwares disagree on it.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ _NAME = re.compile(r"[A-Z_]{2}\w*(?=\s|$)", re.ASCII | re.IGNORECASE)
 _COMMAND = re.compile(r"[GM]\s*\d", re.ASCII | re.IGNORECASE)
 _EXPONENT = re.compile(r"[\d.]E\s*[-+.\d]", re.ASCII | re.IGNORECASE)
 _HOMING = parse_words("G28 G29 G30")
-_OWN_WORDS = parse_words("G4 G10 G92")  # X, Y, Z in a line with these belong to them; also with an M
-_WITHOUT_WORDS = parse_words("M0-5 M7-9 M30")  # but not with these
+_OWN_WORDS = parse_words("G4 G10 G92")  # these take the X, Y, Z of their line; so do M words
+_WITHOUT_WORDS = parse_words("M0-5 M7-9 M30")  # except these
 
 
 @dataclass(frozen=True)
@@ -33,12 +32,12 @@ class GcodeLine:
     """A line in parts.
 
     Attributes:
-        where: Its name in messages.
-        counter: Its number with N; empty without.
-        name: Its command, if that is a name (`START_PRINT`).
-        words: Its letters and numbers.
-        rest: Other text: no letter with a number, or behind the name.
-        comments: Its comments.
+        where: Name of the line in messages.
+        counter: The line number (N word); empty without.
+        name: The command, if it is a name (`START_PRINT`).
+        words: Letters and their numbers.
+        rest: Other text: letters without a number, or the text after the name.
+        comments: Comments as written.
     """
 
     where: str
@@ -50,17 +49,17 @@ class GcodeLine:
 
     @cached_property
     def codes(self) -> list[str]:
-        """Its commands, such as G1."""
+        """Commands, such as G1."""
         return [_code(*word) for word in self.words if word[0] in "GM"]
 
     @cached_property
     def tool(self) -> str:
-        """The tool that it begins with; empty without."""
+        """The tool with which the line begins; empty without."""
         return _code(*self.words[0]) if self.words and self.words[0][0] == "T" else ""
 
     @cached_property
     def argument_texts(self) -> dict[str, str]:
-        """The numbers of letters that are no commands."""
+        """The number of each letter that is no command."""
         return {letter: number for letter, number in self.words if letter not in "GM"}
 
     @cached_property
@@ -75,7 +74,7 @@ class GcodeLine:
 
     @cached_property
     def takers(self) -> set[str]:
-        """Commands with X, Y, Z or E behind them; empty text where these stand before all commands."""
+        """Commands followed by X, Y, Z or E; an empty text if these precede all commands."""
         takers, command = set(), ""
         for word in self.words:
             if word[0] in "GM":
@@ -85,7 +84,7 @@ class GcodeLine:
         return takers
 
     def owner(self, vouched: Collection[str]) -> str:
-        """Return the command that is no motion and takes X, Y, Z; empty without."""
+        """Return the command other than a motion that takes X, Y, Z; empty without."""
         own = _OWN_WORDS | {*vouched} | {code for code in self.codes if code[0] == "M" and code not in _WITHOUT_WORDS}
         return next((code for code in self.codes if code in own), self.homing)
 
@@ -102,7 +101,7 @@ def read_line(line: str, where: str, dialect: Dialect) -> GcodeLine | None:
     """Return the parts of a line; None if it has no code.
 
     Raises:
-        DataError: It is not read, or firmwares read it differently.
+        DataError: The line cannot be read, or firmwares read it differently.
     """
     if not line.replace("\t", " ").isprintable():
         raise DataError(f"{where}: is not text; is this a G-code program?")
@@ -134,10 +133,10 @@ def read_line(line: str, where: str, dialect: Dialect) -> GcodeLine | None:
 
 
 def require_words(line: GcodeLine, dialect: Dialect) -> None:
-    """Refuse a letter twice, and text that no command takes or that may hold another command.
+    """Refuse a repeated letter, and text that no command takes or that may hide another command.
 
     Raises:
-        DataError: The line has one of them.
+        DataError: The line has such a letter or text.
     """
     letters = [letter for letter, _ in line.words if letter not in "GM"]
     if len(set(letters)) < len(letters):
@@ -149,7 +148,7 @@ def require_words(line: GcodeLine, dialect: Dialect) -> None:
 
 
 def require_order(line: GcodeLine, owner: str, dialect: Dialect) -> None:
-    """Refuse commands of a line that are in each other's way, or that the firmware does not run.
+    """Refuse commands that conflict within a line, or that the firmware does not run.
 
     Raises:
         DataError: The line has such commands.

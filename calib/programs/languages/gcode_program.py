@@ -1,7 +1,7 @@
-"""G-code programs as written: their straight moves, and the same program with other points in it.
+"""G-code programs as written: their straight moves, and the same program with other points.
 
-E is shared along a move that is cut, absolute (M82) or relative (M83); other words (F, S ...) stay on its first piece,
-since they hold from there on. Comments stay, and all lines that are no moves.
+E is divided along a cut move, absolute (M82) or relative (M83). Other words (F, S ...) stay on the first piece, since
+they hold from there on. Comments and all other lines stay unchanged.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from calib.core.base.errors import DataError
 from calib.core.base.units import PER_SI
 
 ROUNDING = 1e-7
-"""By how much written points may be off, their decimals being limited [m]."""
+"""Largest error of written points from their limited decimals [m]."""
 MILLIMETRE, INCH = 1 / PER_SI["length"]["mm"], 25.4 / PER_SI["length"]["mm"]
 """Units of programs [m]."""
 _DECIMALS = {MILLIMETRE: 4, INCH: 6}
@@ -28,18 +28,18 @@ class GcodeMove:
     """A straight move.
 
     Attributes:
-        line: Its index in the lines of the program.
-        start: Its start, in the program's coordinates [m]; None where that is not known.
-        end: Its end [m].
-        is_start_known: Whether the move before led to `start`; not so at the beginning, and after homing.
-        unit: Unit of its numbers [m].
-        relative: Whether they count from where the machine stands.
-        lead: Its words up to G0 or G1; of a line without a G, its number.
-        tail: Its other words, E not among them.
+        line: Index in the lines of the program.
+        start: Start in the program's coordinates [m]; None where unknown.
+        end: End [m].
+        is_start_known: Whether the move before led to `start`; False at the beginning and after homing.
+        unit: Unit of the numbers [m].
+        relative: Whether the numbers count from the machine's position.
+        lead: Words up to G0 or G1; the line number of a line without a G.
+        tail: Other words, without E.
         comments: Comments on the line, as written.
-        e: E at the beginning and at the end; None without E, or where only one piece can be written.
+        e: E at the beginning and at the end; None without E, or where the move cannot be cut.
         e_text: E as written; empty without.
-        e_relative: Whether E counts from where it stands.
+        e_relative: Whether E counts from its last value.
     """
 
     line: int
@@ -57,38 +57,32 @@ class GcodeMove:
 
     @property
     def motion(self) -> tuple[str, ...]:
-        """G0 or G1 as written; nothing on a line without."""
+        """G0 or G1 as written; empty on a line without."""
         return tuple(word for word in self.lead[-1:] if word.startswith("G"))
 
 
 @dataclass(frozen=True)
 class GcodeProgram:
-    """A program.
-
-    Attributes:
-        path: Path of its file.
-        lines: Its lines.
-        moves: Its straight moves, in order.
-    """
+    """A program: its path, its lines, and its straight moves in order."""
 
     path: str
     lines: tuple[str, ...]
     moves: tuple[GcodeMove, ...]
 
     def label(self, move: GcodeMove) -> str:
-        """Return what to call a move in messages."""
+        """Return the name of a move in messages."""
         return f"{self.path}, line {move.line + 1}"
 
     def rewritten(self, ways: Sequence[FloatArray] | None, comments: Sequence[str] = ()) -> str:
-        """Return the program with other points.
+        """Return the text of the program with other points.
 
         Args:
-            ways: Points of each move, which it shall go through in straight lines; the last is its end,
-                (n_pieces, 3) [m]; None: all lines stay as they are.
-            comments: Lines to put first, behind what starts a tape (`%`).
+            ways: Points through which each move goes in straight lines, the last of which is its end,
+                (n_pieces, 3) [m]; None: all lines stay unchanged.
+            comments: Lines to put first, after the mark that starts a tape (`%`).
 
         Raises:
-            DataError: A move with E is cut where the program does not say what E means.
+            DataError: A move with E is cut, and the program does not define what E means.
         """
         lines = [[line] for line in self.lines]
         stands: FloatArray = np.zeros(3)
@@ -130,6 +124,6 @@ class GcodeProgram:
 
 
 def _format_number(number: float, decimals: int) -> str:
-    """A number with at most so many decimals, never with an exponent."""
+    """A number with at most `decimals` decimals and no exponent."""
     text = f"{number:.{decimals}f}".rstrip("0").rstrip(".") if decimals else f"{number:.0f}"
     return "0" if text in ("-0", "") else text

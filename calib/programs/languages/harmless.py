@@ -1,7 +1,7 @@
 """Words of controllers and of G-code that change no target, tool, frame or mode of motion: see `harmless.txt`.
 
-Listed are words of the manufacturers' manuals that read their arguments and set none of them. A name that is neither
-listed nor declared in the program may change anything.
+The lists hold words of the manufacturers' manuals that read their arguments and set none of them. A name that is
+neither listed nor declared in the program may change anything.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ LISTS = {part[1]: part[2].split() for part in re.finditer(r"^\[(.*)\]\n([^\[]*)"
 """Words by the name of their list."""
 URSCRIPT = frozenset(LISTS["URScript"])
 URSCRIPT_COMPUTED = frozenset(LISTS["URScript COMPUTED"])
-"""Moves of URScript whose goal is computed while they go on."""
+"""URScript functions whose motion has a goal that is computed while they run."""
 RAPID, RAPID_SETS, KRL, BAS_HARMLESS, BAS_FORMS, FANUC, FANUC_OPTIONS = (
     frozenset(word.upper() for word in LISTS[name])
     for name in ("RAPID", "RAPID SETS", "KRL", "BAS", "BAS FORMS", "FANUC", "FANUC OPTIONS")
 )
-"""The words are in capitals, since case does not count. Words of `RAPID_SETS` set some of their arguments, and nothing
-else. Words of `FANUC_OPTIONS` follow the targets of a motion and leave them unchanged.
-"""
+"""Words in capitals, since case does not count. Words of `RAPID_SETS` set some of their arguments and nothing else.
+Words of `FANUC_OPTIONS` follow the targets of a motion and leave them unchanged."""

@@ -1,9 +1,9 @@
 """Targets of KRL, the language of KUKA: a `.src` file with the `.dat` file beside it.
 
-Read are `PTP`, `LIN`, `CIRC`, `SPL` and their splines with positions (`E6POS`, `POS`, `FRAME`) and axes (`E6AXIS`,
-`AXIS`), declared in either file or written out. Tool and base are those that hold there on every way to the motion
-(`krl_frames`). A statement ends with its line; statements begin behind `THEN`, `ELSE`, `DO` and a label too. What is no
-assignment, no branch or loop and no known statement may set its arguments, and all frames.
+The reader takes `PTP`, `LIN`, `CIRC`, `SPL` and their splines with positions (`E6POS`, `POS`, `FRAME`) and axes
+(`E6AXIS`, `AXIS`), declared in either file or written out, and the tool and base that hold on every path to the motion
+(`krl_frames`). A statement ends with its line; statements also begin after `THEN`, `ELSE`, `DO` and a label. A
+statement that is no assignment, branch, loop or known word may set its arguments, and all frames.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class KrlReader(KrlFrames):
         return stop
 
     def modified(self, at: int, _: int) -> int:
-        """Process a statement that begins with DECL, GLOBAL, ..."""
+        """Process a statement that begins with DECL, GLOBAL, CONST or PUBLIC."""
         first = at
         while self.code.tokens[first].text in _MODIFIERS:
             first += 1
@@ -109,7 +109,7 @@ class KrlReader(KrlFrames):
         return stop
 
     def begin_at_any_time(self, at: int, _: int) -> int:
-        """Process `INTERRUPT DECL ... DO` and `TRIGGER ... DO`: a statement that is run while the robot moves."""
+        """Process `INTERRUPT DECL ... DO` and `TRIGGER ... DO`, whose statement runs while the robot moves."""
         stop, do = self.code.line_end(at), self.word(at, "DO")
         self.decide(at, do)
         if do + 1 < stop:
@@ -117,12 +117,12 @@ class KrlReader(KrlFrames):
         return stop
 
     def resume(self, at: int, behind: int) -> int:
-        """Record that RESUME leaves the routine that an interrupt was in."""
+        """Record that RESUME leaves the interrupted routine."""
         self.run_at_any_time(at, lambda: self.call_elsewhere("RESUME", self.code.line(at)))
         return behind
 
     def _declaration(self, file: int, at: int, stop: int) -> None:
-        """Process a line that declares data, or gives them their first values."""
+        """Process a line that declares data or gives them their first values."""
         code, first = self.codes[file], at
         while code.tokens[first].text in _MODIFIERS:
             first += 1
@@ -154,7 +154,7 @@ class KrlReader(KrlFrames):
             self.assign(at, stop, equals)
             self.uses.note_change(word)
             self.select_assigned(at, stop, equals)
-        elif word in ("ANIN", "DIGIN") and equals < stop:  # sets a variable again and again while the robot moves
+        elif word in ("ANIN", "DIGIN") and equals < stop:  # sets a variable repeatedly while the robot moves
             self.run_at_any_time(at, lambda: self.change(code.tokens[at + 2].text))
         elif word in self.harmless or (is_name and after.text == "(" and code.partner[at + 1] + 1 == stop):
             self.expression(at, stop)
@@ -165,7 +165,7 @@ class KrlReader(KrlFrames):
             self.call_elsewhere(code.excerpt(at, stop), code.line(at))
 
     def _move(self, at: int, stop: int) -> None:
-        """Process a motion, with its own settings behind WITH."""
+        """Process a motion; after WITH, it has its own settings."""
         self.expression(at + 1, stop)
         end = min(self.word(at, "WITH"), stop)
         if end < stop:
@@ -220,7 +220,7 @@ class KrlReader(KrlFrames):
 
 
 def _configuration(numbers: Mapping[str, float]) -> Configuration | None:
-    """S: bit 0 the side of axis 1, bit 1 of axis 3. T: the signs of the axes. Bit 2 of S says no more than these."""
+    """Bits 0 and 1 of S: sides of axes 1 and 3. Bits of T: signs of the axes. Bit 2 of S adds nothing to these."""
     text = ", ".join(f"{key} {numbers[key]:g}" for key in ("S", "T") if key in numbers)
     if not text:
         return None

@@ -1,6 +1,6 @@
-"""Tools and bases that are selected at each place of a KRL program.
+"""Tools and bases selected at each place of a KRL program.
 
-A program selects them by inline forms (`FDAT_ACT` and a `BAS` after it, or `STOOL2` and `SBASE` of a spline), by
+A program selects them by inline forms (`FDAT_ACT` with a `BAS` after it, or `STOOL2` and `SBASE` of a spline), by
 `BAS(#TOOL, ...)` and `BAS(#BASE, ...)`, or by an assignment to `$TOOL` and `$BASE`. `TOOL_DATA` and `BASE_DATA` are in
 the controller's `$config.dat`, or in a table of frames.
 """
@@ -30,7 +30,7 @@ class KrlFrames(Reader):
     """Reads which tool and base a program selects.
 
     Args:
-        sources: The `.src` file, and data lists.
+        sources: The `.src` file, then data lists.
         frames: Frames such as `TOOL_DATA[1]` and `BASE_DATA[2]` that the sources do not set.
         harmless: Routines of other files that set no data, tool or base, in capitals.
     """
@@ -51,7 +51,7 @@ class KrlFrames(Reader):
         super().__init__(codes, start, frames, KRL | set(harmless))
 
     def word(self, first: int, *words: str) -> int:
-        """Return the index of the next of these words in the line, or of the end of the line."""
+        """Return the index of the first of these words in the rest of the line, or of the line's end."""
         while self.code.tokens[first].kind != "end" and self.code.tokens[first].text not in words:
             first = self.code.partner[first] + 1
         return first
@@ -59,7 +59,7 @@ class KrlFrames(Reader):
     # numbers in braces
 
     def components(self, data: Data) -> dict[str, Span] | None:
-        """Return the spans of the numbers in braces, by component; None if one is not a plain number."""
+        """Return the spans of the numbers in braces by component; None if some component is not a plain number."""
         code = self.codes[data.file]
         inside = code.bracket_content(*data.span, "{")
         if inside is None or data.span == NO_VALUE:
@@ -76,13 +76,13 @@ class KrlFrames(Reader):
         return components
 
     def cells(self, data: Data, names: Sequence[str]) -> tuple[Number, ...]:
-        """Return components as numbers."""
+        """Return the named components as numbers."""
         components = self.components(data) or {}
         units = [MILLIMETRE if name in "XYZ" else DEGREE for name in names]
         return cells_at(self.sources[data.file], data.file, [components[name] for name in names], units)
 
     def pose_cells(self, data: Data) -> tuple[Number, ...] | None:
-        """Return the numbers of a pose; None if it is not six plain numbers."""
+        """Return the numbers of a pose; None unless they are six plain numbers."""
         return self.cells(data, _POSE) if set(_POSE) <= set(self.components(data) or {}) else None
 
     # values of tools and bases
@@ -144,7 +144,7 @@ class KrlFrames(Reader):
         self._select(name, None, why)
 
     def _select(self, name: str, value: Callable[[State], Hashable] | None, why: str = "") -> None:
-        """Note that a frame, or another selecting name, gets a value; without `value`, it becomes unknown."""
+        """Record that a name which selects frames gets a value; without `value`, it becomes unknown."""
         if name.partition("[")[0] in self._selecting:
             self.flow.change([name], lambda state: {**state, name: value(state) if value else Unknown(why)})
 

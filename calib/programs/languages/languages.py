@@ -1,4 +1,4 @@
-"""The languages of controllers: their files and readers. A new one is a line here."""
+"""The languages of controllers: their file suffixes and readers."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def read_program(path: Path | str, frames: Sequence[Path | str] = (), harmless: 
     """Read a controller's program.
 
     Args:
-        path: The file; its suffix says the language.
-        frames: Files with tools and frames that it does not declare: tables (`calib.programs.languages.
-            frames.read_frames`), RAPID modules, KUKA's `$config.dat`.
-        harmless: Routines that it calls and does not declare, and that change no target, tool, frame or mode.
+        path: The file; its suffix decides the language.
+        frames: Files with tools and frames that the program uses without declaring them: tables
+            (`calib.programs.languages.frames.read_frames`), RAPID modules, KUKA's `$config.dat`.
+        harmless: Routines declared elsewhere that change no target, tool, frame or mode.
 
     Raises:
         DataError: The message names file and line.
-        InputError: A file of another kind.
+        InputError: No reader for files of this suffix.
     """
     known: dict[str, Frame | Unknown] = {}
     for file in frames:

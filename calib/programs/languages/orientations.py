@@ -14,14 +14,14 @@ from calib.core.base.errors import DataError
 _UNIT_LENGTH = 1e-3  # allowed deviation of a quaternion from unit length
 Rotation = Literal["vector", "quaternion", "zyx", "xyz"]
 """How a language writes an orientation: rotation vector; quaternion w, x, y, z; angles about z, y', x'' (A, B, C of
-KUKA); the same angles as x, y, z about fixed axes (W, P, R of FANUC)."""
+KUKA); the same rotation as angles x, y, z about fixed axes (W, P, R of FANUC)."""
 
 
 def pose_of(values: Sequence[float], rotation: Rotation, where: str = "") -> pin.SE3:
-    """Return a pose from its numbers: a position [m] and an orientation as a language writes it [rad].
+    """Return the pose of a position [m] and an orientation in a language's form [rad or quaternion].
 
     Raises:
-        DataError: A quaternion that is none.
+        DataError: The quaternion does not have unit length.
     """
     turned = np.array(values[3:])
     if rotation == "quaternion" and abs(np.linalg.norm(turned) - 1) > _UNIT_LENGTH:
@@ -30,13 +30,13 @@ def pose_of(values: Sequence[float], rotation: Rotation, where: str = "") -> pin
 
 
 def numbers_of(pose: pin.SE3, rotation: Rotation, near: Sequence[float]) -> tuple[float, ...]:
-    """Return the numbers of a pose [m, rad], of those that are the same turn the ones nearest to given ones."""
+    """Return the numbers of a pose [m, rad], among equal orientations those nearest to the numbers `near`."""
     turned = _ROTATIONS[rotation][1](pose.rotation, np.array(near[3:]))
     return (*map(float, pose.translation), *map(float, turned))
 
 
 def _to_vector(R: FloatArray, near: FloatArray) -> FloatArray:
-    """Rotation vector, of those that are the same turn the one nearest to the given."""
+    """Rotation vector, (3,), of all that are the same rotation the nearest to `near`."""
     v = np.asarray(pin.log3(R))
     angle = float(np.linalg.norm(v))
     if angle < 1e-9:
@@ -50,7 +50,7 @@ def _to_quaternion(R: FloatArray, near: FloatArray) -> FloatArray:
 
 
 def _to_xyz(R: FloatArray, near: FloatArray) -> FloatArray:
-    """Roll, pitch and yaw, of the two that are the same turn the one nearest to the given."""
+    """Roll, pitch and yaw, (3,), of both that are the same rotation the nearest to `near`."""
     angles = np.asarray(pin.rpy.matrixToRpy(R))
     other = np.array([angles[0] + np.pi, np.pi - angles[1], angles[2] + np.pi])
     best = _nearest((v + 2 * np.pi * np.round((near - v) / (2 * np.pi)) for v in (angles, other)), near)

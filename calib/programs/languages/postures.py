@@ -1,13 +1,12 @@
-"""Joint values behind the poses of a program, on the branch of the inverse kinematics that the program means.
+"""Joint values for the poses of a program, on the branch of the inverse kinematics that the program means.
 
-An arm reaches a pose in several ways. A program says which: by quarter turns, signs or turns of its joints, by the side
-of axis 1 and of the arm on which the wrist is, or, where it says nothing, by what it went to before. So each pose is
-solved from the one before it; and where that is far, or not what the program says, from many starts, of whose
-solutions the one counts that is as the program says and nearest to the pose before.
+An arm reaches a pose in several ways. A program states the branch by quarter turns, signs or turns of its joints, or by
+the side of axis 1 and of the arm on which the wrist is; if it states nothing, the target before decides. So each pose
+is first solved from the pose before. If that solution is far away or contradicts the program, the solver starts from many
+joint values and takes the solution that agrees with the program and is nearest to the pose before.
 
-Sides are compared with those in a reference pose: all joints at zero, as ABB and KUKA count; FANUC's N, U and T are
-those of home. The wrist is where axis 5 is; of an arm whose wrist axes do not meet, a side can be misjudged where the
-arm is about to change it.
+Sides are relative to a reference pose: all joints at zero for ABB and KUKA, home for FANUC's N, U and T. The wrist is
+the origin of axis 5. If the wrist axes of an arm do not meet, the side can be wrong near the border between two sides.
 """
 
 from __future__ import annotations
@@ -28,22 +27,21 @@ from calib.programs.reaching.reaching import GoalConfigurations, descend
 
 _STARTS = (12, 64)
 _FAR = 0.7  # distance of one joint from the pose before [rad]
-_BORDER = 0.1  # so far outside of what a program says a joint may be, where borders are rounded [rad]
+_BORDER = 0.1  # tolerance of a stated joint range, since programs round its borders [rad]
 _REACHED = 1e-8  # [m]
 _ROUNDED = 2e-4  # allowed error of a robot with fewer than six motors at a rounded pose [m]
 _ALIKE = 1e-9
 
 
 class NominalCell:
-    """A nominal robot with the frames that its controller counts from.
+    """A nominal robot with the base and flange links of its controller.
 
     Args:
         robot: The nominal robot.
-        base: Link of the controller's base frame; `base` if there is one, else that of the description.
-        flange: Link of the controller's flange; `tool0` if there is one, else that of the target.
+        base, flange: Links of the controller; defaults as in `compensate_program`.
 
     Raises:
-        InputError: A link that there is not, or that moves against the description's.
+        InputError: No such link, or a link that moves against the description's base or target.
     """
 
     def __init__(self, robot: Robot, base: str | None = None, flange: str | None = None) -> None:
@@ -85,23 +83,23 @@ class NominalCell:
         return [self._base_pose.inverse() * pin.SE3(pose) for pose in np.asarray(self.robot.forward(q, self.flange))]
 
     def lever(self, tool: pin.SE3) -> float:
-        """Return how far the tip of a tool is from the description's target [m]."""
+        """Return the distance of a tool's tip from the description's target [m]."""
         return float(np.linalg.norm(tool.translation - self._target.translation))
 
     def target_position(self, flange: pin.SE3) -> FloatArray:
-        """Return where the target is in the base when the flange is there, (3,) [m]."""
+        """Return the target's position in the base for a pose T_base_flange, (3,) [m]."""
         return np.asarray((flange * self._target).translation)
 
     def solve(
         self, flange: pin.SE3, before: FloatArray, says: Configuration | None, sides: Sides
     ) -> tuple[FloatArray | None, str]:
-        """Return joints (n_actuated,) [m or rad] that bring the flange to T_base_flange, or None and why.
+        """Return joints (n_actuated,) [m or rad] that bring the flange to T_base_flange, or None and the reason.
 
         Args:
             flange: T_base_flange.
-            before: Joints of the pose before.
+            before: Joints of the pose before, (n_actuated,) [m or rad].
             says: The configuration that the program states.
-            sides: The sides of the reference pose.
+            sides: Sides relative to the reference pose.
         """
         goal = self._base_pose * flange * self._target
         goals = Goals(goal.translation[None], goal.rotation[None])
@@ -122,7 +120,7 @@ class NominalCell:
     def _nearest_solution(
         self, goals: Goals, starts: FloatArray, before: FloatArray, says: Configuration | None, sides: Sides
     ) -> FloatArray | None:
-        """The solution nearest to the pose before, of those that are as the program says."""
+        """The solution nearest to the pose before, among those that agree with the program."""
         closed = self.robot.close(starts)
         reach = problem(self.robot, goals)
         index = np.flatnonzero(closed.ok)
@@ -134,7 +132,7 @@ class NominalCell:
         return min(solutions, key=lambda q: float(np.linalg.norm(q - before)), default=None)
 
     def _with_full_turns(self, q: FloatArray, before: FloatArray, says: Configuration | None) -> FloatArray:
-        """The same pose with whole turns of joints, as the program says, and near to the pose before."""
+        """The same pose with whole turns of joints added, in the stated ranges and near the pose before."""
         n = len(before)
         lower, upper = (limit[:n] for limit in self.robot.urdf.limits(self.robot.mechanism.driven))
         turned = q[:n].copy()
@@ -161,12 +159,7 @@ class NominalCell:
 
 
 class Sides:
-    """The sides on which the wrist of a six-axis arm is, compared with a reference pose.
-
-    Args:
-        robot: The nominal robot.
-        reference: Joints of the reference pose, (n_actuated,) [m or rad].
-    """
+    """The sides of the wrist of a six-axis arm, relative to a reference pose of joints (n_actuated,) [m or rad]."""
 
     def __init__(self, robot: Robot, reference: FloatArray) -> None:
         self.robot = robot
@@ -176,9 +169,9 @@ class Sides:
         self._reference = self._measures(reference) if self._known else (None, 0.0, 0.0)
 
     def sides_at(self, q: FloatArray) -> tuple[bool | None, bool | None, bool | None, bool | None]:
-        """Return whether wrist, elbow and joint 5 are on another side than in the reference, and joint 3 is beyond.
+        """Return whether wrist, elbow and joint 5 are on another side than in the reference, and joint 3 is bent.
 
-        None where that cannot be said: of an arm that is no chain of six axes, or on the border.
+        None where undefined: for an arm that is no chain of six axes, and on the border of two sides.
 
         Args:
             q: Joints, (n_actuated,) [m or rad].
@@ -198,7 +191,7 @@ class Sides:
         )
 
     def _measures(self, q: FloatArray) -> tuple[FloatArray | None, float, float]:
-        """The wrist from axis 1 in link 1 [m], how far it is beyond the line of axes 2 and 3 [m^2], and joint 5."""
+        """The wrist from axis 1 in link 1 [m], a signed measure of elbow bend [m^2], and the value of joint 5 [rad]."""
         links = [np.asarray(self.robot.forward(q, joint.child)) for joint in self._joints]
         first, second, third, wrist = links[0], links[1][:3, 3], links[2][:3, 3], links[4][:3, 3]
         axis = np.array(self._joints[0].axis)

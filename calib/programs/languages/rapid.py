@@ -1,14 +1,14 @@
 """Targets of RAPID, the language of ABB.
 
 The reader finds each `robtarget` and `jointtarget` of `MoveL`, `MoveJ`, `MoveC`, `MoveAbsJ`, and of instructions that
-do something else while they move (`MoveLDO`, `TriggL`, `ArcL`, `SpotL` ...). They are declared as constants,
+do something else while they move (`MoveLDO`, `TriggL`, `ArcL`, `SpotL` ...). Targets are declared as constants,
 persistents or variables, one by one or in arrays, or are written out. The instruction names its tool (`tooldata`) and
 work object (`wobjdata`), which are declared in the program, in another module, or in a table of frames. Axis
 configurations count while `ConfL` and `ConfJ` are on.
 
 Statements end with a semicolon; `IF c x := 1;` is a statement within a statement. Data that the program sets anywhere
-are no constants. A routine may set the arguments that it gets as `INOUT`, `PERS`, `VAR` or `REF`. A routine that is not
-declared here may set any of its arguments, and all data that are not `LOCAL`.
+are not constant. A routine may set its `INOUT`, `PERS`, `VAR` or `REF` parameters. A routine that is not declared here
+may set any of its arguments, and all data that are not `LOCAL`.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ _MODES: dict[str, tuple[str, Unknown | None]] = {
     "EOFFSSET": ("EOFFS", _DISPLACED),
     "EOFFSOFF": ("EOFFS", None),
 }
-_NONE = 8e9  # external axes that do not exist have 9E9
+_NONE = 8e9  # RAPID writes 9E9 for external axes that do not exist
 _QUARTER = np.pi / 2
 
 
 def rapid_frames(path: Path | str) -> Frames:
-    """Return the tools and work objects that a module declares, and why some cannot be used."""
+    """Return the tools and work objects that a module declares; `Unknown` with the reason for unusable ones."""
     reader, frames = RapidReader(path, {}, ()), dict[str, Frame | Unknown]()
     reader.read()
     for name, data in reader.declared.items():
@@ -96,7 +96,7 @@ class RapidReader(RapidData):
         super().read(marks[-1] + 1 if self.code.is_mark(0, "%") else at)
 
     def skip(self, at: int, behind: int) -> int:
-        """Go on after a word or a statement, which may end branches of one statement."""
+        """Go on after a word; a semicolon ends one-statement branches (`IF c x := 1;`)."""
         if self.code.tokens[at].text == ";":
             self._close_compact()
         return behind
@@ -106,7 +106,7 @@ class RapidReader(RapidData):
             self.flow.close()
 
     def close(self, at: int, behind: int) -> int:
-        """End branches or a loop, which may in turn end branches of one statement."""
+        """End branches or a loop, and the one-statement branches that they end."""
         super().close(at, behind)
         self._close_compact()
         return behind
@@ -121,12 +121,12 @@ class RapidReader(RapidData):
         return next((k for k in range(at, end) if self.code.tokens[k].text == "ENDRECORD"), end) + 1
 
     def begin_trap(self, at: int, _: int) -> int:
-        """Begin a routine that runs whenever an interrupt comes."""
+        """Begin a routine that runs at an interrupt."""
         self.flow.begin(self.code.tokens[at + 1].text, self.code.location(at), at_any_time=True)
         return at + 2
 
     def handle(self, at: int, _: int) -> int:
-        """Begin an error handler, which runs whenever an error happens."""
+        """Begin an error handler, which runs at an error."""
         self.flow.jump("return")
         name = f"{self.flow.routine} {self.code.tokens[at].text}"
         self.flow.finish()
@@ -173,7 +173,7 @@ class RapidReader(RapidData):
         return stop
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
-        """Process a call of a routine of the language, which may set its arguments."""
+        """Process a call of a built-in routine, which may set its arguments."""
         name = self.code.tokens[at].text
         if name in RAPID_SETS:
             self.note_arguments(span, f"is set by '{self.code.excerpt(at, at + 1)}'")
@@ -206,7 +206,7 @@ class RapidReader(RapidData):
             self.call(at, (at + 1, stop))
 
     def _move(self, word: str, at: int, stop: int) -> None:
-        """Process an instruction that moves: arguments between commas, and options after backslashes."""
+        """Process a motion: arguments between commas, and options after backslashes."""
         code, spans, options = self.code, list[Span](), dict[str, Span]()
         for first, last in code.split(at + 1, stop):
             end = code.find_mark(first, last, "\\")
@@ -287,7 +287,7 @@ class RapidReader(RapidData):
         return self.target(data, cells, "quaternion", frame, tool, configuration)
 
     def _configuration(self, span: Span) -> Configuration:
-        """cf1, cf4, cf6 are quarter turns of axes 1, 4 and 6; bit 4 of cfx is the side of axis 1, bit 2 of the arm."""
+        """cf1, cf4, cf6 are quarter turns of axes 1, 4, 6; bit 4 of cfx is the side of axis 1, bit 2 of the arm."""
         quarters = [round(value) for value in self.values(span, 4, "a configuration")]
         ranges = {joint: (q * _QUARTER, (q + 1) * _QUARTER) for joint, q in zip((0, 3, 5), quarters[:3], strict=True)}
         behind, elbow = bool(quarters[3] & 4), bool(quarters[3] & 2)

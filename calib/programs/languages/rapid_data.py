@@ -1,4 +1,4 @@
-"""Data of RAPID: targets, tools and work objects as nested lists of numbers, and which tools and work objects hold."""
+"""Data of RAPID: targets, tools and work objects as nested lists of numbers, and the tool and work object of a move."""
 
 from __future__ import annotations
 
@@ -18,19 +18,18 @@ from calib.programs.languages.robot_program import MILLIMETRE, LeftOutError, Num
 from calib.programs.languages.tokens import ProgramWords, Span, word_pattern
 
 _WORDS = word_pattern(r"![^\n]*", r"[^\W\d]\w*", r":=|<=|>=|<>|[-+*/()\[\]{}=<>,.:;\\?|%]")
-SIZES = {"ROBTARGET": 4, "JOINTTARGET": 2, "TOOLDATA": 3, "WOBJDATA": 5}  # parts of the types that count here
+SIZES = {"ROBTARGET": 4, "JOINTTARGET": 2, "TOOLDATA": 3, "WOBJDATA": 5}  # number of components by type
 _REFERENCES = ("INOUT", "PERS", "VAR", "REF")
 TWO_TARGETS = re.compile(r"(MOVE|TRIGG|ARC|DISP|PAINT)C")
-_BY_NAME = ("SETDATAVAL", "SETALLDATAVAL", "GETDATAVAL")  # set or read data, LOCAL too, by a name that is text
+_BY_NAME = ("SETDATAVAL", "SETALLDATAVAL", "GETDATAVAL")  # these set or read even LOCAL data, named by a text
 _FIXED = {"TOOL0": Frame(), "WOBJ0": Frame()}
 
 
 class RapidData(Reader):
     """Reads the data of a module.
 
-    Args:
         path: File of the module.
-        frames: Tools and work objects that it does not declare, by their names in capitals.
+        frames: Tools and work objects that the module does not declare, by their names in capitals.
         harmless: Routines of other modules that set no data and no mode of motion, in capitals.
     """
 
@@ -55,7 +54,7 @@ class RapidData(Reader):
         return names, bool(self.names(*span) & {*_REFERENCES})
 
     def parts(self, span: Span) -> list[Span]:
-        """Return what stands between the commas in brackets."""
+        """Return the spans between the commas in brackets."""
         inside = self.code.bracket_content(*span, "[")
         return self.code.split(*inside) if inside else []
 
@@ -63,8 +62,8 @@ class RapidData(Reader):
         """Return the places of the plain numbers in brackets.
 
         Raises:
-            LeftOutError: One is none.
-            DataError: There are not so many.
+            LeftOutError: Some part is not a plain number.
+            DataError: Not `count` numbers.
         """
         spans = self.parts(span)
         numbers = [self.code.number(*part) for part in spans]
@@ -80,7 +79,7 @@ class RapidData(Reader):
         return [float(self.sources[0].text[slice(*place)]) for place in self.numbers(span, count, what)]
 
     def complete(self, data: Data) -> list[Span]:
-        """Return the parts of data; `DataError` if some are not there."""
+        """Return the components of data; `DataError` if some are missing."""
         parts = self.parts(data.span)
         if len(parts) != SIZES[data.kind]:
             what = f"{data.kind.lower()} '{data.name}' is not complete; correct it"
@@ -91,7 +90,7 @@ class RapidData(Reader):
         """Return the numbers of a position and a quaternion, and the pose.
 
         Raises:
-            DataError: There are not two parts.
+            DataError: Not two parts.
         """
         where = self.code.location(parts[0][0])
         if len(parts) != 2:
@@ -117,7 +116,7 @@ class RapidData(Reader):
         return Frame(poses[0] if data.kind == "TOOLDATA" else poses[0] * poses[1])
 
     def _is_frame(self, name: str, kind: str) -> bool:
-        """Whether a name is that of a tool or work object."""
+        """Whether the name belongs to a tool or work object, by `kind`."""
         return self.declared[name].kind == kind if name in self.declared else name in self.frames
 
     def tool(self, word: str, spans: Sequence[Span]) -> Frame:
@@ -140,7 +139,7 @@ class RapidData(Reader):
         return self._usable(name)
 
     def _usable(self, name: str) -> Frame:
-        """A tool or work object that nothing sets."""
+        """The frame of a tool or work object that the program does not set, or `LeftOutError`."""
         data, shown, base = self.declared.get(name), f"'{name.lower()}'", name.partition("{")[0]
         if self.uses.is_set(base):
             raise LeftOutError(f"{shown} {self.uses.why_not(base)}")

@@ -1,10 +1,10 @@
 """The common parts of controllers' languages: expressions, assignments, calls, data and moves.
 
-A language says how it assigns, which routines and settings it knows, and what its targets, tools and frames look like.
-Reading writes down what is set and by what the program decides (`data_uses`) and the steps of each routine
-(`control_flow`); then all ways are followed, and each move is processed with the settings that hold there.
+A subclass for each language defines its assignments, known routines and settings, and the form of targets, tools and
+frames. Reading records which data are set or decide the path (`data_uses`), and the steps of each routine
+(`control_flow`). Then all paths are followed, and each move is processed with the settings that hold there.
 
-A routine that is not declared and not known to be harmless may set its arguments, the data that it can see, and every
+A routine that is neither declared nor known to be harmless may set its arguments, the data that it can see, and every
 setting.
 """
 
@@ -24,7 +24,7 @@ from calib.programs.languages.tokens import ProgramWords, Span
 from calib.programs.languages.visits import Place, Visit, program_of
 
 NO_VALUE = (0, 0)
-"""The words of data that are declared without a value."""
+"""The span of data that are declared without a value."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class Data:
     """Data of a program, written out or declared.
 
     Attributes:
-        name: Name in the program; empty where it is written out.
-        file: Number of its file among the program's.
-        span: Its words.
-        kind: Its type, in capitals.
+        name: Name in the program; empty for data written out.
+        file: Index of its file in the program.
+        span: Range of its words.
+        kind: Type, in capitals.
         shared: Whether other modules can set it.
     """
 
@@ -47,7 +47,7 @@ class Data:
 
     @property
     def place(self) -> Place:
-        """Where it stands."""
+        """File and first word."""
         return self.file, self.span[0]
 
 
@@ -56,33 +56,33 @@ class HasPlace(Protocol):
 
     @property
     def place(self) -> Place:
-        """Where its numbers stand."""
+        """File and first word of its numbers."""
 
 
 _Goal = TypeVar("_Goal", bound=HasPlace)
 Reached = tuple[ProgramTarget, tuple[Place, ...]]
-"""A target, and where data stand that are its frame or tool."""
+"""A target, and the places of the data that define its frame and tool."""
 
 
 class Reader(Statements):
     """Reads a program.
 
     Args:
-        codes: The words of its files, the one with the statements first.
+        codes: The words of its files, the file with the statements first.
         start: First value of each setting.
-        frames: Tools and frames that it does not declare, by name.
-        harmless: Routines that are declared elsewhere and change nothing.
+        frames: Tools and frames that the program does not declare, by name.
+        harmless: Routines declared elsewhere that change nothing.
 
     Attributes:
         declared: Data by name.
-        foreign: The first routine that may set data that is shared, and what to do; empty if there is none.
+        foreign: The first call that may set shared data, and the remedy, in words; empty without.
     """
 
     language: str
     assigning = "="  # the mark of an assignment
-    by_value = False  # whether no routine can set its arguments
-    lost: tuple[str, ...] = ()  # settings that a routine declared elsewhere may change; all if none
-    danger = "change a tool, frame or mode of motion"  # that is
+    by_value = False  # whether routines cannot set their arguments
+    lost: tuple[str, ...] = ()  # settings that a routine declared elsewhere may change; empty: all
+    danger = "change a tool, frame or mode of motion"  # the same, in words
 
     def __init__(self, codes: Sequence[ProgramWords], start: State, frames: Frames, harmless: Collection[str]) -> None:
         super().__init__(codes, start)
@@ -91,17 +91,17 @@ class Reader(Statements):
         self.declared = dict[str, Data]()
         self.foreign = ""
 
-    # a language says
+    # defined by each language
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
-        """Process a call of a routine of the language, if it is one; return whether it is."""
+        """Process the call of a built-in or harmless routine; return whether the call is known."""
         return self.code.tokens[at].text in self.harmless
 
     def program(self) -> RobotProgram:
         """Read all statements, follow the program, and process its moves.
 
         Raises:
-            DataError: A part is not ended, a statement cannot be read, or no target can be compensated.
+            DataError: A block is not closed, a statement cannot be read, or no target can be compensated.
         """
         self.read()
         self.uses.follow()
@@ -117,7 +117,7 @@ class Reader(Statements):
             self.call(at, (at + 2, close), maybe=at > first or close + 1 < stop)
 
     def assign(self, first: int, stop: int, equals: int) -> None:
-        """Process an assignment; two in a statement are an error, see `wrong`."""
+        """Process an assignment; a second assignment mark in the statement is an error."""
         if self.code.find_mark(equals + 1, stop, self.assigning) < stop:
             raise self.syntax_error(equals, "stands twice in a statement")
         self.expression(first + 1, equals)
@@ -125,7 +125,7 @@ class Reader(Statements):
         self.uses.compute(self.code.tokens[first].text, self.names(first + 1, stop))
 
     def call(self, at: int, span: Span, *, maybe: bool = False) -> None:
-        """Process a call with its arguments; the call may be left out."""
+        """Process a call with its arguments; with `maybe` the program may skip it."""
         name, shown = self.code.tokens[at].text, self.code.excerpt(at, at + 1)
         if name in self.routines:
             self.uses.compute(f"{name}()", self.names(*span))
@@ -144,7 +144,7 @@ class Reader(Statements):
         self.foreign = self.foreign or f"{called} set data; {remedy} if it does not"
 
     def note_arguments(self, span: Span, why: str) -> None:
-        """Record that all names that stand bare in a call may be set."""
+        """Record that the call may set every name that stands alone among its arguments."""
         for at in self.code.names(*span) if not self.by_value else ():
             if not self.code.is_mark(at - 1, "\\", "."):
                 self.change(self.code.tokens[at].text, why)
@@ -159,7 +159,7 @@ class Reader(Statements):
         self.declared[key] = data
 
     def require_constant(self, data: Data) -> None:
-        """Raise `LeftOutError` for data that the program, or another module, sets or decides by."""
+        """Raise `LeftOutError` for data that the program or another module sets, or that decide the path."""
         name = data.name if self.by_value else re.split(r"[\[{]", data.name)[0].upper()
         why = self.uses.why_not(name) if name else ""
         if why or (data.shared and self.foreign):
@@ -190,10 +190,10 @@ class Reader(Statements):
         """Process one target of a move.
 
         Args:
-            span: Its words.
+            span: Words of the target.
             state: Settings there; None: the program never comes there.
-            find: Returns its numbers; raises `LeftOutError` where they are not in the program.
-            target: Returns the target, or raises `LeftOutError`.
+            find: Returns the target's data; raises `LeftOutError` if they are not in the program.
+            target: Returns the target from data and settings, or raises `LeftOutError`.
         """
         where = self.sources[0].path, self.code.line(span[0])
         shown, place = self.code.excerpt(*span), None

@@ -1,13 +1,13 @@
-"""Programs of robot controllers: their targets and where the numbers of these stand in the text.
+"""Programs of robot controllers: their targets, and the places of the targets' numbers in the text.
 
-A program is bytes. A language's reader finds the numbers of the targets, and everything else stays as it is: what is
-written differs from what was read in these numbers alone. A target is joint values, or a pose of a tool:
+A program is bytes. The language's reader finds the numbers of the targets; only these change in the written file. A
+target is joint values, or a pose of a tool:
 
     T_base_flange = T_base_frame P T_flange_tool^-1
 
-with P the pose as the program has it, in the frame (user frame, work object, base) and with the tool that hold where
-the program goes there. What a program works out while it runs is no target; it is listed with its line and the reason.
-So is a target that the program reaches with two different tools or frames.
+with P the pose as written, in the frame (user frame, work object, base) and with the tool that hold at the move. A
+target that the program computes at run time, or reaches with two different tools or frames, is not compensated; it is
+listed with its line and the reason.
 """
 
 from __future__ import annotations
@@ -40,13 +40,12 @@ class LeftOutError(Exception):
 class Number:
     """A number of a program.
 
-    Attributes:
-        file: Number of its file among the program's.
+        file: Index of its file in the program.
         start, end: Its span in the text.
-        value: In SI.
-        unit: One of its units in SI.
-        width: Number of characters that it must take with its `decimals` as written; 0: as many as it needs.
-        decimals: Number of decimals as written.
+        value: Value [SI].
+        unit: Size of its unit in SI.
+        decimals: Number of decimals to write.
+        width: Number of characters to fill with blanks on the left; 0: as many as needed.
     """
 
     file: int
@@ -58,7 +57,7 @@ class Number:
     width: int = 0
 
     def format(self, value: float) -> str:
-        """Return a value [SI] as it shall stand there."""
+        """Return the text of a value [SI] in this place."""
         text = f"{value / self.unit:.{self.decimals}f}"
         text = text.replace("-", "") if float(text) == 0 else text
         return text.rjust(self.width)
@@ -70,12 +69,11 @@ class Configuration:
 
     Attributes:
         text: As written.
-        ranges: Joints by number, from 0, and between which values they are [rad].
-        behind: Whether the wrist is on the other side of axis 1 than in the reference pose; None: not stated.
-        elbow: The same of the wrist and the line through axes 2 and 3; None: not stated.
-        flipped: The same of the sign of joint 5; None: not stated.
-        elbow_bent: Whether joint 3 is beyond the pose in which axes 2 and 3 and the wrist are in a line; None: not
-            stated.
+        ranges: Interval of each stated joint, by number from 0 [rad].
+        behind: Whether the wrist is on another side of axis 1 than in the reference pose; None: not stated.
+        elbow: The same for the wrist and the line through axes 2 and 3.
+        flipped: The same for the sign of joint 5.
+        elbow_bent: Whether joint 3 is beyond the pose in which axes 2 and 3 and the wrist are in line.
     """
 
     text: str
@@ -93,13 +91,13 @@ class ProgramTarget:
     Attributes:
         line: Number of its line, from 1.
         path: Path of its file.
-        name: Name in the program; empty where it has no name.
+        name: Name in the program; empty without.
         cells: Its numbers: joint values; or a position and an orientation as the language writes it.
-        rotation: Form in which a pose writes it; None: joint values.
-        frame: T_base_frame, in which a pose is given.
-        tool: T_flange_tool, of what a pose is.
-        configuration: Its statement on the joints.
-        near: Joint values that it says a pose is near to [m or rad]; empty if it does not.
+        rotation: Form of the orientation; None: joint values.
+        frame: T_base_frame of the frame in which the pose is given.
+        tool: T_flange_tool of the tool whose pose it is.
+        configuration: The stated joint configuration.
+        near: Stated joint values near the pose [m or rad]; empty without.
     """
 
     line: int
@@ -129,7 +127,7 @@ class ProgramTarget:
         return self.frame * pose_of(self.values, self.rotation) * self.tool.inverse()
 
     def numbers_of(self, flange: pin.SE3) -> tuple[float, ...]:
-        """Return the numbers [SI] with which a pose brings the flange to T_base_flange."""
+        """Return the numbers [SI] of the pose that brings the flange to T_base_flange."""
         assert self.rotation is not None
         pose = self.frame.inverse() * flange * self.tool
         return numbers_of(pose, self.rotation, self.values)
@@ -137,13 +135,7 @@ class ProgramTarget:
 
 @dataclass(frozen=True)
 class NotCompensated:
-    """A target of a program that is not compensated.
-
-    Attributes:
-        path, line: Where.
-        text: The text there.
-        why: The reason.
-    """
+    """A target that stays unchanged: its file, line, text there, and the reason."""
 
     path: str
     line: int
@@ -156,26 +148,17 @@ class NotCompensated:
 
 @dataclass(frozen=True)
 class ProgramSource:
-    """A file of a program: its bytes as text, each byte a character.
-
-    Attributes:
-        path: Path of its file.
-        text: Its text.
-    """
+    """A file of a program: its bytes as text, each byte a character."""
 
     path: str
     text: str
 
     @classmethod
     def read(cls, path: Path | str, what: str) -> ProgramSource:
-        """Read a file.
-
-        Args:
-            path: The file.
-            what: Expected content, in words.
+        """Read a file; `what` names the expected content in messages.
 
         Raises:
-            DataError: It cannot be read, or is not text.
+            DataError: The file cannot be read, or is not text.
         """
         text = read_bytes(path, what, DataError).decode("latin-1")
         odd = re.search(r"[\x00-\x08\x0e-\x1f]", text)
@@ -198,7 +181,7 @@ class ProgramSource:
         return f"{self.path}, line {self.line(at)}"
 
     def excerpt(self, start: int, end: int) -> str:
-        """Return a piece of the program for a message: one line, not too long."""
+        """Return a piece of the program for a message: one line of at most 60 characters."""
         return " ".join(self.text[start : min(end, start + 1000)].split())[:60]
 
 
@@ -207,10 +190,10 @@ class RobotProgram:
     """A program.
 
     Attributes:
-        language: Its language.
-        sources: Its files, the given one first.
+        language: Name of its language.
+        sources: Its files, the given file first.
         targets: In the order in which the text first goes to them.
-        left_out: Targets that it does not compensate.
+        left_out: Targets that stay unchanged.
     """
 
     language: str
@@ -219,11 +202,7 @@ class RobotProgram:
     left_out: tuple[NotCompensated, ...]
 
     def rewritten(self, values: Sequence[Sequence[float] | None]) -> tuple[bytes, ...]:
-        """Return its files with other numbers.
-
-        Args:
-            values: Numbers of each target [SI]; None where it stays.
-        """
+        """Return the contents of its files with other numbers of each target [SI]; None: the target stays."""
         texts = []
         for k, source in enumerate(self.sources):
             edits = [
@@ -253,12 +232,12 @@ def cells_at(
 
     Args:
         source: The text.
-        file: Its number in the program.
-        spans: Their places.
-        units: One unit of each in SI; 0 for a quaternion's.
+        file: Its index in the program.
+        spans: Places of the numbers.
+        units: Size of each number's unit in SI; 0 for components of a quaternion.
 
     Raises:
-        DataError: A number that no machine reads.
+        DataError: A number is larger than any machine reads.
     """
     cells = []
     for (start, end), unit in zip(spans, units, strict=True):

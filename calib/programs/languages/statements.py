@@ -1,6 +1,6 @@
-"""The order of statements in programs: routines, branches, loops and jumps, the same in all languages.
+"""The order of statements in programs, in any language: routines, branches, loops and jumps.
 
-A language says which of its words begin and end them.
+A subclass for each language defines the words that begin and end them.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from calib.programs.languages.data_uses import DataUses
 from calib.programs.languages.tokens import ProgramWords, Span
 
 Action = Callable[[int, int], int]
-"""A function for a word that begins a statement: from its place and the next one, to where reading goes on."""
+"""Processes a word that begins a statement, from its index and the next index, and returns where reading goes on."""
 
 
 class Statements(ABC):
     """Reads the statements of a program.
 
     Args:
-        codes: The words of its files, the one with the statements first.
+        codes: The words of its files, the file with the statements first.
         start: First value of each setting.
 
     Attributes:
-        WORDS: Methods for words that begin statements, by name.
+        WORDS: Words that begin statements, by the names of the methods that process them.
         ROUTINES: Words that begin routines with their parameters in brackets.
-        routines: Routines of the program, and whether they can set their arguments.
+        routines: Whether each routine of the program can set its arguments.
     """
 
     breaking = True  # whether statements end before words of `WORDS`, too
@@ -50,7 +50,7 @@ class Statements(ABC):
 
     @abstractmethod
     def parameter(self, span: Span) -> tuple[list[str], bool]:
-        """Return the names of a parameter, and whether the routine can set what is given for it."""
+        """Return the names of a parameter, and whether the routine can set its argument."""
 
     @abstractmethod
     def statement(self, at: int, stop: int) -> None:
@@ -61,11 +61,11 @@ class Statements(ABC):
         """Process the calls of an expression."""
 
     def names(self, first: int, stop: int) -> set[str]:
-        """Return the data in some words."""
+        """Return the names of data in a span of words."""
         return {self.code.tokens[at].text for at in self.code.names(first, stop)}
 
     def decide(self, first: int, stop: int) -> None:
-        """Record that the program decides by these words."""
+        """Record that the program's path depends on these words."""
         self.expression(first, stop)
         self.uses.decide(self.names(first, stop), self.code.line(first))
 
@@ -77,7 +77,7 @@ class Statements(ABC):
         """Read all statements from a word on.
 
         Raises:
-            DataError: A routine, a branch or a loop is not ended.
+            DataError: A routine, a branch or a loop does not end.
         """
         code, end = self.code, len(self.code.tokens) - 1
         while at < end:
@@ -120,10 +120,10 @@ class Statements(ABC):
         """Return the error that names a word and its line."""
         return DataError(f"{self.code.location(at)}: '{self.code.excerpt(at, at + 1)}' {why}; correct it")
 
-    # words that routines begin and end with
+    # words that begin and end routines
 
     def _routine(self, at: int) -> int:
-        """The bracket of the routine that a word begins, behind its name."""
+        """The opening bracket after the name of the routine that a word begins."""
         last = min(at + 8, len(self.code.tokens))
         bracket = next((k for k in range(at + 1, last) if self.code.is_mark(k, "(")), None)
         if bracket is None:
@@ -152,7 +152,7 @@ class Statements(ABC):
         return self.begin(at, behind, at_any_time=True)
 
     def finish(self, at: int, behind: int) -> int:
-        """End a routine; see `syntax_error` where there is none."""
+        """End the open routine, or raise `syntax_error`."""
         if not self.flow.routine or self.flow.blocks:
             raise self.syntax_error(at, "ends nothing")
         self.flow.finish()
@@ -167,38 +167,38 @@ class Statements(ABC):
     # words of branches and loops
 
     def skip(self, at: int, behind: int) -> int:
-        """Go on behind the word."""
+        """Go on after the word."""
         return behind
 
     def pass_statement(self, at: int, _: int) -> int:
-        """Go on behind the statement, whatever words it has."""
+        """Go on after the statement, whatever its words."""
         return self.code.line_end(at)
 
     def condition(self, at: int, _: int) -> int:
-        """Process the condition behind a word."""
+        """Process the condition after a word."""
         stop = self.end(at)
         self.decide(at + 1, stop)
         return stop
 
     def branch(self, at: int, behind: int) -> int:
-        """Begin branches; the first may be passed over."""
+        """Begin branches; the program may skip the first."""
         self.flow.open_choice(self.code.tokens[at].text, self.code.line(at))
         return self.pass_over(at, behind)
 
     def begin_branch(self, at: int, behind: int) -> int:
-        """Begin the next branch; see `syntax_error` where there is none."""
+        """Begin the next branch, or raise `syntax_error` outside of branches."""
         if not self.flow.blocks or self.flow.blocks[-1].loop:
             raise self.syntax_error(at, "belongs to nothing")
         self.flow.next_choice()
         return behind
 
     def pass_over(self, _: int, behind: int) -> int:
-        """Note that what follows in the branch or loop may be left out."""
+        """Record that the program may skip the rest of the branch or loop."""
         self.flow.pass_over()
         return behind
 
     def count(self, at: int, behind: int) -> int:
-        """Record that a loop counts by the data behind its word."""
+        """Record that a loop counts with the variable after its word."""
         self.change(self.code.tokens[at + 1].text)
         return behind
 
@@ -208,7 +208,7 @@ class Statements(ABC):
         return behind
 
     def end_loop(self, at: int, behind: int) -> int:
-        """End a loop, behind a condition; see `syntax_error` where there is none."""
+        """End a loop with a condition, or raise `syntax_error` outside of loops."""
         if not self.flow.blocks or self.flow.blocks[-1].kind != "REPEAT":
             raise self.syntax_error(at, "belongs to nothing")
         behind = self.pass_over(at, self.condition(at, behind))
@@ -216,13 +216,13 @@ class Statements(ABC):
         return behind
 
     def close(self, at: int, behind: int) -> int:
-        """End branches or a loop; `END` is followed by the word that began them; see `syntax_error`."""
+        """End branches or a loop, named by the word after `END`, or raise `syntax_error`."""
         if not self.flow.blocks or self.flow.blocks[-1].kind != self.code.tokens[at].text[3:]:
             raise self.syntax_error(at, "ends nothing")
         self.flow.close()
         return behind
 
-    # words that lead elsewhere
+    # jumps
 
     def jump(self, at: int, _: int) -> int:
         """Go to a label."""

@@ -1,22 +1,21 @@
-"""Straight moves for a controller that knows the nominal robot, cut so that the real robot goes straight.
+"""Straight moves for a controller with the nominal model, cut so that the real robot goes straight.
 
 A controller gets positions. For every point on the straight line between two of them, it computes joint values by its
-nominal inverse kinematics, and assumes that the tool is there. With T the position of the tool at given joint values,
-the real tool is then at
+nominal inverse kinematics. With T the position of the tool at given joint values, the real tool is then at
 
     g(p) = T_calibrated( T_nominal^-1 (p) )
 
-So it is given p' with g(p') = p, which is exact at these points. Between them the controller moves straight in p', and
-the tool moves along the image of this line by g, which deviates by half the curvature of g^-1 times the square of the
-length. The deviation is computed, not estimated: in the middle of every piece, and at three or more other points, one
-in every 2 mm, g is compared with the programmed position. The points are not evenly spaced, so that no error that
+The compensated position p' with g(p') = p is exact at the waypoints. Between waypoints the controller moves straight in
+p', and the tool follows the image of this line under g, which deviates by half the curvature of g^-1 times the square
+of the length. The deviation is computed, not estimated: g is compared with the programmed position in the middle of every
+piece and at three or more other points, one in every 2 mm. These points are spaced unevenly, so that no error that
 repeats along the path (a screw, a belt) hides between them. A move that deviates by more than the tolerance is cut into
 more pieces, and all of them are computed again.
 
-Frame. Points are in the frame of the program (`calib.core.rows.frames`), with the tool of the description, which is the
-controller's. The places of reflector and tracker that a calibration found move no point. Real and nominal robot are
-compared at the reflector on their links. Backlash counts as the mean of both directions, since a path may turn
-anywhere. Where nothing is to be corrected, all moves stay as they are.
+Frame. Points are in the frame of the program (`calib.core.rows.frames`), with the description's tool, which is the
+controller's tool too. Calibrated positions of reflector and tracker move no point. Real and nominal robot are compared
+at the reflector on their links. Backlash counts as the mean of both directions, since a path may turn anywhere. If the
+verdict finds nothing to correct, all moves stay unchanged.
 
 When it fails. Near a singular pose g bends so much that no pieces are short enough: an error names the move.
 """
@@ -43,11 +42,11 @@ from calib.programs.reaching.inverse import problem
 from calib.programs.reaching.reaching import GoalConfigurations, descend
 from calib.programs.reaching.search import TOLERANCE
 
-_MEASURED_EVERY = 2e-3  # along a piece [m]
-_AT_LEAST = 3  # points of a piece on each side of its middle
-_GOLDEN = 0.6180339887498949  # its multiples fall into all parts of an interval alike
-_SHORTEST = 5e-5  # a piece [m]
-_RESERVE = 1.1  # times the number of pieces that a parabola would need
+_MEASURED_EVERY = 2e-3  # distance of checked points along a piece [m]
+_AT_LEAST = 3  # checked points of a piece on each side of its middle
+_GOLDEN = 0.6180339887498949  # fractional parts of its multiples fill an interval evenly
+_SHORTEST = 5e-5  # length of a piece [m]
+_RESERVE = 1.1  # factor on the number of pieces that a parabola would need
 _CHUNK = 4096  # points at once
 
 
@@ -56,7 +55,7 @@ class StraightMoves(ReadOnlyArrays):
     """Straight moves of a program.
 
     Attributes:
-        starts: Start of each move in the description's measurement frame, (n, 3) [m]; NaN where it is not known.
+        starts: Start of each move in the description's measurement frame, (n, 3) [m]; NaN where unknown.
         ends: End of each move, (n, 3) [m].
         labels: Name of each move in messages.
     """
@@ -71,16 +70,15 @@ class CompensatedMoves:
     """Commands for the controller.
 
     Attributes:
-        waypoints: Points of each move, to go through in straight lines; the last is its end, (n_pieces, 3) [m].
-        before: Errors of the tool there without compensation, (n,) [m].
-        expected: Root mean square distance that is left there, from the uncertainty of the parameters, (n,) [m]; NaN
-            where the uncertainty of the robot is not known.
-        deviations: Its largest errors between points, where these were measured, as if the machine had been led to
-            the beginning of the move; (n,) [m], NaN where a move has no length or no known beginning.
-        n_measured: At how many points it was measured.
+        waypoints: Points of each move, joined by straight lines; the last is its end, (n_pieces, 3) [m].
+        before: Errors of the tool at the ends of moves without compensation, (n,) [m].
+        expected: Root mean square error that remains there, from the uncertainty of the parameters, (n,) [m]; NaN
+            where the uncertainty of the robot is unknown.
+        deviations: Largest errors of each move between waypoints, (n,) [m]; NaN for a move without length or known
+            start.
+        n_measured: Number of points at which `deviations` was computed.
         frame: The frame of the goals and errors, in words.
-        nothing_to_correct: Whether the moves were left as they are, because the verdict is that nothing is to be
-            corrected.
+        nothing_to_correct: Whether the moves stay unchanged because the verdict finds nothing to correct.
     """
 
     waypoints: tuple[FloatArray, ...]
@@ -94,7 +92,7 @@ class CompensatedMoves:
 
 @dataclass(frozen=True, eq=False)
 class _MovePieces:
-    """A move in pieces: waypoints and joints from its beginning on, (n_pieces + 1, 3), and what its end is off by."""
+    """A move in pieces: waypoints and joints from its start on, (n_pieces + 1, 3), and the errors at its end [m]."""
 
     waypoints: FloatArray
     q: FloatArray
@@ -103,7 +101,7 @@ class _MovePieces:
 
 
 def require_nominal_controller(robot: Robot) -> None:
-    """Raise `InputError` where the controller has the result itself, such as the firmware of a delta printer."""
+    """Raise `InputError` for a robot whose controller gets the result itself, such as a delta printer's firmware."""
     use = result_use(robot.description)
     if use is not None and use.held_by_controller:
         raise InputError(f"{robot.name}: {use.held_by_controller}")
@@ -112,15 +110,15 @@ def require_nominal_controller(robot: Robot) -> None:
 def compensate_moves(
     calibrated: Robot | Calibrated | KnownRobot, moves: StraightMoves, tolerance: float
 ) -> CompensatedMoves:
-    """Change straight moves so that the calibrated robot goes straight where the nominal one would.
+    """Change straight moves so that the calibrated robot goes straight where the nominal robot would.
 
     Args:
-        calibrated: A robot of three motors, as of `calib.programs.reaching.compensation.compensate`.
+        calibrated: A fit, a loaded result or a robot, with three motors.
         moves: Moves of the program.
         tolerance: Allowed error of the tool between points [m].
 
     Raises:
-        DataError: The robot has not three motors.
+        DataError: The robot does not have three motors.
         InputError: The tolerance is not positive, or the robot is a delta printer.
         UnreachablePoseError: Points out of reach.
         ComputationError: No pieces are short enough for the tolerance.
@@ -146,7 +144,7 @@ def compensate_moves(
         ways, active = _pieces_by_move(frame, moves, active, pieces), active[:0]
     while len(active):
         ways |= _pieces_by_move(frame, moves, active, pieces[active])
-        active = active[lengths[active] > 0]  # not so where the beginning is not known either
+        active = active[lengths[active] > 0]  # a NaN length (unknown start) fails the comparison too
         off, n = _deviations(frame, moves, {k: ways[k] for k in map(int, active)})
         deviations[active], n_measured = off, n_measured + n
         active, off = active[off > tolerance], off[off > tolerance]
@@ -165,7 +163,7 @@ def compensate_moves(
 
 
 def _without_backlash(robot: Robot) -> Robot:
-    """The calibrated robot without what depends on the direction of approach."""
+    """The calibrated robot without terms that depend on the direction of approach."""
     directed = (term for term in robot.terms if Condition.APPROACH in term.depends_on)
     return robot.with_parameters({parameter.name: 0.0 for term in directed for parameter in term.parameters})
 
@@ -180,7 +178,7 @@ def _pieces_by_move(
         start = np.where(np.isnan(start), end, start)
         points.append(np.where(share == 1, end, (1 - share) * start + share * end))
     goals = np.concatenate(points)
-    fresh = np.append(True, np.any(np.diff(goals, axis=0) != 0, axis=1))  # a move begins where another ended
+    fresh = np.append(True, np.any(np.diff(goals, axis=0) != 0, axis=1))  # a move mostly starts at the last one's end
     labels = tuple(moves.labels[k] for k in np.repeat(active, pieces + 1)[fresh])
     compensated = compensate_in(frame, Goals(goals[fresh], labels=labels))
     misses = list(dict.fromkeys(compensated.unreached_rows()))
@@ -200,7 +198,7 @@ def _pieces_by_move(
 
 
 def _deviations(frame: CorrectionFrame, moves: StraightMoves, ways: dict[int, _MovePieces]) -> tuple[FloatArray, int]:
-    """The largest measured deviation of each move, (n_ways,) [m], and at how many points it was measured."""
+    """The largest deviation of each move in `ways`, (n_ways,) [m], and the number of checked points."""
     sent, near, meant, owner = [], [], [], []
     for row, (k, way) in enumerate(ways.items()):
         start, end, n = moves.starts[k], moves.ends[k], len(way.q) - 1
@@ -230,14 +228,7 @@ def _deviations(frame: CorrectionFrame, moves: StraightMoves, ways: dict[int, _M
 
 
 def _driven_positions(robot: Robot, nominal: Robot, sent: Goals, near: FloatArray) -> FloatArray:
-    """Where a robot goes when a nominal controller gets positions: g, (n, 3) [m], if it is the calibrated one.
-
-    Args:
-        robot: The robot.
-        nominal: The robot that the controller knows.
-        sent: The positions.
-        near: Joints from which the controller comes, (n, 3) [m or rad].
-    """
+    """Positions (n, 3) [m] of `robot` if a nominal controller gets `sent` at joints `near`: g for the real robot."""
     reach = problem(nominal, sent)
     start = nominal.assemble(near, labels=sent.labels)
     reached = descend(reach, np.arange(len(near)), GoalConfigurations.unknown(start.actuated, start.passive))
@@ -250,7 +241,7 @@ def _driven_positions(robot: Robot, nominal: Robot, sent: Goals, near: FloatArra
 def _require_length(
     moves: StraightMoves, active: IntArray, lengths: FloatArray, off: FloatArray, tolerance: float
 ) -> None:
-    """Raise `ComputationError` for a move that would have to be cut into too short pieces, (n_active,) [m]."""
+    """Raise `ComputationError` for a move whose pieces, of `lengths` (n_active,) [m], would be too short."""
     for k in np.flatnonzero(lengths < _SHORTEST)[:1]:
         raise ComputationError(
             f"{moves.labels[active[k]]}: off by {millimetres(float(off[k])):.4f} mm between points, and pieces of"

@@ -1,7 +1,7 @@
-"""The words of a program: numbers, names, marks and lines, without comments, and which bracket closes which.
+"""The words of a program without comments: numbers, names, marks and ends of lines, with matching brackets.
 
-A language gives one pattern of its words. Whatever it does not name is no word of the language, and the program is
-refused. The pattern's alternatives never go back over what they have read, so the time is linear in the text.
+A language is one pattern of its words; any other character is an error. The alternatives of the pattern never go back
+over text that they have read, so the time is linear in the text.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from calib.core.base.errors import DataError
 from calib.programs.languages.robot_program import ProgramSource
 
 Span = tuple[int, int]
-"""The first of some words, and the one behind the last."""
+"""The index of the first of some words, and the index after the last."""
 _CLOSING = {")": "(", "]": "[", "}": "{"}
 _DEEPEST = 100
 
@@ -23,9 +23,9 @@ class Token(NamedTuple):
     """A word of a program.
 
     Attributes:
-        kind: `name`, `number`, `text`, `mark` or `end`, which ends a statement.
+        kind: `name`, `number`, `text`, `mark`, or `end` of a statement.
         text: The word; in capitals where case does not count.
-        start, end: Where it stands.
+        start, end: Its span in the text.
     """
 
     kind: str
@@ -35,14 +35,7 @@ class Token(NamedTuple):
 
 
 def word_pattern(blank: str, name: str, marks: str, text: str = r'"[^"\n]*"') -> re.Pattern[str]:
-    """Return the pattern of a language's words.
-
-    Args:
-        blank: Comments.
-        name: Names.
-        marks: Marks of more than one character, and a class of the others.
-        text: Texts in quotes.
-    """
+    """Return the pattern of a language's words from patterns of its comments, names, marks and quoted texts."""
     return re.compile(
         rf"(?P<line>\n)|(?P<text>{text})|(?P<blank>{blank}|[^\S\n]+)"
         rf"|(?P<name>{name})|(?P<number>(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)|(?P<mark>{marks})|(?P<odd>.)",
@@ -57,17 +50,17 @@ class ProgramWords:
         source: The text.
         words: Pattern of its words.
         fold_case: Whether case does not count.
-        lines: Meaning of an end of line: `blank`; or end of a statement, `outside` of brackets, or where brackets hold
-            none (`all`).
+        lines: Meaning of the end of a line: nothing (`blank`), or the end of a statement outside of brackets
+            (`outside`) or anywhere (`all`; brackets then may not span lines).
         ends: Marks that end a statement outside of brackets.
         part: Part of the text to read.
 
     Attributes:
-        tokens: The words; the last one is an end behind the text.
-        partner: Place of the bracket that closes or opens each word; its own place for all others.
+        tokens: The words, and an `end` after the last.
+        partner: Index of the matching bracket of each word; its own index for all other words.
 
     Raises:
-        DataError: A character that is none of the language's, or a bracket that is not closed.
+        DataError: A character that the language does not have, or a bracket that is not closed.
     """
 
     def __init__(
@@ -127,29 +120,29 @@ class ProgramWords:
         return self.source.line(self.tokens[at].start)
 
     def excerpt(self, first: int, end: int) -> str:
-        """Return words for a message."""
+        """Return the text of words for a message."""
         return self.source.excerpt(self.tokens[first].start, self.tokens[end - 1].end) if end > first else ""
 
     def is_mark(self, at: int, *marks: str) -> bool:
-        """Return whether a word is one of these marks."""
+        """Return whether a word is any of these marks."""
         token = self.tokens[at]
         return token.kind == "mark" and token.text in marks
 
     def line_end(self, at: int) -> int:
-        """Return where the statement that a word is in ends."""
+        """Return the index at which the statement around a word ends."""
         while self.tokens[at].kind != "end":
             at = self.partner[at] + 1
         return at
 
     def find_mark(self, first: int, end: int, *marks: str) -> int:
-        """Return the place of the next of these marks outside of brackets, or the end."""
+        """Return the index of the next of these marks outside of brackets, or `end`."""
         at = first
         while at < end and not self.is_mark(at, *marks):
             at = max(self.partner[at], at) + 1
         return at
 
     def split(self, first: int, end: int, mark: str = ",") -> list[Span]:
-        """Return the pieces between marks outside of brackets, without empty ones."""
+        """Return the nonempty spans between marks outside of brackets."""
         pieces = []
         while first < end:
             stop = self.find_mark(first, end, mark)
@@ -159,16 +152,16 @@ class ProgramWords:
         return pieces
 
     def bracket_content(self, first: int, end: int, opening: str) -> Span | None:
-        """Return the words in a bracket if these words are one whole bracket of this kind."""
+        """Return the words inside a bracket if the given words are exactly one bracket of this kind."""
         whole = end > first and self.is_mark(first, opening) and self.partner[first] == end - 1
         return (first + 1, end - 1) if whole else None
 
     def text(self, first: int, end: int) -> str:
-        """Return words without what stands between them."""
+        """Return words joined without the blanks between them."""
         return "".join(token.text for token in self.tokens[first:end])
 
     def number(self, first: int, end: int) -> tuple[int, int] | None:
-        """Return where a plain number with its sign stands in the text, if these words are one."""
+        """Return the span in the text of a plain number with its sign, if the words are one."""
         tokens = self.tokens[first:end]
         signed = len(tokens) == 2 and tokens[0].text in ("+", "-") and tokens[0].end == tokens[1].start
         if (len(tokens) == 1 or signed) and tokens[-1].kind == "number":
@@ -176,10 +169,10 @@ class ProgramWords:
         return None
 
     def names(self, first: int, end: int) -> Iterator[int]:
-        """Yield the places of names."""
+        """Yield the indices of names."""
         return (at for at in range(first, end) if self.tokens[at].kind == "name")
 
     def calls(self, first: int, end: int) -> Iterator[int]:
-        """Yield the places of names with arguments in brackets behind them, inner ones first."""
+        """Yield the indices of names with arguments in brackets after them, inner calls first."""
         calls = [at for at in self.names(first, end - 1) if self.is_mark(at + 1, "(")]
         return iter(sorted(calls, key=lambda at: self.partner[at + 1]))

@@ -1,9 +1,9 @@
 """Targets of URScript, the language of Universal Robots.
 
-Read are `movej`, `movel`, `movep`, `movec`, `servoj` and `servoc` with joint lists `[...]` and poses `p[...]`, literal
-or variables that are set once to a literal; `get_inverse_kin(POSE, qnear=JOINTS)`; `pose_trans(FRAME, POSE)` with a
-constant frame (a feature); numbers in metres and radians, or `d2r(...)`. The tool is that of `set_tcp` on every way to
-the move, or `TCP` of the given frames. Functions get the values of their arguments, so none sets what it is given.
+The reader takes `movej`, `movel`, `movep`, `movec`, `servoj` and `servoc` with joint lists `[...]` and poses `p[...]`,
+literal or in variables that are set once to a literal; `get_inverse_kin(POSE, qnear=JOINTS)`; `pose_trans(FRAME, POSE)`
+with a constant frame (a feature); numbers in metres and radians, or `d2r(...)`. The tool comes from `set_tcp` on every
+path to the move, or from `TCP` in the given frames. Arguments are passed by value, so no function sets its arguments.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ _MOVED_ALONG = {
     "track_conveyor_linear": "stop_conveyor_tracking",
     "track_conveyor_circular": "stop_conveyor_tracking",
 }
-"""What moves all targets along by an amount that is computed at run time, and what ends that: names of settings."""
+"""Functions that start, and that end, a motion of all targets by an amount computed at run time: names of settings."""
 
 
 @dataclass(frozen=True)
 class _Goal:
-    """A target, the frame that it is in, and joints that it is near to."""
+    """A target, its frame, and stated joints near it."""
 
     data: Data
     frame: Frame = field(default_factory=Frame)
@@ -47,12 +47,12 @@ class _Goal:
 
     @property
     def place(self) -> Place:
-        """Where its numbers stand."""
+        """File and first word of its numbers."""
         return self.data.place
 
 
 class UrscriptReader(Reader):
-    """Reads a program; the given frame `TCP` is the tool that it does not set."""
+    """Reads a program; `TCP` in the given frames is the tool before the first `set_tcp`."""
 
     language, by_value, lost, danger = "URScript", True, ("tool",), "select another tool"
     ROUTINES = "def thread sec"
@@ -78,11 +78,11 @@ class UrscriptReader(Reader):
         super().__init__([code], start, frames, URSCRIPT | set(harmless))
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
-        """Return the name of a parameter; it gets a value."""
+        """Return the name of a parameter; it is passed by value."""
         return [self.code.tokens[span[0]].text], False
 
     def close(self, at: int, behind: int) -> int:
-        """End branches, a loop or a routine: all end with the same word."""
+        """End branches, a loop or a routine; all end with the same word."""
         if not self.flow.blocks:
             return self.finish(at, behind)
         self.flow.close()
@@ -102,13 +102,13 @@ class UrscriptReader(Reader):
             self.declare(name, Data(name, 0, (equals + 1, stop)))
 
     def names(self, first: int, stop: int) -> set[str]:
-        """Return the data in some words; a move computes nothing from its targets."""
+        """Return the names of data in a span of words, without the targets of moves."""
         moves = [at for at in self.code.calls(first, stop) if self.code.tokens[at].text in _MOVES]
         moved = {k for at in moves for k in range(at, self.code.partner[at + 1])} if moves else ()
         return {self.code.tokens[at].text for at in self.code.names(first, stop) if at not in moved}
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
-        """Process a move, or a change of the tool."""
+        """Process a move, a change of the tool, or the call of another built-in function."""
         name = self.code.tokens[at].text
         if name in _MOVES:
             self.flow.move(self.code.tokens[at].start, lambda state: self._move(name, span, state))
@@ -134,7 +134,7 @@ class UrscriptReader(Reader):
         return True
 
     def _numbers(self, span: Span) -> tuple[Number, ...] | None:
-        """The numbers of a list or pose; None where it is not six plain ones."""
+        """The numbers of a list or pose; None unless they are six plain numbers."""
         code, spans, units = self.code, [], []
         inside = code.bracket_content(span[0] + self._is_pose(span), span[1], "[")
         for left, right in code.split(*inside) if inside else ():
@@ -151,14 +151,14 @@ class UrscriptReader(Reader):
         return first.text == "p" and second.text == "[" and first.end == second.start
 
     def _constant(self, span: Span) -> Data | None:
-        """Six plain numbers that are written out or named."""
+        """Six plain numbers, written out or named; else None."""
         if span[1] == span[0] + 1 and self.code.tokens[span[0]].kind == "name":
             name = self.code.tokens[span[0]].text
             return None if self.uses.is_set(name) else self.declared.get(name)
         return Data("", 0, span) if span[1] > span[0] and self._numbers(span) else None
 
     def _pose(self, data: Data | None) -> Frame | None:
-        """A constant pose."""
+        """The frame of a constant pose; else None."""
         cells = self._numbers(data.span) if data is not None and self._is_pose(data.span) else None
         if data is None or cells is None:
             return None
@@ -168,12 +168,12 @@ class UrscriptReader(Reader):
         return (self._pose(self._constant(span)) if span else None) or Unknown(_NO_TOOL, whole=True)
 
     def _named_argument(self, span: Span) -> tuple[str, Span]:
-        """The name of an argument, empty if it has none, and its value."""
+        """The name of an argument, empty without, and the span of its value."""
         named = span[1] > span[0] + 1 and self.code.is_mark(span[0] + 1, "=")
         return (self.code.tokens[span[0]].text, (span[0] + 2, span[1])) if named else ("", span)
 
     def _move(self, word: str, span: Span, state: State | None) -> None:
-        """Process the targets of a move, which may stand anywhere if they are named."""
+        """Process the targets of a move: the named arguments in `_GOALS`, or the first arguments."""
         given = sorted(map(self._named_argument, self.code.split(*span)), key=lambda pair: pair[0] not in _GOALS)
         for _, value in given[: _MOVES[word]]:
             self.go(value, state, lambda value=value: self._goal(value), self._target)  # type: ignore[misc]
@@ -192,11 +192,7 @@ class UrscriptReader(Reader):
         )
 
     def _goal(self, span: Span) -> _Goal:
-        """The target that an argument is, names, or has in another frame.
-
-        Raises:
-            LeftOutError: It is computed at run time.
-        """
+        """The target that an argument writes out, names, or gives in another frame; else `LeftOutError`."""
         data = self._constant(span)
         if data is not None:
             return _Goal(data)

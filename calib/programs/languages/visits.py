@@ -1,8 +1,8 @@
-"""Where a program goes, and what follows for its targets: which of them can have other numbers.
+"""Visits of a program to its targets, and which targets can get other numbers.
 
-The numbers of a target stand in one place, and the program may go there from several. They stay as they are if one of
-these visits cannot be compensated, if visits are with different tools or frames, or if they move along with another
-target that is their frame or tool.
+The numbers of a target stand in one place, and the program may go there several times. They stay unchanged if any of
+these visits cannot be compensated, if visits have different tools or frames, or if the target would move along with
+another target that is its frame or tool.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from calib.core.base.errors import DataError
 from calib.programs.languages.robot_program import NotCompensated, ProgramSource, ProgramTarget, RobotProgram
 
 Place = tuple[int, int]
-"""The place of numbers: the file, and their first word."""
+"""The place of numbers: the index of the file, and of their first word."""
 
 
 @dataclass(frozen=True)
 class Visit:
-    """A place to which a program goes.
+    """A move of the program to a target.
 
     Attributes:
-        where: The file and the line that goes there.
+        where: File and line of the move.
         text: The text there.
-        place: Place of its numbers; None: nowhere.
-        target: The target; None: it cannot be compensated.
-        why: Why it cannot.
-        frames: Places of the program's data that are its frame or tool.
+        place: Place of the target's numbers; None if the program does not have them.
+        target: The target; None if it cannot be compensated.
+        why: Reason why it cannot.
+        frames: Places of the program's data that define its frame or tool.
     """
 
     where: tuple[str, int]
@@ -38,7 +38,7 @@ class Visit:
     frames: tuple[Place, ...] = ()
 
     def not_compensated(self, why: str) -> NotCompensated:
-        """Return it as not compensated."""
+        """Return the entry for a target that stays unchanged."""
         return NotCompensated(*self.where, self.text, why)
 
 
@@ -46,12 +46,12 @@ def program_of(language: str, sources: Sequence[ProgramSource], visits: Iterable
     """Return a program with the targets that can be compensated.
 
     Args:
-        language: Its language.
-        sources: Its files, the given one first.
-        visits: In the order in which they stand in the text.
+        language: Name of its language.
+        sources: Its files, the given file first.
+        visits: Visits in the order of the text.
 
     Raises:
-        DataError: There is no such target.
+        DataError: No target can be compensated.
     """
     left = list[NotCompensated]()
     same = dict[Place, list[Visit]]()
@@ -101,6 +101,6 @@ def _differs(first: Visit, visit: Visit) -> bool:
 
 
 def _join_visits(group: Sequence[Visit]) -> ProgramTarget:
-    """The target of equal visits, near the joints that the first of them states."""
+    """The target of equal visits, with the first stated near joints."""
     targets = [visit.target for visit in group if visit.target is not None]
     return replace(targets[0], near=next((target.near for target in targets if target.near), ()))

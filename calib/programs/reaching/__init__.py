@@ -1,1 +1,1 @@
-"""Joint values that bring the calibrated robot to a goal, through closed loops, and how far off it will be."""
+"""Joint values that bring the calibrated robot to a goal, through closed loops, and the error to expect there."""

@@ -1,29 +1,29 @@
-"""Programs that were written for the nominal robot, changed so that the calibrated robot does what they say.
+"""Programs of the nominal robot, changed so that the calibrated robot goes to the same goals.
 
-What is meant. Told q, the nominal robot would bring its tool to T(q). The compensated command q' is where the
-calibrated robot stands there:
+Definition. Joints q bring the nominal robot's tool to T(q). The compensated command q' brings the calibrated robot's
+tool there:
 
     T_calibrated(q') = T_nominal(q),      q' near q
 
-In which frame. Both sides are seen from the frame of the program (`calib.core.rows.frames`): a measured one, or the
-robot's own base frame, laid where both agree best, and so is a tool whose place on its link is unknown. So a tracker
-that stands elsewhere, or a reflector that sits elsewhere, moves no command; a base or tool that is called known, and
-whose origins are parameters, belongs to the robot and is corrected. What is promised is the uncertainty of just this
-difference. Goals are those of the description's tool: a controller knows no other.
+Frame. Both sides are seen from the frame of the program (`calib.core.rows.frames`): a measured frame, or the robot's
+own base frame, placed for the best agreement of both robots. A tool with an unknown place on its link is placed in the same
+way. Hence a moved tracker or reflector changes no command. A base or tool whose origin is known or a parameter belongs
+to the robot and is corrected. The expected error is the uncertainty of exactly this difference. Goals are those of the
+description's tool, the only tool that a controller has.
 
-What is not corrected. Where the verdict of the calibration is that nothing is to be corrected, q' = q, and what the
-calibrated robot would be off by is counted into what is promised.
+No correction. If the verdict of the calibration finds nothing to correct, q' = q, and the error of the calibrated robot
+counts into the expected error.
 
-How much is kept. The full pose, where the joints can reach it; of a robot with less freedom the position, and the
-orientation as near as the joints then allow. Where joints have freedom to spare, they stay near the program's.
+Kept components. The full pose, if the joints can reach it. For a robot with less freedom the position, with the
+orientation as near as the joints allow. Joints with freedom to spare stay near the program's.
 
-How. Each row starts at its own nominal joints and follows the loops from there (`reaching.descend`), so that the branch
-of the inverse kinematics and the assembly mode are the program's. Goals given as poses are solved for the nominal robot
-first; a row that landed on another branch than the one before it is tried again from there. Nothing is clipped: a row
-that needs a joint past its limit, or lies out of reach, is not answered, and says why.
+Method. Each row starts at its own nominal joints and follows the loops from there (`reaching.descend`), which keeps the
+program's branch of the inverse kinematics and its assembly mode. Goals given as poses are first solved for the nominal
+robot; a row on another branch than the row before is solved again from there. Nothing is clipped: a row that needs a
+joint past its limit, or is out of reach, gets no command but a reason.
 
-When it fails. Next to a singular pose of the robot a small correction of the tool can need a large one of the joints;
-`jumps` names rows at which the compensated program goes further than the program itself.
+When it fails. Next to a singular pose of the robot a small correction of the tool can need a large correction of the
+joints; `jumps` names rows to which the compensated program goes further than the program itself.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
 from calib.programs.reaching.redundancy import near_joints
 from calib.programs.reaching.search import TOLERANCE
 
-_JUMP = 0.1  # more than the program itself goes between two rows [rad, or characteristic lengths]
-_CLOSINGS = 4  # times that the loops are closed for each row
-_BEYOND = 1e-9  # past a limit by more than rounding [m or rad]
+_JUMP = 0.1  # excess of a step between rows over the program's step [rad, or characteristic lengths]
+_CLOSINGS = 4  # closings of the loops for each row
+_BEYOND = 1e-9  # excess over a limit that is not rounding [m or rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,23 +67,23 @@ class Compensation(ReadOnlyArrays):
 
     Attributes:
         names: Pose name of each row.
-        labels: Name of each in messages.
-        target: The target that it is about.
+        labels: Name of each row in messages.
+        target: Name of the target.
         kept_components: The kept components of poses, of `KEEP`.
         program: Joints with which the nominal robot reaches the goals, (n, n_actuated) [m or rad]; NaN where none.
         q: Compensated commands, (n, n_actuated) [m or rad]; NaN where there are none.
         reasons: Why a row has no command; empty if it has one.
-        programmed: The goal of the target in the measurement frame, (n, 3) [m]; NaN where that is not known.
-        before: Errors of the calibrated robot there without compensation, (n,) [m]; NaN where not known.
-        expected: Root mean square distance that is left, from the uncertainty of the parameters, (n,) [m]; NaN where
-            there is no command, or the uncertainty of the robot is not known.
-        low95, high95: The distance lies between them in 95 of 100 cases, (n,) [m].
+        programmed: The goal of the target in the measurement frame, (n, 3) [m]; NaN where unknown.
+        before: Errors of the calibrated robot there without compensation, (n,) [m]; NaN where unknown.
+        expected: Root mean square error that remains, from the uncertainty of the parameters, (n,) [m]; NaN where there
+            is no command or the uncertainty of the robot is unknown. If nothing is to be corrected, the error of the
+            calibrated robot.
+        low95, high95: Limits of the error in 95 of 100 cases, (n,) [m].
         before_angle, expected_angle, low95_angle, high95_angle: The same for the orientation if the pose is kept,
             for the z axis if only that is kept, (n,) [rad]; NaN if only the position is kept.
         scale: Scale of each joint: 1 rad, or its length, (n_actuated,).
         frame: The frame of the goals and errors, in words.
-        nothing_to_correct: Whether the program was left as it is, because the verdict is that nothing is to be
-            corrected; `expected` is then the error of the calibrated robot.
+        nothing_to_correct: Whether the program stays unchanged because the verdict finds nothing to correct.
     """
 
     names: tuple[str, ...]
@@ -112,7 +112,7 @@ class Compensation(ReadOnlyArrays):
         return np.asarray(np.isfinite(self.q).all(axis=1))
 
     def figures(self) -> dict[tuple[str, str], FloatArray]:
-        """Return errors and their limits by name and unit of files, (n,) each; of the kept components."""
+        """Return errors (n,) and their limits for the kept components, by name and unit in files."""
         names = ("before", "expected", "low95", "high95")
         endings = ("",) if self.kept_components == "position" else ("", "_angle")
         return shown_errors(names, [[getattr(self, f"{name}{ending}") for name in names] for ending in endings])
@@ -122,10 +122,7 @@ class Compensation(ReadOnlyArrays):
         return [f"{label} {why}" for label, why in zip(self.labels, self.reasons, strict=True) if why]
 
     def controller_poses(self, robot: Robot) -> tuple[FloatArray, FloatArray]:
-        """Return the poses to send to a controller that uses the nominal model.
-
-        Args:
-            robot: The robot; its nominal values are used.
+        """Return the poses to send to a controller that uses the nominal model of `robot`.
 
         Returns:
             Positions (n, 3) [m] in the measurement frame of the description and rotations (n, 3, 3); NaN where there is
@@ -158,16 +155,15 @@ def compensate(
     """Correct a program of the nominal robot for the calibrated one.
 
     Args:
-        calibrated: A fit or a loaded result. Or a robot alone: then errors to expect are not known, and its frame is
-            placed over poses around home.
-        program: Joints of the nominal robot, as `Poses` or (n, n_actuated) [m or rad]; or the `Goals` to which it
-            brings a target, in the measurement frame as the nominal description has it; or poses as `robot.forward`
-            gives them of the nominal robot for that target, (n, 4, 4) or (4, 4), but (4, 4) of a robot with four joints
-            are joint values.
-        keep: Kept components of a program of joints, one of `KEEP`; if not given, the pose if the joints can reach any.
+        calibrated: A fit or a loaded result; or a robot alone, whose expected errors are unknown, and whose frame is
+            placed by poses around home.
+        program: Joints of the nominal robot, as `Poses` or (n, n_actuated) [m or rad]; or `Goals` for one of its
+            targets, in the measurement frame of the nominal description; or poses of that target as the nominal robot's
+            `forward` gives them, (n, 4, 4) or (4, 4). For a robot with four joints, (4, 4) are joint values.
+        keep: Kept components of a program of joints, of `KEEP`; default: the pose if the joints can reach any.
 
     Raises:
-        InputError: `kept_components` is not one of `KEEP`, or is given with goals, which state it themselves.
+        InputError: `keep` is not in `KEEP`, or is given with goals, which define it themselves.
         DataError: Goals of an unknown target, or joint values of the wrong shape.
     """
     known = known_robot(calibrated)
@@ -184,13 +180,7 @@ def compensate(
 
 
 def compensate_in(frame: CorrectionFrame, program: Poses | Goals, keep: str | None = None) -> Compensation:
-    """Compensate a program in a frame; see `compensate`.
-
-    Args:
-        frame: Its frame.
-        program: Joints of the nominal robot, or goals.
-        keep: Kept components of a program of joints.
-    """
+    """Compensate a program of joints or goals in a frame; see `compensate`."""
     with compile_for(_CLOSINGS * len(program) if frame.nominal.mechanism.loops else 0):
         if isinstance(program, Goals):
             return _compensate(frame, task_of_goals(frame.nominal, frame.meant, program))
@@ -198,7 +188,7 @@ def compensate_in(frame: CorrectionFrame, program: Poses | Goals, keep: str | No
 
 
 def _compensate(frame: CorrectionFrame, task: ProgramTask) -> Compensation:
-    """Solve all rows that can be."""
+    """The compensation of all rows that can be solved."""
     robot, n = frame.robot, len(task.goals)
     reach = problem(robot, task.goals)
     meant = np.where(np.array(task.reasons)[:, None] == "", task.goals.positions, np.nan)
@@ -250,7 +240,7 @@ def _compensate(frame: CorrectionFrame, task: ProgramTask) -> Compensation:
 def _solve_rows(
     robot: Robot, reach: Reach, task: ProgramTask, rows: IntArray, start: GoalConfigurations, context: Context
 ) -> tuple[FloatArray, list[str]]:
-    """Commands for some rows, (n_rows, n_actuated) [m or rad], and why a row has none."""
+    """Commands for rows, (n_rows, n_actuated) [m or rad], and the reason of each row without a command."""
     near = start if task.nearly_reached is None else descend(problem(robot, task.nearly_reached), rows, start)
     solutions = _solve_beyond_limits(
         reach, rows, start, near_joints(reach, rows, descend(reach, rows, near), near.actuated)
@@ -264,7 +254,7 @@ def _solve_rows(
 def _solve_beyond_limits(
     reach: Reach, rows: IntArray, start: GoalConfigurations, solutions: GoalConfigurations
 ) -> GoalConfigurations:
-    """Take what would reach the goals if the actuated joints had no limits, where nothing within them does."""
+    """Solutions without limits of the actuated joints, for goals that have none within the limits."""
     nothing = np.full(len(reach.lower), np.inf)
     missed = np.flatnonzero(~is_reached(reach, solutions))
     free = descend(replace(reach, lower=-nothing, upper=nothing), rows[missed], start.subset(missed))
@@ -277,7 +267,7 @@ def _solve_beyond_limits(
 def _reasons(
     robot: Robot, reach: Reach, solutions: GoalConfigurations, commands: FloatArray, program: FloatArray
 ) -> list[str]:
-    """Say of every goal why its command (n, n_actuated) is none; empty where it is one."""
+    """The reason why each command (n, n_actuated) is unusable; empty for a usable command."""
     _, miss, angle = reach.deviations(solutions.actuated, solutions.passive)
     known = np.asarray(np.isfinite(commands).all(axis=1))
     closed = robot.close(np.where(known[:, None], commands, program)).ok  # the loops were followed from elsewhere
@@ -297,7 +287,7 @@ def _reasons(
 
 
 def _joint_beyond_limits(reach: Reach, q: FloatArray, what: str) -> str:
-    """Say which joint of q (n_actuated,) is past its limit by most; empty where none is."""
+    """The joint of q (n_actuated,) that is furthest past its limit, in words; empty if none is."""
     n = len(q)
     past = np.maximum(q - reach.upper[:n], reach.lower[:n] - q) / reach.scale[:n]
     j = int(np.argmax(past))

@@ -1,7 +1,7 @@
-"""The expected distance of a target from its goals, at commands that were found for them.
+"""The expected distance of a target from its goals at given commands.
 
-In the frame of the goals (`calib.core.rows.frames`). An error is normal, its covariance that of the
-predicted position; its mean is what the calibrated robot is off at the command, as far as that was not corrected.
+Errors are in the frame of the goals (`calib.core.rows.frames`) and normal: their covariance is that of the predicted
+position, their mean the error of the calibrated robot that was not corrected.
 """
 
 from __future__ import annotations
@@ -23,16 +23,15 @@ from calib.programs.reaching.goals import Goals
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExpectedError(ReadOnlyArrays):
-    """Expected errors of goals; NaN where there is no command, or the uncertainty of the robot is not known.
+    """Expected errors at goals; NaN where there is no command or the uncertainty of the robot is unknown.
 
     Attributes:
-        distance: Root mean square distance from the goal, along the coordinates that it asks for, (n,) [m].
-        distance95: The distance lies between them in 95 of 100 cases, (2, n) [m].
-        angle: Root mean square angle from the orientation or z axis of the goal, (n,) [rad]; NaN where none is.
-        angle95: The same limits, (2, n) [rad].
+        distance: Root mean square distance along the stated coordinates of the goal, (n,) [m].
+        distance95: Limits of the distance in 95 of 100 cases, (2, n) [m].
+        angle: Root mean square angle from the orientation or z axis of the goal, (n,) [rad]; NaN without.
+        angle95: Limits of the angle in 95 of 100 cases, (2, n) [rad].
         frame: Frame of the goals, in words.
-        nothing_to_correct: Whether commands are those of the nominal robot, because the verdict is that nothing is to
-            be corrected.
+        nothing_to_correct: Whether commands are the nominal robot's, because the verdict finds nothing to correct.
     """
 
     distance: FloatArray
@@ -46,7 +45,7 @@ class ExpectedError(ReadOnlyArrays):
         return f"<expected errors of {len(self.distance)} goals>"
 
     def figures(self) -> dict[tuple[str, str], FloatArray]:
-        """Return errors and their limits by name and unit of files, (n,) each; of the requested components."""
+        """Return errors (n,) and their limits for the stated components, by name and unit in files."""
         names = ("expected", "low95", "high95")
         parts = (self.distance, *self.distance95), (self.angle, *self.angle95)
         return shown_errors(names, [values for values in parts if np.any(np.isfinite(values[0]))])
@@ -55,14 +54,14 @@ class ExpectedError(ReadOnlyArrays):
     def from_frame(
         frame: CorrectionFrame, goals: Goals, commands: FloatArray, rows: IntArray, context: Context
     ) -> ExpectedError:
-        """Return them.
+        """Return the expected errors at commands for some of the goals.
 
         Args:
             frame: Frame of the goals.
             goals: The goals, n of them.
             commands: Joints for some of them, (n_rows, n_actuated) [m or rad].
-            rows: Numbers of the rows, (n_rows,).
-            context: Under which conditions these are given.
+            rows: Indices of these goals, (n_rows,).
+            context: Conditions at the commands.
         """
         errors = np.full((6, len(goals)), np.nan)
         if frame.known.uncertainty is not None and len(rows):
@@ -71,11 +70,11 @@ class ExpectedError(ReadOnlyArrays):
 
 
 def shown_errors(names: Sequence[str], parts: Sequence[Sequence[FloatArray]]) -> dict[tuple[str, str], FloatArray]:
-    """Return errors by name and unit of files.
+    """Return errors by name and unit in files, from SI.
 
     Args:
         names: Names of the errors.
-        parts: Errors of positions, each (n,) [m]; and of orientations, if these count, each (n,) [rad].
+        parts: Errors of positions, each (n,) [m]; then of orientations, if these count, each (n,) [rad].
     """
     kinds: tuple[tuple[str, Dimension], ...] = (("", "length"), ("_angle", "angle"))
     return {
@@ -86,7 +85,7 @@ def shown_errors(names: Sequence[str], parts: Sequence[Sequence[FloatArray]]) ->
 
 
 def _errors(frame: CorrectionFrame, goals: Goals, commands: FloatArray, context: Context) -> FloatArray:
-    """Root mean square, low and high error of the position [m] and of the requested orientation, (6, n)."""
+    """Root mean square, low and high error of the position [m] and of the stated orientation [rad], (6, n)."""
     predicted = frame.predict(commands, context)
     t = frame.robot.target_names.index(goals.target or frame.robot.target_names[0])
     errors = np.full((6, len(goals)), np.nan)
@@ -99,7 +98,7 @@ def _errors(frame: CorrectionFrame, goals: Goals, commands: FloatArray, context:
         return errors
     turned = _turn_errors(frame, goals, t, commands, context) + left[:, 3:]
     spread = predicted.turn_covariance[:, t]
-    if goals.directions is not None:  # turns about the axis itself do not count
+    if goals.directions is not None:  # rotations about the axis itself do not count
         across = np.eye(3) - goals.directions[:, :, None] * goals.directions[:, None, :]
         spread, turned = across @ spread @ across, np.einsum("nij,nj->ni", across, turned)
     errors[3:] = rms_length(spread, turned), *length95(spread, predicted.coverage_factor, turned)
@@ -107,7 +106,7 @@ def _errors(frame: CorrectionFrame, goals: Goals, commands: FloatArray, context:
 
 
 def _turn_errors(frame: CorrectionFrame, goals: Goals, t: int, commands: FloatArray, context: Context) -> FloatArray:
-    """Rotation vectors by which the calibrated robot is off at the commands, (n, 3) [rad]; none where it is driven."""
+    """Uncorrected rotation vectors of the calibrated robot at the commands, (n, 3) [rad]; zero if it was corrected."""
     if not frame.nothing_to_correct:
         return np.zeros((len(goals), 3))
     rotations = target_poses(frame.robot, frame.robot.assemble(commands, context=context))[1][:, t]

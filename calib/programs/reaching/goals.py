@@ -1,11 +1,11 @@
-"""Goals of the inverse kinematics: places for a target, and their CSV files.
+"""Goals of the inverse kinematics, and their CSV files.
 
 Columns, with units as everywhere: `<target>_x`, `_y`, `_z` (position in the measurement frame). For an orientation also
 `<target>_rx`, `_ry`, `_rz` (roll, pitch, yaw about fixed axes, as URDF's rpy, of the target's link), or for a direction
-`<target>_ax`, `_ay`, `_az` (the z axis of the target's link; any length). A column `pose` names the rows; `load`,
-`temperature`, `time`, `setup`, `approach_<joint>` and where gravity points say under which conditions the robot shall
-be there, and columns of joints that inclinometers read, or of these sensors, how it stands there. A coordinate of the
-position whose cell is empty is free: a robot that moves in a plane cannot choose how high that lies.
+`<target>_ax`, `_ay`, `_az` (the z axis of the target's link; any length). A column `pose` names the rows. Columns
+`load`, `temperature`, `time`, `setup`, `approach_<joint>` and those of gravity are the conditions at the goal. Columns
+of inclinometers or of their joints are the values of these joints. A coordinate with an empty cell is free: a robot
+that moves in a plane cannot choose its height.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from calib.core.robots.terms.term import Context
 
 @dataclass(frozen=True, eq=False)
 class Goals:
-    """Places that a target shall reach, in the measurement frame.
+    """Goals for a target, in the measurement frame.
 
     Attributes:
         positions: (n, 3) [m]; NaN for free coordinates.
         rotations: Orientation of the target's link, (n, 3, 3), or None.
-        directions: Direction of the z axis of the target's link, (n, 3), or None; made unit vectors.
-        names: Pose name of each; a running number if not given.
+        directions: Direction of the z axis of the target's link, (n, 3), or None; normalised.
+        names: Pose name of each; default: a running number.
         labels: Name of each in messages.
-        target: Name of the measured point; the robot's first if empty.
-        context: Conditions, as of `Poses`, (n,) [SI] by name.
-        approach: Direction from which each joint comes, +1 or -1, (n, n_actuated); None: not known.
-        setups: Number of the setup whose direction of gravity applies, (n,); None: the first.
+        target: Name of the measured point; default: the robot's first.
+        context: Conditions as in `Poses`, (n,) [SI] by name.
+        approach: Direction from which each joint comes, +1 or -1, (n, n_actuated); None: unknown.
+        setups: Index of the setup whose direction of gravity applies, (n,); None: the first.
         stands: Values of the joints that inclinometers read, by name, (n,) or one number [rad].
     """
 
@@ -112,12 +112,12 @@ class Goals:
         return replace(self, **given)
 
     def conditions(self, n_actuated: int) -> Context:
-        """Return the conditions at the goals, for a robot with this number of motors."""
+        """Return the conditions at the goals, for a robot with `n_actuated` motors."""
         approach = np.zeros((len(self), n_actuated)) if self.approach is None else self.approach
         return Context.from_conditions(approach, self.context, self.setups)
 
     def distances(self, positions: FloatArray, index: IntArray | slice = slice(None)) -> FloatArray:
-        """Return how far positions (n, 3) are from those of the goals `index`, 0 where a goal is free, (n, 3) [m]."""
+        """Return positions (n, 3) minus those of the goals `index`, 0 for free coordinates, (n, 3) [m]."""
         goals = self.positions[index]
         return np.where(np.isnan(goals), 0.0, positions - goals)
 
@@ -130,7 +130,7 @@ class Goals:
 
 
 def goals_of_poses(poses: ArrayLike) -> Goals:
-    """Return poses as goals, (n, 4, 4) or (4, 4) [m], as `Robot.forward` gives them for the target."""
+    """Return poses (n, 4, 4) or (4, 4) [m], as `Robot.forward` gives them for the target, as goals."""
     values = np.asarray(poses, dtype=float).reshape(-1, 4, 4)
     return Goals(values[:, :3, 3], rotations=values[:, :3, :3])
 
@@ -171,11 +171,7 @@ def read_goals(path: Path | str, robot: Robot) -> Goals:
 
 
 def _setups(table: Table, robot: Robot) -> IntArray | None:
-    """The setup of each row, whose direction of gravity counts.
-
-    Raises:
-        DataError: An unknown setup, or one whose measurement frame or targets do not show the goals.
-    """
+    """The setup of each row, for its direction of gravity; `DataError` for a setup that moves base or targets."""
     of_setups = robot.description.setups
     if not of_setups or "setup" not in table.names:
         return None
@@ -193,7 +189,7 @@ def _setups(table: Table, robot: Robot) -> IntArray | None:
 
 
 def _target(table: Table, robot: Robot) -> str:
-    """The one target that the file has position columns for."""
+    """The only target with position columns in the file."""
     named = [target for target in robot.target_names if any(f"{target}_{axis}" in table.names for axis in "xyz")]
     if len(named) > 1:
         raise DataError(f"{table.path}: columns for targets {', '.join(named)}; give the goals of one target per file")

@@ -1,8 +1,8 @@
 """Joint values that reach goals, through closed loops, with the robot's current (calibrated) parameters.
 
-The iteration from one start is in `calib.programs.reaching.reaching`, the choice of starts in
-`calib.programs.reaching.search`. Assembly mode and joint limits are kept; where the goal leaves a choice, the solution
-stays near home, or near given joint values.
+`calib.programs.reaching.reaching` has the iteration from one start, `calib.programs.reaching.search` the choice of
+starts. Assembly mode and joint limits are kept; where the goal leaves a choice, the solution stays near home or near
+given joint values.
 """
 
 from __future__ import annotations
@@ -38,18 +38,17 @@ _SETTLED = 1e-14  # change of a tilt [rad]
 
 @dataclass(frozen=True, eq=False)
 class Solution(ReadOnlyArrays):
-    """Joint values found, and their errors at the goals.
+    """Joint values, and their errors at the goals.
 
     Attributes:
-        q: Actuated joints, (n, n_actuated) [m or rad]; where `ok` is False the nearest that was found.
-        ok: Mask of the goals that are reached to `TOLERANCE`, at joint values at which `Robot.assemble` finds the
-            robot, (n,).
+        q: Actuated joints, (n, n_actuated) [m or rad]; the nearest found where `ok` is False.
+        ok: Mask of the goals reached to `TOLERANCE` at joint values that `Robot.assemble` accepts, (n,).
         miss_position: Distance from the goal, (n,) [m].
         miss_angle: Angle from the orientation or direction of the goal, (n,) [rad]; 0 where there is no goal.
         positions: Positions of the target at `q`, (n, 3) [m].
         labels: Name of each goal in messages.
-        expected: Expected errors of the real robot. Where the verdict is that nothing is to be corrected, it
-            is the nominal robot that reaches the goals, and this is the error of the calibrated one.
+        expected: Expected errors of the real robot. If the verdict finds nothing to correct, `q` is for the nominal
+            robot, and these are the errors of the calibrated robot.
     """
 
     q: FloatArray
@@ -76,11 +75,11 @@ class Solution(ReadOnlyArrays):
         )
 
     def unreached_goals(self) -> list[str]:
-        """Return a phrase for every goal that is not reached."""
+        """Return a phrase for every goal that is out of reach."""
         return [f"{self.labels[k]} {self.miss(k)}" for k in map(int, np.flatnonzero(~self.ok))]
 
     def miss(self, k: int) -> str:
-        """Return by how much goal k is missed, in words."""
+        """Return the miss of goal k, in words."""
         length, angle = float(self.miss_position[k]), float(self.miss_angle[k])
         if not np.isfinite(self.q[k]).all():
             return BETWEEN_SIDES
@@ -91,7 +90,7 @@ class Solution(ReadOnlyArrays):
         )
 
     def require_all(self) -> None:
-        """Raise `UnreachablePoseError` that names the goals that are not reached."""
+        """Raise `UnreachablePoseError` that names the goals out of reach."""
         misses = self.unreached_goals()
         if misses:
             more = f" (and {len(misses) - 5} more)" if len(misses) > 5 else ""
@@ -108,14 +107,13 @@ def solve(
     """Find joint values that bring a target to its goals in the measurement frame.
 
     Args:
-        calibrated: The robot, with nominal or calibrated parameters; or its description or URDF. With a fit or a
-            loaded result, errors to expect are known too; if its verdict finds nothing to correct, the nominal robot is
-            used, with base and targets where they agree best.
-        goals: `Goals`, in which each row may ask for something else; or positions of the first target, (n, 3) [m], with
-            NaN in every row for a coordinate that is free; or poses of that target as `robot.forward` gives them,
-            (n, 4, 4) or (4, 4).
-        near: Joint values to stay near where a goal leaves a choice, (n_actuated,) or (n, n_actuated) [m or rad]; home
-            if not given.
+        calibrated: The robot with nominal or calibrated parameters, its description, or its URDF. A fit or a loaded
+            result also gives expected errors; if its verdict finds nothing to correct, the nominal robot is used, with
+            base and targets placed for the best agreement with the calibrated robot.
+        goals: `Goals`; or positions of the first target, (n, 3) [m], with NaN in the same free coordinates of all rows;
+            or poses of that target as `robot.forward` gives them, (n, 4, 4) or (4, 4).
+        near: Joint values to stay near where a goal leaves a choice, (n_actuated,) or (n, n_actuated) [m or rad];
+            default: home.
 
     Raises:
         InputError: `calibrated` is not a robot, or the goals are joint values.
@@ -139,7 +137,7 @@ def solve(
 
 
 def _goals(goals: Goals | ArrayLike) -> Goals:
-    """Goals without a program; goals that are positions all ask for the same coordinates."""
+    """Goals from an array; all positions of an array have the same free coordinates."""
     if isinstance(goals, Poses):
         raise InputError("goals: are joint values; give positions (n, 3) [m], or calib.Goals")
     if isinstance(goals, Goals):
@@ -158,7 +156,7 @@ def _goals(goals: Goals | ArrayLike) -> Goals:
 
 
 def _near(robot: Robot, reach: Reach, near: ArrayLike | None) -> FloatArray:
-    """Commands to stay near for each goal, inside the joint limits, (n, n_actuated) [m or rad]."""
+    """Commands near which each goal is solved, inside the joint limits, (n, n_actuated) [m or rad]."""
     n = len(reach.goals)
     commands = robot.home if near is None else joint_vector(robot, near)
     if np.ndim(commands) == 2 and len(commands) not in (1, n):
@@ -167,7 +165,7 @@ def _near(robot: Robot, reach: Reach, near: ArrayLike | None) -> FloatArray:
 
 
 def _search(robot: Robot, reach: Reach, near: FloatArray, conditions: Context) -> GoalConfigurations:
-    """The best configuration of each goal, as near to commands (n, n_actuated) as it leaves a choice."""
+    """The best configuration for each goal, as near to commands (n, n_actuated) as the goal allows."""
     joints = actual_joints(robot, near, term_columns(robot, near, conditions))
     search = Search(reach, start_configuration(robot, reach))
     search.run(robot)
@@ -178,11 +176,10 @@ def _search(robot: Robot, reach: Reach, near: FloatArray, conditions: Context) -
 
 
 def problem(robot: Robot, goals: Goals) -> Reach:
-    """Return goals of a robot with the limits of its joints.
-
+    """Return the problem of reaching goals within the joint limits.
     Raises:
-        DataError: A target that it does not have.
-        InputError: It has joints that are not commanded, and the goals do not say what these are.
+        DataError: The robot does not have the target.
+        InputError: The robot has joints that are not commanded, and the goals do not give their values.
     """
     lacking = [name for name in robot.sensed_names if name not in goals.stands]
     if lacking:
@@ -198,7 +195,7 @@ def problem(robot: Robot, goals: Goals) -> Reach:
             raise DataError(f"no target '{goals.target}'{nearest(goals.target, named)}")
         target = named[goals.target]
     lower, upper = robot.urdf.limits(robot.mechanism.driven)
-    stands = np.isin(robot.mechanism.driven, robot.sensed_names)  # whatever their limits
+    stands = np.isin(robot.mechanism.driven, robot.sensed_names)  # their limits do not apply
     lower, upper = np.where(stands, -np.inf, lower), np.where(stands, np.inf, upper)
     return Reach(robot.mechanism, robot.mode, target, goals, lower, upper)
 
@@ -206,14 +203,14 @@ def problem(robot: Robot, goals: Goals) -> Reach:
 def with_tilts(
     robot: Robot, reach: Reach, index: IntArray, solution: GoalConfigurations, context: Context
 ) -> GoalConfigurations:
-    """Descend again until links are tilted, and joints that are not commanded are, as they are at the commands found.
+    """Descend again until tilts of links and uncommanded joints agree with the commands.
 
-    They differ so little, and so nearly alike at neighbouring joint values, that each round gains digits.
+    These values are small and nearly equal at neighbouring joint values, so each round gains digits.
 
     Args:
         robot: The robot.
         reach: The problem.
-        index: Numbers of the goals, (n,).
+        index: Indices of the goals, (n,).
         solution: Their solution.
         context: The conditions of each.
     """

@@ -1,7 +1,6 @@
 """The task of a program for the calibrated robot: goals of its target, and joint values of the nominal robot there.
 
-`calib.programs.reaching.compensation` solves the task, and says which frames, which part of a pose and which branch
-count.
+`calib.programs.reaching.compensation` solves the task and defines its frame, kept components and branch.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ from calib.programs.reaching.search import TOLERANCE
 
 KEEP = ("pose", "axis", "position")
 """Part of the program's poses that is kept: the full pose, position and z axis of the target, or its position."""
-_FURTHER = 0.5  # step between rows that may be a change of branch [rad, or characteristic lengths]
+_FURTHER = 0.5  # a larger step between rows may change the branch [rad, or characteristic lengths]
 _ROUNDS = 200
-_SINGULAR = 1e-6  # part of the largest singular value
+_SINGULAR = 1e-6  # relative to the largest singular value
 _STATED = {"full pose": "pose", "position and axis": "axis", "position": "position"}
 
 
@@ -38,7 +37,7 @@ class ProgramTask:
         goals: Goals of its target, and their conditions.
         joints: Joint values with which the nominal robot reaches the goals, (n, n_actuated) [m or rad].
         reasons: Reason for each goal that the nominal robot does not reach; empty for the others.
-        kept_components: One of `KEEP`.
+        kept_components: The kept components, of `KEEP`.
         nearly_reached: Full poses to stay near, if less than the pose is kept; else None.
     """
 
@@ -55,10 +54,11 @@ def task_of_joints(meant: Robot, program: Poses, keep: str | None) -> ProgramTas
     Args:
         meant: The nominal robot, in the frame of the program.
         program: The joint values.
-        keep: One of `KEEP`; None: the pose if the joints can move the target in all directions, else the position.
+        keep: Kept components, of `KEEP`; None: the pose if the joints move the target in all directions, else the
+            position.
 
     Raises:
-        InputError: Motors move no target.
+        InputError: The motors move no target.
     """
     if not meant.mechanism.moved_targets:
         raise InputError(f"{meant.path}: its motors move none of its targets; add the tool to `targets`")
@@ -81,7 +81,7 @@ def task_of_joints(meant: Robot, program: Poses, keep: str | None) -> ProgramTas
 
 
 def _goals_reached(robot: Robot, joints: FloatArray, goals: Goals) -> tuple[Goals, FloatArray, BoolArray]:
-    """Goals at the target's poses, the Jacobian (n_closed, 6, n_actuated), and where loops close, (n,)."""
+    """Goals at the target's poses, the Jacobian (n_closed, 6, n_actuated), and the mask of closed loops, (n,)."""
     closed = robot.close(joints)
     target = robot.mechanism.targets[robot.target_names.index(goals.target or robot.target_names[0])]
     positions, rotations = np.zeros((len(joints), 3)), np.tile(np.eye(3), (len(joints), 1, 1))
@@ -91,7 +91,7 @@ def _goals_reached(robot: Robot, joints: FloatArray, goals: Goals) -> tuple[Goal
 
 
 def _task(pose: Goals, joints: FloatArray, reasons: tuple[str, ...], keep: str) -> ProgramTask:
-    """The kept part of full poses."""
+    """The task with the kept components of full poses."""
     goals = pose if keep == "pose" else replace(pose, rotations=None)
     if keep == "axis":
         assert pose.rotations is not None
@@ -100,7 +100,7 @@ def _task(pose: Goals, joints: FloatArray, reasons: tuple[str, ...], keep: str) 
 
 
 def _moves_freely(jacobian: FloatArray, length: float) -> bool:
-    """Whether some pose lets the target move in all six directions, from (n, 6, n_actuated) of scaled joints."""
+    """Whether the target can move in all six directions at some pose, from Jacobians (n, 6, n_actuated)."""
     if len(jacobian) == 0 or jacobian.shape[2] < 6:
         return False
     values = linalg.singular_values(jacobian / np.repeat([length, 1.0], 3)[:, None])
@@ -135,7 +135,7 @@ def _without_branch_changes(robot: Robot, reach: Reach, q: FloatArray, ok: BoolA
         rows = np.flatnonzero((step > _FURTHER) & ok[1:] & ok[:-1] & ~tried[1:]) + 1
         if len(rows) == 0:
             break
-        rows = rows[np.diff(rows, prepend=-2) > 1]  # of consecutive rows only the first, the next ones in later rounds
+        rows = rows[np.diff(rows, prepend=-2) > 1]  # the first of consecutive rows; the next in later rounds
         tried[rows] = True
         start = robot.assemble(q[rows - 1])
         continued = descend(
@@ -149,5 +149,5 @@ def _without_branch_changes(robot: Robot, reach: Reach, q: FloatArray, ok: BoolA
 
 
 def is_reached(reach: Reach, solutions: GoalConfigurations) -> BoolArray:
-    """Return which goals are reached, (n,)."""
+    """Return the mask of reached goals, (n,)."""
     return solutions.distance <= TOLERANCE * min(1.0, reach.mechanism.length)

@@ -1,8 +1,8 @@
 """Moving a robot's actuated joints towards goals of a target, through closed loops.
 
-Problem. Find actuated joints a within limits so that the target, seen from the measurement frame, has a wanted
-position p*, and where asked for a wanted orientation R*, or direction z* of its z axis. With passive joints p decided
-by the closures r(a, p) = 0, the target moves with
+Problem. Find actuated joints a within limits so that the target, seen from the measurement frame, has the position p*
+and, if the goal states them, the orientation R* or the direction z* of its z axis. The closures r(a, p) = 0 determine
+the passive joints p, so the target moves with
 
     [dp; w] = (X_a - X_p C_p^-1 C_a) da            (implicit function theorem; X, C: derivatives of pose and closures)
 
@@ -11,14 +11,13 @@ in the axes of the measurement frame.
 Method. Levenberg-Marquardt on e = [p - p*; L log3(R*^T R)] or [p - p*; L (R z - z*)], L the robot's characteristic
 length. (The body's angular velocity in place of the derivative of log3 gives the exact gradient everywhere, and the
 exact derivative at the solution.) An actuated joint at a limit that the step would leave is held. A passive joint near
-its limit is kept there by a heavy row of its own, dp = -C_p^-1 C_a da, and a step that would carry another one past its
+its limit is kept there by a heavy row, dp = -C_p^-1 C_a da, and a step that would carry another passive joint past its
 limit is cut. The loops follow each trial step by its tangent and Newton, which keeps the assembly mode of home (see
 `calib.core.robots.loops`); a step that they cannot follow counts as too long. All goals advance together in arrays.
 
-How far links are tilted (`calib.core.robots.mechanism`), and what joints are that nobody commands, belongs to the
-start, and stays.
+Tilts of links (`calib.core.robots.mechanism`) and uncommanded joints keep their values from the start.
 
-When it fails. Local minima of |e| exist; `calib.programs.reaching.inverse` starts from several places. At a singular
+When it fails. Local minima of |e| exist; `calib.programs.reaching.search` starts from several places. At a singular
 pose of the robot convergence is slow, and the joint values are only as sharp as the pose determines them.
 
 Reference: levenberg1944, marquardt1963.
@@ -40,37 +39,37 @@ from calib.core.robots.continuation import newton
 from calib.core.robots.mechanism import Mechanism, RelativeFrame
 from calib.programs.reaching.goals import Goals
 
-_CONVERGED = 2e-13  # norm of e where rounding takes over [m]
+_CONVERGED = 2e-13  # norm of e at which rounding dominates [m]
 LARGEST_STEP = 0.5  # largest step of a joint [rad, or characteristic lengths]
 _ITERATIONS = 100
-NEARLY = 1e-11  # norm of e where a step that gains nothing is rounding [m]
-_SMALLEST_GAIN = 1e-7  # part of the distance that a step must gain to go on
+NEARLY = 1e-11  # norm of e below which a step without gain is rounding [m]
+_SMALLEST_GAIN = 1e-7  # relative decrease of the distance that justifies another step
 _SMALLEST_DAMPING, _LARGEST_DAMPING = 1e-12, 1e6  # relative to the mean diagonal of J^T J
 NEAR_LIMIT = 1e-3  # a passive joint this close to its limit is held back [rad, or characteristic lengths]
-_HEAVY = 1e3  # weight of the row that does so
+_HEAVY = 1e3  # weight of the row that holds it
 
 
 class ConfigurationRows:
-    """Base of dataclasses of arrays that have a row for each configuration."""
+    """Base of dataclasses of arrays with one row for each configuration."""
 
     def subset(self, index: IntArray) -> Self:
         """Return the rows with these indices (n,)."""
         return type(self)(*(values[index] for values in vars(self).values()))
 
     def take(self, index: IntArray, other: Self) -> None:
-        """Overwrite the rows with these indices (n,) by `other`, which has n of them."""
+        """Overwrite the rows with these indices (n,) by the n rows of `other`."""
         for name, values in vars(self).items():
             values[index] = getattr(other, name)
 
 
 @dataclass(frozen=True, eq=False)
 class GoalConfigurations(ConfigurationRows):
-    """Configurations on the way to goals.
+    """Configurations during the search.
 
     Attributes:
         actuated: The driven joints, (n, n_driven) [m or rad].
         passive: (n, n_passive) [m or rad].
-        distance: Norm of e, (n,) [m]; infinite where nothing is known yet.
+        distance: Norm of e, (n,) [m]; infinite where not yet computed.
     """
 
     actuated: FloatArray
@@ -79,7 +78,7 @@ class GoalConfigurations(ConfigurationRows):
 
     @classmethod
     def unknown(cls, actuated: FloatArray, passive: FloatArray) -> GoalConfigurations:
-        """Return configurations, (n, n_driven) and (n, n_passive), whose distances are not known yet."""
+        """Return configurations, (n, n_driven) and (n, n_passive), with distances not yet computed."""
         return cls(actuated, passive, np.full(len(actuated), np.inf))
 
 
@@ -90,7 +89,7 @@ class LinearisedGoals(ConfigurationRows):
     Attributes:
         error: e of the module docstring, (n, n_rows) [m].
         slope: J, its derivative by the actuated joints, (n, n_rows, n_actuated).
-        passive_slope: G, that of the passive joints, (n, n_passive, n_actuated).
+        passive_slope: G, the derivative of the passive joints by the actuated joints, (n, n_passive, n_actuated).
     """
 
     error: FloatArray
@@ -124,18 +123,18 @@ class Reach:
 
     @cached_property
     def fixed_joints(self) -> BoolArray:
-        """Mask of the driven joints that stay: those that tilt links or are not commanded, (n_driven,)."""
+        """Mask of the driven joints that keep their values: tilts of links and uncommanded joints, (n_driven,)."""
         return self.mechanism.is_tilt | np.isin(self.mechanism.driven, list(self.goals.stands))
 
     def with_uncommanded(self, index: IntArray, commands: FloatArray) -> FloatArray:
-        """Return commands (n, n_actuated) for these goals with the values of joints that are not commanded."""
+        """Return commands (n, n_actuated) for the goals `index`, with the values of uncommanded joints."""
         commands = commands.copy()
         for name in self.goals.stands:
             commands[:, self.mechanism.actuated.index(name)] = self.goals.stands_of(name)[index]
         return commands
 
     def as_given(self, index: IntArray, at: GoalConfigurations) -> GoalConfigurations:
-        """Return configurations with joints that are not commanded as stated by these goals, (n,); loops closed."""
+        """Return configurations with the uncommanded joints of the goals `index` (n,); loops closed."""
         if not self.goals.stands:
             return at
         n = len(self.mechanism.actuated)
@@ -146,7 +145,7 @@ class Reach:
 
     @cached_property
     def passive_scale(self) -> FloatArray:
-        """The same of each passive joint, (n_passive,)."""
+        """Scale of each passive joint: 1 [rad], or the characteristic length [m], (n_passive,)."""
         return np.where(self.mechanism.is_metre_column, self.mechanism.length, 1.0)
 
     def linearise(
@@ -155,10 +154,10 @@ class Reach:
         """Return e and its derivative at closed configurations.
 
         Args:
-            index: Number of each configuration's goal, (n,).
+            index: Index of each configuration's goal, (n,).
             actuated: Actuated joints, (n, n_actuated) [m or rad].
             passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
-            closures: [C_p C_a] there, where it is known, (n, n_passive, n_passive + n_actuated).
+            closures: [C_p C_a] there if known, (n, n_passive, n_passive + n_actuated).
         """
         position, rotation, jacobian, by_joint = motion(self.mechanism, self.target, actuated, passive, closures)
         jacobian = jacobian * self.scale
@@ -180,10 +179,9 @@ class Reach:
         )
 
     def deviations(self, actuated: FloatArray, passive: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the errors of a configuration of every goal.
+        """Return positions (n, 3) [m], their distances (n,) [m] and angles (n,) [rad] from every goal.
 
-        Returns:
-            Positions (n, 3) [m], distances from the wanted ones (n,) [m], angles from what is wanted (n,) [rad].
+        The configurations are `actuated` (n, n_actuated) and `passive` (n, n_passive).
         """
         position, rotation, _ = actuated_jacobian(self.mechanism, self.target, actuated, passive)
         angle = np.zeros(len(position))
@@ -203,11 +201,11 @@ class Reach:
         Args:
             at: Configurations with closed loops.
             linear: The derivatives there.
-            trial: Actuated joints to go to, (n, n_actuated) [m or rad].
+            trial: Actuated joints of the other configurations, (n, n_actuated) [m or rad].
 
         Returns:
-            Passive joints there (n, n_passive) [m or rad], [C_p C_a] (n, n_passive, n_passive + n_actuated), and where
-            that worked, within their limits (n,).
+            Passive joints (n, n_passive) [m or rad], [C_p C_a] (n, n_passive, n_passive + n_actuated), and the mask of
+            closed loops within their limits (n,).
         """
         if not self.mechanism.loops:
             return at.passive, np.zeros((len(trial), 0, trial.shape[1])), np.ones(len(trial), dtype=bool)
@@ -219,7 +217,7 @@ class Reach:
         return passive, closures, ok & loops.are_within_limits(self.mechanism, passive)
 
     def room(self, passive: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return how far passive joints (n, n_passive) are above their lower and below their upper limits, scaled."""
+        """Return scaled distances of passive joints (n, n_passive) from their lower and upper limits."""
         below, above = passive - self.mechanism.lower, self.mechanism.upper - passive
         return below / self.passive_scale, above / self.passive_scale
 
@@ -227,11 +225,11 @@ class Reach:
 def descend(
     reach: Reach, index: IntArray, start: GoalConfigurations, iterations: int = _ITERATIONS
 ) -> GoalConfigurations:
-    """Bring the target as near to its goals as the search from `start` goes.
+    """Bring the target as near to its goals as the iteration from `start` goes.
 
     Args:
         reach: The problem.
-        index: Numbers of the goals, (n,).
+        index: Indices of the goals, (n,).
         start: A closed configuration for each.
         iterations: Largest number of trial steps.
     """
@@ -271,7 +269,7 @@ def descend(
 
 
 def _trial(reach: Reach, at: GoalConfigurations, linear: LinearisedGoals, damping: FloatArray) -> FloatArray:
-    """Next actuated joints to try, (n, n_actuated) [m or rad]: a damped step that leaves no limit."""
+    """Next actuated joints to try, (n, n_actuated) [m or rad]: a damped step within all limits."""
     nothing = np.zeros(linear.passive_slope.shape[:2])
     step = _damped_step(reach, at, linear, damping, nothing, nothing)
     if nothing.size:

@@ -47,7 +47,7 @@ from calib.programs.reaching.reaching import (
 
 _STEPS = 60
 _TOLERANCE = 1e-7  # tolerance of w within the null space [rad, or characteristic lengths]
-_SHORTEST = 1e-3  # part of a step, below which no shorter one is tried
+_SHORTEST = 1e-3  # smallest tried part of a step
 _WEIGHT = 100.0  # sigma; with 20, two in a hundred searches end early, with 1 a seventh of them
 _ROUNDING = 1e-12  # rounding of a step: a smaller component crosses no limit
 
@@ -58,7 +58,7 @@ def without_full_turns(reach: Reach, at: GoalConfigurations, near: FloatArray) -
     for j, name in enumerate(mechanism.actuated):
         column = mechanism.select_actuated[:, j]
         if mechanism.dimensions[name] == "length" or np.count_nonzero(column) != 1:
-            continue  # others mimic this joint, so that a whole turn is another pose
+            continue  # other joints mimic this joint, so that a whole turn is another pose
         turns = 2 * np.pi * np.round((actuated[:, j] - near[:, j]) / (2 * np.pi))
         inside = (actuated[:, j] - turns >= reach.lower[j]) & (actuated[:, j] - turns <= reach.upper[j])
         actuated[inside, j] -= turns[inside]
@@ -66,7 +66,7 @@ def without_full_turns(reach: Reach, at: GoalConfigurations, near: FloatArray) -
 
 
 def near_joints(reach: Reach, index: IntArray, start: GoalConfigurations, near: FloatArray) -> GoalConfigurations:
-    """Move solved configurations towards the actuated joints `near`, (n, n_actuated), as the module docstring says."""
+    """Move solved configurations towards the actuated joints `near`, (n, n_actuated), keeping the goals."""
     n, n_joints = start.actuated.shape
     at = deepcopy(start)
     linear = reach.linearise(index, at.actuated, at.passive)
@@ -107,20 +107,14 @@ def near_joints(reach: Reach, index: IntArray, start: GoalConfigurations, near: 
 
 @dataclass(frozen=True, eq=False)
 class _ActiveLimits(ConfigurationRows):
-    """Joints that limits hold.
-
-    Attributes:
-        joints: Actuated joints, (n, n_actuated).
-        passive: Passive joints, (n, n_passive).
-        low: Passive joints whose lower limit is the nearer one, (n, n_passive).
-    """
+    """Masks of joints at active limits: actuated, passive, and passive joints nearer to their lower limit."""
 
     joints: BoolArray
     passive: BoolArray
     low: BoolArray
 
     def rows(self, linear: LinearisedGoals) -> FloatArray:
-        """Return A with columns for the held joints, too, (n, n_rows + n_passive, n_actuated)."""
+        """Return A with columns for the held joints too, (n, n_rows + n_passive, n_actuated)."""
         return np.concatenate([linear.slope, self.passive[:, :, None] * linear.passive_slope], axis=1)
 
     def gap(self, reach: Reach, linear: LinearisedGoals, passive: FloatArray) -> FloatArray:
@@ -173,7 +167,7 @@ def _trial(
     part: FloatArray,
     step: FloatArray,
 ) -> FloatArray:
-    """Actuated joints at the end of this part of the step, or at the first limit on the way, (n, n_actuated)."""
+    """Actuated joints after a part of the step, or at the first limit on the way, (n, n_actuated)."""
     change = np.einsum("nij,nj->ni", linear.passive_slope, step)
     room = np.where(step < 0, at.actuated - reach.lower, reach.upper - at.actuated) / reach.scale
     below, above = reach.room(at.passive)
@@ -194,7 +188,7 @@ def _successful_trials(
     trial: FloatArray,
     near: FloatArray,
 ) -> tuple[IntArray, GoalConfigurations, LinearisedGoals, FloatArray]:
-    """Trials that lower the merit, (n,); for these the configurations, their derivatives, and the change of A^T l."""
+    """Indices (n,) of trials that lower the merit, their configurations and derivatives, and the change of A^T l."""
     passive, closures, followed = reach.follow(at, linear, trial)
     moved = np.flatnonzero(followed)
     trial_linear = reach.linearise(index[moved], trial[moved], passive[moved], closures[moved])
@@ -213,7 +207,7 @@ def _successful_trials(
 
 
 def _merit(rows: FloatArray, gap: FloatArray, held: _ActiveLimits, way: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The merit function, which a step must lower, (n,), and the multipliers l, (n, n_rows)."""
+    """The merit function, (n,), and the multipliers l, (n, n_rows)."""
     inverse, _ = _inverse(rows, held)
     back = np.einsum("nij,nj->ni", inverse, gap)
     merit: FloatArray = 0.5 * np.sum((way + back) ** 2, axis=1) + 0.5 * _WEIGHT * np.sum(back**2, axis=1)

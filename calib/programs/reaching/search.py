@@ -1,9 +1,9 @@
-"""Starts from which goals are searched: the nearest goals that are solved, and configurations spread evenly.
+"""Starts of the search for goals: the nearest solved goals, then configurations spread evenly.
 
-Goals are solved nearest to home first, each from the nearest solved one; those that fail are tried again from other
-neighbours, and then from configurations spread evenly over the joint limits (the same ones however the robot is
-described). The iteration from one start is in `calib.programs.reaching.reaching`. As every search is local, a goal that
-is called out of reach is not proven so, but the spread starts make it unlikely that a reachable one is missed.
+Goals are solved nearest to home first, each from the nearest solved goal. Failed goals are tried again from other
+neighbours, and then from configurations spread evenly over the joint limits (the same for every description of the
+robot). `calib.programs.reaching.reaching` has the iteration from one start. Every iteration is local, so a goal
+reported out of reach is not proven so, but the spread starts make it unlikely that a reachable goal is missed.
 """
 
 from __future__ import annotations
@@ -21,31 +21,26 @@ from calib.core.robots.robot import Robot
 from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
 
 TOLERANCE = 1e-9
-"""Largest miss of a goal that counts as reached [m, rad]."""
+"""Largest miss of a reached goal [m, rad]."""
 _NEIGHBOURS = 3
 _SPREAD, _SPREAD_NEIGHBOURS = 256, (8, 64)
-_LARGEST_ROUND = 8192  # searches in one round
+_LARGEST_ROUND = 8192  # iterations in one round
 
 
 def within_joint_limits(reach: Reach, q: FloatArray) -> FloatArray:
-    """Return joint values (..., n_actuated) moved inside the joint limits where they are not."""
+    """Return joint values (..., n_actuated) clipped to the joint limits."""
     n = q.shape[-1]
     return np.clip(q, reach.lower[:n], reach.upper[:n])
 
 
 def start_configuration(robot: Robot, reach: Reach) -> GoalConfigurations:
-    """Return home, moved inside the joint limits where it is not."""
+    """Return home, clipped to the joint limits."""
     start = robot.assemble(within_joint_limits(reach, robot.home))
     return GoalConfigurations.unknown(start.actuated, start.passive)
 
 
 class Search:
-    """The best configuration found for each goal so far.
-
-    Args:
-        reach: The problem.
-        home: One closed configuration to start from.
-    """
+    """The best known configuration for each goal; `home` is one closed configuration to start from."""
 
     def __init__(self, reach: Reach, home: GoalConfigurations) -> None:
         n = len(reach.goals)
@@ -63,7 +58,7 @@ class Search:
         return self.best.distance <= self._reached
 
     def run(self, robot: Robot) -> None:
-        """Try every start of the module docstring until a goal is reached."""
+        """Try every start of the module docstring until each goal is reached."""
         for batch in self._batches():
             self._improve(batch, self._known_configurations(), 1)
         self._improve(np.flatnonzero(~self.is_solved), self._known_configurations(), _NEIGHBOURS)
@@ -90,7 +85,7 @@ class Search:
         return GoalConfigurations(*map(np.concatenate, pairs))
 
     def _improve(self, todo: IntArray, starts: GoalConfigurations, count: int) -> None:
-        """Search for the goals `todo`, each from the `count` nearest starts; keep what is better."""
+        """Iterate for the goals `todo`, each from the `count` nearest starts; keep improvements."""
         count = min(count, len(starts.actuated))
         if len(todo) == 0 or count == 0:
             return
@@ -99,7 +94,7 @@ class Search:
         )[1]
         index = np.repeat(todo, count)
         solutions = descend(self.reach, index, self.reach.as_given(index, starts.subset(nearest_starts.ravel())))
-        misses = np.maximum(solutions.distance, self._reached).reshape(-1, count)  # of several that reach it, the first
+        misses = np.maximum(solutions.distance, self._reached).reshape(-1, count)  # among reached ones, the first wins
         best = np.argmin(misses, axis=1) + count * np.arange(len(todo))
         better = np.flatnonzero(solutions.distance[best] < self.best.distance[todo])
         self.best.take(todo[better], solutions.subset(best[better]))
@@ -118,7 +113,7 @@ class Search:
 def _features(
     positions: FloatArray, rotations: FloatArray | None, directions: FloatArray | None, length: float
 ) -> FloatArray:
-    """Coordinates in which poses that are alike are near each other, (n, k) [m]."""
+    """Coordinates (n, k) [m] in which similar poses are near each other."""
     parts = [positions]
     if rotations is not None:
         parts.append(length * rotations.reshape(-1, 9) / np.sqrt(2))
@@ -128,7 +123,7 @@ def _features(
 
 
 def _spread_configurations(robot: Robot, reach: Reach) -> GoalConfigurations:
-    """Configurations spread over the joint limits (one turn about home where there are none) that close."""
+    """Closed configurations spread over the joint limits (one turn about home for joints without limits)."""
     turn, n_actuated = np.pi * robot.mechanism.joint_scale, len(robot.home)
     lower, upper = reach.lower[:n_actuated], reach.upper[:n_actuated]
     lower = np.where(np.isfinite(lower), lower, robot.home - turn)

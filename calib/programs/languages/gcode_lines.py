@@ -1,7 +1,7 @@
 """Lines of G-code in parts: commands, words of a letter and a number, names, texts and comments.
 
-The grammar of a line is regular: a sequence of words, or a name and its text. A line is refused if the firmware reads it
-differently from its apparent meaning or, for unknown firmware, if firmwares disagree on it.
+The grammar of a line is regular: a sequence of words, or a name and its text. A line is refused if the firmware reads
+it differently from its apparent meaning or, for unknown firmware, if firmwares disagree on it.
 """
 
 from __future__ import annotations

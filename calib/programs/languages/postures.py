@@ -2,8 +2,8 @@
 
 An arm reaches a pose in several ways. A program states the branch by quarter turns, signs or turns of its joints, or by
 the side of axis 1 and of the arm on which the wrist is; if it states nothing, the target before decides. So each pose
-is first solved from the pose before. If that solution is far away or contradicts the program, the solver starts from many
-joint values and takes the solution that agrees with the program and is nearest to the pose before.
+is first solved from the pose before. If that solution is far away or contradicts the program, the solver starts from
+many joint values and takes the solution that agrees with the program and is nearest to the pose before.
 
 Sides are relative to a reference pose: all joints at zero for ABB and KUKA, home for FANUC's N, U and T. The wrist is
 the origin of axis 5. If the wrist axes of an arm do not meet, the side can be wrong near the border between two sides.

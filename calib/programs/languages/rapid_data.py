@@ -28,6 +28,7 @@ _FIXED = {"TOOL0": Frame(), "WOBJ0": Frame()}
 class RapidData(Reader):
     """Reads the data of a module.
 
+    Args:
         path: File of the module.
         frames: Tools and work objects that the module does not declare, by their names in capitals.
         harmless: Routines of other modules that set no data and no mode of motion, in capitals.

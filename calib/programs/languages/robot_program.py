@@ -40,6 +40,7 @@ class LeftOutError(Exception):
 class Number:
     """A number of a program.
 
+    Attributes:
         file: Index of its file in the program.
         start, end: Its span in the text.
         value: Value [SI].

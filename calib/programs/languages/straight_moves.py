@@ -7,10 +7,10 @@ nominal inverse kinematics. With T the position of the tool at given joint value
 
 The compensated position p' with g(p') = p is exact at the waypoints. Between waypoints the controller moves straight in
 p', and the tool follows the image of this line under g, which deviates by half the curvature of g^-1 times the square
-of the length. The deviation is computed, not estimated: g is compared with the programmed position in the middle of every
-piece and at three or more other points, one in every 2 mm. These points are spaced unevenly, so that no error that
-repeats along the path (a screw, a belt) hides between them. A move that deviates by more than the tolerance is cut into
-more pieces, and all of them are computed again.
+of the length. The deviation is computed, not estimated: g is compared with the programmed position in the middle of
+every piece and at three or more other points, one in every 2 mm. These points are spaced unevenly, so that no error
+that repeats along the path (a screw, a belt) hides between them. A move that deviates by more than the tolerance is cut
+into more pieces, and all of them are computed again.
 
 Frame. Points are in the frame of the program (`calib.core.rows.frames`), with the description's tool, which is the
 controller's tool too. Calibrated positions of reflector and tracker move no point. Real and nominal robot are compared

@@ -6,10 +6,10 @@ tool there:
     T_calibrated(q') = T_nominal(q),      q' near q
 
 Frame. Both sides are seen from the frame of the program (`calib.core.rows.frames`): a measured frame, or the robot's
-own base frame, placed for the best agreement of both robots. A tool with an unknown place on its link is placed in the same
-way. Hence a moved tracker or reflector changes no command. A base or tool whose origin is known or a parameter belongs
-to the robot and is corrected. The expected error is the uncertainty of exactly this difference. Goals are those of the
-description's tool, the only tool that a controller has.
+own base frame, placed for the best agreement of both robots. A tool with an unknown place on its link is placed in the
+same way. Hence a moved tracker or reflector changes no command. A base or tool whose origin is known or a parameter
+belongs to the robot and is corrected. The expected error is the uncertainty of exactly this difference. Goals are those
+of the description's tool, the only tool that a controller has.
 
 No correction. If the verdict of the calibration finds nothing to correct, q' = q, and the error of the calibrated robot
 counts into the expected error.

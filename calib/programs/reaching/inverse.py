@@ -177,6 +177,7 @@ def _search(robot: Robot, reach: Reach, near: FloatArray, conditions: Context) -
 
 def problem(robot: Robot, goals: Goals) -> Reach:
     """Return the problem of reaching goals within the joint limits.
+
     Raises:
         DataError: The robot does not have the target.
         InputError: The robot has joints that are not commanded, and the goals do not give their values.

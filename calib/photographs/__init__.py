@@ -1,1 +1,1 @@
-"""From photographs of a printed board to pixels, and to where camera and board are."""
+"""Hand-eye calibration: photographs of a printed board, pixels of its points, and the poses of camera and board."""

@@ -1,13 +1,14 @@
 """Motion of a tool by errors of the arm's lengths and angles, where only poses of the tool are known.
 
-Problem. Errors of lengths and angles move an arm alike at similar poses. Part of this motion is the same in all images.
-Camera and board absorb it, and it leaves no residual: an error of the last link's length moves the camera on it. The
-other part shows in residuals. It says how large the errors are, and so how far camera and board may be off unseen. This
-needs the motion of the tool by each error at each pose, which joint values would give, and poses of the tool do not.
+Problem. Errors of lengths and angles move an arm in the same way at similar poses. The part of this motion that is
+common to all images is absorbed by camera and board and leaves no residual: an error of the last link's length moves
+the camera on it. The other part shows in residuals. It gives the size of the errors, and hence the uncertainty of
+camera and board from the hidden part. This needs the motion of the tool by each error at each pose. Joint values would
+give it; poses of the tool do not.
 
 Model. The poses are assumed to be those of a typical arm. Its first axis is upright through the origin of the base.
 Shoulder and elbow turn about level axes at right angles to the plane of the arm. Both links are 5/8 of the largest
-reach, and the elbow is up. The three axes of the wrist meet in the tool, the last one along its z. Each of six joints
+reach, and the elbow is up. The three axes of the wrist meet in the tool, the last along its z. Each of six joints
 has two angles and two lengths with errors (Denavit and Hartenberg): about and along its own axis, and about and along
 the common normal with the next axis. An error d of an angle about a line through c with direction a, or of a length
 along it, moves the tool at p by
@@ -17,11 +18,11 @@ along it, moves the tool at p by
 (translation, rotation), here in the axes of the tool. If all 24 errors are independent with one size t, in m and rad,
 their covariance is t^2 sum of N N^T, with N the motion by one error.
 
-Why. The alternative is a smooth random function of the pose. Its correlation length would decide how much of it stays
-unseen: from half to three times the true spread. With the arm above, intervals are nearly those with the true arm.
+Why. The alternative is a smooth random function of the pose. Its correlation length would decide how much stays
+hidden: from half to three times the true spread. With the arm above, intervals are nearly those with the true arm.
 
 When it fails. Poses in a frame far from the robot's base have other levers. Where the wrist is straight or the tool is
-above the base, joints of this arm turn by much, and those of the real one may not.
+above the base, joints of this arm turn by much, and those of the real arm may not.
 """
 
 from __future__ import annotations
@@ -55,6 +56,6 @@ def arm_twists(tool: FloatArray) -> FloatArray:
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
-    """Vectors of length one; zero where there is no direction."""
+    """Unit vectors; zero for zero vectors."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 1e-9)

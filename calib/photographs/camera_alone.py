@@ -1,7 +1,7 @@
-"""The camera without the robot: boards of single images, placed by OpenCV, and the lens that follows from them.
+"""The camera without the robot: the board placed freely in each image by OpenCV, and the lens that follows.
 
-The board has a pose of its own in each image, so that neither the robot nor another image matters. What is left then is
-the camera's part of the error; a point that is left far off does not fit the others of its image.
+Each image has its own pose of the board, so neither the robot nor another image matters. The residuals are the
+camera's part of the error; a point with a large residual contradicts the others of its image.
 
 When it fails. An image with fewer than six points is not used, because its own pose could explain them.
 
@@ -27,11 +27,11 @@ from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, res
 
 LEAST_IMAGES = 3
 _LEAST_ALONE = 6  # points of an image that its own pose cannot explain exactly
-_TO_THE_END = (3, 100, 1e-15)  # OpenCV's steps: at most so many, until none is larger than that
-_UNSURE = 0.2  # standard deviation of a focal length, over it, from which images do not determine it
+_TO_THE_END = (3, 100, 1e-15)  # OpenCV's stopping rule: number of steps, and size of a step
+_UNSURE = 0.2  # relative standard deviation of a focal length above which images do not determine it
 _SHORTEST, _LONGEST = 0.1, 25.0  # focal length of cameras, over the width of their images
-_NO_NOISE = 1e-9  # px: rounding of pixels that were computed
-_SMALLEST = 1e-6  # least part of a point's noise that remains once its image is placed; less counts as none
+_NO_NOISE = 1e-9  # px: rounding of computed pixels
+_SMALLEST = 1e-6  # least part of a point's noise that remains in its residual; less counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +39,10 @@ class FreeBoards(ReadOnlyArrays):
     """The board with a free pose in each image, and the lens.
 
     Attributes:
-        scene: The images that are used; its `tool` is the pose of the board in the camera.
+        scene: The images used; its `tool` is the pose of the board in the camera.
         placed: Camera and board at the origin, with the intrinsics.
-        images: Numbers of these images in the scene that was given, (n,).
-        focal_std: Standard deviation of the focal length [px]; zero where it is not sought.
+        images: Indices of these images in the original scene, (n,).
+        focal_std: Standard deviation of the focal length [px]; zero if it is not fitted.
     """
 
     scene: BoardScene
@@ -54,7 +54,7 @@ class FreeBoards(ReadOnlyArrays):
 def free_boards(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...] = ()) -> FreeBoards | None:
     """Return the board placed in each image with enough points; None where a pose is not determined.
 
-    `free` are of the first six intrinsics; fy follows fx where it is not among them. First values are (9,).
+    `free` are indices of the first six intrinsics; without fy, it follows fx. First values are (9,).
     """
     images = np.flatnonzero(scene.counts >= _LEAST_ALONE)
     if len(images) == 0:
@@ -79,22 +79,22 @@ def free_boards(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...]
         return None
     found = np.concatenate([matrix[[0, 1, 0, 1], [0, 1, 2, 2]], np.ravel(lens)[:5]])
     used = scene.select_images(np.isin(np.arange(len(scene)), images))
-    # each image counts as one pose of the robot: the camera is in the base, the board on the tool
+    # each image counts as a pose of the robot: the camera is in the base, the board on the tool
     alone = replace(used, tool=poses, mount="base")
     return FreeBoards(alone, HandEyePlacement(np.eye(4), np.eye(4), found), images, float(np.ravel(stds)[1]))
 
 
 def usual_intrinsics(scene: BoardScene) -> FloatArray:
-    """Return intrinsics of a usual camera with images of this size, (9,): as far from the image as it is wide."""
+    """Return intrinsics of a usual camera, (9,): the focal length is the width of the image."""
     width, height = scene.size
     return np.array([width, width, (width - 1) / 2, (height - 1) / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def intrinsics_at_first(scene: BoardScene) -> FloatArray:
-    """Return intrinsics to begin with where none are given, (9,): a focal length alone.
+    """Return first intrinsics from the images, (9,), with a fitted focal length and no distortion.
 
     Raises:
-        NotIdentifiableError: The images do not determine it, such as when all see the board from the front.
+        NotIdentifiableError: The images do not determine it, such as images all from the front.
     """
     alone = free_boards(scene, usual_intrinsics(scene), (0,))
     focal = np.nan if alone is None else alone.placed.intrinsics[0] / scene.size[0]
@@ -107,21 +107,21 @@ def intrinsics_at_first(scene: BoardScene) -> FloatArray:
 
 
 def single_views(scene: BoardScene, intrinsics: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the board in the camera at each image, (n, 4, 4) [m], and whether it was found there, (n,)."""
+    """Return the board in the camera at each image, (n, 4, 4) [m], and the mask of successful images, (n,)."""
     cv2, poses = opencv(), np.full((len(scene), 4, 4), np.nan)
     for i in np.flatnonzero(scene.counts >= LEAST_POINTS):
         points = (part[scene.image == i] for part in (scene.body, scene.pixels))
         lens = (_matrix(intrinsics), intrinsics[4:])
         found, turns, places, _ = cv2.solvePnPGeneric(*points, *lens, flags=cv2.SOLVEPNP_IPPE)
-        if found and turns[0] is not None:  # not a number where the points lie in a line
+        if found and turns[0] is not None:  # NaN where the points lie in a line
             poses[i] = _pose(turns[0], places[0])
     return poses, np.all(np.isfinite(poses), axis=(1, 2))
 
 
 def views(scene: BoardScene) -> FloatArray:
-    """Return approximate poses of the board in the camera, for the images that determine one, (k, 4, 4) [m].
+    """Return approximate poses of the board in the camera, (k, 4, 4) [m], for the images that determine one.
 
-    The focal length follows from the images; where these do not determine it, it is that of a usual camera.
+    The focal length is fitted, or a usual camera's if the images do not determine it.
     """
     try:
         intrinsics = intrinsics_at_first(scene)
@@ -137,14 +137,14 @@ def _matrix(intrinsics: FloatArray) -> FloatArray:
 
 
 def _pose(turn: FloatArray, place: FloatArray) -> FloatArray:
-    """A pose from a rotation vector and a position, as OpenCV gives them."""
+    """The pose of OpenCV's rotation vector and position, (4, 4)."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = opencv().Rodrigues(turn)[0], np.ravel(place)
     return pose
 
 
 def camera_alone(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...] = ()) -> FloatArray:
-    """Return residuals of a fit without the robot, (m, 2) [px]; NaN in images that are not used."""
+    """Return residuals of a fit without the robot, (m, 2) [px]; NaN in unused images."""
     alone = free_boards(scene, intrinsics, free)
     result = np.full_like(scene.pixels, np.nan)
     if alone is not None:
@@ -153,12 +153,12 @@ def camera_alone(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...
 
 
 def point_errors(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...]) -> FloatArray:
-    """Return the distances of outlying points from where the other points of their image put them, (m,) [px]; else 0.
+    """Return the distances of outlying points from the prediction of their image's other points, (m,) [px]; else 0.
 
-    The point of an image with the largest studentised residual is left out, and the board is placed again, until no
-    residual is larger than chance explains: in one of a hundred sets of good points (`calib.core.numerics.losses`).
-    Where more than half of the points would be left out, or too few would stay, the image keeps all: then the image or
-    its board is wrong.
+    The point with the largest studentised residual is left out of its image, and the board is placed again, until
+    every residual is likely by chance: a larger one occurs in one of a hundred sets of good points
+    (`calib.core.numerics.losses`). If more than half of the points would be left out, or too few would stay, the image
+    keeps all: then the image or its board is wrong.
     """
     far: FloatArray = np.zeros(len(scene.pixels))
     alone = free_boards(scene, intrinsics, free)
@@ -182,7 +182,7 @@ def point_errors(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...
 def _errors_in_image(
     image: BoardScene, intrinsics: FloatArray, chances: Callable[[FloatArray], FloatArray]
 ) -> FloatArray:
-    """`point_errors` of one image, by the chances that good points are so far off."""
+    """`point_errors` of one image; `chances` are probabilities of such residuals of good points."""
     gone: BoolArray = np.zeros(len(image.pixels), dtype=bool)
     while 2 * np.sum(gone) <= len(gone) and (alone := free_boards(image.with_points(~gone), intrinsics)) is not None:
         placed = replace(image, tool=alone.scene.tool, mount="base")
@@ -197,7 +197,7 @@ def _errors_in_image(
 
 
 def _studentised_residuals(alone: FreeBoards) -> FloatArray:
-    """Residuals over the noise that remains once the image is placed, in units of the noise's own, (m,) [px]."""
+    """Residuals over the part of the noise that a free pose leaves in them, (m,) [px]."""
     r, _, g = rows(alone.scene, alone.placed, ())
     inverse = np.linalg.inv(linearise(alone.scene, alone.placed, ()).gg)[alone.scene.image]
     left = np.eye(2) - g @ inverse @ g.transpose(0, 2, 1)

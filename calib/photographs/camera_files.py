@@ -1,11 +1,11 @@
-"""Intrinsics from the files that cameras come with: YAML of OpenCV's calibration, and `camera_info` of ROS.
+"""Intrinsics from camera files: YAML of OpenCV's calibration, and `camera_info` of ROS.
 
     OpenCV    camera_matrix (`!!opencv-matrix`: rows, cols, data), distortion_coefficients, image_width, image_height
     ROS       the same keys without the tag, and distortion_model
     calib     fx, fy, cx, cy, k1, k2, p1, p2, k3, and image: [width, height]
 
-A model that is not this one is refused by its name: fish-eye (equidistant), and the rational, thin prism and tilted
-terms beyond k3 unless they are zero.
+Other models are refused by name: fish-eye (equidistant), and rational, thin prism or tilted terms beyond k3 unless they
+are zero.
 """
 
 from __future__ import annotations
@@ -31,22 +31,17 @@ _WANTED = "intrinsics (YAML of OpenCV, or camera_info of ROS)"
 
 @dataclass(frozen=True, eq=False)
 class CameraFile:
-    """A camera as read from a file.
-
-    Attributes:
-        intrinsics: fx fy cx cy k1 k2 p1 p2 k3 [px and numbers], (9,).
-        image: Width and height [px], or None.
-    """
+    """Intrinsics fx fy cx cy k1 k2 p1 p2 k3 from a file [px and numbers], (9,), and the image size [px], or None."""
 
     intrinsics: FloatArray
     image: tuple[int, int] | None
 
 
 def read_camera(path: Path | str) -> CameraFile:
-    """Return the camera that a file describes.
+    """Return the camera of a file.
 
     Raises:
-        DescriptionError: It cannot be read, has no camera matrix, or is of a camera model that is not known here.
+        DescriptionError: The file cannot be read, has no camera matrix, or has an unknown camera model.
     """
     text = read_text(path, _WANTED, DescriptionError)
     text = re.sub(r"\A%YAML[: ].*\n(---\s*\n)?", "", text)  # OpenCV writes `%YAML:1.0`, which YAML does not know

@@ -1,19 +1,19 @@
-"""Detection of a board's points in an image, by OpenCV; and in words, why none are found.
+"""Detection of a board's points in an image by OpenCV, and likely reasons if none are found.
 
-    chessboard    `findChessboardCornersSB`, which is accurate below a pixel. The colours of the squares tell which end
-                  is the first: white or black is looked up between the corners found.
+    chessboard    `findChessboardCornersSB`, which is accurate below a pixel. The colours of the squares between the
+                  corners decide which end is the first.
     charuco       markers, then corners between them, refined by `CharucoDetector`
     circles       `findCirclesGrid`, asymmetric
     dots          `findCirclesGrid`, symmetric; the largest dot of the four corners is the first
     aruco         corners of markers, refined to the edges (`CORNER_REFINE_SUBPIX`)
     apriltag      as aruco
 
-Where nothing is found in an image, the likely mistakes are tried, and named if one of them explains it: the image is
-mirrored, columns and rows are exchanged or miscounted, the markers are of another dictionary, the image is blurred or
-has no contrast. Images of another size than most are left out: they are of another camera.
+If an image shows no board, the likely mistakes are tried and named if they explain it: a mirrored image, exchanged or
+miscounted columns and rows, markers of another dictionary, blur, no contrast. Images of another size than most are left
+out: they are of another camera.
 
 The measure of sharpness is the width of edges: contrast over the steepest slopes, within the area of the board. Corners
-are found well up to a width of some 5 px; beyond it their positions become unreliable.
+are accurate up to a width of some 5 px; beyond it their positions become unreliable.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from calib.core.instruments.board import Board
 from calib.photographs.opencv import GreyImage, dictionary, dictionary_families, opencv
 
 FEWEST = 4
-"""Least number of points with which an image determines the place of the board."""
+"""Least number of points by which an image determines the pose of the board."""
 _BLURRED = 6.0  # px, width of edges
-_OFF = 0.05  # largest bend by a lens, over the extent of the board
+_OFF = 0.05  # largest deviation from a plane by the lens, over the extent of the board
 _LEAST_OFF = 5.0  # px
-_TRIES = 3  # images of a set in which other dictionaries and other boards are looked for
-_MOST_COLUMNS = 30  # columns of markers up to which a miscounted board is looked for
-_FITTING = 0.9  # least part of the corners of markers that fit a board, so that it is the right one
+_TRIES = 3  # images of a set in which other dictionaries and other boards are tried
+_MOST_COLUMNS = 30  # largest tried number of columns of markers
+_FITTING = 0.9  # least part of the markers' corners that must fit the right board
 _LARGER = 1.15  # size of the dot that marks a corner, over that of the others
-_FLAT = 30  # grey values between dark and bright
+_FLAT = 30  # difference of grey values between dark and bright
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +53,9 @@ class DetectedImage:
         size: Width and height [px].
         points: Names of the points.
         pixels: Pixels of the points, (n, 2).
-        remark: Problem in words; empty if there is none.
-        edge: Width of edges [px]; NaN where nothing was found.
-        mirrored: Whether the board is found in the mirror image alone.
+        remark: Problem in words; empty without.
+        edge: Width of edges [px]; NaN without a board.
+        mirrored: Whether only the mirror image shows the board.
     """
 
     name: str
@@ -77,8 +77,8 @@ class Detection:
     """Points of a board detected in a set of images.
 
     Attributes:
-        board: The board, with the layout that most corners have shown.
-        images: Points found in each image, in the order given.
+        board: The board, with the layout that shows most corners.
+        images: Points in each image, in the given order.
     """
 
     board: Board
@@ -96,15 +96,14 @@ class Detection:
 
 
 def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Iterator[DetectedImage | Detection]:
-    """Find a board in images; yield what was found in each, then all together.
+    """Find a board in images; yield the detection in each, then the whole set.
 
-    In place of an image may stand the reason why it could not be read.
-
-    If the layout of a ChArUco board with an even number of rows is not known, both layouts are tried, and the one with
-    more corners in all images is used at the end. Each image alone is yielded with the layout that shows more in it.
+    In place of an image, the reason may stand why it could not be read. For a ChArUco board with an even number of rows
+    and unknown layout, both layouts are tried. Each image is yielded with the layout that shows more of its corners,
+    and the set with the layout that shows more in all images.
 
     Raises:
-        DescriptionError: The dictionary does not exist, or has too few markers.
+        DescriptionError: There is no such dictionary, or it has too few markers.
     """
     layouts = _layouts(board)
     detectors = [
@@ -142,7 +141,7 @@ def _images_of_one_size(images: Sequence[DetectedImage]) -> Iterator[DetectedIma
 
 
 class _Detector:
-    """Finds one board, whose layout is known, in images."""
+    """Finds one board with a known layout in images."""
 
     def __init__(self, board: Board) -> None:
         self.board = board
@@ -176,7 +175,7 @@ class _Detector:
         return DetectedImage(name, (image.shape[1], image.shape[0]), tuple(points), pixels, remark, edge)
 
     def points(self, image: GreyImage) -> dict[str, FloatArray]:
-        """Return the points that are in an image."""
+        """Return the detected points of an image, by name."""
         if self.board.kind == "chessboard":
             return _chessboard(self.board, image)
         if self.board.kind == "circles":
@@ -188,11 +187,11 @@ class _Detector:
         return _markers(self.board, image, self.board.dictionary or "")
 
     def n_mirrored_points(self, image: GreyImage) -> int:
-        """Return the number of points in the mirror image; 0 for a board without markers, which looks alike there."""
+        """Return the number of points in the mirror image; 0 for a board without markers, which is symmetric."""
         return len(self.points(np.ascontiguousarray(image[:, ::-1]))) if self.board.dictionary else 0
 
     def with_remark(self, detected: DetectedImage, image: GreyImage) -> DetectedImage:
-        """Return the detection, with a remark on why there are too few points."""
+        """Return the detection, with a likely reason for too few points."""
         n = len(detected.points)
         mirrored = self.n_mirrored_points(image) >= max(FEWEST, 2 * n)
         return replace(detected, remark=self._why_missing(image, n, mirrored), edge=float("nan"), mirrored=mirrored)
@@ -225,7 +224,7 @@ class _Detector:
         return f"{few} ({count_noun(len(set(markers)), 'marker')}): the board is partly outside, covered or too small"
 
     def _board_of_other_count(self, image: GreyImage) -> str:
-        """Name of a board without markers that is in the image instead; empty if none is recognised."""
+        """Remark on another board without markers in the image; empty if none is recognised."""
         others = [self._suspect] if self._suspect else _other_counts(self.board) if self._tries > 0 else ()
         self._tries -= 1
         for other, noun in others:
@@ -237,7 +236,7 @@ class _Detector:
         return ""
 
     def _other_columns(self, image: GreyImage) -> str:
-        """Remark with the number of columns that the markers fit, if it is another one than described; else empty."""
+        """Remark with the number of columns that the markers fit, if the description has another; else empty."""
         board = self.board
         if board.dictionary is None:
             return ""
@@ -261,7 +260,7 @@ class _Detector:
         return f"a board of {best} columns"
 
     def _other_numbering(self, points: dict[str, FloatArray]) -> str:
-        """The correct text of the board if markers are numbered from the other side; else empty."""
+        """The correction of the board if markers are numbered from the other side; else empty."""
         other = "bottom" if self.board.first_row == "top" else "top"
         if self.board.kind not in ("aruco", "apriltag"):
             return ""
@@ -299,7 +298,7 @@ def opencv_board(board: Board, legacy: bool) -> object:
     cv2 = opencv()
     markers = dictionary(board.dictionary or "")
     numbers = np.array(marker_numbers(board), dtype=np.int32)
-    if board.kind != "charuco":  # as they lie, row by row from the top
+    if board.kind != "charuco":  # in the order on the board, row by row from the top
         numbers = np.array([board.marker_at(i, j) for j in range(board.rows) for i in range(board.columns)], np.int32)
     if numbers.max() >= len(markers.bytesList):
         raise DescriptionError(
@@ -321,7 +320,7 @@ def marker_numbers(board: Board) -> range:
 
 
 def _marker_corners(board: Board, columns: int, number: int) -> FloatArray:
-    """Corners of a marker on a board with other columns, (4, 2) [m]; markers are counted from 0."""
+    """Corners of a marker, numbered from 0, on a board with other columns, (4, 2) [m]."""
     side = board.marker or 0.0
     square = np.array([(0.0, 0.0), (side, 0.0), (side, side), (0.0, side)])
     if board.kind != "charuco":
@@ -369,8 +368,8 @@ def _markers(board: Board, image: GreyImage, name: str) -> dict[str, FloatArray]
 def _dictionary_in(image: GreyImage) -> str:
     """The dictionary whose markers are in an image; empty if none shows three of them.
 
-    Dictionaries of one kind begin alike (the first 50 of DICT_4X4_100 are DICT_4X4_50), so that the largest of each is
-    looked for, and the smallest that has all the markers is named.
+    Dictionaries of one family begin with the same markers (the first 50 of DICT_4X4_100 are DICT_4X4_50). So the
+    largest of each family is tried, and the smallest with all the markers is returned.
     """
     best, most = "", 2
     for family, sizes in sorted(dictionary_families().items()):
@@ -396,26 +395,26 @@ def _chessboard(board: Board, image: GreyImage, *, quick: bool = False) -> dict[
     pixels = grid.reshape(-1, 2)
     ways = [pixels, pixels[::-1]]
     contrasts = [_contrast(board, image, way) for way in ways]
-    if abs(contrasts[0] - contrasts[1]) < 5:  # grey values: the squares cannot be told apart
+    if abs(contrasts[0] - contrasts[1]) < 5:  # grey values: the colours of the squares are unclear
         return {}
     return {f"c{k}": place for k, place in enumerate(ways[int(np.argmax(contrasts))])}
 
 
 def _from_the_front(grid: FloatArray) -> FloatArray:
-    """Pixels of a grid (rows, columns, 2) whose rows run as on a board that is seen from the front."""
+    """Pixels of a grid (rows, columns, 2), reversed if necessary so that it is seen from the front."""
     along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     return grid[:, ::-1] if along[0] * down[1] < along[1] * down[0] else grid
 
 
 def _contrast(board: Board, image: GreyImage, pixels: FloatArray) -> float:
-    """White minus black of the squares between the corners, if the first corner has a black square at its top left."""
+    """Brightness of white minus black squares if the square at the top left of the first corner is black."""
     grid = pixels.reshape(board.rows - 1, board.columns - 1, 2)
     middles = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
     row, column = np.indices(middles.shape[:2])
     limits = np.array([image.shape[1], image.shape[0]]) - 1
     at = np.clip(np.rint(middles).astype(int), 0, limits)
     values = image[at[..., 1], at[..., 0]].astype(float)
-    black = (row + column) % 2 == 0  # the square at (1, 1), counted from 0, is black as the one at (0, 0)
+    black = (row + column) % 2 == 0  # the square at (1, 1), counted from 0, is black like that at (0, 0)
     return float(values[~black].mean() - values[black].mean()) if np.any(~black) else 0.0
 
 
@@ -443,7 +442,7 @@ def _blobs(image: GreyImage) -> Any:
 
 
 def _dots(board: Board, image: GreyImage) -> dict[str, FloatArray]:
-    """Centres of a square grid, from the corner with the largest dot; none without one that is larger."""
+    """Centres of a square grid, from the corner with the largest dot; none if no corner's dot is larger."""
     cv2, blobs = opencv(), _blobs(image)
     for flags in (cv2.CALIB_CB_SYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING, cv2.CALIB_CB_SYMMETRIC_GRID):
         done, centres = cv2.findCirclesGrid(image, (board.columns, board.rows), flags=flags, blobDetector=blobs)
@@ -463,10 +462,10 @@ def _dots(board: Board, image: GreyImage) -> dict[str, FloatArray]:
 
 
 def _other_counts(board: Board) -> Iterator[tuple[Board, str]]:
-    """Boards without markers with miscounted or exchanged rows and columns, likely ones first."""
+    """Boards without markers with miscounted or exchanged rows and columns, the likeliest first."""
     c, r = board.columns, board.rows
-    pairs = [(r, c), (c - 1, r), (c + 1, r), (c, r - 2), (c, r + 2)]  # of dots, rows stay odd
-    if board.kind == "chessboard":  # inner corners were counted, or corners and squares mixed
+    pairs = [(r, c), (c - 1, r), (c + 1, r), (c, r - 2), (c, r + 2)]  # rows of dots stay odd
+    if board.kind == "chessboard":  # inner corners counted, or corners and squares mixed
         pairs = [(r, c), (c + 1, r + 1), (r + 1, c + 1), *((c + i, r + j) for i in (-1, 1) for j in (-1, 1))]
         pairs += [(c - 2, r), (c + 2, r), (c, r - 2), (c, r + 2)]
     for columns, rows in dict.fromkeys(pairs):
@@ -486,7 +485,7 @@ def _light_remark(image: GreyImage) -> str:
 
 
 def points_on_one_plane(board: Board, points: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return the points (2,) [px], by name, that agree with one homography of most of them."""
+    """Return the points (2,) [px], by name, that agree with the homography of most points."""
     if len(points) <= FEWEST:
         return points
     places = board.points()
@@ -495,10 +494,7 @@ def points_on_one_plane(board: Board, points: dict[str, FloatArray]) -> dict[str
 
 
 def _are_on_plane(on_board: FloatArray, pixels: FloatArray, *, robust: bool = True) -> BoolArray:
-    """Mask of the points (n, 2) [m] that agree with their pixels (n, 2) by one homography; none if there is none.
-
-    The homography fits most points; if not `robust`, which is faster, it is fitted to all.
-    """
+    """Mask of the points (n, 2) [m] whose pixels (n, 2) fit a homography of most points; if not `robust`, of all."""
     cv2 = opencv()
     allowed = max(_LEAST_OFF, _OFF * float(np.max(np.ptp(pixels, axis=0))))
     H, inside = cv2.findHomography(on_board, pixels, cv2.RANSAC if robust else 0, allowed)

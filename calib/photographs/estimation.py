@@ -1,17 +1,17 @@
 """Camera, board and lens from photographs, by least squares over all points.
 
-Plain least squares (every point alike) is one choice; weights by the errors that the points of an image share
-(`calib.photographs.shared_errors`) are the other. Weights believe what differs within an image more than what differs
-between images: right where the robot errs, wrong where lens or board are not as modelled, and blind to robots whose
-errors follow the pose. So callers take weights only where they predict images that were left out better
+Points have equal weights, or weights by the errors that the points of an image share
+(`calib.photographs.shared_errors`). Shared errors give differences within an image more weight than differences between
+images. This is right if the robot errs, wrong if lens or board are not as modelled, and blind to errors of the robot
+that follow the pose. So callers use such weights only if they predict left-out images better
 (`calib.photographs.hand_eye_calibration`).
 
-Why. An image of 24 corners has 48 rows, but its robot pose is wrong once. Counted as independent, intervals
+Why. An image of 24 corners has 48 rows, but its robot pose is wrong once. If the rows count as independent, intervals
 (`calib.photographs.intervals`) are several times too narrow, and images near the board, where the robot's error is
-many pixels, drown those far from it.
+many pixels, outweigh images far from it.
 
-When it fails. Errors of a robot that follow the pose smoothly go into C and M, and no image of the same region shows
-it. Images left out in turn are blind to it as well; intervals allow for it.
+When it fails. Errors of the robot that follow the pose smoothly go into C and M, and no image of the same region shows
+them, left out or not. Intervals allow for them.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ from calib.photographs.scene import BoardScene, HandEyePlacement, linearise
 from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, find_noise, normal_equations
 
 LITTLE_TURN = np.deg2rad(15)
-"""Spread about the second axis below which photographs tell little of where the camera is."""
+"""Spread of rotations about the second axis below which photographs hardly determine the camera's pose."""
 _STEPS = 40
-_ENDS = 1e-13  # relative fall of the step below which rounding decides
+_ENDS = 1e-13  # step size below which rounding dominates
 _NOISE_ROUNDS = 12
 _NOISE_STANDS = 1e-8
-_SINGULAR = 1e-7  # singular value of scaled columns: a direction that the images do not show
+_SINGULAR = 1e-7  # relative singular value of scaled columns below which images do not show a direction
 
 
 @dataclass(frozen=True, eq=False)
 class HandEyeEstimate(ReadOnlyArrays):
-    """A solution.
+    """A hand-eye fit.
 
     Attributes:
-        placed: Poses of camera and board.
-        free: Numbers of the intrinsics that were sought.
+        placed: Poses of camera and board, and intrinsics.
+        free: Indices of the fitted intrinsics.
         noise: Sizes of the errors.
-        weights: Weights of the images: the same, or of pixels alone for plain least squares.
-        arm: Size of errors of lengths [m] and angles [rad] of the arm that intervals count.
-        covariance: Covariance of [camera 6, board 6, intrinsics, (scale)], in their own axes [m, rad, px, 1].
-        freedom: Satterthwaite's degrees of freedom of each of them.
-        scaled: Whether the size of the board was sought.
+        weights: Sizes of the errors by which images are weighted; pixels alone for equal weights.
+        arm: Size of errors of lengths [m] and angles [rad] of the arm in the intervals.
+        covariance: Covariance of [camera 6, board 6, intrinsics, (scale)], (k, k), in their own axes [m, rad, px, 1].
+        freedom: Satterthwaite's degrees of freedom of each of them, (k,).
+        scaled: Whether the size of the board was fitted.
     """
 
     placed: HandEyePlacement
@@ -74,7 +74,7 @@ def solve(
     scaled: bool = False,
     steps: int = _STEPS,
 ) -> HandEyePlacement:
-    """Return the minimum by damped Gauss-Newton steps, with the noise as it is."""
+    """Return the minimum by damped Gauss-Newton steps at fixed noise."""
     placed, damping, last = start, 0.0, np.inf
     free = list(free)
     a, b, cost = normal_equations(linearise(scene, placed, free, scaled), noise, prior, placed.intrinsics[free])
@@ -112,12 +112,12 @@ def estimate(
 ) -> HandEyeEstimate:
     """Return camera, board and lens with their noise and uncertainty.
 
-    Images are `weighed` by the errors that their points share, or every point counts the same. `near` are sizes of the
-    errors of a similar problem, to begin with.
+    With `weighed`, images are weighted by the errors that their points share; else all points are equal. `near` are
+    sizes of the errors of a similar problem, as first values.
 
     Raises:
-        NotIdentifiableError: The images do not determine all of it.
-        NotConvergedError: The noise was not found.
+        NotIdentifiableError: The images do not determine all unknowns.
+        NotConvergedError: The sizes of the errors did not converge.
     """
     free, placed, noise = tuple(free), start, near
     if weighed:
@@ -147,10 +147,10 @@ def plain(
     *,
     scaled: bool = False,
 ) -> tuple[HandEyePlacement, ErrorSizes]:
-    """Return the solution of plain least squares, against priors with the noise that is left, and that noise.
+    """Return the least-squares solution with equal weights, and the noise of its residuals, by which priors count.
 
     Raises:
-        NotIdentifiableError: The images do not determine all of it.
+        NotIdentifiableError: The images do not determine all unknowns.
     """
     placed, weights = solve(scene, start, free, ErrorSizes(), scaled=scaled) if prior is None else start, ErrorSizes()
     for _ in range(1 if prior is None else _NOISE_ROUNDS):
@@ -167,7 +167,7 @@ def plain(
 
 
 def require_determined(a: FloatArray, scene: BoardScene) -> None:
-    """Raise `NotIdentifiableError` unless all that is sought shows in A of the module docstring, (k, k)."""
+    """Raise `NotIdentifiableError` unless all unknowns show in the normal equations A, (k, k)."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
     values = linalg.eigvalsh(scale[:, None] * a * scale)
     if values[0] > _SINGULAR**2 * values[-1] and np.all(np.isfinite(values)):
@@ -182,9 +182,9 @@ def require_determined(a: FloatArray, scene: BoardScene) -> None:
 
 
 def turning(poses: FloatArray) -> FloatArray:
-    """Return how far poses (n, 4, 4) turned: spreads about three axes at right angles, largest first, (3,) [rad].
+    """Return the spreads of rotations of poses (n, 4, 4) about three orthogonal axes, largest first, (3,) [rad].
 
-    Poses of the tool, and of the camera against the board, turn alike: what is fixed at both ends changes only axes.
+    They are the same for poses of the tool and of the camera relative to the board: fixed transforms change only axes.
     """
     rotations = poses[:, :3, :3]
     middle = scipy.spatial.transform.Rotation.from_matrix(rotations).mean().as_matrix()

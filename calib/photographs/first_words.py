@@ -1,4 +1,4 @@
-"""`calib init --measure camera`: the likely place of the board, and its entry in the description."""
+"""`calib init --measure camera`: the likely pose of the board, and its entry in the description."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from calib.photographs.camera_files import read_camera
 from calib.photographs.commands.boards import read_board_option
 
 _BOARD = "charuco:7x5:30mm:22mm:DICT_5X5_100"
-_IMAGE, _FOCAL = (1280, 960), 1000.0  # px, where no file says them
-_OFF_GUESSED, _OFF_GIVEN = 0.1, 0.01  # of the focal length
-_AWAY = 1.8  # diagonals of the board between it and the camera
-_TRIED, _PLACES = 600, 60  # poses; those before which a board may be
-_AHEAD, _FACING = 0.93, 0.6  # cosines to the camera's axis, and to that of the board
+_IMAGE, _FOCAL = (1280, 960), 1000.0  # px, without a camera file
+_OFF_GUESSED, _OFF_GIVEN = 0.1, 0.01  # relative uncertainty of the focal length
+_AWAY = 1.8  # distance of board and camera in diagonals of the board
+_TRIED, _PLACES = 600, 60  # number of sampled poses, and of these with a candidate board
+_AHEAD, _FACING = 0.93, 0.6  # least cosines to the camera's axis, and to the board's
 
 
 def camera_words(
     robot: Robot, board: str | None, camera: str | None, to_print: Path | None, out: Path
 ) -> tuple[dict[Path, bytes], dict[str, str]]:
-    """Return the file of the board, if it is not there yet, and the entries of board and camera in the description.
+    """Return the board's file, unless it exists, and the entries of board and camera in the description.
 
     Args:
-        robot: As a plain description has it.
-        board, camera: As the user gave them, or None.
+        robot: The robot of a plain description.
+        board, camera: Values of the user's options, or None.
         to_print: File for the board, or None.
-        out: The description.
+        out: Path of the description.
     """
     described = read_board_option(_BOARD if board is None else board)
     given = None if camera is None else read_camera(camera)
@@ -75,7 +75,7 @@ def _yaml(values: Mapping[str, float]) -> str:
 
 
 def _about_seen(robot: Robot, middle: FloatArray, away: float) -> tuple[FloatArray, FloatArray]:
-    """Pose of a board that most poses see, by a camera that looks along z of the target: xyz [m], rpy [rad]."""
+    """Pose of a board that most poses see, for a camera along z of the target: xyz [m], rpy [rad]."""
     poses = robot.forward(robot.sample(_TRIED, 0))
     boards = poses[:_PLACES].copy()
     boards[:, :3, 3] += away * boards[:, :3, 2]

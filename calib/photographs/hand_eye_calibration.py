@@ -1,14 +1,14 @@
-"""Hand-eye calibration from photographs, with a robot that is taken as it is: found, and judged by images left out.
+"""Hand-eye calibration from photographs, with the robot's poses as given, judged by left-out images.
 
-Order of work: (1) where to begin (`calib.photographs.starts`); (2) points that lie far off where the others of their
-image put them are left out, and images that lie far off where the other images put them are set aside, all by name;
-(3) the lens: intrinsics as given, or found from the same images, whichever predicts images that are left out in turn
-better; (4) every point alike or images weighed by what their points share (`calib.photographs.estimation`), by the same
-rule; (5) what the camera alone leaves, the board placed freely in each image: the rest comes with the robot's poses;
-(6) mistakes that would explain the residuals (`calib.photographs.mistakes`).
+Order of work: (1) first values (`calib.photographs.starts`); (2) points far from the prediction of their image's other
+points, and images far from the prediction of the other images, are left out and named; (3) the lens: intrinsics as
+given, or from the same images, whichever predicts left-out images better; (4) equal weights, or weights by the errors
+that the points of an image share (`calib.photographs.estimation`), by the same rule; (5) the residual of the camera
+alone, with the board placed freely in each image: the rest comes with the robot's poses; (6) mistakes that would
+explain the residuals (`calib.photographs.mistakes`).
 
-"Better" is more than chance: with n images, n log(RMS / RMS) of those left out must gain more than 1.5. Where images
-are few, what gains less is chance too often, and then new images are predicted worse.
+"Better" is more than chance: with n images, n log(RMS / RMS) of left-out images must gain more than 1.5. With few
+images, a smaller gain is too often chance, and then new images are predicted worse.
 """
 
 from __future__ import annotations
@@ -45,16 +45,16 @@ def calibrate(
     """Return the hand-eye calibration of a camera.
 
     Args:
-        scene: The images, in the order in which they were taken; its mount does not count.
+        scene: The images, in the order in which they were taken; its mount is ignored.
         intrinsics: As given, (9,); None if unknown.
-        lens: `given`: as they are; `found`: from the images; `auto`: whichever predicts images left out better.
+        lens: `given`: as they are; `found`: from the images; `auto`: whichever predicts left-out images better.
         mounts: Possible mounts of the camera.
-        progress: Told after each of five steps.
+        progress: Called with the number of finished steps and of all five.
 
     Raises:
         DataError: Too few images.
-        NotIdentifiableError: They do not determine what is sought.
-        NotConvergedError: The noise was not found.
+        NotIdentifiableError: The images do not determine all unknowns.
+        NotConvergedError: The sizes of the errors did not converge.
     """
     tell = progress or (lambda done, total: None)
     if lens == "given" and intrinsics is None:
@@ -89,7 +89,7 @@ def calibrate(
             if _gain(left, other_left, len(kept_scene)) > _GAIN:
                 fitted, left, weighed = other_fitted, other_left, True
         except ComputationError:
-            pass  # weights that cannot be found are not used
+            pass  # weights that do not converge are not used
     tell(4, 5)
     alone = camera_alone(kept_scene, fitted.placed.intrinsics, fitted.free)
     of_lens = fitted if better is chosen else estimate(kept_scene, better.placed, better.free, better.prior)
@@ -102,7 +102,7 @@ def calibrate(
 def _first_start(
     scene: BoardScene, intrinsics: FloatArray | None, mounts: tuple[Mount, ...]
 ) -> tuple[FloatArray, Start]:
-    """Return intrinsics to begin with, (9,), and where to begin: as given, unless no lens has them and others fit."""
+    """First intrinsics, (9,), and first values: as given, unless these are implausible and fitted ones do better."""
     begun = [] if intrinsics is None else [(intrinsics, start(scene, intrinsics, mounts=mounts))]
     if intrinsics is None or unlikely(intrinsics, scene.size):
         try:
@@ -115,7 +115,7 @@ def _first_start(
 
 
 def _sort_points(scene: BoardScene) -> BoardScene:
-    """The same images, their points in one order whatever the file has, so that sums are the same to the last digit."""
+    """The same images with their points in a fixed order, so that sums are equal to the last digit."""
     order = np.lexsort((scene.pixels[:, 1], scene.pixels[:, 0], scene.image))
     return replace(scene, image=scene.image[order], body=scene.body[order], pixels=scene.pixels[order])
 

@@ -16,15 +16,14 @@ from calib.photographs.hand_eye import HandEye
 from calib.photographs.left_out_images import rms
 from calib.photographs.scene import SIDES, Mount
 
-FEW = 10  # images below which a result is one to look at
-_MANY = 0.1  # part of the points left out, above which something is wrong with the photographs
+FEW = 10  # images; a result of fewer gets CHECK
+_MANY = 0.1  # part of the points left out above which the photographs are wrong
 _ROBOT_SHARE = 0.5
 _MM = 1e3
 WIDE = 0.05
-"""Half width of a 95 % interval of camera or board, over the distance between them, or in radians, from which nobody
-knows where it is: such a turn moves what the camera sees by as much as such a shift. Good photographs give
-less than a third of that."""
-_CLAIM_ABOVE = 0.5  # images left out over those used: where they differ more, the images are too few
+"""Half width of a 95 % interval of camera or board from which its pose counts as unknown: over the distance between
+them, or in radians, since both move what the camera sees by as much. Good photographs give less than a third."""
+_CLAIM_ABOVE = 0.5  # relative difference of left-out from used images above which the images are too few
 
 
 @dataclass(frozen=True)
@@ -37,13 +36,13 @@ class Frames:
     board: str = "board"
 
     def parents(self, mount: Mount) -> tuple[str, str]:
-        """Return the frames that camera and board are fixed to."""
+        """Return the frames to which camera and board are fixed."""
         return (self.tool, self.base) if mount == "tool" else (self.base, self.tool)
 
 
 @dataclass(frozen=True)
 class HandEyeJudgement:
-    """PASS, CHECK or FAIL, and why."""
+    """PASS, CHECK or FAIL, with reasons and advice."""
 
     grade: str
     reasons: tuple[str, ...]
@@ -53,8 +52,8 @@ class HandEyeJudgement:
 def judge(result: HandEye) -> HandEyeJudgement:
     """Return the judgement of a calibration.
 
-    FAIL: a mistake of the whole. CHECK: another mistake, images set aside, or too few of them, or too little turned to
-    tell. PASS: nothing of that, so that the error of new images is as stated.
+    FAIL: a mistake that spoils everything. CHECK: another mistake, outlying images, too few images, or too little
+    rotation. PASS: none of these, so that the error of new images is as stated.
     """
     scene, reasons, advice = result.scene, [], []
     failed = [mistake.text for mistake in result.mistakes if mistake.whole]
@@ -113,7 +112,7 @@ def transform(pose: FloatArray) -> dict[str, float]:
 
 
 def report(result: HandEye, frames: Frames) -> str:
-    """Return a calibration in words."""
+    """Return the report of a calibration in words."""
     scene, fitted = result.scene, result.fitted
     judgement, half = judge(result), result.uncertainty()
     lines = [f"Hand-eye calibration of {count_noun(len(scene), 'image')}: camera {SIDES[scene.mount]}"]
@@ -173,7 +172,7 @@ def report(result: HandEye, frames: Frames) -> str:
 
 
 def _shares(result: HandEye, usable: bool) -> str:
-    """Error of the camera alone and with the robot; if usable, with advice."""
+    """Sentences on the errors of the camera alone and with the robot; with advice if `usable`."""
     all_, alone = rms(result.pixels), rms(result.residuals_without_robot)
     if not np.isfinite(alone):
         return "What the camera alone leaves is not known: images show fewer than six points"
@@ -255,7 +254,7 @@ def files(result: HandEye, frames: Frames) -> dict[str, bytes]:
 
 
 def transform_files(camera: FloatArray, mount: Mount, frames: Frames) -> dict[str, bytes]:
-    """Return the pose of a camera, (4, 4) [m], in the frame that it is fixed to, as files of other programs."""
+    """Return the pose of a camera, (4, 4) [m], in its parent frame, as files of other programs."""
     pose, above = transform(camera), frames.parents(mount)[0]
     numbers = {key: f"{value:.12f}" for key, value in pose.items()}
     arguments = [text for key, value in numbers.items() for text in (f"--{key}", value)]

@@ -1,7 +1,7 @@
 """Sources of images: files, folders, patterns such as `shots/*.png`, and ROS 2 bags with joint values.
 
-An image that cannot be read is no error here: it comes as a few words, and the rest goes on. A bag has many images of
-one stop of the robot. They share its error, so that the one in the middle of each stop stands for all of them.
+An image that cannot be read is no error here: its `Shot` has the reason in words. A bag has many images of one stop of
+the robot, which share its error; so only the middle image of each stop is used.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ _CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4,
 
 @dataclass(frozen=True)
 class Shot:
-    """One image to come.
+    """An image, read or still to be read.
 
     Attributes:
-        name: Name in results: the file's name without its ending, or the number in a bag.
-        path: Its file; the bag.
-        image: The image, or in words why there is none; None where the file is still to be read.
-        joints: Joint values at that moment [m or rad]; None where nothing tells.
+        name: Name in results: the file's name without suffix, or the number in a bag.
+        path: The image file, or the bag.
+        image: The image, or the reason why there is none; None before reading.
+        joints: Joint values at that moment [m or rad]; None if unknown.
     """
 
     name: str
@@ -59,12 +59,12 @@ def shots(sources: Sequence[str], topic: str | None = None) -> list[Shot]:
     """Return the images of files, folders, patterns and bags, in the order of their names.
 
     Args:
-        sources: As given.
-        topic: Topic of the images in a bag, where there are several.
+        sources: Files, folders, patterns and bags.
+        topic: Topic of the images in a bag; required for several.
 
     Raises:
-        InputError: Nothing there, or two images of one name.
-        DataError: A bag that cannot be read.
+        InputError: No images, or two images of one name.
+        DataError: A bag cannot be read.
     """
     result: list[Shot] = []
     for source in sources:
@@ -101,12 +101,12 @@ def _files(source: str) -> list[str]:
 
 
 def _natural(path: str) -> list[object]:
-    """Order in which 2 comes before 10."""
+    """Sort key by which 2 comes before 10."""
     return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", Path(path).name)]
 
 
 def _read_bag_images(source: str, topic: str | None) -> Iterator[Shot]:
-    """Images of a bag: one of each stop of the robot; all of them where there are no joint states."""
+    """The middle image of each stop of the robot; all images of a bag without joint states."""
     kinds = (_RAW, _COMPRESSED)
     recorded = [(name, stamp) for name, _, stamp, _ in messages_of_bag(source, kinds)]
     topics = sorted({name for name, _ in recorded})
@@ -131,7 +131,7 @@ def _read_bag_images(source: str, topic: str | None) -> Iterator[Shot]:
 
 
 def _one_of_each_stop(source: str, values: FloatArray, still: BoolArray) -> list[int]:
-    """Numbers of the images to use; the others are listed in one line."""
+    """Indices of the images to use; the others are logged in one line."""
     if not np.any(still):
         raise DataError(
             f"{source}: at none of {count_noun(len(still), 'image')} the robot stood still, with joint states before"
@@ -181,7 +181,7 @@ def _raw_image(message: Any) -> GreyImage:
 
 
 def with_joints(photographs: Sequence[Shot]) -> list[Shot]:
-    """Return images that all have joint values, or none: where some have them, the others come as words.
+    """Return images that all have joint values, or all have none; images without them become a reason in words.
 
     Raises:
         DataError: Bags of different robots.
@@ -200,6 +200,6 @@ def with_joints(photographs: Sequence[Shot]) -> list[Shot]:
 
 
 def joint_columns(shots_used: Sequence[Shot]) -> tuple[list[str], FloatArray]:
-    """Return the joints of images: names, and values (n_images, n_joints); no names where `with_joints` finds none."""
+    """Return names and values (n_images, n_joints) of the images' joints; no names if images have none."""
     names = list(shots_used[0].joints or ()) if shots_used else []
     return names, np.array([[(shot.joints or {})[name] for name in names] for shot in shots_used])

@@ -21,10 +21,10 @@ from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior
 from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, residuals
 from calib.photographs.starts import Start, image_rms
 
-_OFF = 5.0  # multiple of the median error from which an image is left out
+_OFF = 5.0  # multiple of the median error above which an image is left out
 _LEAST_OFF = 1.0  # px
-_MOST_OFF = 1 / 3  # part of the images: more cannot be outliers
-_FEWEST = 5  # images that must stay so that another one can be left out
+_MOST_OFF = 1 / 3  # largest part of the images
+_FEWEST = 5  # images that must stay if another is left out
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class OffPoint:
 
     Attributes:
         image: Name of the image.
-        pixel: Pixel at which it was found [px].
+        pixel: Its pixel [px].
         distance: Distance from the prediction of the other points [px].
     """
 
@@ -71,7 +71,7 @@ def fitting_points(begin: Start, intrinsics: FloatArray) -> tuple[Start, tuple[O
 
 
 def fitting_images(scene: BoardScene, begin: Start, intrinsics: FloatArray | None, lens: str) -> BoolArray:
-    """Return which images fit the others, (n,)."""
+    """Return the mask of the images that fit the others, (n,)."""
     free = () if lens == "given" else LENS_NUMBERS
     most = int(_MOST_OFF * len(scene))
     fewest = max(_FEWEST, len(scene) - most)
@@ -90,7 +90,7 @@ def fitting_images(scene: BoardScene, begin: Start, intrinsics: FloatArray | Non
         if np.array_equal(now, trial):
             break
         trial = now
-    # an outlying image that is kept changes the fit, which hides how far off it is
+    # an outlying image in the fit would hide its own distance
     errors = _prediction_errors(scene, trial, begin.placed, free, intrinsics)
     while errors is not None and np.sum(trial) > fewest:
         furthest = int(np.argmax(np.where(trial, errors, -np.inf)))
@@ -103,7 +103,7 @@ def fitting_images(scene: BoardScene, begin: Start, intrinsics: FloatArray | Non
 
 
 def _limit(errors: FloatArray) -> float:
-    """Error from which an image does not fit others with these errors [px]."""
+    """Error above which an image does not fit others with these errors [px]."""
     return max(_OFF * float(np.median(errors)), _LEAST_OFF)
 
 
@@ -127,7 +127,7 @@ def _prediction_errors(
 
 
 def images_far_off(scene: BoardScene, kept: BoolArray, begin: Start) -> tuple[OffImage, ...]:
-    """Return the images that are not `kept` (n,), each with the motion of the robot that would make it fit."""
+    """Return the images that are not `kept` (n,), each with the motion of the tool that would make it fit."""
     if np.all(kept):
         return ()
     placed, _ = plain(scene.select_images(kept), begin.placed, ())

@@ -6,11 +6,11 @@ V = s^2 I + G S^2 G^T + s_a^2 H H^T (`calib.photographs.shared_errors`), H = G N
     cov x = A^-1 (s^2 J^T W W J + J^T W G S^2 G^T W J + s_a^2 J^T W H H^T W J + P) A^-1
 
 The estimate depends on W alone; only the intervals contain the errors of the arm. J^T W H is the effect of these errors
-on camera and board, whether residuals show them or not. Their size s_a is found from the part of the residuals that
-follows the pose. The sizes s_t and s_r of the other errors of the robot are found together with it.
+on camera and board, whether residuals show them or not. Their size s_a comes from the part of the residuals that
+follows the pose, together with the sizes s_t and s_r of the robot's other errors.
 
-That the four sizes are found from the data widens intervals by Student's t with Satterthwaite's degrees of freedom: 2
-v^2 / (g^T C g) for a variance v with gradient g by the logarithms of the sizes, and C the inverse of half the
+Since the four sizes are estimates, intervals are widened by Student's t with Satterthwaite's degrees of freedom
+2 v^2 / (g^T C g), for a variance v with gradient g by the logarithms of the sizes, and C the inverse of half the
 curvature of the criterion.
 
 Meaning. The intervals are of C and M in the real flange and the real base of the robot. Residuals alone would only give
@@ -40,8 +40,8 @@ from calib.photographs.shared_errors import (
     prior_of,
 )
 
-_STEP = 1e-3  # step of logarithms, for differences
-_MANY = 1e6  # degrees of freedom: as good as known
+_STEP = 1e-3  # step of logarithms for differences
+_MANY = 1e6  # degrees of freedom of a known size
 
 
 def intervals(
@@ -77,6 +77,6 @@ def intervals(
     slopes = [(np.diag(covariance_of(logs + step)) - np.diag(covariance_of(logs - step))) / 2e-3 for step in unit]
     slope = np.array(slopes).reshape(len(sizes), -1)
     variance = np.einsum("ik,ij,jk->k", slope, linalg.pinv(bends / 2, hermitian=True), slope)
-    with np.errstate(over="ignore"):  # where sizes are known exactly
+    with np.errstate(over="ignore"):  # sizes that are known exactly
         freedom = np.where(variance > 0, 2 * np.diag(covariance) ** 2 / np.maximum(variance, 1e-300), _MANY)
     return noise.arm, covariance, np.clip(freedom, 1.0, _MANY)

@@ -1,4 +1,4 @@
-"""Images predicted by the others: each left out in turn, and the rest solved again."""
+"""Each image left out in turn and predicted by a fit of the others."""
 
 from __future__ import annotations
 
@@ -15,12 +15,7 @@ from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior
 
 @dataclass(frozen=True, eq=False)
 class LeftOutImages(ReadOnlyArrays):
-    """Images predicted by the others.
-
-    Attributes:
-        pixels: Predicted minus found, (m, 2) [px].
-        board: The same on the board, (m, 2) [m].
-    """
+    """Errors of left-out images, predicted minus detected: pixels (m, 2) [px], and on the board (m, 2) [m]."""
 
     pixels: FloatArray
     board: FloatArray
@@ -35,7 +30,7 @@ def predict_left_out_images(
     *,
     scaled: bool = False,
 ) -> LeftOutImages:
-    """Return how far each image is from where a fit of the others puts it; weights stay as they are."""
+    """Return the errors of each image against a fit of the others, at fixed weights."""
     pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
     for i in range(len(scene)):
         only: BoolArray = np.arange(len(scene)) == i
@@ -46,7 +41,7 @@ def predict_left_out_images(
 
 
 def rms(errors: FloatArray) -> float:
-    """Return the root mean square length of errors (m, 2), without those that are not known."""
+    """Return the root mean square length of the finite errors among (m, 2)."""
     squares = np.sum(errors**2, axis=1)
     known = np.isfinite(squares)
     return float(np.sqrt(np.mean(squares[known]))) if np.any(known) else float("nan")

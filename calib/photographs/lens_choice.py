@@ -1,8 +1,8 @@
-"""Choices for the lens of a hand-eye calibration, each with its errors at images left out.
+"""Choices for the lens of a hand-eye calibration, each with its errors at left-out images.
 
-Images left out show distortion badly, because the robot's errors are larger in them. Single images show it well: with
-the board placed freely in each, no robot counts. Where its two numbers explain more there than chance does (an F test),
-a lens without distortion is no choice.
+Left-out images show distortion badly, because the robot's errors are larger. Single images with a freely placed board
+show it well. If two numbers of distortion explain more of their residuals than chance does (an F test), a lens without
+distortion is no choice.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from calib.photographs.shared_errors import IntrinsicsPrior
 
 LENSES = ("auto", "given", "found")
 LENS_NUMBERS = tuple(NAMES.index(name) for name in ("fx", "fy", "cx", "cy", "k1", "k2"))
-_FOCAL, _MIDDLE, _RADIAL = 0.1, 0.05, 0.5  # how far off: of the focal length, of the width; k1 and k2
+_FOCAL, _MIDDLE, _RADIAL = 0.1, 0.05, 0.5  # prior sigmas: over the focal length, over the width, of k1 and k2
 _FROM_MIDDLE = 0.12  # largest distance of a principal point from the middle of the image, over its width
 _MOST_ASPECT = 1.25  # largest ratio of fx and fy
 
 
 def unlikely(given: FloatArray, size: tuple[int, int]) -> list[tuple[str, str]]:
-    """Return a reason why intrinsics as given, (9,), fit no lens for images of a size: its code, and words."""
+    """Return reasons (code, words) why given intrinsics, (9,), fit no lens for images of a size."""
     width, height = size
     middle, result = np.array([(width - 1) / 2, (height - 1) / 2]), []
     away = float(np.max(np.abs(given[2:4] - middle)))
@@ -50,7 +50,7 @@ def unlikely(given: FloatArray, size: tuple[int, int]) -> list[tuple[str, str]]:
 
 
 def lens_prior(first: FloatArray, scene: BoardScene, given: bool) -> IntrinsicsPrior:
-    """Return the prior of a lens, so wide that images decide where they can, about first intrinsics, (9,)."""
+    """Return a prior of the lens about first intrinsics, (9,), so wide that images decide where they can."""
     width = float(max(scene.size))
     focal = (_FOCAL if given else 1.0) * first[0]
     sigma = np.array([focal, focal, _MIDDLE * width, _MIDDLE * width, _RADIAL, _RADIAL])
@@ -59,7 +59,7 @@ def lens_prior(first: FloatArray, scene: BoardScene, given: bool) -> IntrinsicsP
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """One choice for the lens, by plain least squares."""
+    """A choice for the lens, fitted with equal weights."""
 
     placed: HandEyePlacement
     free: tuple[int, ...]
@@ -70,9 +70,9 @@ class Choice:
 def lens_choices(
     scene: BoardScene, begin: HandEyePlacement, prior: IntrinsicsPrior, intrinsics: FloatArray | None, lens: str
 ) -> list[Choice]:
-    """Return choices for the lens: as given first; found, with distortion; intrinsics are (9,).
+    """Return choices for the lens: intrinsics (9,) as given first, then fitted with distortion.
 
-    Found without distortion is a way too, where no lens is given and single images show no distortion.
+    A fit without distortion is a choice too if no lens is given and single images show no distortion.
 
     Raises:
         NotIdentifiableError: The images determine none.
@@ -90,13 +90,13 @@ def lens_choices(
             continue
         result.append(Choice(placed, free, part, predict_left_out_images(scene, placed, free, weights, part)))
     if not result:
-        plain(scene, begin, ())  # says what the images do not determine
+        plain(scene, begin, ())  # raises an error that names the undetermined unknowns
         raise NotIdentifiableError("the photographs do not determine the lens; give intrinsics (--camera FILE)")
     return result
 
 
 def _is_distorted(scene: BoardScene, first: FloatArray) -> bool:
-    """Whether single images show more distortion than chance does; first: intrinsics to begin with, (9,)."""
+    """Whether single images show more distortion than chance does; `first` are first intrinsics, (9,)."""
     squares = []
     for count in (4, 6):
         lengths = np.sum(camera_alone(scene, first, LENS_NUMBERS[:count]) ** 2, axis=1)

@@ -1,17 +1,16 @@
-"""Mistakes that would explain the residuals of a hand-eye calibration: each is tried, and named where it explains them.
+"""Mistakes that would explain the residuals of a hand-eye calibration.
 
     other readings         pairs shifted, poses inverted, rotations in another order, other units
                            (`calib.photographs.other_readings`)
-    square size            the board is larger or smaller than described: sought as one more unknown
+    square size            the board is larger or smaller than described: fitted as a further unknown
     exchanged              camera and board are where the other mount and inverted poses put them
-    something moved        board or camera is elsewhere from some image on: sought as six more unknowns
-    lens as given          intrinsics found contradict those given
-    principal point        far from the middle of the image: of another image, or turned (`lens_choice.unlikely`)
+    something moved        board or camera is elsewhere from some image on: fitted as six further unknowns
+    lens as given          fitted intrinsics contradict the given ones
+    principal point        far from the middle of the image: of another or a turned image (`lens_choice.unlikely`)
 
-Other readings are tried as wholes, from closed forms, where an image is off by more than robots are, and so is another
-size of the board; they count where they halve the residuals. Square size and moves are one more step of the same least
-squares; they count where the likelihood gains more than chance gives in one data set of ten thousand, and by a size
-that matters.
+Other readings, and another size of the board, are solved anew from closed forms if an image is further off than robots
+are; they count if they halve the residuals. Square size and moves are a further step of the same least squares; they
+count if they raise the likelihood by more than chance does in one data set of ten thousand, and if their size matters.
 """
 
 from __future__ import annotations
@@ -37,18 +36,18 @@ from calib.photographs.starts import Start, image_rms, start
 _UNKNOWN = "not_explained"
 _FAR_PIXELS = 4.0
 _HALVES = 0.5
-_SURE = 0.1  # part of the residuals: below it no other reading is tried
-_BETTER = 0.6  # ratio of the squares of images left out
+_SURE = 0.1  # relative residual below which no other reading is tried
+_BETTER = 0.6  # ratio of the squares of left-out images
 _CHANCE = 1e-4
-_SCALE = 0.004  # part of the size of a board that matters
-_SCALE_OFF = 0.02  # relative error of a board's size, where images are off by more than robots are
+_SCALE = 0.004  # least relevant relative error of a board's size
+_SCALE_OFF = 0.02  # the same if images are further off than robots are
 _MOVED = 1e-3  # m
 _TURNED = np.deg2rad(0.15)
-_OTHER_UNIT = 2.0  # times the size described: no print is so far off
-_EXCHANGED = 1.5  # times as far from the tool as the other is from the base
+_OTHER_UNIT = 2.0  # ratio to the described size that no print has
+_EXCHANGED = 1.5  # ratio of the camera's or board's distance on the tool to the other's on the base
 _LENS_OFF = 6.0  # standard deviations
-_ALSO_OFF = 3.0  # the same, where another number is off for sure
-_SAME_LENS = 0.05  # difference after an exchange of numbers, over the focal length, that counts as agreement
+_ALSO_OFF = 3.0  # the same if another number is certainly wrong
+_SAME_LENS = 0.05  # difference after an exchange, over the focal length, that counts as agreement
 _SWAPS = {
     "cx and cy are exchanged": (0, 1, 3, 2),
     "fx and cx are exchanged": (2, 1, 0, 3),
@@ -57,7 +56,7 @@ _SWAPS = {
     "fx and cy are exchanged": (3, 1, 2, 0),
     "fy and cx are exchanged": (0, 2, 1, 3),
 }
-"""Where in the given numbers each of fx, fy, cx, cy is."""
+"""Index in the given numbers of each of fx, fy, cx, cy."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +64,9 @@ class Mistake:
     """A mistake that would explain the residuals.
 
     Attributes:
-        code: Such as `pairs_shifted`.
-        text: The mistake, its size, and what to do, in words.
-        whole: Whether nothing of the result can be used.
+        code: Code such as `pairs_shifted`.
+        text: The mistake, its size, and the remedy, in words.
+        whole: Whether it spoils the whole result.
     """
 
     code: str
@@ -85,17 +84,17 @@ def find_mistakes(
     better: HandEyeEstimate,
     mounts: tuple[Mount, ...],
 ) -> tuple[Mistake, ...]:
-    """Return mistakes that would explain the residuals, those of the whole first.
+    """Return mistakes that would explain the residuals, those that spoil the whole result first.
 
     Args:
         every: All images.
-        used: The images that were used.
+        used: The images used.
         fitted: The estimate from these.
         prior: Prior of the lens.
         given: Intrinsics as given, (9,); None without.
-        first: Given intrinsics, or those to begin with, (9,).
-        better: With the lens found, where that tells images left out better; else `fitted`.
-        mounts: Possible mounts of the camera: one, if it is stated.
+        first: Given intrinsics, or first values, (9,).
+        better: Estimate with a fitted lens if that predicts left-out images better; else `fitted`.
+        mounts: Possible mounts of the camera.
     """
     lens = _mistakes_of_lens(used, fitted, better, given)
     result = [] if any(mistake.whole for mistake in lens) else _mistakes_of_whole(every, fitted, first, mounts)
@@ -149,7 +148,7 @@ def _mistakes_of_whole(
 
 
 def _other_size(scene: BoardScene, fitted: HandEyeEstimate) -> tuple[float, str, str] | None:
-    """Median of the images with the size of the board sought [px], and what that says; None where it has none."""
+    """Median RMS of the images with a fitted size of the board [px], the code and the words; None if implausible."""
     prior = lens_prior(fitted.placed.intrinsics, scene, True)
     try:
         placed = solve(scene, fitted.placed, LENS_NUMBERS, ErrorSizes(), prior, scaled=True)
@@ -168,7 +167,7 @@ def _other_size(scene: BoardScene, fitted: HandEyeEstimate) -> tuple[float, str,
 
 
 def _check_exchange(placed: HandEyePlacement, mount: Mount) -> Mistake | None:
-    """Whether camera and board are where they would be if the poses were inverted, and the mount the other one."""
+    """The mistake of inverted poses with the other mount, if camera and board are where it would put them."""
     far = {
         thing: float(np.linalg.norm(pose[:3, 3]))
         for thing, pose in (("camera", placed.camera), ("board", placed.board))
@@ -186,7 +185,7 @@ def _check_exchange(placed: HandEyePlacement, mount: Mount) -> Mistake | None:
 
 
 def _square_size(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None) -> Mistake | None:
-    """Whether the board has another size than described."""
+    """The mistake of another board size than described, if likely."""
     try:
         other = estimate(scene, fitted.placed, fitted.free, prior, scaled=True, near=fitted.noise)
     except (CalibrationError, np.linalg.LinAlgError):
@@ -212,7 +211,7 @@ def _square_size(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPr
 
 
 def _check_move(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None) -> Mistake | None:
-    """Whether board or camera is elsewhere from some image on."""
+    """The mistake of a board or camera that moved after some image, if likely."""
     n = len(scene)
     if n < 8:
         return None
@@ -223,7 +222,7 @@ def _check_move(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPri
     best: tuple[float, int, str, FloatArray] = (0.0, 0, "", np.zeros(6))
     for which, first in (("board", 6), ("camera", 0)):
         moved_from = [_with_step(linear, np.arange(n) >= k, first) for k in range(3, n - 2)]
-        left = [deviance(each, fitted.noise, prior, now) for each in moved_from]  # with the noise as it is
+        left = [deviance(each, fitted.noise, prior, now) for each in moved_from]  # at the same noise
         most = moved_from[int(np.argmin(left))]
         noise = find_noise(most, prior, now, fitted.noise)
         gained = before - deviance(most, noise, prior, now)
@@ -244,13 +243,13 @@ def _check_move(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPri
 
 
 def _with_step(linear: ImageSums, later: BoolArray, first: int) -> ImageSums:
-    """The problem with six more unknowns: a step of camera or board that only later images have."""
+    """The problem with six further unknowns: a step of camera or board in later images."""
     chosen = np.eye(linear.jj.shape[1])[:, first : first + 6]
     return linear.with_columns(later[:, None, None] * chosen, np.zeros((len(later), 6, 6)))
 
 
 def _explains(scene: BoardScene, fitted: HandEyeEstimate, k: int, which: str) -> bool:
-    """Whether one move predicts images left out better: the sum over them, each by the linear problem without it."""
+    """Whether a move predicts left-out images better, each by the linear problem without it."""
     r, j, _ = rows(scene, fitted.placed, fitted.free)
     moved_columns = slice(6, 12) if which == "board" else slice(0, 6)
     wide = np.concatenate([j, j[:, :, moved_columns] * (scene.image >= k)[:, None, None]], axis=2)
@@ -270,18 +269,18 @@ def _explains(scene: BoardScene, fitted: HandEyeEstimate, k: int, which: str) ->
 def _mistakes_of_lens(
     scene: BoardScene, fitted: HandEyeEstimate, better: HandEyeEstimate, given: FloatArray | None
 ) -> list[Mistake]:
-    """Mistakes in given intrinsics, (9,): alone, and together with those that the photographs show."""
+    """Mistakes in given intrinsics, (9,): implausible values, and contradictions to the photographs."""
     if given is None:
         return []
     swap = _swapped_numbers(given, better) if better.free else ""
     result = [] if swap else [Mistake(code, text) for code, text in unlikely(given, scene.size)]
     if not better.free:
         return result
-    kept = not fitted.free  # as given, although others are better
+    kept = not fitted.free  # the given intrinsics are used although others are better
     std = np.sqrt(np.diag(better.covariance)[12 : 12 + len(better.free)])
     change = (better.placed.intrinsics - given)[list(better.free)]
     sure, pixels = np.abs(change) / std, np.abs(change[:4])
-    # a focal length that is off by a percent is a distance that is off by a percent
+    # a relative error of the focal length is the same relative error of a distance
     if not (kept or swap or (np.max(sure) > _LENS_OFF and np.max(pixels) / better.placed.intrinsics[0] > 0.02)):
         return result
     numbers: list[str] = []
@@ -301,7 +300,7 @@ def _mistakes_of_lens(
 
 
 def _swapped_numbers(given: FloatArray, better: HandEyeEstimate) -> str:
-    """Names of given intrinsics, (9,), that are exchanged; empty where no exchange explains those found."""
+    """The exchange of given intrinsics, (9,), that explains the fitted ones, in words; empty if none does."""
     real = better.placed.intrinsics[:4]
     off = {words: float(np.max(np.abs(given[list(swap)] - real))) / real[0] for words, swap in _SWAPS.items()}
     words = min(off, key=lambda swap: off[swap])

@@ -1,7 +1,4 @@
-"""OpenCV: it finds boards in images, places single boards, and reads and writes image files.
-
-It is the extra `camera`; code that needs it says so.
-"""
+"""OpenCV (the extra `camera`): it finds boards in images, places single boards, and reads and writes image files."""
 
 from __future__ import annotations
 
@@ -17,14 +14,14 @@ from calib.core.base.files import read_bytes
 from calib.core.base.version import DISTRIBUTION
 
 GreyImage = NDArray[np.uint8]
-"""(height, width)."""
+"""Grey values, (height, width)."""
 
 
 def opencv() -> Any:
-    """Return the module.
+    """Return the module `cv2`.
 
     Raises:
-        InputError: It is not installed, or too old.
+        InputError: OpenCV is not installed, or too old.
     """
     try:
         cv2 = import_module("cv2")
@@ -45,7 +42,7 @@ def dictionary(name: str) -> Any:
     """Return a dictionary of markers.
 
     Raises:
-        DescriptionError: There is none of this name.
+        DescriptionError: There is no dictionary of this name.
     """
     aruco = opencv().aruco
     names = dictionaries()
@@ -63,7 +60,7 @@ def dictionaries() -> list[str]:
 
 
 def dictionary_families() -> dict[str, list[str]]:
-    """Return dictionaries by the beginning that their names share: how these end, smallest first, such as _50, _100."""
+    """Return the endings of dictionaries, such as _50, _100, smallest first, by the common beginning of their names."""
     families: dict[str, list[str]] = {}
     for name in dictionaries():
         family, _, size = name.rpartition("_")
@@ -84,10 +81,10 @@ def read_image(path: Path | str) -> GreyImage:
 def decode(content: bytes, where: str) -> GreyImage:
     """Return the content of an image file as grey values.
 
-    Colours are read first and then turned into grey by one formula: decoders of their own make other grey values.
+    Colours are turned into grey by one formula here, since image decoders use different formulas.
 
     Raises:
-        DataError: It is not an image that can be read.
+        DataError: It is not a readable image.
     """
     if content.startswith(b"\x89PNG") and b"IEND" not in content:
         raise DataError(f"{where}: is cut off: its end is missing; copy it again")

@@ -1,13 +1,14 @@
-"""Other meanings of poses and board of a hand-eye calibration, each a usual mistake in files.
+"""Other meanings of the poses and board of a hand-eye calibration, each a usual mistake in files.
 
-    pairs shifted     images belong to the poses one or two rows further on
+    pairs shifted     images belong to the poses one or two rows later or earlier
     mirrored          the camera mirrors its images (a chessboard does not show it)
-    poses inverted    the file has the base in the tool. With the other mount, the same images fit as well: this can be
-                      told only where the mount is stated
+    poses inverted    the file has the base in the tool. With the other mount, the same images fit as well, so this
+    shows
+                      only if the mount is stated
     rotations         the numbers of a rotation in another order, or of the base in the tool
     units             lengths of poses and board differ by a factor between units
 
-A rotation is taken back to the numbers that were read, and these are read otherwise.
+A rotation is converted back to the numbers of the file, which are then read in another way.
 """
 
 from __future__ import annotations
@@ -28,14 +29,7 @@ _UNITS = (10.0, 0.1, 1000.0, 0.001)
 
 @dataclass(frozen=True, eq=False)
 class SceneInterpretation:
-    """A scene with another meaning of its numbers.
-
-    Attributes:
-        code: Code of the mistake, such as `pairs_shifted`.
-        text: The mistake, and what to do, in words.
-        scene: The images.
-        mounts: Possible mounts of the camera.
-    """
+    """A scene with another meaning of its numbers: code and words of the mistake, the images, and possible mounts."""
 
     code: str
     text: str
@@ -77,7 +71,7 @@ def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[Sce
 
 
 def _other_rotations(tool: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """A mistake in the rotations in words, and the tool poses without it, (n, 4, 4)."""
+    """Yield a mistake in the rotations in words, and the corrected tool poses, (n, 4, 4)."""
     of = scipy.spatial.transform.Rotation
     read = of.from_matrix(tool[:, :3, :3])
     quaternions, angles = read.as_quat(), read.as_euler("xyz")

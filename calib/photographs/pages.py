@@ -1,6 +1,6 @@
-"""Pages with photographs: the points found in each, and the errors of a calibration there, as arrows.
+"""Pages with photographs: the detected points in each, and the errors of a calibration as arrows.
 
-A page holds small copies of the images, so that it can be sent as one file; what is drawn over them is SVG.
+A page is one file: it holds small copies of the images, with SVG drawn over them.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ class Picture:
     """One image of a page.
 
     Attributes:
-        image: Points detected in it.
-        small: Its small copy as JPEG; empty where there is no image.
+        image: Its detected points.
+        small: Its small copy as JPEG; empty without.
         caption: Text below it.
-        is_outlying: Whether it is marked as off.
-        arrows: From where points were found to where the calibration puts them, (n, 2) [px]; empty for none.
+        is_outlying: Whether it is marked as outlying.
+        arrows: Arrows from detected to predicted points, (n, 2) [px]; may be empty.
     """
 
     image: DetectedImage
@@ -38,7 +38,7 @@ class Picture:
 
 
 def small_copy(image: GreyImage | str) -> bytes:
-    """Return a small copy of an image as JPEG; nothing of what is none."""
+    """Return a small copy of an image as JPEG; empty for a reason in place of an image."""
     if isinstance(image, str):
         return b""
     factor = min(1.0, _WIDTH / image.shape[1])
@@ -50,7 +50,7 @@ def small_copy(image: GreyImage | str) -> bytes:
 
 
 def figure(picture: Picture) -> str:
-    """Return a photograph with what was found in it and its arrows, as HTML."""
+    """Return a photograph with its detected points and arrows, as HTML."""
     width, height = picture.image.size
     words = f'<span class="{"off" if picture.is_outlying else "fine"}">{escape(picture.caption)}</span>'
     if not picture.small or not width:
@@ -79,7 +79,7 @@ def _arrow(start: FloatArray, end: FloatArray) -> str:
 
 
 def exaggeration(errors: FloatArray, width: int) -> float:
-    """Return by how much to lengthen errors (n, 2) [px] so that they show: a round number."""
+    """Return a round factor that makes errors (n, 2) [px] visible in an image of `width` [px]."""
     typical = float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else 0.0
     if typical <= 0:
         return 1.0

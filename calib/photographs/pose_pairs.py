@@ -1,19 +1,19 @@
 """Hand-eye calibration from pairs of poses: a marker in the camera, and the tool in the base, at the same moments.
 
-The engine knows such readings (`kind: pose`) and robots. So the tool's poses become the joint values of a robot that
-slides along x, y, z and turns about x, y, z, without errors of its own; the camera is what the base of its measurements
-is unknown to, and the marker its target:
+The pairs are fitted as readings of `kind: pose` of a robot. It slides along x, y, z and turns about x, y, z without
+errors of its own, and the tool's poses are its joint values. The camera is the unknown base of its measurements, and
+the marker its target:
 
     camera on the tool        A_i = C^-1 L_i^-1 M        camera fixed to the tool, marker to the base     (AX = XB)
     camera beside the robot   A_i = C^-1 L_i M           camera fixed to the base, marker to the tool     (AX = YB)
 
-with A_i the marker in the camera and L_i the tool in the base. Where the camera is, and whether poses were written the
-other way round, say closed forms (`calib.core.instruments.hand_eye`); the fit is least squares with noise of positions
-and of angles that is found from the residuals.
+with A_i the marker in the camera and L_i the tool in the base. Closed forms (`calib.core.instruments.hand_eye`) decide
+the mount, and whether poses were written inverted. The fit is least squares, with the noise of positions and of angles
+from the residuals.
 
-When it fails. Tools that turn about parallel axes alone leave heights along them open: the components that nothing
-determines are NaN, and the changes that no pair shows are named. What the robot's own errors add to intervals is what
-they leave in the residuals; the part of them that moves camera and marker alike in all poses does not show.
+When it fails. A tool that turns about parallel axes only leaves heights along them open: undetermined components are
+NaN, and the changes that no pair shows are named. Intervals contain the robot's own errors as far as residuals show
+them, but not the part that moves camera and marker equally in all poses.
 
 Reference: daniilidis1999.
 """
@@ -49,27 +49,27 @@ from calib.core.rows.unknowns import Unknowns
 from calib.photographs.scene import SIDES, Mount
 
 LEAST_PAIRS = 3
-_MUCH_BETTER = 3.0  # times smaller residuals of another reading of the poses, from which that is meant
-_OPEN = 0.05  # part of the largest change that no pair shows, from which a component is not determined
-_NAMED = 1e-3  # part of the largest, below which a part of such a change is not named
-_STEP = 1e-6  # step of parameters, for differences [m or rad]
+_MUCH_BETTER = 3.0  # ratio of residuals above which the inverted poses are the right ones
+_OPEN = 0.05  # part of the largest component of an unseen change that makes a component undetermined
+_NAMED = 1e-3  # part of the largest component below which a component of such a change is not named
+_STEP = 1e-6  # step of parameters for differences [m or rad]
 _LINKS = ("base", "along_x", "along_y", "along_z", "about_x", "about_y", "tool")
 _OF_JOINTS = {
     Code.JOINT_NEVER_MOVED, Code.JOINT_MOVED_LITTLE, Code.JOINTS_MOVE_TOGETHER, Code.JOINT_SCALED, Code.ONE_CORNER,
     Code.BEYOND_JOINT_LIMITS, Code.TURNS_NOT_COUNTED, Code.NO_GAIN, Code.NOTHING_TO_CORRECT, Code.MOVES_AS_ONE,
     Code.BASE_ELSEWHERE, Code.TARGET_ELSEWHERE,
 }  # fmt: skip
-"""Reasons that speak of a real robot's joints, or of what was described before."""
+"""Codes about a real robot's joints or earlier description, which do not apply here."""
 
 
 @dataclass(frozen=True, eq=False)
 class FoundPose(ReadOnlyArrays):
-    """Where camera or marker is.
+    """Pose of camera or marker.
 
     Attributes:
-        pose: In the frame that it is fixed to, (4, 4) [m]; `open` names components that are not determined.
+        pose: Pose in its parent frame, (4, 4) [m]; `open` marks undetermined components.
         half: Half widths of 95 % intervals: along x, y, z of that frame, and about the own x, y, z, (6,) [m, rad].
-        open: Mask of those that are not determined, (6,).
+        open: Mask of undetermined components, (6,).
     """
 
     pose: FloatArray
@@ -84,9 +84,9 @@ class PosePairs(ReadOnlyArrays):
     Attributes:
         names: Names of the pairs.
         mount: Mount of the camera.
-        camera, marker: Where they are.
+        camera, marker: Their poses.
         unseen: Changes that no pair shows, in words.
-        errors: Predicted minus read: position and rotation of the marker in the camera, (n, 6) [m, rad].
+        errors: Predicted minus measured: position and rotation of the marker in the camera, (n, 6) [m, rad].
         reasons: Reasons against the result, each with its grade.
         distance: Mean distance from camera to marker [m].
     """
@@ -102,14 +102,14 @@ class PosePairs(ReadOnlyArrays):
 
     @property
     def is_determined(self) -> bool:
-        """Whether every component of the camera's place is."""
+        """Whether every component of the camera's pose is determined."""
         return not np.any(self.camera.open)
 
 
 def solve_pairs(
     names: Sequence[str], tool: FloatArray, seen: FloatArray, mounts: tuple[Mount, ...] = ("tool", "base")
 ) -> PosePairs:
-    """Return where camera and marker are.
+    """Return the poses of camera and marker.
 
     Args:
         names: Names of the pairs.
@@ -118,8 +118,8 @@ def solve_pairs(
         mounts: Possible mounts of the camera.
 
     Raises:
-        DataError: Too few pairs, or poses that the tool never left.
-        CalibrationError: Others, of the fit.
+        DataError: Too few pairs, or equal poses of the tool in all.
+        CalibrationError: The fit fails.
     """
     if len(names) < LEAST_PAIRS:
         raise DataError(f"{len(names)} pairs of poses; give at least {LEAST_PAIRS}, better 10 to 20")
@@ -180,7 +180,7 @@ def _links(tool: FloatArray, mount: Mount) -> FloatArray:
 
 
 def _closed_form_residual(tool: FloatArray, seen: FloatArray, mount: Mount) -> float:
-    """Residual of the closed forms: root mean square, of angles at the distance of the marker [m]."""
+    """Root mean square residual of the closed forms, angles times the mean distance of the marker [m]."""
     links = _links(tool, mount)
     camera, marker = solve_poses(links, seen, (np.eye(4), np.eye(4)), (False, False))
     off = np.linalg.inv(seen) @ np.linalg.inv(camera) @ links @ marker
@@ -190,12 +190,12 @@ def _closed_form_residual(tool: FloatArray, seen: FloatArray, mount: Mount) -> f
 
 
 def _angles(rotation: FloatArray) -> FloatArray:
-    """Angles of the three hinges, about x, the new y and the newest z, (3,) [rad]."""
+    """Angles of the three hinges about x, the new y and the newest z, (3,) [rad]."""
     return np.asarray(-pin.rpy.matrixToRpy(rotation.T))
 
 
 def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:
-    """A robot that carries the tool, with camera and marker where closed forms put them."""
+    """The robot that carries the tool, with camera and marker at the closed-form solution."""
     links, joints = [f'<link name="{name}"/>' for name in _LINKS], []
     for k, (parent, child) in enumerate(itertools.pairwise(_LINKS)):
         kind, axis = ("prismatic", "revolute")[k // 3], " ".join(str(float(k % 3 == axis)) for axis in range(3))
@@ -222,7 +222,7 @@ def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:
 
 
 def _change_in_words(change: FloatArray) -> str:
-    """A change of camera and marker, (12,) [m, rad]; its largest part is 1 mm or 1 deg."""
+    """A change of camera and marker, (12,) [m, rad], in words, scaled so that its largest part is 1 mm or 1 deg."""
     names = [f"{name} {part}" for name in ("camera", "marker") for part in COMPONENTS]
     units = np.tile(np.repeat([1e3, np.rad2deg(1.0)], 3), 2)
     sizes = change * units / np.max(np.abs(change * units))
@@ -231,7 +231,7 @@ def _change_in_words(change: FloatArray) -> str:
 
 
 def _found_pose(fitted: JudgedFit, null: FloatArray, place: str) -> tuple[FoundPose, FloatArray]:
-    """Place of one of them with its intervals; and its motion by unseen changes, (6, k)."""
+    """Pose of `place` with its intervals, and its motion by unseen changes, (6, k)."""
     pose = _place(fitted.robot, place)
     steps = []
     for k in range(len(fitted.robot.parameters)):
@@ -252,5 +252,5 @@ def _found_pose(fitted: JudgedFit, null: FloatArray, place: str) -> tuple[FoundP
 
 
 def _place(robot: Robot, place: str) -> FloatArray:
-    """Pose of camera or marker in the frame that it is fixed to, (4, 4) [m]."""
+    """Pose of camera or marker in its parent frame, (4, 4) [m]."""
     return np.asarray(robot.mechanism.placement("base" if place == "camera" else place).homogeneous)

@@ -13,7 +13,7 @@ _NAMES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def judge_pairs(result: PosePairs) -> HandEyeJudgement:
-    """Return the judgement of a calibration: FAIL where the camera's place is not determined, or poses are misread."""
+    """Return the judgement of a calibration: FAIL if the camera's pose is not determined or poses are misread."""
     reasons, advice = [*result.reasons], []
     for name, found in (("camera", result.camera), ("marker", result.marker)):
         lost = [_NAMES[k] for k in np.flatnonzero(found.open)]
@@ -39,7 +39,7 @@ def judge_pairs(result: PosePairs) -> HandEyeJudgement:
 
 
 def report_pairs(result: PosePairs, frames: Frames) -> str:
-    """Return a calibration in words."""
+    """Return the report of a calibration in words."""
     judgement, above = judge_pairs(result), frames.parents(result.mount)
     off = [_MM * np.sqrt(np.mean(np.sum(result.errors[:, part] ** 2, axis=1))) for part in (slice(3), slice(3, 6))]
     lines = [f"Hand-eye calibration of {len(result.names)} pairs of poses: camera {SIDES[result.mount]}"]
@@ -71,7 +71,7 @@ def _pose_in_words(title: str, found: FoundPose) -> str:
 
 
 def content_of_pairs(result: PosePairs, frames: Frames) -> dict[str, object]:
-    """Return a calibration as data [m, rad]; null is what is not determined."""
+    """Return a calibration as data [m, rad]; undetermined values are null."""
     judgement, above = judge_pairs(result), frames.parents(result.mount)
     return {
         "verdict": judgement.grade,

@@ -1,11 +1,11 @@
 """A board as shapes, and as a page to print in true size.
 
-Black are rectangles and discs in the board's frame (x along the rows, y down, [m]). Of boards with markers,
-OpenCV says where the markers are and which of their cells are black; squares without a marker are black. All of it is
-filled as one path, so that neighbouring cells leave no hairlines between them.
+Black shapes are rectangles and discs in the board's frame (x along the rows, y down, [m]). For boards with markers,
+OpenCV gives the places and black cells of markers; squares without a marker are black. All shapes are filled as one
+path, so that neighbouring cells leave no hairlines between them.
 
-A ruler and a cross of two lengths are printed below the board: printers that fit pages to paper shrink by some
-percent, and every length of a calibration shrinks with them.
+A ruler of known length is printed below the board: printers that fit pages to paper shrink by some percent, and every
+length of a calibration shrinks with them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FORMATS = ("pdf", "svg")
 PAPERS = {"a4": (0.210, 0.297), "a3": (0.297, 0.420), "a2": (0.420, 0.594), "letter": (0.2159, 0.2794)}
 """Width and height [m]."""
 _RULER = 0.1  # m
-_FOOT = 0.022  # m below the board: ruler and words
+_FOOT = 0.022  # m below the board for ruler and words
 _MARGIN = 0.008
 _MM = 1e3
 _INCH = 0.0254
@@ -54,8 +54,8 @@ def shapes(board: Board) -> BoardShapes:
     """Return the black shapes of a board.
 
     Raises:
-        InputError: OpenCV, which knows the markers, is not installed.
-        DescriptionError: No such dictionary.
+        InputError: OpenCV, which draws the markers, is not installed.
+        DescriptionError: There is no such dictionary.
     """
     none = np.zeros((0, 3))
     if board.kind == "circles":
@@ -89,7 +89,7 @@ def _squares(board: Board, black: Callable[[int, int], bool]) -> FloatArray:
 
 
 def _cells(name: str, number: int, corner: FloatArray, side: float) -> FloatArray:
-    """Black cells of a marker, in runs along its rows."""
+    """Black cells of a marker, (n, 4) [m], joined along its rows."""
     markers = dictionary(name)
     count = int(markers.markerSize) + 2
     image = np.asarray(markers.generateImageMarker(number, count)) < 128
@@ -102,11 +102,7 @@ def _cells(name: str, number: int, corner: FloatArray, side: float) -> FloatArra
 
 
 class Paper:
-    """A printed board, exact at any place: edges of rectangles make a grid, whose cells are whole.
-
-    Args:
-        board: The board.
-    """
+    """The exact colour of a printed board at any place; edges of rectangles make a grid with cells of one colour."""
 
     def __init__(self, board: Board) -> None:
         black = shapes(board)
@@ -122,7 +118,7 @@ class Paper:
         self._radii = np.append(black.discs[:, 2], 0.0)  # the last for places far from all discs
 
     def black(self, places: FloatArray) -> BoolArray:
-        """Return whether places on the board, (n, 2) [m], are black; outside of it none is."""
+        """Return whether places on the board, (n, 2) [m], are black; places outside are white."""
         at = [np.searchsorted(self._edges[k], places[:, k], side="right") for k in (0, 1)]
         result: BoolArray = self._cells[at[0], at[1]]
         if self._discs is not None:
@@ -137,12 +133,12 @@ def page(board: Board, form: str, paper: str | None = None) -> bytes:
     Args:
         board: The board.
         form: pdf or svg.
-        paper: One of `PAPERS`, upright or lying as the board needs; the page is as large as the board if not given.
+        paper: Key of `PAPERS`, upright or lying as the board needs; default: a page as large as the board.
 
     Raises:
         InputError: The board is larger than the paper, or OpenCV is not installed.
     """
-    from matplotlib.figure import Figure  # it takes a while, and only this page needs it
+    from matplotlib.figure import Figure  # slow to import, and only used here
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
 
@@ -170,7 +166,7 @@ def page(board: Board, form: str, paper: str | None = None) -> bytes:
 
 
 def _with_size_in_millimetres(svg: bytes, sheet: FloatArray) -> bytes:
-    """The page with its size in mm, which every program knows, and not in points."""
+    """The page with its size in mm, which every program knows, in place of points."""
     size = 'width="{:g}mm" height="{:g}mm"'.format(*(_MM * sheet))
     return re.sub(rb'width="[0-9.]+pt" height="[0-9.]+pt"', size.encode(), svg, count=1)
 

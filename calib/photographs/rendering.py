@@ -1,9 +1,9 @@
-"""Simulated photographs: what a camera would see of a printed board, so that examples and tests need no camera.
+"""Simulated photographs of a printed board, for examples and tests without a camera.
 
-Every pixel is a few rays (`calib.core.instruments.camera.rays`, lens distortion included), each cut with the plane of
-the board, where it is exactly known what is black (`calib.photographs.printing.Paper`): a raster would put every corner
-of the board around its place. Then come blur, noise and rounding to grey values, as in a camera. There is no light but
-a slope of brightness, and nothing stands in the way.
+Every pixel is a few rays (`calib.core.instruments.camera.rays`, lens distortion included), each intersected with the
+plane of the board, whose colour is known exactly (`calib.photographs.printing.Paper`); a raster would shift every
+corner. Then come blur, noise and rounding to grey values, as in a camera. The only light is a slope of brightness, and
+nothing hides the board.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from calib.core.rows.observed import views_of_instruments
 from calib.photographs.opencv import GreyImage, encode
 from calib.photographs.printing import Paper
 
-_RAYS = 2  # across and down a pixel
+_RAYS = 2  # per pixel, across and down
 _MARGIN = 0.12  # white paper around the board, over its size
-_NODES = 40  # across the image, between which rays are interpolated
+_NODES = 40  # across the image, for the interpolation of rays
 _PAPER, _INK, _TABLE = 215.0, 35.0, 120.0
 
 
@@ -40,8 +40,8 @@ class Photographer:
         board: The board.
         intrinsics: (9,).
         size: Width and height of images [px].
-        blur: Standard deviation [px].
-        noise: Noise of grey values.
+        blur: Standard deviation of the blur [px].
+        noise: Standard deviation of grey values.
     """
 
     board: Board
@@ -99,7 +99,7 @@ class Photographer:
 
 
 def _smooth_rays(u: FloatArray, v: FloatArray, intrinsics: FloatArray) -> FloatArray:
-    """Rays of all pixels of a grid, (n_v, n_u, 2), by splines through some of them: a lens is smooth."""
+    """Rays of all pixels of a grid, (n_v, n_u, 2), interpolated by splines since a lens is smooth."""
     nodes = [np.linspace(ends[0], ends[-1], _NODES) for ends in (v, u)]
     grid = np.stack(np.meshgrid(nodes[1], nodes[0]), axis=-1).reshape(-1, 2)
     node_rays = rays(grid, intrinsics).reshape(_NODES, _NODES, 2)
@@ -110,7 +110,7 @@ def _smooth_rays(u: FloatArray, v: FloatArray, intrinsics: FloatArray) -> FloatA
 def example(board: Board, count: int, generator: np.random.Generator) -> dict[str, bytes]:
     """Return simulated photographs of a board by a camera on a robot's tool, with the poses, as files by name.
 
-    The robot's poses are off by 0.2 mm and 0.2 mrad per axis; `truth.json` has where camera and board really are.
+    The robot's poses have errors of 0.2 mm and 0.2 mrad per axis; `truth.json` has the true poses of camera and board.
     """
     size = (640, 480)
     intrinsics = np.array([610.0, 612.0, 323.0, 236.0, -0.12, 0.06, 0.0, 0.0, 0.0])
@@ -156,7 +156,7 @@ def _pose(xyz: tuple[float, ...], degrees: tuple[float, ...]) -> FloatArray:
 
 
 def photographs(robot: Robot, camera: Pixel, data: Measurements, rng: np.random.Generator) -> dict[str, bytes]:
-    """Return the photographs of a robot's camera at each visit, by file name: `calib simulate --photographs`.
+    """Return the simulated photographs of a robot's camera at each visit, by file name.
 
     Raises:
         InputError: Two visits have one name.

@@ -6,17 +6,17 @@ The camera is fixed to one end of the robot by C, and the board to the other end
                             A_i = L_i^-1 for a camera on the tool (board beside the robot)
 
 with L_i the tool in the robot's base at image i, X a point in the frame of the board, and p the point in the frame of
-the camera. Pixels follow by `calib.core.instruments.camera`. Unknown are C, M and the intrinsics. Steps move a place in
-its own axes, C exp(xi). So does an error e_i of the robot at an image, L_i exp(e_i): e_i = [d; w] moves the tool by d
-and turns it by w.
+the camera. Pixels follow by `calib.core.instruments.camera`. Unknown are C, M and the intrinsics. Steps move a pose in
+its own axes, C exp(xi), and so does an error e_i of the robot at an image, L_i exp(e_i): e_i = [d; w] moves the tool by
+d and turns it by w.
 
 The solver needs only sums over the points of each image: J^T J, J^T G, G^T G, J^T r, G^T r and r^T r. Here r are the
 residuals, J is their derivative by the unknowns, and G their derivative by e_i. Weights for errors that the points of
 an image share are then algebra with 6 x 6 matrices (`calib.photographs.shared_errors`).
 
-Names of these files: `placed` or `start`, poses of camera and board with the intrinsics; `free`, indices of the
-intrinsics that are fitted, with a `prior` if they have one, and `now` their values, (f,); `noise`, sizes of errors;
-`scaled`, whether the size of the board is fitted too; `intrinsics`, (9,); `mounts`, possible mounts of the camera.
+Parameters of this room: `placed` or `start`, poses of camera and board with the intrinsics; `free`, indices of the
+fitted intrinsics, with a `prior` if they have one, and `now` their values, (f,); `noise`, sizes of errors; `scaled`,
+whether the size of the board is fitted too; `intrinsics`, (9,); `mounts`, possible mounts of the camera.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class BoardScene(ReadOnlyArrays):
         tool: L_i, tool in base at each image, (n, 4, 4) [m].
         image: Image of each point, ascending, (m,).
         body: Points in the board's frame, (m, 3) [m].
-        pixels: Pixels at which the points were found, (m, 2).
+        pixels: Detected pixels of the points, (m, 2).
         mount: Place of the camera: on the tool or beside the robot.
         size: Width and height of the images [px].
     """
@@ -118,8 +118,8 @@ class HandEyePlacement(ReadOnlyArrays):
     """Poses of camera and board, and the intrinsics.
 
     Attributes:
-        camera: C, camera in the frame that it is fixed to, (4, 4) [m].
-        board: M, board in the frame that it is fixed to, (4, 4) [m].
+        camera: C, camera in its parent frame, (4, 4) [m].
+        board: M, board in its parent frame, (4, 4) [m].
         intrinsics: fx fy cx cy k1 k2 p1 p2 k3, (9,).
         scale: Size of the board over its described size.
     """
@@ -148,11 +148,11 @@ class ImageSums(ReadOnlyArrays):
     """Residuals and derivatives, summed over the points of each image; see the module docstring.
 
     Attributes:
-        residuals: Predicted minus found, (m, 2) [px].
+        residuals: Predicted minus detected, (m, 2) [px].
         jj, jg, gg: J^T J, J^T G, G^T G, (n, k, k), (n, k, 6), (n, 6, 6).
         jr, gr, rr: J^T r, G^T r, r^T r, (n, k), (n, 6), (n,).
         n_rows: Rows of each image, (n,).
-        n_arm: Number of last columns for errors of the arm (`calib.photographs.arm_errors`).
+        n_arm: Number of columns, the last ones, for errors of the arm (`calib.photographs.arm_errors`).
     """
 
     residuals: FloatArray
@@ -171,7 +171,7 @@ class ImageSums(ReadOnlyArrays):
         Args:
             by_unknowns: a, (n, k, c).
             by_errors: b, (n, 6, c).
-            n_arm: How many of them are for errors of the arm.
+            n_arm: Number of these columns for errors of the arm.
         """
         a, b = by_unknowns.transpose(0, 2, 1), by_errors.transpose(0, 2, 1)
         j_new = self.jj @ by_unknowns + self.jg @ by_errors
@@ -196,7 +196,7 @@ def points_in_camera(scene: BoardScene, placed: HandEyePlacement) -> tuple[Float
 
 
 def residuals(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
-    """Return predicted minus found, (m, 2) [px]."""
+    """Return predicted minus detected pixels, (m, 2) [px]."""
     return project(points_in_camera(scene, placed)[0], placed.intrinsics)[0] - scene.pixels
 
 
@@ -245,7 +245,7 @@ def linearise(scene: BoardScene, placed: HandEyePlacement, free: Sequence[int], 
 
 
 def plane_errors_on_board(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
-    """Return where the pixels' rays meet the plane of the board, minus the points of the board, (m, 2) [m].
+    """Return the intersections of the pixels' rays with the board's plane, minus the board's points, (m, 2) [m].
 
     A ray that does not meet the plane in front of the camera gives infinity.
     """

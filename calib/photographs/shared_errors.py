@@ -1,25 +1,25 @@
-"""Sizes of the errors that the points of an image share, and weights of images by them.
+"""Sizes of the errors that the points of an image share, and weights of images by these sizes.
 
-Problem. Residuals of image i, to first order, are r_i = J_i x + G_i e_i + noise: x is what is sought, e_i an error of
+Problem. Residuals of image i, to first order, are r_i = J_i x + G_i e_i + noise: x are the unknowns, e_i is an error of
 the robot's tool there (6 components), and the noise of pixels is independent. With S = diag(s_t s_t s_t s_r s_r s_r),
 
     cov r_i = V_i = s^2 I + G_i S^2 G_i^T,   V_i^-1 = (I - G_i K_i G_i^T) / s^2,   K_i = S (s^2 I + S G_i^T G_i S)^-1 S
 
-so that least squares weighed by it needs only sums over the points of each image (`calib.photographs.scene`):
+so that weighted least squares needs only sums over the points of each image (`calib.photographs.scene`):
 
     A = sum of (J^T J - J^T G K G^T J) / s^2 + P,        b = sum of (J^T r - J^T G K G^T r) / s^2 + P (x - x_prior)
 
 (P: priors of intrinsics). Gauss-Newton steps are x -= A^-1 b. The three sizes s, s_t, s_r come from restricted maximum
-likelihood: they make
+likelihood: they minimise
 
     sum of log det V_i  +  log det A  +  r^T V^-1 r - b^T A^-1 b
 
-smallest. It is solved by L-BFGS in their logarithms from several starts and polished by Newton steps, so that rounding
-alone decides the last digits. A robot that is exact gets s_t = s_r = 0.
+by L-BFGS in their logarithms from several starts, polished by Newton steps so that only rounding is left in the last
+digits. An exact robot gets s_t = s_r = 0.
 
-Errors that follow the pose. Those of an arm (`calib.photographs.arm_errors`) have one value at all images, e_i + N_i k
-with k ~ N(0, s_a^2 I). They are further columns G_i N_i of J with the prior 1 / s_a^2 in P: the same A and b then
-solve for both, and the criterion is the same but for log det of the prior's covariance, 2 log s_a for each.
+Errors that follow the pose. The errors k of an arm (`calib.photographs.arm_errors`) are the same at all images,
+e_i + N_i k with k ~ N(0, s_a^2 I). They are further columns G_i N_i of J with the prior 1 / s_a^2 in P. The same A and
+b then solve for both, and the criterion gains log det of the prior's covariance, 2 log s_a for each error.
 
 Reference: patterson1971.
 """
@@ -35,21 +35,23 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.photographs.scene import ImageSums
 
-_SMALLEST = 1e-8  # s_t [m] and s_r [rad] that count as none
+_SMALLEST = 1e-8  # s_t [m] and s_r [rad] that count as zero
 _FAR = 1e12  # value of a criterion that cannot be computed
 _STARTS = ((3e-4, 3e-4), (3e-3, 1e-4), (1e-4, 3e-3))  # s_t [m], s_r [rad]
 _ARM_STARTS = (3e-5, 5e-4)  # s_a [m, rad]
-_STEP = 1e-4  # of logarithms, for differences
+_STEP = 1e-4  # step of logarithms for differences
 _POLISHED = 3  # Newton steps
-_FAR_STEP = 0.5  # of a logarithm: no longer near the minimum
+_FAR_STEP = 0.5  # step of a logarithm that is not near the minimum
 
 
 @dataclass(frozen=True)
 class ErrorSizes:
-    """Sizes of the errors: of a pixel coordinate [px], and of the robot's tool, per axis [m], [rad].
+    """Sizes (sigmas) of the errors.
 
     Attributes:
-        arm: Sigma of each length [m] and angle [rad] of the arm; zero where none are considered.
+        pixel: Error of a pixel coordinate [px].
+        shift, turn: Error of the robot's tool per axis [m], [rad].
+        arm: Error of each length [m] and angle [rad] of the arm; zero if not considered.
     """
 
     pixel: float = 1.0
@@ -65,7 +67,7 @@ class ErrorSizes:
 
 @dataclass(frozen=True, eq=False)
 class IntrinsicsPrior(ReadOnlyArrays):
-    """Expected values and sigmas of the sought intrinsics, (k,) each; infinite sigma: nothing is expected."""
+    """Expected values and sigmas of the fitted intrinsics, (k,) each; infinite sigma: no expectation."""
 
     values: FloatArray
     sigma: FloatArray
@@ -81,7 +83,7 @@ def gains(linear: ImageSums, noise: ErrorSizes) -> FloatArray:
 def prior_of(
     linear: ImageSums, noise: ErrorSizes, prior: IntrinsicsPrior | None, now: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the diagonal of P (k,), and how far unknowns are from where it expects them, (k,)."""
+    """Return the diagonal of P, (k,), and the differences of unknowns from their expected values, (k,)."""
     weight, off = np.zeros((2, linear.jr.shape[1]))
     if prior is not None:
         lens = slice(12, 12 + len(now))
@@ -105,13 +107,13 @@ def normal_equations(
 
 
 def deviance(linear: ImageSums, noise: ErrorSizes, prior: IntrinsicsPrior | None, now: FloatArray) -> float:
-    """Return minus twice the log-likelihood at the best step of a linear problem, but for a constant; `now` is (f,)."""
+    """Return minus twice the log-likelihood at the best step of a linear problem, up to a constant; `now` is (f,)."""
     a, b, c = normal_equations(linear, noise, prior, now)
     return _log_v(linear, noise) + c - float(b @ linalg.lstsq(a, b, rcond=1e-12))
 
 
 def _log_v(linear: ImageSums, noise: ErrorSizes) -> float:
-    """Sum of log det V_i, with that of the prior of errors of the arm."""
+    """Sum of log det V_i, plus log det of the prior covariance of the arm's errors."""
     s = noise.sizes
     inner = np.eye(6) + s[:, None] * linear.gg * s / noise.pixel**2
     own = float(np.sum(np.linalg.slogdet(inner)[1]) + 2 * np.sum(linear.n_rows) * np.log(noise.pixel))
@@ -128,7 +130,7 @@ def criterion(
     """
     noise = _noise_of(logs)
     a, b, c = normal_equations(linear, noise, prior, now)
-    if not np.all(np.diag(a) > 0):  # rounding, where the sizes are far from what they can be
+    if not np.all(np.diag(a) > 0):  # rounding, for sizes far from possible ones
         return _FAR, np.zeros(len(logs))
     scale = 1.0 / np.sqrt(np.diag(a))
     inverse = scale[:, None] * np.linalg.inv(scale[:, None] * a * scale) * scale
@@ -139,7 +141,7 @@ def criterion(
     traces = np.diagonal(left @ linear.gg - by_unknowns @ inverse @ by_unknowns.transpose(0, 2, 1), axis1=1, axis2=2)
     pulls = np.einsum("nab,nb->na", left, linear.gr) + by_unknowns @ step
     robot = 2 * noise.sizes**2 * np.sum(traces - pulls**2, axis=0)
-    reached = weight @ (np.diag(inverse) - (off + step) ** 2)  # what priors have of the rows' freedom and squares
+    reached = weight @ (np.diag(inverse) - (off + step) ** 2)  # the priors' part of degrees of freedom and squares
     pixel = 2 * (float(np.sum(linear.n_rows)) - len(a) + reached - c - b @ step) + 4 * weight @ (off + step) ** 2
     pixel -= np.sum(robot)
     gradient = [pixel, np.sum(robot[:3]), np.sum(robot[3:])]
@@ -152,7 +154,7 @@ def criterion(
 def curvature(
     linear: ImageSums, logs: FloatArray, prior: IntrinsicsPrior | None, now: FloatArray
 ) -> tuple[IntArray, FloatArray]:
-    """Return which sizes are not at their smallest (k,), and second derivatives of the criterion by these, (k, k)."""
+    """Return the sizes above the smallest, (k,), and second derivatives of the criterion by these, (k, k)."""
     free = np.flatnonzero(np.exp(logs) > 30 * _SMALLEST)
     unit = np.eye(len(logs))[free] * _STEP
     ends = [[criterion(linear, logs + sign * step, prior, now)[1][free] for sign in (1, -1)] for step in unit]
@@ -174,9 +176,9 @@ def _noise_of(logs: FloatArray) -> ErrorSizes:
 def find_noise(
     linear: ImageSums, prior: IntrinsicsPrior | None, now: FloatArray, near: ErrorSizes | None = None
 ) -> ErrorSizes:
-    """Return the sizes of the errors by restricted maximum likelihood, the intrinsics sought being `now`, (k,).
+    """Return the sizes of the errors by restricted maximum likelihood, at the fitted intrinsics `now`, (k,).
 
-    With errors of the arm, their size is found too. `near` are sizes of a similar problem, to begin with.
+    The size of the arm's errors is estimated if `linear` has such columns. `near` are first values.
     """
     low = logarithms(ErrorSizes(1e-3), linear)
     bounds = list(zip(low, np.log([1e3, 0.1, 0.1, 0.1]), strict=False))

@@ -1,12 +1,12 @@
-"""First places of camera and board, in closed form.
+"""First values of camera and board, in closed form.
 
 1. The pose of the board in the camera at each image (`calib.photographs.camera_alone.single_views`), then the hand-eye
-   problem in closed form (`calib.core.instruments.hand_eye`) from all images, improved by least squares in which points
-   that are far off count less (`calib.core.instruments.camera_places`).
+   problem in closed form (`calib.core.instruments.hand_eye`) from all images, improved by least squares with less
+   weight for outlying points (`calib.core.instruments.camera_places`).
 2. If large errors remain, some images may be wrong: then sets of four images are drawn at random, and the solution with
    the smallest median error is kept.
 
-Where it is not said whether the camera is on the tool or at the base, both are tried; the wrong one does not fit.
+If the mount of the camera is unknown, both are tried; the wrong mount does not fit.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from calib.photographs.scene import BoardScene, HandEyePlacement, Mount, points_
 _TRIALS = 25
 _GOOD = 5.0  # px, median error of the images below which no subsets are tried
 _AT_ONCE = 4
-_POINTS = 12  # of an image, about, from which places are improved; more add little
-_GOLDEN = 0.618034  # steps by it fall on every row and column of a board alike
+_POINTS = 12  # approximate number of points per image that improve places; more add little
+_GOLDEN = 0.618034  # steps by this ratio reach all rows and columns of a board evenly
 _STEPS = 20
 _SEED = 0
 
@@ -38,7 +38,7 @@ class Start(ReadOnlyArrays):
 
     Attributes:
         scene: The images, with the mount that fits.
-        placed: Approximate placement of camera and board.
+        placed: Approximate poses of camera and board.
         rms: Root mean square residual of each image, (n,) [px].
     """
 
@@ -99,7 +99,7 @@ def _start(scene: BoardScene, intrinsics: FloatArray, views: FloatArray, usable:
 
 
 def image_rms(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
-    """Return the root mean square residual of each image, (n,) [px]; a board behind the camera counts as far off."""
+    """Return the root mean square residual of each image, (n,) [px]; large for a board behind the camera."""
     errors = np.sum(residuals(scene, placed) ** 2, axis=1)
     behind = points_in_camera(scene, placed)[0][:, 2] <= 0
     errors = np.where(behind, np.maximum(errors, float(max(scene.size)) ** 2), errors)

@@ -4,13 +4,13 @@ Columns (with units in the header; m and rad without):
 
     x, y, z               the tool in the robot's base
     qx, qy, qz, qw        unit quaternion; or q1, q2, q3, q4 with the real part first, as ABB has it
-    roll, pitch, yaw      turned about the fixed axes x, y, z in this order, as URDF has it
-    w, p, r               the same, as Fanuc calls it
-    a, b, c               about z, then the new y, then the new x, as KUKA calls it
+    roll, pitch, yaw      rotations about the fixed axes x, y, z in this order, as URDF has it
+    w, p, r               the same, in Fanuc's names
+    a, b, c               about z, then the new y, then the new x, in KUKA's names
     r11, r12, ... r33     a rotation matrix, row by row; of 4 x 4 matrices, 00 to 23 in place of x, y, z and r11 to r33
-    rx, ry, rz            a rotation vector (Universal Robots), or roll, pitch, yaw: which one, must be said
+    rx, ry, rz            a rotation vector (Universal Robots), or roll, pitch, yaw: the user must state which
 
-Which image belongs to which row says a column `image` (the file) or `pose` (its name without ending).
+A column `image` (the file) or `pose` (its name without suffix) has the image of each row.
 """
 
 from __future__ import annotations
@@ -42,22 +42,22 @@ _FORMS: dict[tuple[str, ...], Form] = {
     ("r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"): "matrix",
     ("00", "01", "02", "10", "11", "12", "20", "21", "22"): "matrix",
 }
-_TYPED = 0.01  # how far numbers may be from those of a rotation: what a pendant shows is typed with few digits
-_LAST_COLUMN = ("03", "13", "23")  # of a 4 x 4 matrix whose cells are called after row and column
+_TYPED = 0.01  # allowed error of a rotation's numbers, which are often copied from a pendant with few digits
+_LAST_COLUMN = ("03", "13", "23")  # of a 4 x 4 matrix whose cells are named by row and column
 
 
 def read_tool_poses(
     path: Path | str, *, robot: Robot | None = None, angles: str | None = None
 ) -> tuple[list[str], FloatArray]:
-    """Return which image each row belongs to, and the tool in the base there, (n, 4, 4) [m].
+    """Return the image of each row, and the tool in the base there, (n, 4, 4) [m].
 
     Args:
         path: A CSV file.
-        robot: Robot with these joint values: the tool is then the frame that carries its first target, in its base.
-        angles: Meaning of rx, ry, rz.
+        robot: If given, the file has its joint values, and the tool is the frame of its first target, in its base.
+        angles: Meaning of rx, ry, rz, of `ANGLES`.
 
     Raises:
-        DataError: A column that is missing, a cell that is not a number, a quaternion that is none.
+        DataError: A missing column, a cell that is no number, or an invalid quaternion.
     """
     table = read_table(path, {} if robot is None else robot.description.columns)
     names = image_names(table)
@@ -82,13 +82,7 @@ def read_tool_poses(
 
 @dataclass(frozen=True)
 class PoseColumns:
-    """Columns that hold a pose.
-
-    Attributes:
-        position: Three names.
-        form: Form of rotations.
-        rotation: Names of its columns.
-    """
+    """Names of the columns of a pose: position, form of the rotation, and rotation."""
 
     position: tuple[str, ...]
     form: tuple[str, ...]
@@ -96,9 +90,9 @@ class PoseColumns:
 
 
 def pose_columns(table: Table) -> dict[str, PoseColumns]:
-    """Return the poses that a table has columns for, by what their names begin with.
+    """Return the poses that a table has columns for, by the common beginning of their names.
 
-    A rotation has the beginning of its position, or that with R for t (`t_cam_x` and `R_cam_r11`) or rvec for tvec.
+    A rotation's names begin like its position's, or with R for t (`t_cam_x`, `R_cam_r11`) or rvec for tvec.
     """
     columns = {name.casefold(): name for name in table.names}
     places: dict[str, PoseColumns] = {}
@@ -129,10 +123,10 @@ def poses_of(table: Table, place: PoseColumns, angles: str | None = None) -> Flo
 
 
 def image_names(table: Table) -> list[str]:
-    """Return which image each row of a table belongs to.
+    """Return the image of each row of a table.
 
     Raises:
-        DataError: No column says so, a cell is empty, or an image is named twice.
+        DataError: No such column, an empty cell, or an image in two rows.
     """
     columns = {name.casefold(): name for name in table.names}
     key = next((columns[name] for name in ("image", "pose", "photo", "file") if name in columns), None)
@@ -148,7 +142,7 @@ def image_names(table: Table) -> list[str]:
 
 
 def _rotations(table: Table, columns: Sequence[str], names: tuple[str, ...], angles: str | None) -> FloatArray:
-    form = _FORMS.get(names, "rotation_vector")  # of tvec and rvec
+    form = _FORMS.get(names, "rotation_vector")  # for rx, ry, rz, tvec and rvec
     if names == ("rx", "ry", "rz"):
         if angles is None:
             raise DataError(
@@ -169,7 +163,7 @@ def _rotations(table: Table, columns: Sequence[str], names: tuple[str, ...], ang
 
 
 def _tool_poses_from_joints(table: Table, robot: Robot) -> FloatArray:
-    """The tool by the robot's kinematics: the frame of its first target."""
+    """Poses of the first target's frame by the robot's kinematics, (n, 4, 4)."""
     missing = next((name for name in robot.joint_names if name not in table.names), None)
     if missing is not None:
         raise DataError(f"{table.path}: no column '{missing}'{nearest_column(missing, table.names)}")
@@ -178,12 +172,12 @@ def _tool_poses_from_joints(table: Table, robot: Robot) -> FloatArray:
 
 
 def match_images(seen: Sequence[str], names: Sequence[str], where: str) -> tuple[list[int], list[str]]:
-    """Return the row of each image that was seen, and in words which images have none.
+    """Return the row of each image, and a remark on every image without one.
 
     Args:
         seen: Names of images with a board.
         names: Image of each row.
-        where: Place of the rows, for messages.
+        where: Name of the rows in messages.
 
     Raises:
         DataError: No image has a row.

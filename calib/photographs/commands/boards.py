@@ -1,4 +1,4 @@
-"""`calib board`: a board to print; and the options by which other commands get a board."""
+"""`calib board`, which writes a board to print, and the options by which other commands take a board."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _HELP = (
     " aruco:4x3:40mm:10mm:DICT_4X4_50, apriltag:4x3:40mm:10mm (markers, side, gap)."
 )
 board_option = click.option("--board", required=True, metavar="FILE|TEXT", help=_HELP)
-"""Option for a board that a command needs."""
+"""Option for a required board."""
 board_if_any = click.option("--board", metavar="FILE|TEXT", help=_HELP)
-"""Option for a board that a command can do without."""
+"""Option for an optional board."""
 
 
 def read_board_option(text: str) -> Board:
-    """Return the board of a file, or of its short form; see `calib.core.instruments.board.read_board`."""
+    """Return the board of a file or of a short form; see `calib.core.instruments.board.read_board`."""
     return read_board(text, f"--board {text}")
 
 

@@ -1,4 +1,4 @@
-"""`calib detect`: where the points of a printed board are in photographs."""
+"""`calib detect`: pixels of a printed board's points in photographs."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def command(
 def detect_board(
     board: Board, photographs: Sequence[Shot], output: Output, *, pictures: bool
 ) -> tuple[Detection, list[bytes]]:
-    """Find a board in images, and report each image without one; return small copies as well, if requested.
+    """Find a board in images, and report each image without one; return small copies too if `pictures`.
 
     Raises:
         InputError: There are no images.
@@ -133,7 +133,7 @@ def _number(point: str) -> list[int]:
 
 
 def summary(detection: Detection) -> list[str]:
-    """Return a summary of the detection in words, with what is insufficient."""
+    """Return a summary of the detection in words, with its shortcomings."""
     usable, whole = detection.usable, len(detection.board.points())
     lines = [
         f"{count_noun(detection.n_points, 'point')} in {len(usable)} of {count_noun(len(detection.images), 'image')}"
@@ -177,7 +177,7 @@ def camera_rotation_spread(detection: Detection) -> FloatArray:
 
 
 def coverage(usable: Sequence[DetectedImage]) -> float:
-    """Return the part of the image in which the board was seen."""
+    """Return the part of the image area in which the board was seen, 0 to 1."""
     return image_coverage(np.concatenate([image.pixels for image in usable]), usable[0].size) if usable else 0.0
 
 

@@ -1,4 +1,4 @@
-"""`calib hand-eye`: where a camera is on or beside a robot, from photographs of a board."""
+"""`calib hand-eye`: pose of a camera on or beside a robot, from photographs of a board."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ FILES = (
     "camera_info.yaml",
     "photographs.html",
 )
-"""What the result folder holds."""
+"""Files of the result folder."""
 
 
 @click.command("hand-eye")
@@ -180,9 +180,9 @@ def _frames(text: str | None) -> Frames:
 def _pairs(
     path: str, poses: str | None, model: Robot | None, angles: str | None, output: Output
 ) -> tuple[list[str], FloatArray, FloatArray] | None:
-    """Names, tool in base and marker in camera of a table of poses; None: it is none.
+    """Names, tool in base and marker in camera from tables of poses; None if `path` is no such table.
 
-    One table may have both; then rows are pairs, and the names say which is the camera's.
+    One table may hold both; its rows are then pairs, and column names tell camera from tool.
     """
     if Path(path).suffix.lower() not in TABLES or not Path(path).is_file():
         return None
@@ -284,7 +284,7 @@ def _read_detected(path: str, board: Board) -> list[DetectedImage]:
 
 
 def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedImage], small: dict[str, bytes]) -> bytes:
-    """The photographs with arrows from where points were found to where the calibration puts them."""
+    """The page of photographs, with arrows from detected to predicted points."""
     scene, images = result.scene, {image.name: image for image in detected_images}
     factor = exaggeration(result.pixels, scene.size[0])
     each, off = result.rms_by_image(result.pixels), {image.name: image for image in result.outlying_images}
@@ -300,6 +300,6 @@ def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedIma
     for name, image in off.items():
         pictures.append(Picture(images[name], small.get(name, b""), f"left out: {image.rms:.1f} px off", True))
     text = f"Arrows: from where points were found to where they should be, {factor:g} times as long"
-    numbers = [*range(len(scene)), *[-1] * len(off)]  # images set aside belong to no mark of a plot
+    numbers = [*range(len(scene)), *[-1] * len(off)]  # outlying images belong to no mark of a plot
     figures = [(number, figure(picture)) for number, picture in zip(numbers, pictures, strict=True)]
     return answer(result, "Hand-eye calibration", f"{report(result, frames)}\n{text}", figures)

@@ -20,15 +20,15 @@ class HandEye(ReadOnlyArrays):
     """A hand-eye calibration.
 
     Attributes:
-        scene: The images that were used.
+        scene: The images used.
         fitted: Estimate from these images.
-        left_out: Errors of images that were left out in turn.
+        left_out: Errors of left-out images.
         residuals_without_robot: Residuals of a fit without the robot, (m, 2) [px]; NaN in images with too few points.
-        outlying_images: Outlying images, which were not used.
-        points_off: Outlying points of other images, which were not used, furthest first.
+        outlying_images: Unused outlying images.
+        points_off: Unused outlying points of other images, furthest first.
         mistakes: Mistakes that would explain the residuals, largest first.
-        intrinsics_given: Intrinsics that the user gave, (9,); None if none were given.
-        rms_given: RMS error of images left out in turn with given intrinsics [px]; NaN if not given or not tried.
+        intrinsics_given: Intrinsics of the user, (9,), or None.
+        rms_given: RMS error of left-out images with the user's intrinsics [px]; NaN if not computed.
         weighed: Whether images had different weights.
     """
 
@@ -45,12 +45,12 @@ class HandEye(ReadOnlyArrays):
 
     @property
     def pixels(self) -> FloatArray:
-        """Predicted minus found, (m, 2) [px]."""
+        """Predicted minus detected pixels, (m, 2) [px]."""
         return residuals(self.scene, self.fitted.placed)
 
     @property
     def board(self) -> FloatArray:
-        """Residuals on the board: the pixels' rays in its plane minus its points, (m, 2) [m]."""
+        """Residuals on the board: intersections of the pixels' rays with its plane minus its points, (m, 2) [m]."""
         return plane_errors_on_board(self.scene, self.fitted.placed)
 
     @property
@@ -64,19 +64,19 @@ class HandEye(ReadOnlyArrays):
 
     @property
     def distance(self) -> float:
-        """Mean distance from the camera to the points that it saw [m]."""
+        """Mean distance from the camera to the detected points [m]."""
         return float(np.mean(np.linalg.norm(points_in_camera(self.scene, self.fitted.placed)[0], axis=1)))
 
     @property
     def limit(self) -> float:
         """RMS error on the board below which as many new images like these stay in 95 of 100 cases [m].
 
-        Images are left out in turn. The degrees of freedom of the mean of their mean squares follow from the spread
-        (Satterthwaite), but are no more than the number of independent errors. The points of an image share the error
-        of the robot, which counts as one; each point has its own error, as large as in a fit without the robot. On the
-        board the robot's error is a shift of two numbers. But the fits without one image are almost the same and share
+        Each image is left out once. The degrees of freedom of their mean square follow from the spread (Satterthwaite),
+        but are no more than the number of independent errors. The points of an image share the error of the robot,
+        which counts as one; each point also has its own error, as large as in a fit without the robot. On the board
+        the robot's error is a shift of two numbers. But the fits without one image are almost the same and share
         their errors: with two numbers an image, 7 in 100 simulated calibrations would exceed the limit. The mean of
-        as many new images has as many degrees of freedom, and the ratio of both means follows F.
+        as many new images has the same degrees of freedom, and the ratio of both means follows F.
 
         Reference: satterthwaite1946.
         """
@@ -85,14 +85,14 @@ class HandEye(ReadOnlyArrays):
         if not np.isfinite(mean):  # a ray does not meet the plane of the board
             return float("nan")
         ratio = rms(self.residuals_without_robot) / rms(self.left_out.pixels)
-        point_share = min(ratio**2, 1.0) if np.isfinite(ratio) else 0.0  # part of the squares that is each point's own
+        point_share = min(ratio**2, 1.0) if np.isfinite(ratio) else 0.0  # of the squares, from each point's own error
         most = 1.0 / ((1.0 - point_share) ** 2 / n + point_share**2 / (2 * len(self.scene.pixels)))
         spread = float(np.var(squares, ddof=1)) / n
         freedom = min(most, 2 * mean**2 / spread) if spread > 0 else most
         return float(np.sqrt(mean * scipy.special.fdtri(freedom, freedom, 0.95)))
 
     def uncertainty(self) -> dict[str, tuple[float, float]]:
-        """Return half widths of 95 % intervals of camera and board, the largest of three axes each: [m] and [rad]."""
+        """Return half widths of 95 % intervals of camera and board, each the largest of three axes: [m] and [rad]."""
         factor = scipy.special.stdtrit(self.fitted.freedom[:12], 0.975)
         half = factor * np.sqrt(np.diag(self.fitted.covariance)[:12])
         return {

@@ -1,1 +1,1 @@
-"""Poses to measure: what they determine, the choice of them, and the next one."""
+"""Planning of measurements: parameters that poses determine, the choice of poses, and the next pose while measuring."""

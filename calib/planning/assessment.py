@@ -1,15 +1,14 @@
-"""Parameters that a set of poses determines, and their uncertainty: everything that `calib check` prints.
+"""Parameters that a set of poses determines, and their uncertainty: the content of `calib check`.
 
-Matrices from the floors below are put together for one robot and one set of poses: rank and gap of all parameters and
-of the free ones, groups that move together unseen, which parameters to hold, observability, and, with priors and
-noise, the predicted standard deviation of every parameter, their correlations, and the predicted position error.
-Families of joint terms (curves), whose priors are found from data, are left out of all of this.
+For one robot and one set of poses: rank and gap of all parameters and of the free ones, groups that move together
+unseen, parameters to hold, observability, and, with priors and noise, the predicted standard deviation of every
+parameter, their correlations, and the predicted position error. Families of joint terms (curves), whose priors are
+estimated from data, are left out.
 
-How many poses are needed is the first question. For each number m it is answered three times, from the
-information of the given poses alone: for m of them spread uniformly over their order; for the m of them that are best
-for this purpose (exchange for the task index); and, beyond the poses there are, for all of them measured m / n times on
-average. Only measurement noise counts: where the model does not fit the robot, more poses do not help, which the
-residuals of a fit show.
+How many poses are needed? The accuracy for each number m of poses is predicted from the information of the given poses:
+for m of them spread uniformly over their order; for the best m of them (exchange for the task index); and, beyond their
+number n, for all of them measured m / n times on average. Only measurement noise counts: more poses do not reduce
+errors of the model, which the residuals of a fit show.
 """
 
 from __future__ import annotations
@@ -53,17 +52,17 @@ from calib.planning.pose_sampling import sample
 from calib.planning.selection_problem import TASK, build_problem
 
 _SAMPLED = 100
-"""Poses that are checked if none are given."""
+"""Number of sampled poses if none are given."""
 CORRELATION_LIMIT = 0.95
-"""Correlations above this are reported: the two values trade against each other."""
+"""Larger correlations are reported: one value can replace the other."""
 HARDLY = 0.5
-"""A parameter whose standard deviation stays above this part of its prior sigma is hardly improved."""
-_DIGITS = 9  # digits of a remainder; what is smaller is rounding
+"""Part of the prior sigma above which a parameter's standard deviation is hardly improved."""
+_DIGITS = 9  # digits of a remainder; the rest is rounding
 _COUNTS = 8  # numbers of poses up to all of them
-_MOST_CHOSEN, _MOST_CANDIDATES = 400, 2000  # for more, the search for the best poses would take long
+_MOST_CHOSEN, _MOST_CANDIDATES = 400, 2000  # above these, the search for the best poses would take long
 _BEYOND = (2, 4)  # multiples of the number of poses
-_GROUPS = 3  # that are named where it is printed
-_NOTHING_NEW = 1e-3  # part of a pose's strongest direction; repeats that hardly differ add no more than this
+_GROUPS = 3  # number of named groups in the printed object
+_NOTHING_NEW = 1e-3  # part of a pose's strongest direction below which a direction is rounding of similar repeats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,27 +72,27 @@ class Assessment(ReadOnlyArrays):
     Attributes:
         parameters: All parameters.
         free: Mask of the free parameters, (n_parameters,).
-        n_poses, n_rows: Poses, and measured coordinates.
-        sigma: Noise of one reading per axis that was used [m].
-        sigma_assumed: Whether it was not stated.
+        n_poses, n_rows: Numbers of poses and of measured coordinates.
+        sigma: Noise of one reading per axis [m].
+        sigma_assumed: Whether the noise is an assumption.
         determination: Ranks of all and of the free parameters, from the poses alone and with priors.
         posterior_information: Uncertainty of the free parameters from poses and priors; in units of
             `determination.lengths`.
         groups: Groups of parameters whose common change no pose shows, of all parameters, from the poses alone.
-        undetermined_groups: The same of the free ones, priors included: groups that stay undetermined.
+        undetermined_groups: The same of the free parameters with priors.
         elimination: Parameters to hold so that the poses determine the rest.
         scaled: O1 to O5 of the free parameters, on columns scaled by sigma [m]; if no lengths are measured, in units of
             the noise of a reading.
-        raw: The same on columns that are not scaled, in mm (or noise) per unit of the table.
+        raw: The same on unscaled columns, in mm (or noise) per unit of the table.
         std: Predicted standard deviation of each free parameter, infinite where undetermined, (n_free,) [m, rad].
         accuracy: Predicted position error at the task poses.
         position_errors: The same at each of them, of the targets in `RobotData.reported_targets`, (n_task, n_located)
             [m].
         rms_without_common: Root mean square of the predicted position error [m], without the part that moves all
-            positions as one body, such as where the base stands.
+            positions as one body, such as an error of the base.
         by_count: Predicted accuracy against number of poses.
         near_singular: Poses closer to a singularity of the loops than the description's limit.
-        left_out: Targets that are left out of the accuracy (`RobotData.unreported_targets`).
+        left_out: Targets that do not count in the accuracy (`RobotData.unreported_targets`).
     """
 
     parameters: tuple[Parameter, ...]
@@ -154,7 +153,7 @@ class Assessment(ReadOnlyArrays):
         return [{"name": p.name, "unit": p.unit, "sigma": p.sigma, "std": float(std) * p.per_si} for p, std in kept]
 
     def to_dataframe(self) -> Any:
-        """Return `rows` as a pandas table; pandas missing is an `InputError`."""
+        """Return `rows` as a pandas table; `InputError` without pandas."""
         return data_frame(self.rows())
 
     @property
@@ -183,19 +182,13 @@ class Assessment(ReadOnlyArrays):
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
     def hardly_known(self) -> list[tuple[str, float]]:
-        """Return free parameters with more than `HARDLY` of their expected error left, and that part, largest first.
-
-        Those that differ by rounding alone come in the order of `free_parameters`.
-        """
+        """Return free parameters with more than `HARDLY` of their expected error left, and that part, largest first."""
         named = [(p.name, float(r)) for p, r in zip(self.free_parameters, self.part_left, strict=True) if r > HARDLY]
         return sorted(named, key=lambda item: -round(item[1], _DIGITS))
 
     @property
     def part_left(self) -> FloatArray:
-        """Standard deviation over expected error of each free parameter, (n_free,).
-
-        NaN of a determined place without a prior, such as that of a tracker: it has no expected error.
-        """
+        """Standard deviation over expected error of each free parameter, (n_free,); NaN for a pose without prior."""
         parts = self.std / np.array([p.sigma_si for p in self.free_parameters])
         anywhere = np.array([p.placement and not p.prior for p in self.free_parameters], dtype=bool)
         return np.where(anywhere & np.isfinite(parts), np.nan, parts)
@@ -208,14 +201,14 @@ def check(
     """Return the parameters that poses determine, at the robot's present values.
 
     Args:
-        poses: Poses that are or would be measured; of measurements, only joint values and number of readings are used.
-            Or joint values alone, (n, n_actuated) [m or rad]. If not given: a hundred, spread over the joint limits.
-        task: Poses whose accuracy counts, in the same form; `poses` if not given.
-        sigma: Noise of one position reading per axis [m], or text such as `0.04 mm`; the description's if not given.
+        poses: Poses that are or would be measured, or joint values (n, n_actuated) [m or rad]; default: a hundred,
+            spread over the joint limits. Of measurements, only joint values and numbers of readings are used.
+        task: Poses whose accuracy counts, in the same form; default: `poses`.
+        sigma: Noise of one position reading per axis [m], or text such as `0.04 mm`; default: the description's.
 
     Raises:
         InputError: `robot` is not a robot.
-        DataError: Fewer measured coordinates than free parameters that no prior holds.
+        DataError: Fewer measured coordinates than free parameters without a prior.
         UnreachablePoseError: A pose cannot be assembled.
     """
     robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
@@ -231,7 +224,7 @@ def check(
     _require_rows(robot, poses, width)
     determined = determination(columns / everything.scales, parameters, free)
     unknowns = Unknowns.chosen_by_poses(robot)
-    lengths = determined.lengths * everything.scales  # of columns scaled by sigma: what rows and priors are divided by
+    lengths = determined.lengths * everything.scales  # of columns scaled by sigma: divisors of rows and priors
     priors = unknowns.prior.rows / lengths[free]
     unit = columns[:, free] / lengths[free]
     known = information(unit, priors)
@@ -274,7 +267,7 @@ def check(
 def _columns(
     robot: Robot, poses: Poses, configurations: Configurations, sigma: float | None, everything: Unknowns
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Whitened rows of actual or possible readings, those of each pose, and the number of rows of a visit."""
+    """Whitened rows of all readings, those of each pose, and the number of rows of a visit."""
     if not isinstance(poses, Measurements):
         pose_rows = rows_of_poses(robot, configurations, sigma, everything, planned_readings(robot, poses))
         flat = pose_rows.rows[pose_rows.read]
@@ -284,7 +277,7 @@ def _columns(
     whitened = whitening.rows(observed, whitening.start(), everything, everything.deviations(robot.values))
     layout = whitening.layout
     flat = whitened.jacobian[layout.group >= 0]
-    pose = layout.pose[layout.reading]  # rows pose by pose, filled up with zeros
+    pose = layout.pose[layout.reading]  # rows pose by pose, padded with zeros
     _, block, counts = np.unique(pose, return_inverse=True, return_counts=True)
     packed = np.zeros((len(counts), int(counts.max()), whitened.jacobian.shape[1]))
     packed[block, rank_in_visit(pose)] = whitened.jacobian
@@ -292,7 +285,7 @@ def _columns(
 
 
 def _require_rows(robot: Robot, poses: Poses, per_pose: int) -> None:
-    """Raise where the poses cannot determine the free parameters, whatever they are."""
+    """Raise `DataError` if there are fewer rows than free parameters without a prior."""
     needed = sum(use and not p.prior for p, use in zip(robot.parameters, robot.is_free, strict=True))
     if per_pose * len(poses) < needed:
         raise DataError(
@@ -307,9 +300,9 @@ class CountRow:
 
     Attributes:
         count: Number of poses.
-        uniform: With that many of the given poses spread uniformly; None beyond the poses there are.
-        chosen: With the best of the given poses; beyond them, with all measured several times. None where the search
-            for the best would take long.
+        uniform: With as many of the given poses, spread uniformly; None beyond their number.
+        chosen: With the best of the given poses; beyond their number, with all measured several times. None where the
+            search would take long.
     """
 
     count: int
@@ -327,10 +320,10 @@ def accuracy_by_count(
         priors: Prior rows, (n_priors, n_parameters).
         task_rows: Scaled derivative of positions at the poses whose accuracy counts, (n_task, 3 n_targets,
             n_parameters) [m].
-        counts: Numbers of poses up to those there are; chosen here if not given.
+        counts: Numbers of poses, at most those given; chosen automatically by default.
 
     Returns:
-        A row for each number, but for those that are found too small to determine what all poses do.
+        A row for each number that determines as much as all poses do.
     """
     n = len(rows)
     candidates = uniform_start(np.arange(n), min(n, _MOST_CANDIDATES))
@@ -352,7 +345,7 @@ def accuracy_by_count(
             start = uniform_start(np.arange(len(candidates)), count)
             try:
                 best = candidates[exchange(problem, TASK, start, space).chosen]
-            except NotIdentifiableError:  # fewer than determine what all do
+            except NotIdentifiableError:  # too few to determine as much as all poses do
                 continue
             chosen = _accuracy(rows[best], priors, task_rows, 1.0)
         table.append(CountRow(count, uniform, chosen))

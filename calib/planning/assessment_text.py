@@ -1,4 +1,4 @@
-"""The text that `calib check` prints, and the same content as data."""
+"""The text of `calib check`, and the same content as data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from calib.core.rows.candidates import WHITENED
 from calib.planning.assessment import CORRELATION_LIMIT, HARDLY, Assessment
 
 _SHOWN = 12  # names in a list
-_FEW = 4  # the same in the short answer
+_FEW = 4  # names in the short answer
 _LINES = 3  # lines of groups in the short answer
 _MANY_POSITIONS = 6  # with fewer positions, almost any errors of a robot look like a motion of one body
 _MOSTLY_COMMON = 0.5  # the error without a common motion is printed if it is below this part of the whole
@@ -29,7 +29,7 @@ def text_report(assessment: Assessment, source: str, width: int = 120, *, verbos
     Args:
         source: Origin of the poses, in words.
         width: Width of the text, in characters.
-        verbose: All groups, and a table of all parameters; otherwise the answer on at most 40 lines.
+        verbose: Print all groups and a table of all parameters; otherwise at most 40 lines.
     """
     lines, names = (None, _SHOWN) if verbose else (_LINES, _FEW)
     parts: list[str | Table] = [_heading(assessment, source), *_verdict(assessment, lines, width)]
@@ -105,7 +105,7 @@ def _verdict(a: Assessment, most: int | None, width: int) -> list[str]:
 def _groups_in_words(
     groups: Sequence[UnseenGroup], parameters: Sequence[Parameter], most: int | None, width: int
 ) -> list[str]:
-    """Groups in words: as many as fit into `most` lines (all if None), and the number of the others."""
+    """Groups in words, limited to `most` lines (None: all), with the number of omitted groups."""
     single = [parameters[group.members[0]].name for group in groups if len(group.members) == 1]
     alone = [f"  {', '.join(single)} {'has' if len(single) == 1 else 'have'} no effect"] if single else []
     texts = [describe_group(group, parameters) for group in groups if len(group.members) > 1]

@@ -1,13 +1,12 @@
 """Exchange algorithms: choose poses by swapping one at a time, for any index.
 
 `exchange` is the paper's (after Mitchell's DETMAX with excursions of one): add the candidate that raises the index
-most, remove the pose whose removal costs least, until the one just added is the one removed. The index rises with
-every round, so it ends; where it ends depends on the start.
+most, remove the pose whose removal costs least, until the added pose is also the removed one. The index rises with
+every round, so the rounds end; the result depends on the start.
 
-`swap` goes on from there: for each chosen pose in turn, take it out and put the best candidate in its place, until no
-single swap raises the index.
+`swap` continues: it replaces each chosen pose in turn by the best candidate, until no single swap raises the index.
 
-Poses that must keep a distance from each other are a set of candidates that is not allowed at the moment (`Spacing`).
+If poses must keep a distance, candidates near chosen poses are excluded at each step (`Spacing`).
 
 Reference: Mitchell 1974; Fedorov 1972; Joubair et al. 2015, section Observability and Figure 4.
 """
@@ -25,8 +24,8 @@ from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_scores import Scores, scores
 
 _RISE = 1e-10
-"""Least relative rise of an index that counts; less is rounding."""
-_RIDGE = 1e-9  # added to K, whose full value is 1
+"""Least relative rise of an index; a smaller rise is rounding."""
+_RIDGE = 1e-9  # added to the diagonal of K, which is the identity for all candidates
 _MAX_PASSES = 20
 
 
@@ -37,9 +36,9 @@ class Spacing:
     Attributes:
         points: Positions of the targets at each candidate, (n_candidates, n) [m].
         distance: Least distance between chosen poses [m]; 0 for none.
-        usable: Candidates that may be chosen at all, (n_candidates,).
-        pose: Pose of each candidate; those of one pose need no distance, (n_candidates,). None: each has its own.
-        kind: Candidates are exchanged for those of their kind alone, (n_candidates,). None: for any.
+        usable: Mask of the candidates that may be chosen, (n_candidates,).
+        pose: Pose of each candidate, (n_candidates,); candidates of a pose need no distance. None: each has its own.
+        kind: Kind of each candidate, (n_candidates,); only candidates of a kind are exchanged. None: any.
     """
 
     points: FloatArray
@@ -49,12 +48,12 @@ class Spacing:
     kind: IntArray | None = None
 
     def is_same_kind(self, candidate: int) -> BoolArray:
-        """Return which candidates are of the kind of one of them, (n_candidates,)."""
+        """Return the mask of the candidates of the same kind, (n_candidates,)."""
         result: BoolArray = np.ones_like(self.usable) if self.kind is None else self.kind == self.kind[candidate]
         return result
 
     def is_allowed(self, chosen: BoolArray) -> BoolArray:
-        """Return which candidates may be added to a choice, (n_candidates,)."""
+        """Return the mask of the candidates that may be added to a choice, (n_candidates,)."""
         free = self.usable & ~chosen
         if self.distance > 0 and np.any(chosen):
             candidates = np.flatnonzero(free)
@@ -66,15 +65,14 @@ class Spacing:
         return free
 
     def select_spread(self, tried: IntArray, count: int) -> IntArray:
-        """Return candidates that keep the distance: those of `tried` that do, filled up in file order.
+        """Return candidates that keep the distance, first from `tried`, then in file order.
 
         Args:
-            tried: Candidates in the order in which they are tried, (n,).
-            count: Number needed.
+            tried: Candidates to take first, in this order, (n,).
+            count: Number of candidates to return.
 
         Returns:
-            Indices of candidates, (count,), or fewer where no more were found; `tried` itself where no distance is
-            asked for.
+            Indices of candidates, (count,), or fewer if no more keep the distance; `tried` itself without a distance.
         """
         if self.distance == 0:
             return tried
@@ -100,10 +98,10 @@ class Exchange:
     """A choice and the exchanges that led to it.
 
     Attributes:
-        chosen: Mask of the candidates in it, (n_candidates,).
-        scores: Their scores.
-        history: Choices of the start and after each exchange, as (added, removed) pairs; the start is (-1, -1).
-        values: Score after each entry of `history`; NaN while a start that determined too little was being mended.
+        chosen: Mask of the chosen candidates, (n_candidates,).
+        scores: Scores of the choice.
+        history: Exchanges as (added, removed) pairs, after (-1, -1) for the start.
+        values: Score after each entry of `history`; NaN while the choice did not determine enough.
     """
 
     chosen: BoolArray
@@ -129,13 +127,13 @@ def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Sp
         spacing: Candidates that may be added.
 
     Raises:
-        NotIdentifiableError: No choice was found that determines every direction.
+        NotIdentifiableError: No choice determines every direction.
     """
     chosen = np.zeros(len(problem), dtype=bool)
     chosen[start] = True
     if problem.is_determined_by(chosen):
         return _climb(scores(problem, index, chosen), chosen, spacing)
-    # every index is zero here: climb with a tiny prior first
+    # every index is zero here: first climb with a tiny prior
     helped = _climb(scores(problem, "O1", chosen, _RIDGE), chosen, spacing)
     if not problem.is_determined_by(helped.chosen):
         raise NotIdentifiableError(
@@ -172,10 +170,7 @@ def _climb(state: Scores, chosen: BoolArray, spacing: Spacing) -> Exchange:
 
 
 def swap(done: Exchange, spacing: Spacing) -> Exchange:
-    """Improve a choice until no single swap of a chosen pose for another candidate raises the index.
-
-    A pose without which a direction would be lost is left where it is.
-    """
+    """Improve a choice until no single swap raises the index; a pose that alone determines a direction stays."""
     chosen, state = done.chosen.copy(), done.scores
     history, values = list(done.history), list(done.values)
     for _ in range(_MAX_PASSES):
@@ -185,7 +180,7 @@ def swap(done: Exchange, spacing: Spacing) -> Exchange:
                 continue
             chosen[removed] = False
             smaller = state.after_move(int(removed), add=False)
-            # the one just removed is allowed, so there is one
+            # the removed candidate is allowed, so there is one
             added = smaller.best_move(spacing.is_allowed(chosen) & spacing.is_same_kind(int(removed)), add=True)
             after = smaller.after_move(added, add=True) if added != removed else state
             if after.value <= state.value + _RISE * abs(state.value):

@@ -1,8 +1,8 @@
 """Choosing instruments too: a candidate is a pose together with a group of instruments that read there.
 
-Every group can be chosen at every pose where all of its instruments have something to read. Each such pair can be
-chosen once. So a choice may read one pose with two groups; the information of both adds up, as for any two candidates.
-Candidates are ordered by group, and within a group by pose: candidate k is pose k modulo the number of poses.
+A group is possible at every pose where all of its instruments have something to read. Each pair of pose and group can
+be chosen once, so two groups may read one pose; their information adds up, as for any two candidates. Candidates are
+ordered by group, then by pose: candidate k has pose k modulo the number of poses.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class Groups:
     """Groups of instruments to choose among at a pose.
 
     Attributes:
-        members: Instruments that read together, by name, for each group.
+        members: Names of the instruments in each group, which read together.
         chosen: Whether to choose among groups; False: only poses are chosen, and all instruments read there.
-        counts: Number of poses to choose for each group; None: the best numbers.
+        counts: Number of poses for each group; None: the best numbers.
     """
 
     members: tuple[tuple[str, ...], ...]
@@ -49,11 +49,11 @@ def groups_of(robot: Robot, instruments: str | Sequence[str], count: int | Mappi
     """Return the groups of instruments to choose among.
 
     Args:
-        instruments: `ALL`, `EACH`, or the groups: names of instruments, joined by `+` where they read together.
-        count: Number of poses, or a number for each group, which names the groups as well.
+        instruments: `ALL`, `EACH`, or the groups: names of instruments, joined by `+` if they read together.
+        count: Number of poses, or a number by the name of each group.
 
     Raises:
-        InputError: An unknown instrument, a group given twice, or groups given in two ways.
+        InputError: An unknown instrument, a repeated group, or groups in both arguments.
     """
     names = tuple(instrument.name for instrument in robot.instruments)
     if isinstance(count, Mapping):
@@ -85,9 +85,8 @@ class PoseGroupPairs:
     """Candidates: pairs of a pose and a group of instruments; see the module docstring.
 
     Attributes:
-        pose: Pose of each, (n_candidates,).
-        group: Group of each, (n_candidates,).
-        rows: Whitened rows, (n_candidates, n_rows, n_parameters); filled up with 0.
+        pose, group: Pose and group of each, (n_candidates,).
+        rows: Whitened rows, padded with 0, (n_candidates, n_rows, n_parameters).
         n_read: Number of rows of each, (n_candidates,).
         possible: Whether all instruments of the group have something to read, (n_candidates,).
     """
@@ -100,7 +99,7 @@ class PoseGroupPairs:
 
 
 def pairs_of(groups: Groups, poses: PoseRows) -> PoseGroupPairs:
-    """Return the candidates that n poses make with the groups."""
+    """Return the candidates: all pairs of the n poses and the groups."""
     n, n_groups = len(poses.rows), len(groups.members)
     columns_of_groups = [np.concatenate([_range(poses.blocks[name]) for name in members]) for members in groups.members]
     width = max(len(columns) for columns in columns_of_groups)
@@ -121,9 +120,9 @@ def pairs_of(groups: Groups, poses: PoseRows) -> PoseGroupPairs:
 
 
 def already_read(groups: Groups, candidates: Poses, measured: Poses) -> BoolArray:
-    """Return which candidates are measured already, by all instruments of their group, (n_candidates,).
+    """Return the mask of candidates that all instruments of their group have already measured, (n_candidates,).
 
-    For measured poses without readings, all instruments count as having read.
+    Measured poses without readings count as read by all instruments.
     """
     result = []
     for members in groups.members:
@@ -138,7 +137,7 @@ def already_read(groups: Groups, candidates: Poses, measured: Poses) -> BoolArra
 
 
 def require_planned_touches(robot: Robot, groups: Groups, poses: Poses) -> None:
-    """Raise `InputError` if an instrument touches, and the poses do not say what it touches."""
+    """Raise `InputError` if an instrument of a group touches, and the poses do not name the touched target."""
     for instrument in touches_without_target(robot, poses):
         if any(instrument.name in members for members in groups.members):
             raise InputError(

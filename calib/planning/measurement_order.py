@@ -1,13 +1,13 @@
-"""The order of poses in which the robot travels little.
+"""An order of poses with little travel of the robot.
 
 The time between two poses is about that of the joint with the longest travel, so the distance between them is
 
     max over joints of |difference| / (range of that joint over all poses)
 
 The shortest open path from home through all poses is a travelling-salesman problem. A path that always goes to the
-nearest pose next is shortened by 2-opt (reverse a piece) and or-opt (move a piece of up to three poses elsewhere),
-until neither helps. The result is usually within a few percent of the shortest, which is enough here: the path does not
-change what is measured.
+nearest next pose is shortened by 2-opt (reverse a piece) and or-opt (move a piece of up to three poses), until neither
+helps. The result is usually within a few percent of the shortest, which is enough, since the path does not change the
+measurement.
 
 Reference: Croes 1958; Or 1976.
 """
@@ -20,7 +20,7 @@ from calib.core.base.arrays import FloatArray, IntArray
 
 _SHORTER = 1e-12
 _LONGEST_PIECE = 3
-_IMPROVED = 1000  # poses up to which a path is improved; a longer path goes to the nearest next pose
+_IMPROVED = 1000  # largest number of poses for which the path is improved
 
 
 def travel(joints: FloatArray, home: FloatArray, order: IntArray) -> float:
@@ -56,7 +56,7 @@ def order_in_blocks(joints: FloatArray, home: FloatArray, block: IntArray) -> In
     Args:
         joints: Poses, (n, n_actuated) [m or rad].
         home: Start of the path, (n_actuated,) [m or rad].
-        block: Number of the block of each pose, (n,); the smallest comes first.
+        block: Number of the block of each pose, (n,), ascending in the order of measurement.
     """
     order, start = [], home
     for number in np.unique(block):
@@ -67,7 +67,7 @@ def order_in_blocks(joints: FloatArray, home: FloatArray, block: IntArray) -> In
 
 
 def shortest_order(joints: FloatArray, home: FloatArray) -> IntArray:
-    """Return an order of visiting that is short, (n,).
+    """Return a short order of visiting, (n,).
 
     Args:
         joints: Poses, (n, n_actuated) [m or rad].
@@ -120,7 +120,7 @@ def _reverse_piece(path: IntArray, gaps: FloatArray) -> IntArray | None:
 
 
 def _move_piece(path: IntArray, gaps: FloatArray) -> IntArray | None:
-    """Move a piece of up to three poses elsewhere, either way round, if that shortens the path; else None."""
+    """Move a piece of up to three poses, in either direction, if that shortens the path; else None."""
     for length in range(1, _LONGEST_PIECE + 1):
         for start in range(1, len(path) - length + 1):
             piece = path[start : start + length]

@@ -1,13 +1,13 @@
-"""The pose to measure next, while measuring: nearly the one that helps most, and near to where the robot stands.
+"""The next pose while measuring: near the robot's present pose, and nearly as helpful as the best.
 
 As in `calib select --index task --measured`, a pose helps by as much as it lowers the predicted error over the
-candidates. Before the measured poses determine the robot, no error can be predicted; then it is the information of
-one more pose about what all candidates would determine (log det, with a little of every direction known beforehand, so
-that the one that is missing most counts most). Of the poses that help at least `ENOUGH` times as much as the best, the
-nearest is taken: measuring takes time, most of it for the way.
+candidates. As long as the measured poses do not determine the robot, a pose helps by its information about everything
+that all candidates would determine (log det, with a little prior information on every direction, so that the missing
+direction counts most). Among the poses that help at least `ENOUGH` times as much as the best, the nearest is taken,
+since most of the measuring time is travel.
 
-Once the predicted error is small enough, poses are measured to check it. What helps most is where predictions are
-worst, so errors there say nothing about the candidates as a whole: poses to check with are drawn at random.
+Once the predicted error is small enough, further poses check it. The most helpful poses have the worst predictions, so
+their errors do not represent the candidates: poses to check with are drawn at random.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from calib.planning.selection_problem import DETERMINED, TASK
 from calib.planning.selection_setting import Request, prepare
 
 ENOUGH = 0.8
-"""Part of the best pose's help that a nearer one must give."""
-_KNOWN = 1e-6  # part of the information of all candidates on a direction, added to every direction at the start
+"""Part of the best pose's help that suffices for a nearer pose."""
+_KNOWN = 1e-6  # prior information on every direction, over the information of all candidates
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +38,13 @@ class NextPose(ReadOnlyArrays):
     """The pose to measure next.
 
     Attributes:
-        candidate: Its number among the candidates.
+        candidate: Its index among the candidates.
         name: Its name there.
         joints: Its joint values, (n_actuated,) [m or rad].
-        before: Predicted error over the candidates now, root mean square; infinite where it is not determined [m].
-        after: The same with this pose measured; infinite where it is not determined [m].
-        travel: Longest way of a joint from where the robot stands, in the range of that joint over the candidates.
-        checks: Whether it was drawn at random, to check with.
+        before: Present predicted error over the candidates, root mean square [m]; infinite if undetermined.
+        after: The same with this pose measured [m].
+        travel: Longest joint travel from the robot's present pose, over that joint's range among the candidates.
+        checks: Whether the pose was drawn at random to check the fit.
     """
 
     candidate: int
@@ -66,18 +66,18 @@ def next_pose(
     sigma: float | None = None,
     drawn: np.random.Generator | None = None,
 ) -> NextPose | None:
-    """Return the pose to measure next; None where every candidate that can be reached is measured.
+    """Return the pose to measure next; None if every reachable candidate is measured.
 
     Args:
-        robot: The robot; its present values are where it is linearised.
-        candidates: Poses to choose from; the predicted error counts at them.
+        robot: The robot, linearised at its present values.
+        candidates: Poses to choose from; the predicted error is over these.
         measured: Measurements so far.
-        present: Present joint values of the robot, (n_actuated,) [m or rad]; home if not given.
-        sigma: Noise of one reading per axis [m]; the description's if not given.
-        drawn: Draw the pose with these random numbers, to check with.
+        present: Present joint values of the robot, (n_actuated,) [m or rad]; default: home.
+        sigma: Noise of one reading per axis [m]; default: the description's.
+        drawn: Draw a pose to check with from this generator.
 
     Raises:
-        DataError: A candidate is given twice.
+        DataError: Two candidates are equal.
         NotIdentifiableError: The candidates do not determine the positions at them.
     """
     request = Request(TASK, 1, 0.0, groups_of(robot, ALL, 1))

@@ -1,4 +1,4 @@
-"""The end of the output of planning commands: the next command to type."""
+"""The next command to type, at the end of the output of planning commands."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from calib.core.data.measurements import Measurements
 from calib.planning.assessment import Assessment
 
 _POSES = ("--sigma-mm", "--parameters", "--result", "--task")
-"""Options that mean the same in all commands that weigh poses."""
+"""Options with the same meaning in all commands about poses."""
 
 
 def advice_after_check(
@@ -19,8 +19,8 @@ def advice_after_check(
     """Return the next step after an assessment.
 
     Args:
-        data: DATA, as it was typed; nothing where poses were sampled.
-        typed: Options, as `typed_options` has them.
+        data: DATA as typed; empty if poses were sampled.
+        typed: Options as typed, from `typed_options`.
     """
     if not data:
         words: tuple[str, ...] = ("calib", "sample", robot, "--count", "1000", "--seed", "1", "--out", "poses.csv")
@@ -37,12 +37,7 @@ def advice_after_check(
 
 
 def advice_after_select(robot: str, out: str, typed: Mapping[str, Sequence[str]]) -> str:
-    """Return the next step after a choice of poses.
-
-    Args:
-        out: The file with the chosen poses.
-        typed: Options, as `typed_options` has them.
-    """
+    """Return the next step after a choice of poses, written to the file `out`."""
     options = ("--goal", "0.1mm", "--candidates", out, *words_of(typed, NOISE))
     words = ("calib", "watch", robot, "measured.csv", *options)
     return f"Next: measure them, and follow the measurement: {shlex.join(words)}"

@@ -1,15 +1,15 @@
-"""Sampled poses of a robot: spread at random over its joint limits (`Robot.sample`).
+"""Random poses of a robot, spread over its joint limits (`Robot.sample`).
 
-Touches tell less than positions would: of one socket, the size of the robot stays open, because the ball is in the same
-place every time. So poses of a robot that touches are brought to what it touches, one thing after the other, where that
-is found from where they are.
+Touches determine less than positions: at one socket, the size of the robot stays open, because the ball is always in
+the same place. So each pose of a robot that touches is brought to one of the described places, in turn, if the search
+from there succeeds.
 
-A camera sees its board from few of the poses that a robot can take. Where nothing but cameras reads, poses are tried
-until enough see something (`calib.core.instruments.pixel` says when that is). A kind that says where it reads something
-(`FrameInstrument.sights`) has poses brought there first.
+A camera sees its board from few poses. If only cameras read, poses are tried until enough see something
+(`calib.core.instruments.pixel` defines when). Poses are first brought to the places where a kind reads, if it defines
+them (`FrameInstrument.sights`).
 
-Where the robot file has shapes, or the description says what is around the robot, only poses are given that are free
-(`calib.core.robots.pose_check`): more are drawn, with the same seed, until enough of them are.
+If the robot file has shapes, or the description has obstacles, only free poses are returned
+(`calib.core.robots.pose_check`): more are drawn with the same seed until enough are free.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from calib.core.rows.candidates import configurations_at
 from calib.core.rows.observed import planned_readings, predict_readings
 from calib.core.rows.simulate import MET, touching_configurations
 
-_TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses, for one that sees something
+_TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # tried poses for each that sees something
 _AT_ONCE = 1_000
-_BROUGHT_OF_EACH = 10  # poses that are brought to where a kind says that it reads something
+_BROUGHT_OF_EACH = 10  # tried poses for each that sees something, if the kind defines where it reads
 _FEW_SEE = 0.5  # part of the poses
-_MOST_DRAWN = 64  # poses, for one that is free
-_NUMBERS_OF_EACH = 120  # numbers of 8 bytes: joint values, names, text of a file; 700 to 850 bytes were measured
+_MOST_DRAWN = 64  # drawn poses for each free pose
+_NUMBERS_OF_EACH = 120  # memory of a pose in numbers of 8 bytes; 700 to 850 bytes were measured
 
 
 def sample(
@@ -53,21 +53,21 @@ def sample(
     *,
     within: Poses | Ranges | ArrayLike | None = None,
 ) -> Poses:
-    """Return `count` poses that the robot can take, named by their number; at contact where it touches something.
+    """Return `count` poses of the robot, named by their number; in contact if an instrument touches.
 
-    If too few poses come to contact with the places in the description, poses are not at contact, and do not say what
-    they touch (`calib.core.rows.observed.touches_without_target`). If too few are found at which a camera sees
-    anything, the others see nothing (`visible_poses` tells which).
+    If too few poses reach contact with the described places, poses are not in contact and name no touched target
+    (`calib.core.rows.observed.touches_without_target`). If a camera sees something at too few poses, the other poses
+    see nothing (`visible_poses`).
 
     Args:
         robot: The robot at its present values.
-        seed: Seed of the joint values, or a generator of random numbers.
-        within: Ranges to stay in, inside the joint limits: by name [SI]; or poses, or joint values alone, that span
-            them, (n, n_actuated) [m or rad].
+        seed: Seed or generator of the joint values.
+        within: Ranges inside the joint limits, by name [SI]; or poses, or joint values (n, n_actuated) [m or rad],
+            that span the ranges.
 
     Raises:
-        InputError: The count or the seed is negative, or a range is not one; or more than fits into memory.
-        DataError: Not enough were found, even near home, or are free; or a sliding joint has no limits.
+        InputError: The count or the seed is negative, a range is invalid, or the poses do not fit into memory.
+        DataError: Too few poses exist, even near home, or too few are free; or a sliding joint has no limits.
     """
     return free_sample(as_robot(robot), count, random_numbers(seed), within)[0]
 
@@ -75,14 +75,14 @@ def sample(
 def free_sample(
     robot: Robot, count: int, generator: np.random.Generator, within: Poses | Ranges | ArrayLike | None = None
 ) -> tuple[Poses, PoseCheck, Poses]:
-    """Return free poses as `sample` does; the check of all poses drawn; and the first poses drawn, free or not.
+    """Return free poses as in `sample`, the check of all drawn poses, and the first drawn poses, free or not.
 
     Raises:
         InputError, DataError: See `sample`.
     """
     state, total = generator.bit_generator.state, count
     while True:
-        generator.bit_generator.state = state  # the same poses, and more
+        generator.bit_generator.state = state  # draw the same poses again, and more
         drawn = _draw_poses(robot, total, generator, within)
         check = check_poses(robot, drawn.joints)
         free = np.flatnonzero(check.is_free)[:count]
@@ -104,7 +104,7 @@ def free_sample(
 def _draw_poses(
     robot: Robot, count: int, generator: np.random.Generator, within: Poses | Ranges | ArrayLike | None
 ) -> Poses:
-    """Poses as `sample` gives them, free or not."""
+    """Poses as in `sample`, free or not."""
     touches = [instrument for instrument in robot.instruments if instrument.touches]
     spanned = within.joints if isinstance(within, Poses) else within
     total = TRIES * count if touches and count > 0 else count
@@ -135,11 +135,9 @@ def _draw_poses(
 
 
 def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
-    """Return at which poses instruments that may see nothing would read something, by name, (n,).
+    """Return by instrument at which poses it would read something, (n,), for instruments that may see nothing.
 
-    Args:
-        robot: The robot at its present values.
-        poses: The poses; at those that cannot be assembled nothing is read.
+    At poses that cannot be assembled, nothing is read.
     """
     result = {
         instrument.name: np.zeros(len(poses), dtype=bool)
@@ -160,7 +158,7 @@ def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
 
 
 def little_seen(robot: Robot, poses: Poses) -> str | None:
-    """Return a remark where instruments see something at few of the poses; None where they do at most."""
+    """Return a remark on instruments that see something at few of the poses; None without any."""
     few = [
         f"{name} at {int(np.sum(seen))} of {len(poses)}"
         for name, seen in visible_poses(robot, poses).items()
@@ -176,11 +174,11 @@ def little_seen(robot: Robot, poses: Poses) -> str | None:
 
 
 def _seeing(robot: Robot, first: Poses, generator: np.random.Generator, within: Ranges | ArrayLike | None) -> Poses:
-    """As many poses as the first ones, with something to see at each if such poses are found."""
+    """As many poses as `first`, each with something to see if such poses are found."""
     count = len(first)
     tries, at_once = int(np.clip(_TRIED_OF_EACH * count, _LEAST_TRIED, _MOST_TRIED)), _AT_ONCE
     seeing, tried = np.zeros((0, first.joints.shape[1])), _brought_into_sight(robot, first, generator)
-    if tried is not first.joints:  # most of them see something then, and bringing takes longer than trying
+    if tried is not first.joints:  # most of them see something, and the inverse kinematics takes longer than trying
         tries, at_once = _BROUGHT_OF_EACH * count, count
     while True:
         sees = np.any(list(visible_poses(robot, _poses(robot, tried)).values()), axis=0)
@@ -195,7 +193,7 @@ def _seeing(robot: Robot, first: Poses, generator: np.random.Generator, within: 
 
 @dataclass(frozen=True)
 class _MutualPose(Pose):
-    """A stand-in for another instrument, whose frames shall be as a reading states."""
+    """A substitute for an instrument, whose frames are to be in the pose of a reading."""
 
     frames: tuple[tuple[str, str], ...] = ()
 
@@ -204,7 +202,7 @@ class _MutualPose(Pose):
         return self.frames
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Compare the readings, with unknown numbers of the other instrument fitted."""
+        """Compare the stated components of readings, without unknowns."""
         is_stated = np.isfinite(readings.values)
         exact = super().compare(view, unknowns, replace(readings, values=np.where(is_stated, readings.values, 0.0)))
         none = np.zeros((len(readings), 6, len(unknowns)))
@@ -214,7 +212,7 @@ class _MutualPose(Pose):
 
 
 def _brought_into_sight(robot: Robot, first: Poses, generator: np.random.Generator) -> FloatArray:
-    """The joint values (n, n_actuated) of poses; of a robot whose kinds say where they read something, near there."""
+    """Joint values (n, n_actuated) of poses, near the places where a kind reads if it defines them."""
     joints, n = first.joints, len(first)
     for instrument in robot.instruments:
         if not isinstance(instrument, FrameInstrument) or (sights := instrument.sights(n, generator)) is None:

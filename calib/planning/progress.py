@@ -1,14 +1,12 @@
-"""Accuracy after the poses measured so far: as an object, as text and as data for programs.
-
-It has errors at poses that were predicted before they were fitted, and an interval of their root mean square.
+"""Accuracy after the poses measured so far, with an interval of the error at poses predicted before they were fitted.
 
 The predicted error contains noise alone. Errors of the model show only at measured poses that the fit has not used. So
 every new pose is first predicted by the fit of the poses before it, and then fitted (Dawid's prequential principle).
-Only the last poses say something about the present fit: the last `MOST` since the predicted error met the goal, or the
-last `LAST` of all while these are fewer than `LEAST`. Let s_k be the mean square error at pose k, and m the mean over n
-poses. m is nearly distributed as g chi^2_h with the same mean and variance,
+Only the last poses are about the present fit: the last `MOST` since the predicted error met the goal, or the last
+`LAST` of all while these are fewer than `LEAST`. Let s_k be the mean square error at pose k, and m the mean over n
+poses. m is approximately distributed as g chi^2_h with the same mean and variance,
 
-    h = 2 n m^2 / (var(s) (1 + 8 / n))        at most 3 n, which normal errors alike in all directions have
+    h = 2 n m^2 / (var(s) (1 + 8 / n))        at most 3 n, the value for isotropic normal errors
     95 % interval of sqrt(E s)  sqrt(m h / chi^2_h(0.975)) to sqrt(m h / chi^2_h(0.025))
 
 The sample variance of few skewed numbers is too small more often than not. With the factor (1 + 8 / n), the upper end
@@ -47,9 +45,9 @@ from calib.planning.next_pose import NextPose
 UNKNOWN = RootMeanSquare(math.inf, 0.0, math.inf)
 """An unknown distance."""
 LAST = 20
-"""Number of poses that count while no predicted error meets the goal."""
+"""Number of last poses that count while the predicted error does not meet the goal."""
 MOST = 40
-"""Largest number of poses that count once predicted errors meet the goal."""
+"""Largest number of poses that count once the predicted error meets the goal."""
 LEAST = 10
 """Least number of poses for an error."""
 _TOO_SMALL = 8.0
@@ -62,13 +60,13 @@ class Progress(ReadOnlyArrays):
     Attributes:
         robot: The nominal robot.
         goal: Root mean square position error to reach [m].
-        n_poses: Poses measured.
-        n_candidates: Number of reachable poses: the goal is about them, and the next pose is one of them.
+        n_poses: Number of measured poses.
+        n_candidates: Number of reachable candidates: the goal is about them, and the next pose is one of them.
         fit: The calibration from all measured poses; None while they do not suffice.
         reason_without_fit: Reason why there is no fit yet.
-        predicted: Error over the candidates by noise, from the covariance of the fit.
-        unseen: Error at the last poses, each predicted by a fit of the poses before it, including noise of readings.
-            If no positions are measured, it is estimated from the errors of the readings.
+        predicted: Error over the candidates from noise, by the covariance of the fit.
+        unseen: Error at the last poses, each predicted by a fit of the poses before it, including noise of readings;
+            without measured positions, estimated from the errors of the readings.
         n_unseen: Number of these poses.
         n_settled: Number of these that were predicted by fits whose predicted error met the goal.
         next_pose: Pose to measure next; None if all candidates are measured.
@@ -110,10 +108,10 @@ class Progress(ReadOnlyArrays):
 
     @property
     def poses_left(self) -> int | None:
-        """Estimated number of further poses for the goal; None if it is not known.
+        """Estimated number of further poses for the goal; None if unknown.
 
-        The predicted error falls like the inverse root of the number of poses, or faster if the next is chosen well;
-        then at least `LEAST` poses must be predicted by fits whose predicted error meets the goal.
+        The predicted error falls like the inverse root of the number of poses, or faster with well-chosen poses; then
+        at least `LEAST` poses must be predicted by fits whose predicted error meets the goal.
         """
         if self.stop:
             return 0
@@ -234,12 +232,12 @@ def reads_positions(robot: Robot) -> bool:
 
 
 def squares_of(fit: Fit, data: Measurements) -> list[float]:
-    """Return the mean square position error of each pose that a fit has not seen, in order of appearance [m^2].
+    """Return the mean square position error of each new pose, in order of appearance [m^2].
 
-    If no instrument reads positions, position errors are estimated from the errors of the readings.
+    Without instruments that read positions, position errors are estimated from the errors of the readings.
 
     Args:
-        data: Measurements that the fit has not used; visits that repeat poses of the fit are left out.
+        data: Measurements that the fit has not used; visits that repeat poses of the fit are skipped.
     """
     new = data[~near_measured(data.joints, fit.identification.data.joints)]
     if not len(new):
@@ -254,7 +252,7 @@ def squares_of(fit: Fit, data: Measurements) -> list[float]:
 
 
 def _position_squares(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray]]:
-    """Square of the error of each position that was read, (n,) [m^2], by instrument."""
+    """Squared error of each measured position, (n,) [m^2], by instrument."""
     errors = errors_on(fit.placed, fit.robot, new)
     for instrument, part, rows in errors.parts():
         if part.is_position:
@@ -262,10 +260,10 @@ def _position_squares(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatA
 
 
 def _shown_squares(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray]]:
-    """Square of the position error that each reading shows, (n,) [m^2], by instrument; NaN where it shows none.
+    """Squared position error behind each reading, (n,) [m^2], by instrument; NaN if it shows none.
 
-    The smallest motion [dp; L dw] of the target that explains the reading's error, with the robot's characteristic
-    length L, along the directions that the reading determines; the other directions count with the same size.
+    The smallest motion [dp; L dw] of the target explains the reading's error, with the robot's characteristic length L,
+    along the directions that the reading determines; the other directions count with the same size.
     """
     robot = fit.robot
     configurations = robot.assemble(new.joints, labels=new.labels, context=new.conditions)
@@ -284,7 +282,7 @@ def _shown_squares(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArra
 
 
 def unseen_rms(squares: Sequence[float]) -> RootMeanSquare:
-    """Return the root mean square of these mean square errors [m^2], with its interval; unknown if too few."""
+    """Return the root mean square of mean square errors [m^2] with its interval; unknown if there are too few."""
     n = len(squares)
     if n < LEAST:
         return UNKNOWN

@@ -1,7 +1,7 @@
 """Scores by changes of rank three: log det K for O1, and the task index.
 
-Adding pose j turns K into K + B_j^T B_j, removing it into K - B_j^T B_j. With three coordinates per pose that is a
-change of rank three, and the new value follows from small matrices of every candidate at once:
+Adding pose j turns K into K + B_j^T B_j, removing it into K - B_j^T B_j. With three coordinates per pose this change
+has rank three, and small matrices of all candidates give the new value:
 
     log det     log det(I +- G_j),  G_j = B_j K^-1 B_j^T;  after a move G_i -+ T_i T_i^T with
                 T_i = B_i K^-1 B_j^T chol(I +- G_j)^-T, one product of all rows with three columns
@@ -20,18 +20,13 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.numerics import linalg
 from calib.planning.selection_problem import PoseRedundancy, SelectionProblem
 
-_REFRESH = 32  # moves after which the determinant's small matrices are computed anew, against rounding
-_UPDATED = 1e-6  # least det(I - G) for an update; where a direction nearly goes it would lose its digits
+_REFRESH = 32  # moves after which the determinant's small matrices are recomputed, against rounding
+_UPDATED = 1e-6  # least det(I - G) for an update; losing a direction would lose its digits
 
 
 @dataclass(frozen=True, eq=False)
 class ChoiceInformation:
-    """The information of chosen candidates.
-
-    Attributes:
-        problem: The candidates.
-        gathered: K, (r, r).
-    """
+    """Information K (r, r) of the chosen candidates of a problem."""
 
     problem: SelectionProblem
     gathered: FloatArray
@@ -56,8 +51,8 @@ class DeterminantScores(ChoiceInformation):
 
     Attributes:
         inverse: K^-1, (r, r).
-        seen: G of every candidate, (k, k, n_candidates): the last, so that sums run through memory.
-        moves_since_update: Moves since `seen` was computed anew.
+        seen: G of every candidate, (k, k, n_candidates), with candidates last so that sums run through memory.
+        moves_since_update: Moves since `seen` was recomputed.
     """
 
     inverse: FloatArray
@@ -77,7 +72,7 @@ class DeterminantScores(ChoiceInformation):
         return float(np.linalg.slogdet(self.gathered)[1])
 
     def gains(self) -> FloatArray:
-        """Return by how much adding each candidate raises log det K, (n_candidates,)."""
+        """Return the rise of log det K by adding each candidate, (n_candidates,)."""
         result: FloatArray = np.log(_determinants(self.seen, 1.0))
         return result
 
@@ -95,7 +90,7 @@ class DeterminantScores(ChoiceInformation):
         small = np.eye(len(rows)) + sign * self.seen[:, :, candidate]
         if (
             self.moves_since_update >= _REFRESH or left < _UPDATED or linalg.eigvalsh(small)[0] <= 0
-        ):  # two below 0: det above it
+        ):  # two negative eigenvalues have a positive determinant
             return DeterminantScores.from_problem(self.problem, gathered)
         half = np.linalg.solve(np.linalg.cholesky(small), rows @ self.inverse).T
         inverse = self.inverse - sign * half @ half.T
@@ -105,7 +100,7 @@ class DeterminantScores(ChoiceInformation):
 
 
 def _root(matrix: FloatArray) -> FloatArray:
-    """Return C with C C^T = matrix (r, r), which rounding may have made a little indefinite."""
+    """Return C with C C^T = matrix (r, r), which rounding may have made slightly indefinite."""
     try:
         return np.asarray(np.linalg.cholesky(matrix))
     except np.linalg.LinAlgError:
@@ -116,12 +111,12 @@ def _root(matrix: FloatArray) -> FloatArray:
 def _products(rows: FloatArray, matrix: FloatArray) -> FloatArray:
     """Return rows times matrix with the candidates last, (k, n_columns, n_candidates)."""
     n, k, r = rows.shape
-    flat = (rows.reshape(n * k, r) @ matrix).reshape(n, k, -1)  # one product; numpy would do n small ones
+    flat = (rows.reshape(n * k, r) @ matrix).reshape(n, k, -1)  # one product, where numpy would do n small products
     return np.ascontiguousarray(flat.transpose(1, 2, 0))
 
 
 def _determinants(seen: FloatArray, sign: float) -> FloatArray:
-    """det(I +- G) of every candidate; written out for three rows, which is much faster than a factorisation each."""
+    """det(I +- G) of every candidate; written out for three rows, much faster than factorisations."""
     if len(seen) != 3:
         result: FloatArray = np.linalg.det(np.eye(len(seen)) + sign * seen.transpose(2, 0, 1))
         return result
@@ -150,7 +145,7 @@ class TaskScores(ChoiceInformation):
         return seen, np.matmul(task_rows, task_rows.transpose(0, 2, 1))
 
     def gains(self) -> FloatArray:
-        """Return by how much adding each candidate lowers trace(W K^-1), (n_candidates,)."""
+        """Return the fall of trace(W K^-1) by adding each candidate, (n_candidates,)."""
         seen, task_rows = self._task_products
         result: FloatArray = np.trace(np.linalg.solve(np.eye(seen.shape[1]) + seen, task_rows), axis1=1, axis2=2)
         return result

@@ -1,16 +1,15 @@
-"""Choosing among very many candidates: exchanges look at the promising ones; a bound on all limits the loss.
+"""Choosing among very many candidates: exchanges search a promising subset, and a bound over all limits the loss.
 
 Each move of an exchange updates the small matrices of every candidate, so its time grows with their number, while good
-choices use few of them. With g_k, the slope of the concave relaxation (`calib.planning.selection_bound`): a
-candidate whose g at the best weights lies below that of every weighted one is in no best weighted choice, and one far
-below hardly ever in a good choice. So:
+choices use few of them. Let g_k be the slope of the concave relaxation (`calib.planning.selection_bound`). A candidate
+whose g at the best weights is below that of every weighted candidate is in no best weighted choice; a candidate far
+below is hardly ever in a good choice. So:
 
-1. g where all candidates weigh alike ranks them. The best of each kind, and the starts, are searched.
-2. The relaxation over all candidates, from what was found, gives weights, a bound on every choice and a better g.
-3. The best by that g are searched again, from what was found and from the weights.
+1. g at equal weights ranks all candidates. The best of each kind, and the starts, are searched.
+2. The relaxation over all candidates, from that result, gives weights, a bound on every choice and a better g.
+3. The best by that g are searched again, from the result and from the weights.
 
-The bound is of all candidates, so the efficiency says how much can be lost at most. Below `SCREENED` candidates
-nothing is left out.
+The bound is over all candidates, so the efficiency limits the loss. Up to `SCREENED` candidates, none is left out.
 """
 
 from __future__ import annotations
@@ -25,19 +24,19 @@ from calib.planning.selection_bound import CERTIFIED, Relaxation, slopes
 from calib.planning.selection_setting import SelectionSetting
 
 SCREENED = 20_000
-"""More candidates than this are screened, where there is a bound and poses need no distance from each other."""
-_SEARCHED = 4096  # candidates that exchanges look at
-_FOR_EACH = 8  # times the requested number, if that is more
+"""More candidates than this are screened if the index has a bound and poses need no distance."""
+_SEARCHED = 4096  # searched candidates
+_FOR_EACH = 8  # searched candidates per requested candidate, if that is more
 
 
 @dataclass(frozen=True, eq=False)
 class CandidateSubset:
-    """The candidates that exchanges look at.
+    """The candidates that exchanges search.
 
     Attributes:
-        all_candidates: The setting with all of them.
-        index: Candidates that exchanges look at, ascending, (n,).
-        setting: The same setting with these alone.
+        all_candidates: The setting with all candidates.
+        index: Searched candidates, ascending, (n,).
+        setting: The setting with these alone.
     """
 
     all_candidates: SelectionSetting
@@ -50,12 +49,12 @@ class CandidateSubset:
         return self.setting is not self.all_candidates
 
     def numbers_of(self, candidates: IntArray) -> IntArray:
-        """Return the numbers in here of candidates of the whole, (n,); none of these may be left out."""
+        """Return the indices in this subset of candidates (n,), all of which must be in it."""
         result: IntArray = np.searchsorted(self.index, candidates)
         return result
 
     def with_all_numbers(self, result: Exchange) -> Exchange:
-        """Return an exchange in this subset with the numbers of the whole."""
+        """Return an exchange in this subset with the indices of all candidates."""
         if not self.is_part:
             return result
         chosen = np.zeros(len(self.all_candidates.problem), dtype=bool)
@@ -65,7 +64,7 @@ class CandidateSubset:
 
 
 def first_candidates(setting: SelectionSetting, starts: IntArray) -> CandidateSubset:
-    """Return the first candidates to search: the best where all candidates weigh alike, and the starts (n,)."""
+    """Return the first candidates to search: the best at equal weights, and the starts (n,)."""
     if not _is_screened(setting):
         return CandidateSubset(setting, np.arange(len(setting.problem)), setting)
     problem = setting.problem
@@ -77,7 +76,7 @@ def first_candidates(setting: SelectionSetting, starts: IntArray) -> CandidateSu
 def candidates_after_relaxation(
     setting: SelectionSetting, relaxation: Relaxation, chosen: BoolArray
 ) -> CandidateSubset:
-    """Return the candidates to search by the weights of the relaxation and a choice (n_candidates,)."""
+    """Return the candidates to search after the relaxation and a choice (n_candidates,)."""
     if not _is_screened(setting):
         return CandidateSubset(setting, np.arange(len(setting.problem)), setting)
     problem = setting.problem
@@ -91,7 +90,7 @@ def _is_screened(setting: SelectionSetting) -> bool:
 
 
 def _narrow(setting: SelectionSetting, slope: FloatArray, kept: IntArray) -> CandidateSubset:
-    """The candidates with the largest slope (n_candidates,), and those to keep in any case (n,)."""
+    """The candidates with the largest slope (n_candidates,), and the kept ones (n,)."""
     counts = setting.counts
     ranked = np.where(setting.space.usable, slope, -np.inf)
     best = setting.largest(ranked, np.maximum(_SEARCHED // len(counts), _FOR_EACH * counts))

@@ -1,15 +1,15 @@
-"""Choosing the poses to measure: from candidates to an ordered list with its index, and how close to the best it is.
+"""Choosing the poses to measure, with the index of the choice and a bound on the best possible index.
 
 Order of work. Candidates are assembled and linearised at the robot's present values. The paper's exchange runs from
 each start, then single swaps until none helps. For O1 and the task index the concave relaxation gives a bound on every
-possible choice, and its weights one more start. Last, they are put in an order of short travel. Of very many candidates
-the exchanges look at the promising ones only (`calib.planning.screening`).
+possible choice, and its weights give one more start. Last, the poses are put in an order of short travel. Among very
+many candidates the exchanges search a promising subset (`calib.planning.screening`).
 
-Priors and poses already measured are information that is there before the first pose is chosen; the measurement noise
-is the weight between priors and poses. Every index, O1 included, is about the directions that all candidates and the
-measured poses together determine, with the others eliminated (`calib.planning.selection_problem`): directions that
-no pose can determine play no part, and one that a prior holds well enough attracts no poses. Without priors the noise
-plays no part and the indices are the published ones.
+Priors and measured poses are information before the first choice; the measurement noise is the weight between priors
+and poses. Every index, O1 included, is about the directions that all candidates and the measured poses together
+determine, with the others eliminated (`calib.planning.selection_problem`): directions that no pose can determine play
+no part, and a direction with a strong prior attracts no poses. Without priors the noise plays no part and the indices
+are the published ones.
 """
 
 from __future__ import annotations
@@ -68,31 +68,30 @@ def select(
     """Choose the poses that determine the parameters best.
 
     Args:
-        robot: The robot; its present values are where it is linearised.
+        robot: The robot, linearised at its present values.
         candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
-        count: Number to choose; or the number with each instrument, by name (several joined by `+` read together).
+        count: Number of poses; or a number by instrument (names joined by `+` read together).
         index: Index to optimise: O1 to O5, or `task`, the predicted position error over the task poses.
         instruments: `all`: every instrument reads at every chosen pose. `each`: one instrument is chosen with every
-            pose. Or a list of those to choose from; `+` joins instruments that read together. A pose may be chosen
-            with several.
-        measured: Poses that are measured already; the chosen ones are to complement them.
-        task: Poses whose accuracy counts, for the task index; the candidates if not given.
-        exclude: Candidates not to choose, by their index, counted from 0.
+            pose. Or a list to choose from; `+` joins instruments that read together. A pose may be chosen with several.
+        measured: Measured poses, which the chosen poses complement.
+        task: Poses whose accuracy counts in the task index; default: the candidates.
+        exclude: Indices of candidates, from 0, that are not chosen.
         minimum_distance: Least distance between the targets of two poses (root mean square over targets) [m].
         random_start: Start from a random choice instead of a uniform one.
         starts: Number of starts; all but the first are random.
-        seed: Seed of everything random.
+        seed: Seed of all random numbers.
         skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
-        checked: Whether candidates at which the robot hits something, or a target is hidden, are left out.
-        sigma: Noise of one position reading per axis [m], or text such as `0.04 mm`; the description's if not given.
+        checked: Leave out candidates at which the robot hits something or a target is hidden.
+        sigma: Noise of one position reading per axis [m], or text such as `0.04 mm`; default: the description's.
         executor: Executor of the starts; as in `calib.fit`.
-        progress: Called with how many starts are done and of how many.
+        progress: Called with the number of finished starts and of all.
 
     Raises:
         InputError: An argument is wrong; count above the candidates, or too small for the parameters.
-        DataError: A candidate is given twice.
+        DataError: Two candidates are equal.
         UnreachablePoseError: Candidates cannot be assembled.
-        NotIdentifiableError: No choice determines what the index is about.
+        NotIdentifiableError: No choice determines the directions of the index.
     """
     robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
     started = time.perf_counter()
@@ -163,7 +162,7 @@ def _best_choice(
     workers: Executor | None = None,
     progress: Progress | None = None,
 ) -> tuple[tuple[Run, ...], Exchange, float | None, float | None]:
-    """The runs from each start, and the best choice; where there is a bound, its efficiency and the bound."""
+    """The runs from each start and the best choice; for an index with a bound, its efficiency and the bound."""
     starts = [setting.uniform() if kind == "uniform" else setting.random(rng) for kind in kinds]
     searched = first_candidates(setting, np.concatenate(starts))
     results, runs = zip(*_run(searched, kinds, starts, workers, progress), strict=True)
@@ -200,7 +199,7 @@ def _run(
 
 @one_blas_thread
 def _search(problem: SelectionProblem, index: str, space: Spacing, start: IntArray) -> tuple[Exchange, int]:
-    """The exchange and the swaps after it, from one start; how many exchanges there were before the swaps."""
+    """The exchange and the following swaps from one start, and the number of exchanges before the swaps."""
     paper = exchange(problem, index, start, space)
     return swap(paper, space), len(paper.values) - 1
 
@@ -229,7 +228,7 @@ def _certify(
 
 
 def _blocks(setting: SelectionSetting, chosen: IntArray) -> IntArray:
-    """Block of each candidate, (n,): candidates of one setup and one group of instruments are measured in one go."""
+    """Block of each candidate, (n,): candidates of one setup and one group are measured without a change by hand."""
     setups = setting.poses.setups
     pose, group = setting.pairs.pose[chosen], setting.pairs.group[chosen]
     return group if setups is None else setups[pose] * len(setting.request.groups.members) + group

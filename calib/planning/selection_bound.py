@@ -1,4 +1,4 @@
-"""A proven bound on the index of any choice of poses, from the concave relaxation, and weights that attain it.
+"""A proven bound on the index of any choice of poses, from the concave relaxation, and weights near the bound.
 
 Problem. Choose m of n candidates, each at most once: K(w) = K_0 + sum w_k B_k^T B_k with w_k in {0, 1}, sum w = m. The
 relaxation allows any weights in [0, 1] with the same sum. It contains every choice, so no choice is better than its
@@ -14,10 +14,10 @@ A concave function lies below its tangents. At any weights w, with g_k = d(log p
 
     phi(w') / phi(w)  <=  1 + sum_k g_k (w'_k - w_k)  <=  1 + (sum of the m largest g_k) - sum_k g_k w_k  =  1 + gap(w)
 
-So each w proves a bound, and a choice itself does. The least bound found is used. It holds without convergence. (The
-squares of O3, the smallest eigenvalue, and of O5 are concave, too; no bound is computed for them.)
+So each w proves a bound, even the weights of a choice, and without convergence. The least bound is used. (The squares
+of O3, the smallest eigenvalue, and of O5 are concave, too; no bound is computed for them.)
 
-Kinds. Where m_g candidates of each kind g are to be chosen, each kind has its own sum, and its own m_g largest slopes.
+Kinds. If m_g candidates of each kind g are to be chosen, each kind has its own sum, and its own m_g largest slopes.
 
 Weights. A primal-dual interior-point method changes only the unclear weights: the fractional ones, and those whose g is
 nearest to the m-th largest. The others stay at 0 or 1. Then g of all candidates decides again which weights are
@@ -37,9 +37,9 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArra
 from calib.planning.selection_problem import TASK, SelectionProblem
 
 CERTIFIED = ("O1", TASK)
-"""Indices for which a bound is computed."""
+"""Indices with a bound."""
 _CLOSE_ENOUGH = 2e-5  # gap of the relaxation at which to stop: 0.001 % of the index
-_UNCLEAR = 110  # candidates that the interior-point method works on at once
+_UNCLEAR = 110  # candidates in one run of the interior-point method
 _ROUNDS = 12
 _AT_ONCE = 2048  # candidates
 _STEPS = 25
@@ -52,8 +52,8 @@ class Relaxation(ReadOnlyArrays):
     """A bound on all choices of one size.
 
     Attributes:
-        log_bound: No choice has log phi above this.
-        weights: Weights of the relaxation, (n_candidates,); the candidates with the largest ones are a good choice.
+        log_bound: Upper bound of log phi over all choices.
+        weights: Weights of the relaxation, (n_candidates,); the candidates with the largest weights are a good choice.
     """
 
     log_bound: float
@@ -67,13 +67,13 @@ class Relaxation(ReadOnlyArrays):
 def relax(
     problem: SelectionProblem, index: str, chosen: BoolArray, usable: BoolArray, kind: IntArray | None = None
 ) -> Relaxation:
-    """Bound the index of any choice with as many poses, and as many of each kind, as a given choice.
+    """Bound the index of any choice with as many poses of each kind as a given choice.
 
     Args:
         index: `O1` or `task`.
         chosen: A choice to start from, (n_candidates,).
-        usable: Candidates that may be chosen, (n_candidates,); all others keep weight 0.
-        kind: Kind of each candidate as a number, (n_candidates,); None: all are of one kind.
+        usable: Mask of the candidates that may be chosen, (n_candidates,); all others keep weight 0.
+        kind: Kind of each candidate as a number, (n_candidates,); None: one kind.
     """
     weights = chosen.astype(float)
     kinds = kinds_of(kind, len(problem))
@@ -101,7 +101,7 @@ def largest(slope: FloatArray | IntArray, kinds: IntArray, counts: IntArray) -> 
     result = []
     for number, count in enumerate(counts):
         members = np.flatnonzero(kinds == number)
-        if 0 < count < len(members):  # sort only those that can be among the largest
+        if 0 < count < len(members):  # sort only possible members of the largest
             slopes = slope[members]
             members = members[slopes >= np.partition(slopes, len(members) - count)[len(members) - count]]
         result.append(members[np.argsort(-slope[members], kind="stable")[:count]])
@@ -114,24 +114,14 @@ def kinds_of(kind: IntArray | None, n: int) -> IntArray:
 
 
 def log_phi(problem: SelectionProblem, index: str, gathered: FloatArray) -> float:
-    """Return log phi of the module docstring.
-
-    Args:
-        index: `O1` or `task`.
-        gathered: K, (r, r).
-    """
+    """Return log phi of the module docstring for K (r, r) and the index `O1` or `task`."""
     if index == TASK:
         return -float(np.log(problem.task_trace(gathered)))
     return float(np.linalg.slogdet(gathered)[1]) / len(gathered)
 
 
 def slopes(problem: SelectionProblem, index: str, gathered: FloatArray) -> FloatArray:
-    """Return g_k of all candidates, (n_candidates,).
-
-    Args:
-        index: `O1` or `task`.
-        gathered: K, (r, r).
-    """
+    """Return g_k of all candidates, (n_candidates,), for K (r, r) and the index `O1` or `task`."""
     if index == TASK:
         half = np.linalg.solve(gathered, problem.task)
         scale = float(np.sum(half * problem.task))
@@ -148,9 +138,9 @@ def slopes(problem: SelectionProblem, index: str, gathered: FloatArray) -> Float
 
 
 def _unclear(slope: FloatArray, weights: FloatArray, kinds: IntArray, counts: IntArray) -> IntArray:
-    """Candidates whose weights the interior-point method shall change, ascending."""
+    """Candidates whose weights the interior-point method changes, ascending."""
     level = np.array([np.min(slope[best], initial=np.inf) for best in largest(slope, kinds, counts)])
-    # evidence of the slope for the present weight of a candidate; fractional ones always count as unclear
+    # evidence of the slope for the present weight of a candidate; fractional weights always count as unclear
     speaks = level[kinds]
     speaks -= slope
     used = np.flatnonzero(weights)
@@ -164,7 +154,7 @@ def _interior_point(
 ) -> FloatArray:
     """Maximise log phi over the weights of the unclear candidates by `_inner_weights`.
 
-    Where all or no candidates of a kind are to be chosen, there is no choice: these weights are set first.
+    If all or no candidates of a kind are to be chosen, their weights are set first.
     """
     size = np.bincount(kinds, minlength=len(totals))
     has_choice = (totals > 0.5) & (totals < size - 0.5)
@@ -218,7 +208,7 @@ def _inner_weights(
 def _derivatives(
     problem: SelectionProblem, index: str, rows: FloatArray, fixed: FloatArray, w: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Slope of log phi by the weights, and minus its second derivative, (n,), (n, n)."""
+    """Slope (n,) of log phi by the weights, and minus its second derivative, (n, n)."""
     n, k, r = rows.shape
     flat = (rows * np.sqrt(w)[:, None, None]).reshape(-1, r)
     gathered = fixed + flat.T @ flat
@@ -251,7 +241,7 @@ def _reach(values: FloatArray, step: FloatArray) -> float:
 
 
 def _round_weights(w: FloatArray, total: float) -> FloatArray:
-    """Round weights that are nearly 0 or 1, and change the others so that the sum stays."""
+    """Round weights near 0 or 1, and change the others so that the sum stays."""
     result = np.where(w < 1e-4, 0.0, np.where(w > 1 - 1e-4, 1.0, w))
     between = (result > 0) & (result < 1)
     rest = total - float(np.sum(result))

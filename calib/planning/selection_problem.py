@@ -6,17 +6,17 @@ the directions V,
 
     sum_k A_k^T A_k + measured = V S^2 V^T
 
-and say nothing about the rest, N. There, P holds what it holds, whatever is chosen. N is eliminated (Schur
+and say nothing about the rest, N, where only P has information, whatever is chosen. N is eliminated (Schur
 complement):
 
     M = V^T (information of the choice + measured + P) V - P_VN P_NN^+ P_NV          P_VN = V^T P N, and so on
 
-is the information about V that a choice leaves with N unknown but held by its priors. Whitened, B_k = A_k V S^-1 and
+is the information about V from a choice, with N unknown but held by its priors. Whitened, B_k = A_k V S^-1 and
 
     K = S^-1 M S^-1 = K_before + sum_k B_k^T B_k
 
-so that K of all poses without priors is the identity, and K of a choice says which part of what could be known each
-direction keeps. All indices are functions of K:
+so that K of all poses without priors is the identity, and K of a choice is the part of the available information in
+each direction. All indices are functions of K:
 
     log det of the information      log det K + constant
     singular values of the rows     square roots of the eigenvalues of S K S
@@ -25,10 +25,10 @@ direction keeps. All indices are functions of K:
 with B = J (V - N P_NN^+ P_NV) S^-1 for a task pose with rows J, and c = mean of |J N P_NN^(+1/2)|^2, the part that
 only priors hold. Without priors the index values are the published ones. A choice may use each candidate once.
 
-Without a pose j of a choice, direction v keeps the part v^T (K - B_j^T B_j) v / v^T K v of its information. The least
-part that any direction keeps is the smallest eigenvalue of I - B_j K^-1 B_j^T (`PoseRedundancy`). The eigenvalues of
-K - B_j^T B_j do not tell: the difference of two rounded matrices is wrong by eps |K| in every direction, so a lost one
-shows as plus or minus that much, whichever way a processor sums.
+Without pose j of a choice, direction v keeps the part v^T (K - B_j^T B_j) v / v^T K v of its information. The least
+part over all directions is the smallest eigenvalue of I - B_j K^-1 B_j^T (`PoseRedundancy`). The eigenvalues of
+K - B_j^T B_j do not show a lost direction: the difference of two rounded matrices is wrong by eps |K| in every
+direction.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ from calib.core.numerics.identifiability import Rank, reduce_rows
 from calib.core.numerics.observability import OUTSIDE, Information, information
 
 TASK = "task"
-"""Name of the task index where an index is chosen."""
+"""Name of the task index."""
 _PART = 8192  # candidates at once
 DETERMINED = 1e-10
-"""A direction is not determined if a choice has less than this part of the information of all candidates."""
+"""Part of all candidates' information below which a choice does not determine a direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +58,10 @@ class SelectionProblem:
         rows: B, (n_candidates, 3 n_targets, r).
         before: K_before: measured poses and priors, (r, r).
         strengths: S, (r,) [m].
-        task: Factor L with W = L L^T, (r, at most r); without columns where no task is given.
-        task_floor: c; infinite where the task needs what nothing determines.
-        n_before: Poses already measured.
-        prior_information: V and S: what all poses determine.
+        task: Factor L with W = L L^T, (r, at most r); without columns if there is no task.
+        task_floor: c; infinite if the task depends on undetermined directions.
+        n_before: Number of measured poses.
+        prior_information: V and S of all poses.
         rank: Rank of all poses and priors together.
     """
 
@@ -78,11 +78,7 @@ class SelectionProblem:
         return len(self.rows)
 
     def information_of(self, weights: FloatArray) -> FloatArray:
-        """Return K of a weighted choice, (r, r).
-
-        Args:
-            weights: One for each candidate, (n_candidates,).
-        """
+        """Return K (r, r) of a choice with weights (n_candidates,)."""
         used, total = np.flatnonzero(weights), self.before
         for start in range(0, len(used), _PART):
             some = used[start : start + _PART]
@@ -95,7 +91,7 @@ class SelectionProblem:
         return float(np.sum(np.linalg.solve(gathered, self.task) * self.task))
 
     def is_determined_by(self, chosen: BoolArray) -> bool:
-        """Return whether a choice (n_candidates,) determines every direction that all candidates together do."""
+        """Return whether a choice (n_candidates,) determines every direction that all candidates determine."""
         return bool(linalg.eigvalsh(self.information_of(chosen.astype(float)))[0] > DETERMINED)
 
 
@@ -111,11 +107,11 @@ def build_problem(
 
     Args:
         rows: Scaled Jacobian of each candidate, (n_candidates, 3 n_targets, n_parameters) [m].
-        measured: Rows of the poses already measured, (n_rows, n_parameters) [m].
+        measured: Rows of the measured poses, (n_rows, n_parameters) [m].
         priors: Rows of the priors, (n_priors, n_parameters) [m].
-        n_before: Poses already measured.
+        n_before: Number of measured poses.
         task_rows: Scaled Jacobian at the positions whose accuracy counts, (..., n_parameters) [m], or its R.
-        n_task: Number of these positions; a third of the rows if not given.
+        n_task: Number of these positions; default: a third of the rows.
     """
     width = rows.shape[2]
     measured = np.zeros((0, width)) if measured is None else measured
@@ -143,7 +139,7 @@ def build_problem(
 
 
 def _whiten(rows: FloatArray, whiten: FloatArray) -> FloatArray:
-    """B of each candidate, (n_candidates, 3 n_targets, r), part by part: there may be more than memory holds."""
+    """B of each candidate, (n_candidates, 3 n_targets, r), computed part by part to save memory."""
     n, k, width = rows.shape
     result = zeros_with_room((n, k, whiten.shape[1]), f"whitened rows of {n} candidates")
     for start in range(0, n, _PART):
@@ -171,7 +167,7 @@ def _task(
 
 @dataclass(frozen=True, eq=False)
 class PoseRedundancy:
-    """Judges which poses a choice can do without; see the module docstring.
+    """Test for poses that a choice can do without; see the module docstring.
 
     Attributes:
         whiten: X with X^T K X = I, (r, r).
@@ -183,13 +179,10 @@ class PoseRedundancy:
 
     @classmethod
     def from_choice(cls, gathered: FloatArray) -> PoseRedundancy:
-        """Return the judge of a choice.
+        """Return the test for the choice with K (r, r).
 
-        With the diagonal of K scaled to ones, B K^-1 B^T is exact to about r eps times its condition number; less than
-        that cannot be told from nothing. Where it is singular nothing can be told, and no pose is spared.
-
-        Args:
-            gathered: K of the choice, (r, r).
+        With the diagonal of K scaled to ones, B K^-1 B^T is exact to about r eps times its condition number, so smaller
+        parts count as zero. For a singular K no pose is spared.
         """
         diagonal = np.diag(gathered)
         scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
@@ -200,14 +193,7 @@ class PoseRedundancy:
         return cls(scale[:, None] * vectors / np.sqrt(values), max(DETERMINED, rounding / float(values[0])))
 
     def spares(self, rows: FloatArray) -> BoolArray:
-        """Return which poses of the choice can go.
-
-        Args:
-            rows: B of each, (n, 3 n_targets, r).
-
-        Returns:
-            (n,).
-        """
+        """Return the mask of removable poses, (n,), from their rows B, (n, 3 n_targets, r)."""
         seen = rows @ self.whiten
         left = np.eye(rows.shape[1]) - seen @ seen.transpose(0, 2, 1)
         result: BoolArray = linalg.eigvalsh(left)[:, 0] > self.least

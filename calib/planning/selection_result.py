@@ -15,10 +15,10 @@ class Run:
     """One run of the exchange.
 
     Attributes:
-        start: `uniform`, `random`, `relaxed`, or `best`: what was found so far, among other candidates.
+        start: `uniform`, `random`, `relaxed`, or `best`: the best earlier choice, among other candidates.
         exchanges: (added, removed) candidate of each exchange.
         history: Index at the start and after each exchange (Figure 4 of the paper).
-        n_paper: Number of exchanges that are the paper's; single swaps follow.
+        n_paper: Number of the paper's exchanges; single swaps follow.
     """
 
     start: str
@@ -35,32 +35,31 @@ class Selection(ReadOnlyArrays):
         index: Optimised index: O1 to O5 or `task`.
         chosen: Indices of the chosen candidates, (count,).
         instruments: Instruments that read at each, joined by `+`, (count,); empty if all read at every pose.
-        groups: Instruments to choose from; empty if all read at every pose. Exchanges number the poses with the first,
-            then those with the next.
+        groups: Instruments to choose from; empty if all read at every pose. Candidate numbers in `runs` run through the
+            poses with the first group, then with the next.
         joints: Poses to measure, (count, n_actuated) [m or rad].
         positions: Positions of the targets there, (count, n_targets, 3) [m].
         before: All indices of the uniform choice; the task index in m.
         after: All indices of these poses.
-        raw: O1 to O5 of these poses alone, without priors, on raw columns: mm per unit of table, or
-            noise of a reading per unit where nothing measures lengths.
-        measured_only: All indices of the poses measured already, if there are any; 0 where they determine too little.
-        efficiency: Index of these poses over a proven bound for all such choices; None where
-            none is proven.
-        bound: The bound, as a value of the index; None if there is none.
-        distance: Distance that the targets of any two poses keep [m]; 0 where none was requested.
+        raw: O1 to O5 of these poses alone, without priors, on raw columns: mm per unit of table, or noise of a reading
+            per unit if nothing measures lengths.
+        measured_only: All indices of the measured poses, or None; 0 where they determine too little.
+        efficiency: Index of these poses over a proven bound for all such choices; None without a bound.
+        bound: The bound, as a value of the index; None without.
+        distance: Distance that the targets of any two poses keep [m]; 0 if none was requested.
         runs: The runs of the exchange.
-        travel: Length of the path in the candidates' order and in this one [joint ranges].
+        travel: Length of the path in the candidates' order and in this order [joint ranges].
         rank: Rank of all candidates, measured poses and priors.
         rank_of_poses: Rank of all candidates and measured poses; the indices are about these directions.
-        sigma: Noise of one reading per axis that was used [m].
-        sigma_assumed: Whether it was not stated.
-        skipped: Candidates that could not be used, and why.
-        already_measured: Number of candidates that were left out because they are measured.
-        seed: Seed of everything random.
+        sigma: Noise of one reading per axis [m].
+        sigma_assumed: Whether the noise is an assumption.
+        skipped: Unusable candidates, with reasons.
+        already_measured: Number of candidates left out because they are measured.
+        seed: Seed of all random numbers.
         seconds: Duration.
-        selecting_seconds: The part after assembly and Jacobians of the candidates.
+        selecting_seconds: Duration after assembly and Jacobians of the candidates.
         check: Check for collisions at the candidates.
-        unobstructed: All indices of the best choice from all candidates, free or not; None where all are free.
+        unobstructed: All indices of the best choice from all candidates, free or not; None if all are free.
     """
 
     index: str

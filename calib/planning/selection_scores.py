@@ -1,15 +1,14 @@
 """Scores of a choice of poses, and the best pose to add or remove next, for every index.
 
-Scores are frozen; a move gives new ones. Larger is better for each of them: log det K for O1, minus the square of the
-task index, O2 to O5 themselves. Each kind knows how to find its best next move among many candidates without trying
-them one by one: O1 and the task index by changes of rank three (`calib.planning.rank_three_scores`), O2 to O5 here, by
-exact eigenvalues of few candidates.
+Scores are frozen; a move gives new scores. Larger is better for each of them: log det K for O1, minus the square of the
+task index, O2 to O5 themselves. O1 and the task index find their best next move by changes of rank three
+(`calib.planning.rank_three_scores`), O2 to O5 here, by exact eigenvalues of few candidates.
 
-For those, the new index needs the eigenvalues of each candidate's matrix. Most candidates are ruled out before: in the
-eigenvectors of the present matrix, the new one is replaced by its block of the smallest few and the diagonal of the
-rest (pinching). Pinched eigenvalues are majorised by the true ones, so O2 to O5 of them are upper bounds. True
-eigenvalues are computed in the order of the bounds, until no bound exceeds the best value found: the best candidate is
-found exactly.
+For these, the new index needs the eigenvalues of each candidate's matrix. A bound rules out most candidates: in the
+eigenvectors of the present matrix, the new matrix is replaced by its block of the smallest few and the diagonal of the
+rest (pinching). Pinched eigenvalues are majorised by the true ones, so their O2 to O5 are upper bounds. True
+eigenvalues are computed in the order of the bounds, until no bound exceeds the best value. The result is the exact best
+candidate.
 
 Reference: Bhatia 1997, sections II.5 and III.
 """
@@ -30,7 +29,7 @@ from calib.planning.rank_three_scores import ChoiceInformation, DeterminantScore
 from calib.planning.selection_problem import DETERMINED, TASK, SelectionProblem
 
 CHOICES = ("O1", "O2", "O3", "O4", "O5", TASK)
-_PINCHED = 4  # smallest eigenvectors that are kept as a block
+_PINCHED = 4  # smallest eigenvectors in the block
 _BATCH = 16  # candidates whose eigenvalues are computed together
 
 
@@ -42,22 +41,22 @@ class Scores(Protocol):
         """Larger is better; comparable between choices of equally many poses."""
 
     def best_move(self, allowed: BoolArray, *, add: bool) -> int:
-        """Return the candidate, of those that are allowed (n_candidates,), whose addition (or removal) is best."""
+        """Return the allowed candidate (n_candidates,) whose addition (or removal) is best."""
 
     def after_move(self, candidate: int, *, add: bool) -> Scores:
         """Return the scores after adding (or removing) a candidate."""
 
     def spares(self, candidate: int) -> bool:
-        """Return whether every direction stays determined when this chosen candidate is removed."""
+        """Return whether every direction stays determined without this chosen candidate."""
 
 
 def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: float = 0.0) -> Scores:
     """Return the scores of a choice.
 
     Args:
-        index: One of `CHOICES`.
-        chosen: Mask of the candidates in the choice, (n_candidates,).
-        ridge: Added to the diagonal of K, so that a choice that determines too little can be improved at all.
+        index: Index, of `CHOICES`.
+        chosen: Mask of the chosen candidates, (n_candidates,).
+        ridge: Added to the diagonal of K, so that a choice that determines too little can be improved.
 
     Raises:
         InputError: Unknown index.
@@ -72,10 +71,10 @@ def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: floa
 
 
 def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> dict[str, float]:
-    """Return O1 to O5 and, where a task is given, the task index [m] of a choice.
+    """Return O1 to O5 of a choice and, if there is a task, the task index [m].
 
     Args:
-        chosen: Mask of the candidates in the choice, (n_candidates,).
+        chosen: Mask of the chosen candidates, (n_candidates,).
         unit: Unit of a row with noise 1, such as the noise of a position [m].
     """
     rows = problem.rows[chosen]
@@ -83,7 +82,7 @@ def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> d
     gathered = flat.T @ flat + problem.before
     eigenvalues, vectors = linalg.eigh(gathered)
     determined = bool(eigenvalues[0] > DETERMINED)
-    # of a factor, not of S K S: products carry half the digits, and strengths may differ by more than that
+    # by a factor, not by S K S: products carry half the digits, and strengths may differ by more than that
     factor = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * vectors.T
     singular = linalg.singular_values(factor * problem.strengths)
     if not determined:
@@ -96,10 +95,10 @@ def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> d
 
 
 def index_of_score(problem: SelectionProblem, index: str, score: float, count: int, unit: float) -> float:
-    """Return the index that a score of `count` chosen poses stands for; the task index in m.
+    """Return the index of `count` chosen poses with this score; the task index in m.
 
     Args:
-        index: One of `CHOICES`.
+        index: Index, of `CHOICES`.
         score: `Scores.value`.
         count: Number of chosen poses.
         unit: Unit of a row with noise 1, such as the noise of a position [m].
@@ -114,11 +113,7 @@ def index_of_score(problem: SelectionProblem, index: str, score: float, count: i
 
 @dataclass(frozen=True, eq=False)
 class Spectrum(ChoiceInformation):
-    """O2 to O5: functions of the singular values.
-
-    Attributes:
-        index: O2, O3, O4 or O5.
-    """
+    """O2, O3, O4 or O5: functions of the singular values."""
 
     index: str
 
@@ -153,7 +148,7 @@ class Spectrum(ChoiceInformation):
 
 
 def _pinched_eigenvalues(eigenvalues: FloatArray, turned: FloatArray, sign: float) -> FloatArray:
-    """Eigenvalues of the changed matrices with all but the smallest block's off-diagonal entries left out, (n, r)."""
+    """Eigenvalues of the changed matrices, (n, r), without off-diagonal entries outside the smallest block."""
     low = turned[:, :, :_PINCHED]
     block = np.diag(eigenvalues[:_PINCHED]) + sign * np.matmul(low.transpose(0, 2, 1), low)
     diagonal = eigenvalues[_PINCHED:] + sign * np.sum(turned[:, :, _PINCHED:] ** 2, axis=1)
@@ -162,7 +157,7 @@ def _pinched_eigenvalues(eigenvalues: FloatArray, turned: FloatArray, sign: floa
 
 
 def spectral_index(eigenvalues: FloatArray, index: str) -> FloatArray:
-    """Return O2 to O5 of information matrices from their eigenvalues in any order, (n, r) -> (n,); 0 where singular."""
+    """Return O2 to O5 of information matrices from their eigenvalues in any order, (n, r) -> (n,); 0 if singular."""
     smallest, largest = np.min(eigenvalues, axis=1), np.max(eigenvalues, axis=1)
     positive = np.maximum(smallest, 0.0)
     if index == "O2":

@@ -1,6 +1,6 @@
 """The setting of a selection: candidates, assembled, linearised and checked before the first pose is chosen.
 
-Priors and poses that are measured already give information before the choice: their rows stack with those of the poses.
+The rows of priors and measured poses stack with those of the chosen poses.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Request:
     """A request for a choice of poses.
 
     Attributes:
-        index: One of `CHOICES`.
+        index: Index, of `CHOICES`.
         count: Number of poses, with each group of instruments counted by itself.
         minimum_distance: Least distance between the targets of two poses [m].
         groups: Groups of instruments to choose among.
@@ -53,19 +53,18 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class SelectionSetting:
-    """Everything that is known before the first choice.
+    """Everything known before the first choice.
 
     Attributes:
-        robot: The robot.
-        request: The requested choice.
+        robot, request: The robot and the requested choice.
         poses: The poses to choose from.
         candidates: The assembled poses.
         pairs: The candidates: these poses with groups of instruments.
         problem: The candidates in whitened coordinates.
         space: Rules on which candidates may be chosen.
-        sigma: Noise of one measured position per axis, which is the unit of indices [m].
-        sigma_assumed: Whether some noise is only assumed.
-        already_measured: Number of candidates that are measured already.
+        sigma: Noise of one measured position per axis, the unit of indices [m].
+        sigma_assumed: Whether some noise is an assumption.
+        already_measured: Number of measured candidates.
     """
 
     robot: Robot
@@ -97,7 +96,7 @@ class SelectionSetting:
         return np.array(self.request.groups.counts or (self.request.count,))
 
     def largest(self, values: FloatArray | IntArray, counts: IntArray) -> list[IntArray]:
-        """Return by kind, in a list, the `counts` (n_kinds,) candidates with the largest values (n_candidates,)."""
+        """Return for each kind the `counts` (n_kinds,) candidates with the largest values (n_candidates,)."""
         return largest(values, kinds_of(self.space.kind, len(self.problem)), counts)
 
     def candidates_by_kind(self, candidates: IntArray) -> list[tuple[IntArray, int]]:
@@ -118,23 +117,20 @@ def prepare(
     skip_unreachable: bool,
     sigma: float | None,
 ) -> SelectionSetting:
-    """Assemble and linearise everything, and check that the question has an answer.
+    """Assemble and linearise the candidates, and check that a choice can satisfy the request.
 
     Args:
-        robot: The robot, which is linearised at its present values.
+        robot: The robot, linearised at its present values.
         candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
         request: The requested choice.
-        measured: Poses that are measured already, in the form of `candidates`.
-        task: Poses whose accuracy counts, in the form of `candidates`; the candidates themselves if None.
-        exclude: Indices of candidates that must not be chosen.
-        skip_unreachable: Whether to leave out candidates that cannot be assembled, instead of an error.
-        sigma: Noise of one reading per axis [m]; the description's if None.
+        measured, task, exclude, skip_unreachable: As in `select`.
+        sigma: Noise of one reading per axis [m]; None: the description's.
 
     Raises:
         InputError: An argument is wrong.
-        DataError: A candidate is given twice.
+        DataError: Two candidates are equal.
         UnreachablePoseError: Candidates cannot be assembled.
-        NotIdentifiableError: No choice determines the quantity of the index.
+        NotIdentifiableError: No choice determines the directions of the index.
     """
     require_known(request.index, CHOICES, "unknown index")
     require_free(robot)
@@ -184,7 +180,7 @@ def prepare(
 
 
 def points_of(positions: FloatArray) -> FloatArray:
-    """Points, one for each pose, whose distance is the RMS distance of the targets, (n, 3 n_targets) [m]."""
+    """Return points (n, 3 n_targets) [m], whose distances are the RMS distances of the targets of two poses."""
     result: FloatArray = positions.reshape(len(positions), 3 * positions.shape[1]) / np.sqrt(positions.shape[1])
     return result
 
@@ -198,7 +194,7 @@ def _is_excluded(exclude: Sequence[int], n: int) -> BoolArray:
 
 
 def require_count(setting: SelectionSetting) -> None:
-    """Raise `InputError` if more candidates of a kind are requested than there are, or too few for the index."""
+    """Raise `InputError` if there are too few candidates of a kind, or too few poses for the index."""
     request, pairs, usable = setting.request, setting.pairs, setting.space.usable
     if request.count < 1:
         raise InputError(f"count {request.count}: choose at least one pose")

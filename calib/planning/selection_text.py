@@ -21,15 +21,11 @@ from calib.planning.selection import Run, Selection
 from calib.planning.selection_bound import CERTIFIED
 from calib.planning.selection_problem import TASK
 
-_SHOWN = 8  # candidates skipped
+_SHOWN = 8  # skipped candidates
 
 
 def text_report(selection: Selection, poses: Poses, width: int = 120) -> str:
-    """Return the result of a selection as text.
-
-    Args:
-        width: Width of the text, in characters.
-    """
+    """Return the result of a selection as text of a width in characters."""
     return plain_text(
         [*_summary(selection, poses), _indices(selection), *_remarks(selection)], width, wrap=True
     ).rstrip()
@@ -73,13 +69,7 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
 
 
 def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table) -> str:
-    """Return the chosen poses as CSV in the order of measurement.
-
-    They keep their rows of the file, all columns as they are.
-
-    Args:
-        table: The candidates' file.
-    """
+    """Return the chosen poses as CSV in the order of measurement, with unchanged rows of the candidates' table."""
     comment = f"{_count_sentence(selection, poses)}, chosen by {selection.index}, in order of measurement"
     headers = [
         name if unit is None else f"{name} [{unit}]" for name, unit in zip(table.names, table.units, strict=True)
@@ -103,7 +93,7 @@ def _plan(
     headers: Sequence[str],
     lines: Mapping[str, Sequence[int]],
 ) -> list[tuple[str, list[object]]]:
-    """Columns of a plan: a row for each pose and what reads there, cells of other instruments empty."""
+    """Columns of a plan: a row for each pose and its instruments; cells of other instruments are empty."""
     rows: list[list[object]] = []
     for k, together in zip(selection.chosen, selection.instruments, strict=True):
         instruments = [robot.instrument(name) for name in together.split(TOGETHER)]
@@ -123,7 +113,7 @@ def _plan(
 
 
 def _lines_of(table: Table, poses: Sequence[tuple[int, str]]) -> dict[str, list[int]]:
-    """Rows of the file of some poses, by name; a measured file may repeat a pose."""
+    """Rows of poses in the file, by name; a measured file may repeat a pose."""
     if "pose" not in table.names:
         return {name: [k] for k, name in poses}
     lines: dict[str, list[int]] = {name: [] for _, name in poses}
@@ -218,7 +208,7 @@ def _run(run: Run, s: Selection, poses: Poses) -> dict[str, object]:
 
 
 def _candidate(s: Selection, poses: Poses, number: int) -> str:
-    """Name of a candidate: its pose, and the instruments there where these are chosen too."""
+    """Name of a candidate: its pose and, if instruments are chosen too, its group."""
     group, pose = divmod(number, len(poses))
     return f"{poses.names[pose]} ({s.groups[group]})" if s.groups else poses.names[pose]
 
@@ -228,7 +218,7 @@ def _values(values: dict[str, float]) -> dict[str, float | None]:
 
 
 def _in_table_unit(index: str, value: float | None) -> float:
-    """An index as it is shown: the task index in mm."""
+    """An index in its printed unit: mm for the task index."""
     if value is None:
         return math.nan
     return millimetres(value) if index == TASK else value

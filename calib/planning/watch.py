@@ -1,15 +1,15 @@
-"""Watching a robot being measured: refit after every pose, report accuracy and the next pose, say when to stop.
+"""Calibration while measuring: refit after every pose, report accuracy and the next pose, and say when to stop.
 
     watch = calib.Watch(robot, "0.1 mm", candidates=candidates)
     while not (progress := watch.update(measured_so_far())).stop:
         move_to(progress.next_pose.joints)
 
-The goal is a root mean square position error over the candidates. It holds with 95 % where the upper end of two 95 %
-intervals lies below it: that of the error predicted from the covariance of the fit, and that of the errors at the last
-poses that were judged before they were fitted (`calib.planning.progress`). The second contains the noise of readings:
-a goal below that noise is never seen to hold.
+The goal is a root mean square position error over the candidates. It holds with 95 % if the upper ends of two 95 %
+intervals are below it: of the error predicted by the covariance of the fit, and of the errors at the last poses, each
+predicted before it was fitted (`calib.planning.progress`). The second contains the noise of readings, so a goal below
+that noise never holds.
 
-Where not positions are read, but distances or angles, their errors count as the errors of positions that they show.
+Readings of distances or angles count by the position errors that they show.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ from calib.planning.pose_sampling import sample
 from calib.planning.progress import LAST, LEAST, MOST, UNKNOWN, Progress, squares_of, unseen_rms
 
 CANDIDATES = 300
-"""Poses that are sampled where none are given."""
-_MOST_BAD = 100  # lines that are passed over; the file is then another one than was meant
+"""Number of sampled candidates if none are given."""
+_MOST_BAD = 100  # skipped lines; with more, the file is probably the wrong one
 
 
 class Watch:
@@ -58,14 +58,14 @@ class Watch:
     Args:
         robot: The nominal robot.
         goal: Root mean square position error to reach, such as `0.1 mm`, or a number [m].
-        candidates: Poses that the goal is about, and to choose the next one from; or joint values alone, (n,
-            n_actuated) [m or rad]. Sampled over the joint limits if not given.
-        sigma: Noise of one measured position per axis [m]; the description's if not given.
+        candidates: Poses of the goal, from which the next pose is chosen, or joint values (n, n_actuated) [m or rad];
+            default: sampled over the joint limits.
+        sigma: Noise of one measured position per axis [m]; default: the description's.
         seed: Seed of sampled candidates, and of poses to check with.
 
     Attributes:
-        candidates: Those at which nothing is hit.
-        notes: Which candidates are left out, and what was not checked.
+        candidates: Candidates without collisions.
+        notes: Remarks on the other candidates, and on missing checks.
 
     Raises:
         InputError: The goal is not a positive length.
@@ -91,22 +91,22 @@ class Watch:
         self._settings, self._seed = Settings(sigma), seed
         self._data: Measurements | None = None
         self._fit: Fit | None = None
-        self._passive: FloatArray | None = None  # of the candidates at the fit before: near those of the next
+        self._passive: FloatArray | None = None  # of the candidates at the last fit, near those of the next
         self._n_reached = len(self.candidates)  # by the present fit
         self._squares: list[float] = []
         self._met = False  # whether the predicted error of the fit meets the goal
-        self._settled = 0  # how many of the last squares are by fits of which that is so
+        self._settled = 0  # number of the last squares from fits whose predicted error met the goal
 
     def update(self, data: Measurements | None = None) -> Progress:
         """Predict the new poses, then fit all, and return the progress.
 
         Args:
-            data: All measurements so far, those of the last update first; otherwise everything starts again. None:
-                nothing is measured yet.
+            data: All measurements so far, beginning with those of the last update; otherwise everything starts again.
+                None: nothing is measured yet.
 
         Raises:
             UnreachablePoseError: A measured pose cannot be assembled.
-            DataError: A candidate is given twice.
+            DataError: Two candidates are equal.
             NotIdentifiableError: The candidates do not determine the positions at them.
         """
         started = time.perf_counter()
@@ -134,12 +134,12 @@ class Watch:
         )
 
     def _judge(self, data: Measurements) -> None:
-        """Judge what is new; of many first poses, the last by a fit of the others."""
+        """Predict the new poses by the last fit; of many first poses, predict the last by a fit of the others."""
         before, known = self._data, 0
         if before is not None:
             known = n = len(before)
             if len(data) < n or data.names[:n] != before.names or not np.array_equal(data.joints[:n], before.joints):
-                self._fit, self._squares, known = None, [], 0  # others than before
+                self._fit, self._squares, known = None, [], 0  # the measurements are not the earlier ones and more
         judge, met = self._fit, self._met
         if judge is None:
             known = int(np.sum(data.pose_numbers < data.n_poses - LAST))
@@ -151,7 +151,7 @@ class Watch:
             self._settled = self._settled + len(new) if met else 0
 
     def _try_fit(self, data: Measurements) -> tuple[Fit | None, CalibrationError | None]:
-        """A fit of these, or why there is none yet."""
+        """A fit of the measurements, or the reason why there is none yet."""
         try:
             return calibrate(self.robot, data, None, self._settings), None
         except (DataError, NotIdentifiableError, NotConvergedError) as error:  # too few poses, all on one line
@@ -180,7 +180,7 @@ class Watch:
         fit, measured = self._fit, data if data is not None and len(data) else None
         sigma = self._settings.sigma
         if fit is not None and sigma is None and fit.sigma_stated is None and fit.first_noise.group.part.is_position:
-            sigma = max(fit.sigma, 1e-9)  # noise found; data without noise leave none
+            sigma = max(fit.sigma, 1e-9)  # estimated noise; it is zero for data without noise
         robot = self.robot if fit is None else fit.robot
         present = None if measured is None else measured.joints[-1]
         drawn = np.random.default_rng([self._seed, measured.n_poses]) if self._met and measured is not None else None
@@ -188,37 +188,38 @@ class Watch:
 
 
 class GrowingFile:
-    """A CSV file to look at now and then; a last line without its end is left for the next time.
+    """A CSV file that grows while it is read.
 
-    A line that cannot be read, or whose pose cannot be assembled, is passed over until it is corrected.
+    An unfinished last line is left for the next time. A line that cannot be read, or whose pose cannot be assembled, is
+    skipped until it is corrected.
 
     Args:
         path: The file; it need not exist yet.
-        robot: Robot with these joints and instruments.
+        robot: Robot of these measurements.
     """
 
     def __init__(self, path: str, robot: Robot) -> None:
         self._path, self._robot = path, robot
         self._seen: list[str] = []
-        self._bad: dict[int, str] = {}  # lines that are passed over, by their place
+        self._bad: dict[int, str] = {}  # skipped lines by index
         self._new_remarks: list[str] = []
 
     def remarks(self) -> list[str]:
-        """Return the errors of lines that are passed over since the last call."""
+        """Return the errors of lines skipped since the last call."""
         remarks, self._new_remarks = self._new_remarks, []
         return remarks
 
     def read_changes(self) -> Measurements | None:
-        """Return the measurements of the whole lines; None where there are none, or none since the last time.
+        """Return the measurements of the finished lines; None without any, or without a change since the last call.
 
         Raises:
-            DataError: The header is not valid, or no line can be read, or a hundred cannot.
+            DataError: The header is not valid, no line can be read, or more than a hundred lines cannot be read.
         """
         if not Path(self._path).exists():
             return None
         lines = read_text(self._path, "a CSV file", DataError, growing=True).split("\n")
         places = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
-        if lines == self._seen or len(places) < 2:  # a header is no row
+        if lines == self._seen or len(places) < 2:  # the header alone has no rows
             return None
         self._seen = lines
         self._bad = {k: line for k, line in self._bad.items() if lines[k : k + 1] == [line]}
@@ -238,7 +239,7 @@ class GrowingFile:
         return None
 
     def _first_bad(self, rows: list[int], problem: CalibrationError) -> tuple[int, CalibrationError]:
-        """The first row that cannot be read, by halving, and why; of all rows something cannot, as is known."""
+        """The first unreadable row, by bisection, and the reason; some row is known to be unreadable."""
         low, high = 0, len(rows) - 1
         while low < high:
             middle = (low + high) // 2
@@ -247,7 +248,7 @@ class GrowingFile:
         return rows[low], problem
 
     def _read_lines(self, last: int) -> tuple[Measurements | None, CalibrationError | None]:
-        """Measurements of the lines up to a last one, without those passed over; or why they cannot be read."""
+        """Measurements of the lines up to `last`, without skipped ones; or the reason why they cannot be read."""
         lines = ["" if k in self._bad else line for k, line in enumerate(self._seen[: last + 1])]
         try:
             data = read_measurements(self._path, self._robot, growing=lines)

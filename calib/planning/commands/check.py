@@ -1,4 +1,4 @@
-"""`calib check`: what can be identified from a set of poses, and what cannot."""
+"""`calib check`: the parameters that a set of poses determines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`calib sample`: poses to choose from, or to try things with."""
+"""`calib sample`: random poses of a robot."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def command(
 
 
 def _ranges(text: str, robot: Robot) -> dict[str, tuple[float, float]]:
-    """Ranges by name [SI]: of one --within."""
+    """Ranges of a --within option, by name [SI]."""
     match = None if Path(text).is_file() else _RANGE.match(text)
     if match is None:
         if "=" in text and not Path(text).exists():

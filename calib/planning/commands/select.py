@@ -1,4 +1,4 @@
-"""`calib select`: which poses to measure."""
+"""`calib select`: the choice of poses to measure."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from calib.planning.selection_scores import CHOICES
 from calib.planning.selection_text import format_poses, text_report, to_dict
 
 _TRIED = (3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 65, 80, 100)
-"""Numbers of poses that are tried for a goal."""
+"""Numbers of poses to try for a goal."""
 
 
 @click.command("select")
@@ -180,7 +180,7 @@ def command(
 
 
 def _reaching(choose: Callable[[int, str], Selection], goal: float, most: int) -> Selection:
-    """The fewest poses, of the numbers that are tried, with which the predicted error is below the goal [m]."""
+    """The choice with the fewest poses, of the numbers in `_TRIED`, whose predicted error is below the goal [m]."""
     left = np.inf
     for count in (count for count in _TRIED if count <= most):
         with suppress(NotIdentifiableError):
@@ -195,7 +195,7 @@ def _reaching(choose: Callable[[int, str], Selection], goal: float, most: int) -
 
 
 def _counts(text: str) -> int | dict[str, int]:
-    """The number of poses, or that of each instrument."""
+    """The number of poses, or the number for each instrument."""
     parts = [part.strip().rpartition("=") for part in text.split(",")]
     if not all(number.strip().lstrip("-").isdecimal() and bool(name) == bool(sign) for name, sign, number in parts):
         raise InputError(f"--count {text}: must be a number, or one for each instrument, such as tracker=12,sockets=18")
@@ -208,7 +208,7 @@ def _counts(text: str) -> int | dict[str, int]:
 
 
 def _candidate_numbers(text: str, poses: Poses) -> list[int]:
-    """Turn names and ranges of numbers into candidate numbers."""
+    """Candidate numbers from names and ranges of numbers."""
     number_of = {name: k for k, name in enumerate(poses.names)}
     excluded: list[int] = []
     for item in (part.strip() for part in text.split(",")):

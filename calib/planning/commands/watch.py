@@ -19,7 +19,7 @@ from calib.pictures import Live, live
 from calib.planning.progress import LEAST, Progress
 from calib.planning.watch import CANDIDATES, GrowingFile, Watch
 
-_BEGINNINGS = 8  # earlier states of a file that is there already, before the present one
+_BEGINNINGS = 8  # earlier states of an existing file, before the present one
 
 
 @click.command("watch")
@@ -101,7 +101,7 @@ def command(
 
 
 def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, output: Output) -> None:
-    """Tell about every change of the file until the goal holds; with a viewer, until Ctrl-C."""
+    """Report every change of the file until the goal holds; with a viewer, until Ctrl-C."""
     if viewer is not None:
         output.note(viewer.url)
     data = _read_changes(file, output)
@@ -123,13 +123,13 @@ def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, 
 
 
 def _beginnings(data: Measurements) -> list[Measurements]:
-    """The first poses of measurements: some counts between few and nearly all, evenly spread on a scale of ratios."""
+    """Measurements of the first poses, for some numbers between few and nearly all, in geometric steps."""
     counts = np.unique(np.geomspace(LEAST, max(data.n_poses, LEAST), _BEGINNINGS).astype(int))
     return [data.subset(np.flatnonzero(data.pose_numbers < count)) for count in counts if count < data.n_poses]
 
 
 def _read_changes(file: GrowingFile, output: Output) -> Measurements | None:
-    """Measurements of the file if it has changed; prints which lines are passed over."""
+    """Measurements of the file if it has changed; prints the errors of skipped lines."""
     data = file.read_changes()
     output.remarks(file.remarks())
     return data

@@ -31,13 +31,13 @@ def show(
     port: int = 0,
     mapped: int = 0,
 ) -> LiveViewer:
-    """Show a robot and its calibration live: open `.url` of what is returned in a browser on this computer.
+    """Show a robot and its calibration live: open the viewer's `.url` in a browser on this computer.
 
     Args:
         robot: The nominal robot.
-        result: A fit, or the folder that one was saved to.
-        data: Measurements to judge the robots with, instead of those of the fit.
-        port: Port to listen on, on this computer only; 0 for any free one.
+        result: A fit, or the folder of a saved fit.
+        data: Measurements to compare with the robots, instead of those of the fit.
+        port: Port to listen on, on this computer only; 0 for any free port.
         mapped: Number of poses of the map of the uncertainty over the workspace; 0: no map.
 
     Raises:
@@ -66,12 +66,7 @@ def page(
 
 
 def report(result: Fit, *, command: str = "") -> ViewerPage:
-    """Return the report of a fit as one self-contained page.
-
-    Args:
-        result: The fit.
-        command: Command line that made it, to be printed with its origin.
-    """
+    """Return the report of a fit as one self-contained page; it prints `command`, the command line that made the fit."""
     from viz.report_page import report_page
 
     return report_page(result, command=command)

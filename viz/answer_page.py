@@ -1,4 +1,4 @@
-"""One answer as a page: a robot judged by new measurements, a hand-eye calibration, or a board found in photographs."""
+"""A page with one result: an acceptance by new measurements, a hand-eye calibration, or a board found in photographs."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ _GRADES = {"agrees": "PASS", "unlike poses": "CHECK", "too few readings": "CHECK
 def answer_page(
     subject: object, title: str, text: str, figures: Sequence[tuple[int, str]], *, created: datetime | None = None
 ) -> ViewerPage:
-    """Return the page of an answer.
+    """Return the page of a result.
 
     Args:
         subject: An `Acceptance`, a `HandEye` or a `Detection`.
         title: Heading of the page.
-        text: The text on the terminal.
-        figures: HTML of pictures, each with the number of the image that it belongs to (-1: of none).
-        created: Time to print; now if not given.
+        text: The text of the terminal.
+        figures: HTML of pictures, each with the index of its image (-1: none).
+        created: Time to print; default: now.
 
     Raises:
-        TypeError: It is none of these.
+        TypeError: `subject` is of another type.
     """
     if isinstance(subject, HandEye):
         charts = _image_charts(subject)
@@ -62,7 +62,7 @@ def answer_page(
 
 
 def _image_charts(result: HandEye) -> Charts:
-    """Errors of each image and each point, and the comparison of images used and left out."""
+    """Errors of each image and each point, and the comparison of used and left-out images."""
     scene = result.scene
     used, left, board = (result.rms_by_image(v) for v in (result.pixels, result.left_out.pixels, result.board))
     texts = tuple(
@@ -101,7 +101,7 @@ def _image_charts(result: HandEye) -> Charts:
 
 
 def _new_reading_charts(acceptance: Acceptance) -> Charts:
-    """Errors of new readings, and the change of each parameter that they show."""
+    """Errors of new readings, and the changes of parameters behind them."""
     errors, part = acceptance.errors, acceptance.errors.main_part
     scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]
     sizes, names = [], []

@@ -1,7 +1,7 @@
 """The motion of the drawn robot: every link's pose at every joint value, of the calibrated robot and of a ghost.
 
 The page computes poses itself, from joint values, so that 5000 poses cost kilobytes. It needs the tree of joints
-and two robots: `solid` (calibrated) and `ghost` (nominal), with loops solved by `calib` at every pose shown.
+and two robots: `solid` (calibrated) and `ghost` (nominal), with loops solved by `calib` at every pose.
 
 Real differences between the two are invisible, so the ghost is exaggerated like a deformed structure in a plot of
 finite elements: every point of the robot is displaced by `factor` times its own displacement from solid to ghost,
@@ -12,13 +12,13 @@ A point that two links share in both robots is shared at every factor, because t
 loops stay closed, exactly. (Scaling parameters instead would meet singular poses; rotating links rigidly would tear
 joints.) At large factors links look stretched or sheared; factor 1 is the true nominal robot, 0 the calibrated one.
 
-Where the measurement frame is not known beforehand, its place trades against small errors of all links and can move
-far; the ghost then stands on the solid robot's base (`root`), so that only the robots are compared.
+If the measurement frame is unknown, its pose trades against small errors of all links and can move far. The ghost then
+stands on the solid robot's base (`root`), so that only the robots are compared.
 
-Shapes have the lengths of the nominal URDF. A calibrated link is longer or shorter, so its shapes are stretched to meet
-the joint origins that it has now: M = T S, where the affine S moves each child's nominal origin (and the link's own,
-which stays) to its current place: exactly for up to three children in general position, else in least squares, which
-leaves a part of the errors (under 0.4 mm on a robot with errors of 2 mm).
+Shapes have the lengths of the nominal URDF, but calibrated links have other lengths. So shapes are stretched to the
+calibrated joint origins: M = T S, where the affine S moves each child's nominal origin to its calibrated place and
+keeps the link's own. This is exact for up to three children in general position; else least squares leave a part of the
+errors (under 0.4 mm on a robot with errors of 2 mm).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.numerics import linalg
 from calib.core.robots.mechanism import Mechanism
 
-_FLATTEST = 0.05  # directions in which a link's joint origins spread less than this are not stretched
+_FLATTEST = 0.05  # spread of a link's joint origins along a direction below which it is not stretched
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class PosedRobot:
         placements: Pose of each joint in its parent link, (n_joints, 4, 4) [m].
         stretches: S of each body, (n_joints + 1, 4, 4); body 0 is the root link.
         values: Joint values in each pose, (n_poses, n_moving) [m or rad].
-        root: Pose of the root link in the measurement frame, (4, 4) [m]; None: as the robot's base says.
+        root: Pose of the root link in the measurement frame, (4, 4) [m]; None: from the robot's base.
     """
 
     placements: FloatArray
@@ -57,13 +57,13 @@ class Bodies:
     """The tree of joints. Body i + 1 is moved by joint i; body 0 is the root link.
 
     Attributes:
-        names: Link name of each body, (n_joints + 1,); in brackets where it is no link of the URDF (measurement
-            frame, targets).
+        names: Link name of each body, (n_joints + 1,); in brackets if it is no link of the URDF (measurement frame,
+            targets).
         parents: Parent body of each joint, (n_joints,).
         sliding: Whether each joint is prismatic.
-        axes: Unit axis of each joint, zero where it is held, (n_joints, 3).
-        columns: Column of `PosedRobot.values` that moves each joint, -1 where it is held, (n_joints,).
-        base: Body that is the measurement frame.
+        axes: Unit axis of each joint, zero for a fixed joint, (n_joints, 3).
+        columns: Column of `PosedRobot.values` that moves each joint, -1 for a fixed joint, (n_joints,).
+        base: Body of the measurement frame.
     """
 
     names: tuple[str, ...]
@@ -75,16 +75,11 @@ class Bodies:
 
     @property
     def moving(self) -> IntArray:
-        """Joints that move, in the order of the columns, (n_moving,)."""
+        """Indices of moving joints in the order of the columns, (n_moving,)."""
         return np.flatnonzero(self.columns >= 0)
 
     def poses(self, robot: PosedRobot, pose: int | slice | IntArray) -> FloatArray:
-        """Return T of each body in the measurement frame as the page computes it, (..., n_joints + 1, 4, 4) [m].
-
-        Args:
-            robot: The robot.
-            pose: Number of the pose; or several poses, (n_poses,), which come first in the result.
-        """
+        """Return T of each body in the measurement frame, (..., n_joints + 1, 4, 4) [m], for one or several poses."""
         values = robot.values[pose]
         T = np.tile(np.eye(4), (*values.shape[:-1], len(self.names), 1, 1))
         for i, parent in enumerate(self.parents):
@@ -135,7 +130,7 @@ def bodies_of(robot: Robot) -> Bodies:
 
 
 def posed_robot(robot: Robot, bodies: Bodies, joints: FloatArray) -> PosedRobot:
-    """Return a robot in poses given by its actuated joints, (n, n_actuated) [m or rad], loops solved.
+    """Return a robot at actuated joints (n, n_actuated) [m or rad], loops solved.
 
     Raises:
         UnreachablePoseError: A loop cannot be closed.
@@ -154,7 +149,7 @@ def _placements(mechanism: Mechanism) -> FloatArray:
 
 
 def _stretches(robot: Robot, bodies: Bodies, placements: FloatArray) -> FloatArray:
-    """Fit S of the module docstring to each body's own origin and those of its children in the URDF."""
+    """S of the module docstring, fitted to each body's own origin and its children's origins in the URDF."""
     stretches = np.tile(np.eye(4), (len(bodies.names), 1, 1))
     nominal = _placements(robot.nominal)
     in_urdf = np.array([name in {joint.name for joint in robot.urdf.joints} for name in robot.mechanism.origin_names])

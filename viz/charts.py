@@ -1,8 +1,8 @@
-"""Plots of pages as content: marks, their places and their poses, for the script that draws them (`charts.js`).
+"""Plots of pages as data for the script that draws them (`charts.js`).
 
-A chart is a row of panels, a panel a stack of layers. A layer has columns of numbers, and of each mark the row of the
-page's table that it belongs to, so that hover and selection mean the same pose in every plot, in space and in tables.
-Marks that belong to no row have texts of their own.
+A chart is a row of panels, a panel a stack of layers. A layer has columns of numbers, and the row of the page's table
+of each mark, so that hover and selection mean the same pose in every plot, in space and in tables. Marks without a row
+have texts of their own.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from viz.svg import AXES, STATES
 
-_DIGITS = 5  # of a number in a plot
+_DIGITS = 5  # digits of a number in a plot
 COLOURS = {"before": STATES["before"][0], "after": STATES["after"][0], **{name: look[0] for name, look in AXES.items()}}
 """Colours of states and axes."""
 MANY = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F")
@@ -30,8 +30,8 @@ class Chart:
     Attributes:
         name: Short name, unique on the page.
         title: Title.
-        text: How to read it.
-        panels: Results of `panel`, side by side where there is room.
+        text: How to read the plot.
+        panels: Results of `panel`, side by side if there is room.
         wide: Smallest width of a panel [px].
     """
 
@@ -48,7 +48,7 @@ def axis(label: str, *, log: bool = False, ends: Sequence[float] | None = None, 
     Args:
         label: Quantity and unit.
         log: Whether it is logarithmic.
-        ends: Its range; that of the marks if not given.
+        ends: Its range; default: the range of the marks.
         names: Categories, the first at the top or on the left, in place of numbers.
     """
     shown = None if ends is None else [float(value) for value in ends]
@@ -65,7 +65,7 @@ def panel(
     equal: bool = False,
     bare: bool = False,
 ) -> Any:
-    """Return a panel; `equal`: a unit is as long on both axes; `bare`: without axes."""
+    """Return a panel; `equal`: units are equally long on both axes; `bare`: without axes."""
     shape = {"title": title, "height": height, "equal": equal, "bare": bare}
     return {"x": x, "y": y, "layers": list(layers), **shape}
 
@@ -75,8 +75,8 @@ def layer(kind: str, label: str = "", colour: str = "", **columns: Any) -> dict[
 
     Args:
         kind: `points`, `line`, `bars` (left, right, y), `cells` (x, y, width, height, colours) or `band` (left, right).
-        label: Its entry in the legend; none if empty.
-        colour: Colour of all its marks; that of the page's text if empty.
+        label: Its entry in the legend; empty: none.
+        colour: Colour of all its marks; empty: the colour of the page's text.
         columns: Numbers, rows, texts, or colours of its marks.
     """
     return {
@@ -88,7 +88,7 @@ def layer(kind: str, label: str = "", colour: str = "", **columns: Any) -> dict[
 
 
 def json_values(values: ArrayLike) -> Any:
-    """Return values (n,) as JSON has them: numbers with few digits, None for unknown; whatever else as it is."""
+    """Return values (n,) for JSON: numbers with few digits, None for NaN and infinity; other values unchanged."""
     array = np.asarray(values)
     if array.dtype.kind != "f":
         return array.tolist()
@@ -101,8 +101,8 @@ class PageRows:
 
     Attributes:
         texts: Texts on hover.
-        poses: Number of the pose that each row is of: rows of one pose are selected together.
-        marks: Shape of each row's mark, as Bokeh calls it.
+        poses: Number of each row's pose; rows of one pose are selected together.
+        marks: Name of each row's mark in Bokeh.
     """
 
     texts: tuple[str, ...] = ()
@@ -112,13 +112,13 @@ class PageRows:
 
 @dataclass(frozen=True)
 class Charts:
-    """The plots of a page, by the part of the page that they belong to, and the rows that they are about."""
+    """The plots of a page by its parts, and the rows of its table."""
 
     by_place: Mapping[str, tuple[Chart, ...]]
     rows: PageRows = field(default_factory=PageRows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return them as the page's script reads them."""
+        """Return the data for the page's script."""
         charts = [chart for part in self.by_place.values() for chart in part]
         return {
             "rows": {"texts": self.rows.texts, "poses": self.rows.poses, "marks": self.rows.marks},

@@ -16,7 +16,7 @@ from calib.core.base.files import write_files
 from calib.core.commands.common import Output, folder_of_values, load_robot, shared_options
 
 MAP_POSES = 1000
-"""Poses of a map, if no number is given."""
+"""Default number of poses of a map."""
 
 
 @click.command("view")
@@ -74,7 +74,7 @@ def view(
         raise InputError("--html and --rrd write a file and start no server: leave out --port, --no-browser and --drag")
     model = load_robot(robot, output)
     if result is None and (result := folder_of_values(robot, None, None)) is not None:
-        model = model.with_parameters([parameter.nominal_si for parameter in model.parameters])  # the robot before
+        model = model.with_parameters([parameter.nominal_si for parameter in model.parameters])  # the nominal robot
     measurements = None if data is None else read_pose_files((data,), model)
     output.check(html, rrd)
     with output.working("preparing the scene"):
@@ -90,7 +90,7 @@ def view(
         return
     with DraggedView(shown, port) if drag else LiveViewer(shown, port) as viewer:
         if no_browser:
-            click.echo(viewer.url)  # also with --quiet: nothing else tells where to look
+            click.echo(viewer.url)  # also with --quiet, since nothing else shows the address
         else:
             output.say(viewer.url)
             _open(viewer.url)
@@ -105,7 +105,7 @@ def _wait_for_stop(output: Output) -> None:
         stop.set()
 
     previous = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
-    output.note("Press Ctrl-C to end.")  # said only now that it does
+    output.note("Press Ctrl-C to end.")  # after the handlers are set
     try:
         while not stop.wait(1.0):  # an endless wait would keep signals out on some systems
             pass

@@ -1,4 +1,4 @@
-"""Results side by side as one page: which differences are real, parameters with intervals, errors on the same rows."""
+"""Results side by side as one page: significant differences, parameters with intervals, errors on the same rows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _REAL = ": a real difference"
 
 @dataclass(frozen=True)
 class ComparisonLine:
-    """One parameter of the table: name, unit, its value in each result, p-values, and which differences are real."""
+    """A parameter of the table: name, unit, its value in each result, p-values, and significant differences."""
 
     name: str
     unit: str
@@ -31,13 +31,7 @@ class ComparisonLine:
 
 
 def comparison_page(comparison: ResultComparison, *, command: str = "", created: datetime | None = None) -> ViewerPage:
-    """Return the page of a comparison.
-
-    Args:
-        comparison: The comparison.
-        command: Command line that made it.
-        created: Time to print; now if not given.
-    """
+    """Return the page of a comparison, made by a command line; `created` is printed (default: now)."""
     ranked = comparison.rank_differences()
     rest = [difference for difference in comparison.differences if difference not in ranked]
     same_rows = errors_on_same_rows(comparison) if comparison.sizes else None
@@ -65,13 +59,13 @@ def _line(difference: Difference) -> ComparisonLine:
 
 
 def _half(row: dict[str, Any]) -> dict[str, float]:
-    """Value and half of its interval as numbers; NaN where not known."""
+    """Value and half of its interval as numbers; NaN where unknown."""
     value, high, std = (np.nan if row[key] is None else float(row[key]) for key in ("value", "high95", "std"))
     return {"value": value, "half": high - value, "std": std}
 
 
 def errors_on_same_rows(comparison: ResultComparison) -> Chart:
-    """Part of the readings whose error is smaller than a size, for each result."""
+    """Share of readings whose error is below a size, for each result."""
     layers = []
     for k, (name, sizes) in enumerate(zip(comparison.names, comparison.sizes, strict=True)):
         part = 100 * (np.arange(len(sizes)) + 1) / len(sizes)
@@ -91,7 +85,7 @@ def errors_on_same_rows(comparison: ResultComparison) -> Chart:
 
 
 def intervals(comparison: ResultComparison, ranked: list[Difference]) -> Chart | None:
-    """Differences to the first result in half widths of its 95 % intervals; None where there are no intervals."""
+    """Differences from the first result in half widths of its 95 % intervals; None without intervals."""
     known = [d for d in ranked if all(row is not None and row["high95"] is not None for row in d.rows)][:_SHOWN]
     if not known:
         return None

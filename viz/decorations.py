@@ -1,7 +1,7 @@
-"""Surroundings of a robot: shapes that a package gives for a robot it knows, such as a target workspace.
+"""Surroundings of a known robot, such as a target workspace, as shapes from other packages.
 
-A package registers a function in the entry point group `viz.decorations`, under the robot's name in its URDF; called
-without arguments it returns shapes whose `body` is None, in the measurement frame. Nothing here knows any robot.
+A package registers a function in the entry point group `viz.decorations`, under the robot's name in its URDF. Called
+without arguments, the function returns shapes whose `body` is None, in the measurement frame.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from viz.shapes import Shape
 ENTRY_POINTS = "viz.decorations"
 
 
-@functools.cache  # to look through all installed packages is a tenth of a live viewer's new scene
+@functools.cache  # a search through all installed packages takes a tenth of the time of a live viewer's new scene
 def decorations_of(robot_name: str) -> tuple[Shape, ...]:
     """Return the shapes that installed packages give for the robot of this name."""
     shapes: list[Shape] = []

@@ -1,6 +1,6 @@
-"""A scene in viser, which a browser shows: sliders for joints and poses, and a target that is dragged.
+"""A scene in viser, in a browser: sliders for joints and poses, and a target to drag.
 
-`calib view ROBOT --drag` opens it in place of the page of meshcat. Links have their places of `viz.bodies`, but are not
+`calib view ROBOT --drag` opens it in place of meshcat's page. Links have their poses of `viz.bodies`, but are not
 stretched, as viser moves rigid bodies alone.
 """
 
@@ -23,11 +23,11 @@ ADDRESS = "127.0.0.1"
 
 
 class DraggedView:
-    """A server of viser, which shows a robot that sliders and a target move; use as a context.
+    """A viser server whose page moves a robot by sliders and a target; use as a context.
 
     Args:
-        shown: What to show.
-        port: Port to listen on; 0 for any free one.
+        shown: The scene and its robots.
+        port: Port to listen on; 0 for any free port.
 
     Raises:
         InputError: viser is not installed.
@@ -72,7 +72,7 @@ class DraggedView:
         return f"http://{ADDRESS}:{self.server.get_port()}"
 
     def move(self, joints: FloatArray) -> None:
-        """Show the robot at actuated joint values, (n_actuated,) [m or rad]; stay where it cannot be assembled."""
+        """Show the robot at actuated joint values, (n_actuated,) [m or rad], unless it cannot be assembled there."""
         scene, solid = self._shown.scene, self._shown.solid
         try:
             posed = posed_robot(solid, scene.bodies, joints[None, :])
@@ -91,7 +91,7 @@ class DraggedView:
         self.note.content = f"{solid.target_names[0]}: {shown} mm"
 
     def reach(self, point: FloatArray) -> None:
-        """Bring the first target to a point, (3,) [m]; stay where it cannot get there."""
+        """Bring the first target to a point, (3,) [m], if it is in reach."""
         if self._moving:
             return
         solution = calib.solve(self._shown.solid, point[None, :], near=self.joints)
@@ -101,7 +101,7 @@ class DraggedView:
             self.note.content = f"not reached: {1e3 * solution.miss_position[0]:.2f} mm short"
 
     def _slider(self, k: int) -> Any:
-        """The slider of a joint, within its limits."""
+        """Add the slider of joint k within its limits."""
         joint, solid = self._shown.scene.joints[k], self._shown.solid
         limits = {one.name: (one.lower, one.upper) for one in solid.urdf.joints}
         ends = [
@@ -121,7 +121,7 @@ class DraggedView:
         return slider
 
     def _draw_errors(self) -> None:
-        """Where readings are, in the colours of their errors, and these errors enlarged."""
+        """Draw the readings in the colours of their errors, and these errors enlarged."""
         scene = self._shown.scene
         state = (scene.states or ("before",))[-1]
         factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
@@ -150,6 +150,6 @@ class DraggedView:
 
 
 def _wxyz(rotation: FloatArray) -> tuple[float, float, float, float]:
-    """Quaternion of a rotation, the real part first."""
+    """Quaternion of a rotation, real part first."""
     x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
     return w, x, y, z

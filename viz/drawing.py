@@ -1,9 +1,8 @@
-"""The robot and its surroundings as meshcat commands, written by hand.
+"""The robot and its surroundings as meshcat commands.
 
-meshcat's own objects would send them to a server, and their import brings IPython; here no server, process or port is
-needed, and the page replays the commands. Paths: `/meshcat/robot/<body>/<shape>` and
-`/meshcat/decorations/<shape>`. The page moves the bodies; everything lies in the measurement frame, and `/meshcat`
-itself is turned upright.
+meshcat's own objects would need its server and IPython; here the page replays packed commands without either. Paths:
+`/meshcat/robot/<body>/<shape>` and `/meshcat/decorations/<shape>`. The page moves the bodies; everything lies in the
+measurement frame, and `/meshcat` itself is turned upright.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from viz.scene import ViewerScene
 from viz.shapes import Shape
 
 Command = dict[str, Any]
-"""A command to meshcat's page, in its terms."""
+"""A command to meshcat's page, as meshcat defines it."""
 
 
 def pack(command: Command) -> bytes:
-    """Return a meshcat command as the MessagePack bytes that its page understands."""
+    """Return a meshcat command as MessagePack bytes."""
     import umsgpack  # type: ignore[import-untyped]
 
     packed: bytes = umsgpack.packb(command)
@@ -30,7 +29,7 @@ def pack(command: Command) -> bytes:
 
 
 def body_path(scene: ViewerScene, body: int) -> str:
-    """Return the path component of a body; numbered, because link names may hold slashes."""
+    """Return the path component of a body; numbered, because link names may contain slashes."""
     return f"{body} {scene.bodies.names[body].replace('/', '_')}"
 
 
@@ -56,7 +55,7 @@ def _draw_shape(path: str, shape: Shape, key: str) -> list[Command]:
     """Draw one shape; identifiers are set by hand so that the same scene gives the same bytes."""
     T = shape.T_body_shape
     if shape.kind == "cylinder":
-        T = T @ np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # meshcat's lies along y
+        T = T @ np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # meshcat's cylinder lies along y
     red, green, blue, opacity = (float(part) for part in shape.colour)
     faceted = shape.kind == "mesh" and shape.body is not None
     material = {
@@ -80,7 +79,7 @@ def _draw_shape(path: str, shape: Shape, key: str) -> list[Command]:
 
 
 def _geometry(shape: Shape) -> Command:
-    """A shape in the words of three.js."""
+    """The geometry of a shape for three.js."""
     if shape.kind == "box":
         width, height, depth = (float(edge) for edge in shape.size)
         return {"type": "BoxGeometry", "width": width, "height": height, "depth": depth}

@@ -1,13 +1,12 @@
 """Data for a page to move a robot by hand: joint values from the motors, and the closures of its loops.
 
-The page follows the loops itself, from a pose in which they are closed, in small steps of the motors with Newton's
-method at each (`templates/drive.js`, the same equations as `calib.core.robots.loops`). It stops where a loop does not
-close, a passive joint meets its limit, or the next step would pass a singularity, behind which another assembly mode
-begins.
+The page follows the loops itself, from a pose with closed loops, in small steps of the motors with Newton's method at
+each (`templates/drive.js`, the same equations as `calib.core.robots.loops`). It stops if a loop does not close, if a
+passive joint meets its limit, or before a singularity, behind which another assembly mode begins.
 
-The errors of joints of the calibrated robot are a sum of functions of one motor each, but for what
-gravity bends. The page gets these as tables, and takes cubics between their numbers. Conditions are neutral, as for
-`Robot.positions` without a context: from neither side, at 20 degC, at the time 0.
+The joint errors of the calibrated robot, except bending by gravity, are a sum of functions of one motor each. The page
+interpolates tables of these with cubics. Conditions are neutral, as in `Robot.positions` without a context: no
+direction of approach, 20 degC, time 0.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from calib.core.robots.terms.term import Condition, Context
 from viz.bodies import Bodies
 
 _TABLE_STEP = 5e-3  # of a motor [rad, or characteristic lengths]: 60 waves a turn of 1 mrad are met to 2e-7 rad
-_NEGLIGIBLE = 1e-12  # error of a joint that needs no table [m or rad]
+_NEGLIGIBLE = 1e-12  # largest joint error without a table [m or rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +32,9 @@ class ErrorTable:
     """Error of one motor as a function of one command.
 
     Attributes:
-        joint: Number of the motor that is off.
-        axis: Number of the motor whose command decides.
-        low, step: Commands at which the errors stand, from the first on [m or rad].
+        joint: Index of the motor with the error.
+        axis: Index of the motor whose command decides.
+        low, step: First command of the table, and the step between commands [m or rad].
         errors: (n,) [m or rad].
     """
 
@@ -48,22 +47,23 @@ class ErrorTable:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """How all joints follow from the motors. Values of moving joints stand in the order of `PosedRobot.values`.
+    """All joints as functions of the motors. Values of moving joints are in the order of `PosedRobot.values`.
 
     Attributes:
-        by_actuated, by_passive, constant: Values of moving joints are the first times motors, plus the second times
-            passive joints, plus the last: (n_moving, n_actuated), (n_moving, n_passive), (n_moving,).
-        columns: Where each passive joint itself stands among moving joints, (n_passive,).
-        loops: Closures; their frames are bodies.
-        passive_range: Limits of passive joints, (2, n_passive) [m or rad]; infinite where there are none.
-        turning, sliding: Which passive joints turn, (n_passive,), and which motors slide, (n_actuated,).
+        by_actuated, by_passive, constant: Values of moving joints are by_actuated times motors plus by_passive times
+            passive joints plus constant: (n_moving, n_actuated), (n_moving, n_passive), (n_moving,).
+        columns: Index of each passive joint among moving joints, (n_passive,).
+        loops: Closures between bodies.
+        passive_range: Limits of passive joints, (2, n_passive) [m or rad]; infinite without limits.
+        turning: Whether each passive joint is revolute, (n_passive,).
+        sliding: Whether each motor is prismatic, (n_actuated,).
         range: Range of each motor, (2, n_actuated) [m or rad].
         home: Motors at home, (n_actuated,) [m or rad].
         targets: Name and body of each target.
         length: Characteristic length [m].
-        tables: Errors of the joints of the robot that is drawn solid.
-        remarks: Errors that the page cannot know, or leaves out.
-        complete: Whether nothing is left out, so that positions are those of the robot.
+        tables: Joint errors of the robot that is drawn solid.
+        remarks: Errors that the page omits.
+        complete: Whether no error is omitted, so that positions are those of the robot.
     """
 
     by_actuated: FloatArray
@@ -83,7 +83,7 @@ class Drive:
     complete: bool
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the drive as the page's script reads it; limits that are none are null."""
+        """Return the drive as data for the page's script; infinite limits are null."""
         return {
             "by_actuated": self.by_actuated.tolist(),
             "by_passive": self.by_passive.tolist(),
@@ -106,18 +106,18 @@ class Drive:
 
 
 def drive_of(robot: Robot, bodies: Bodies, shown: FloatArray) -> Drive:
-    """Return how a robot can be moved by hand.
+    """Return the data by which a page moves a robot by hand.
 
     Args:
         robot: The robot that is drawn solid.
         bodies: Its tree.
-        shown: Motors in the poses shown, (n, n_actuated) [m or rad]: their range holds these.
+        shown: Motors in the shown poses, (n, n_actuated) [m or rad], which their ranges include.
     """
     mechanism, moving = robot.mechanism, bodies.moving
     names = [mechanism.origin_names[joint] for joint in moving]
     joints = {joint.name: joint for joint in robot.urdf.joints}
     sliding = np.array([joints[name].type == "prismatic" for name in robot.joint_names], dtype=bool)
-    way = np.where(sliding, mechanism.length, np.pi)  # to both sides of home, where there are no limits
+    way = np.where(sliding, mechanism.length, np.pi)  # to both sides of home, for motors without limits
     low, high = (np.array([getattr(joints[name], end) for name in robot.joint_names]) for end in ("lower", "upper"))
     low = np.where(np.isfinite(low), low, robot.home - way)
     high = np.where(np.isfinite(high), high, robot.home + way)
@@ -142,7 +142,7 @@ def drive_of(robot: Robot, bodies: Bodies, shown: FloatArray) -> Drive:
 
 
 def _tables(robot: Robot, reach: FloatArray) -> tuple[ErrorTable, ...]:
-    """Errors of motors, as far as they are functions of one motor each, over what these can be moved through."""
+    """Errors of motors as functions of one motor each, over the motors' ranges."""
     if not robot.terms:
         return ()
     at_home = _errors(robot, robot.home[None])[0]
@@ -159,13 +159,13 @@ def _tables(robot: Robot, reach: FloatArray) -> tuple[ErrorTable, ...]:
 
 
 def _errors(robot: Robot, q: FloatArray) -> FloatArray:
-    """Errors of motors at commands q, without gravity, under neutral conditions, (n, n_actuated)."""
+    """Errors of motors at commands q, without gravity, under neutral conditions, (n, n_actuated) [m or rad]."""
     columns = columns_of_terms(robot.terms, robot.mechanism, q, Context.neutral(*q.shape))
     return actual_joints(robot, q, columns)[:, : q.shape[1]] - q
 
 
 def _remarks(robot: Robot) -> tuple[str, ...]:
-    """Remarks of the page on joint terms that do not follow from the motors."""
+    """Remarks on joint terms that are no functions of the motors."""
     torque = sorted({term.joint for term in robot.terms if term.needs_torque})
     remarks = [f"Left out here: what gravity bends in {', '.join(torque)}."] if torque else []
     conditions = {condition for term in robot.terms if not term.needs_torque for condition in term.depends_on}

@@ -1,4 +1,4 @@
-"""Plots of errors, of each part of readings: their distribution, their places, and the quantities that they follow."""
+"""Plots of errors for each part of readings: their distribution, their places, and their dependence on joints."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from viz.scene_data import colours, rows_of
 
 _MM = PER_SI["length"]["mm"]
 _MEANS = 12  # places along a joint at which residuals are averaged
-_CELLS = 9  # along the longer side of a plane
-_FLAT = 0.05  # extent of places across a plane, of their extent in it, up to which they are a surface
-_ALONG_AN_AXIS = 0.999  # cosine: the surface is then one of the three planes
-_PAIRED = 6  # joints whose ranges are drawn in pairs; of more, neighbours only
+_CELLS = 9  # cells along the longer side of a plane
+_FLAT = 0.05  # extent of places across a plane, over their extent in it, below which they are a surface
+_ALONG_AN_AXIS = 0.999  # cosine above which the surface is parallel to one of the three planes
+_PAIRED = 6  # largest number of joints whose ranges are drawn in all pairs; for more, neighbours only
 
 
 def page_rows(scene: ViewerScene) -> PageRows:
-    """Return the text on hover of each row of the page, its pose and its mark."""
+    """Return hover text, pose and mark of each row of the page."""
     texts, keys, marks = [], [], []
     for rows in rows_of(scene):
         scale, unit = error_scale(rows.part.dimension), ERROR_UNIT[rows.part.dimension]
@@ -62,7 +62,7 @@ def error_charts(fit: Fit, scene: ViewerScene) -> tuple[Chart, ...]:
 
 
 def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
-    """Return the poses in pairs of joints, within the limits of the joints; None where there are no pairs."""
+    """Return the poses in pairs of joints, within the limits of the joints; None without pairs."""
     joints, first, values, rows = scene.joints, 0, [], []
     for part in rows_of(scene):
         values.append(part.joints)
@@ -98,7 +98,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
 
 
 def conditions(fit: Fit, scene: ViewerScene) -> Chart | None:
-    """Return temperature and time of the poses in the order of measurement, where the file has them."""
+    """Return temperature and time of the poses in the order of measurement; None if the file has neither."""
     data = fit.identification.data
     row_of: dict[str, int] = {}
     for row, label in enumerate(label for part in rows_of(scene) for label in part.labels):
@@ -120,7 +120,7 @@ def conditions(fit: Fit, scene: ViewerScene) -> Chart | None:
 
 
 class _Part:
-    """Plots of one part of readings; `numbers`: its rows in the page's table, (n,)."""
+    """Plots of one part of readings; `numbers` are its rows in the page's table, (n,)."""
 
     def __init__(self, rows: ReadingErrors, numbers: IntArray, joints: tuple[ViewerJoint, ...], layout: str) -> None:
         self._rows, self._numbers, self._joints = rows, numbers, joints
@@ -131,14 +131,14 @@ class _Part:
         self._sizes: dict[str, FloatArray] = {state: self._scale * rows.sizes(state) for state in STATES}
 
     def _chart_name(self, name: str, title: str) -> tuple[str, str]:
-        """Name and title of a chart; those of positions need not say of what they are."""
+        """Name and title of a chart; they name the part unless it is positions."""
         if self._rows.part.is_position:
             return name, title
         what = self._rows.part.name
         return f"{what.replace(' ', '-')}-{name}", f"{what.capitalize()}: {title[0].lower()}{title[1:]}"
 
     def distribution(self) -> Chart:
-        """Which share of errors is smaller than a size, before and after."""
+        """Share of errors below a size, before and after."""
         layers = []
         for state in STATES:
             known = np.flatnonzero(self._sizes[state] > 0)
@@ -190,7 +190,7 @@ class _Part:
         )
 
     def order(self) -> Chart:
-        """Errors in the order in which they are in the file."""
+        """Errors in the order of the file."""
         layers = []
         for state in STATES:
             known = np.flatnonzero(self._sizes[state] > 0)
@@ -244,7 +244,7 @@ class _Part:
 
 
 def _views(places: FloatArray) -> list[tuple[str, str, str, FloatArray, FloatArray]]:
-    """Planes of places (n, 3): title, names of both axes, and coordinates; also the plane in which all lie, if any."""
+    """Planes of places (n, 3): title, names of both axes, and coordinates; also the plane of all places, if any."""
     x, y, z = places.T
     views = [("from above", "x", "y", x, y), ("from the side", "x", "z", x, z), ("from the front", "y", "z", y, z)]
     if len(places) > 3:
@@ -256,7 +256,7 @@ def _views(places: FloatArray) -> list[tuple[str, str, str, FloatArray, FloatArr
 
 
 def _local_mean(values: FloatArray, component: FloatArray) -> dict[str, FloatArray]:
-    """Means of a component over neighbours along a joint, with about as many in each."""
+    """Means of a component over groups of neighbours along a joint, of about equal size."""
     order = np.argsort(values, kind="stable")
     pieces = [piece for piece in np.array_split(order, min(_MEANS, max(1, len(order) // 5))) if len(piece)]
     return {
@@ -266,7 +266,7 @@ def _local_mean(values: FloatArray, component: FloatArray) -> dict[str, FloatArr
 
 
 def _cells(x: FloatArray, y: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Middle (x, y), mean error and width of the cells of a plane in which something was measured."""
+    """Middle (x, y), mean error and width of the cells with measurements in a plane."""
     width = max(float(np.ptp(x)), float(np.ptp(y)), 1e-6) / _CELLS
     columns, lines = (np.minimum((v - v.min()) // width, _CELLS - 1).astype(int) for v in (x, y))
     numbers, of_cell, count = np.unique(columns * _CELLS + lines, return_inverse=True, return_counts=True)

@@ -1,4 +1,4 @@
-"""Figures of a fit for notebooks and papers: matplotlib axes in, axes out, in the style that is set outside."""
+"""Figures of a fit for notebooks and papers, drawn into matplotlib axes in the present style."""
 
 from __future__ import annotations
 
@@ -19,11 +19,8 @@ from viz.svg import BLUE, GREY
 class FitPlots:
     """The figures of a fit; each method draws into `axes`, or into those of a new figure, and returns them.
 
-    Args:
-        fit: The fit.
-
     Raises:
-        InputError: No errors of points are known; these figures are about them.
+        InputError: The fit has no errors of points, which these figures show.
     """
 
     def __init__(self, fit: Fit) -> None:
@@ -34,11 +31,11 @@ class FitPlots:
         return f"<plots: {', '.join(names)}>"
 
     def __call__(self, axes: Axes | None = None) -> Axes:
-        """Draw `errors`, the figure to look at first."""
+        """Draw `errors`, the first figure to look at."""
         return self.errors(axes)
 
     def errors(self, axes: Axes | None = None) -> Axes:
-        """Draw how many points have which error, before and after."""
+        """Draw the distribution of the errors of points, before and after."""
         drawn = _axes(axes)
         draw_histogram(drawn, self._table())
         drawn.legend()
@@ -54,9 +51,8 @@ class FitPlots:
     def residuals(self, joint: str | None = None, axes: Axes | None = None) -> Axes:
         """Draw the components of residuals against a joint.
 
-        Args:
-            joint: Its name; the first joint if not given.
-            axes: Where to.
+            joint: Its name; default: the first joint.
+            axes: Axes to draw into.
 
         Raises:
             InputError: There is no such joint.
@@ -72,15 +68,15 @@ class FitPlots:
         return drawn
 
     def normal(self, axes: Axes | None = None) -> Axes:
-        """Draw sorted residuals over sigma against those of normal noise."""
+        """Draw sorted residuals over sigma against normal quantiles."""
         drawn = _axes(axes)
         draw_normal(drawn, self._table())
         return drawn
 
     def parameters(self, axes: Axes | None = None) -> Axes:
-        """Draw every free parameter of the robot itself, its change and 95 % interval, in sigmas of what was expected.
+        """Draw the change of every free parameter of the robot with its 95 % interval, in expected sigmas.
 
-        Where base and targets are says nothing about the robot, and is left out.
+        Poses of base and targets are left out, since they are not the robot's.
         """
         fit = self._fit
         shown = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
@@ -105,7 +101,7 @@ class FitPlots:
 
 
 def _axes(axes: Any, height: float = 4.8) -> Axes:
-    """Axes to draw into; a new figure goes through pyplot, so that a notebook shows it."""
+    """Axes to draw into; a new figure comes from pyplot, so that a notebook shows it."""
     if axes is not None and not isinstance(axes, Axes):
         raise InputError(f"axes: expected matplotlib axes, not {type(axes).__name__}")
     if axes is None:

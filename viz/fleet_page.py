@@ -1,4 +1,4 @@
-"""Robots of one model as one page: who is unlike the others, and parameters of all robots side by side."""
+"""Robots of one model as one page: robots unlike the others, and the parameters of all robots side by side."""
 
 from __future__ import annotations
 
@@ -15,12 +15,7 @@ _SHOWN = 60  # parameters in the figure
 
 
 def fleet_page(fleet: Fleet, *, command: str = "") -> ViewerPage:
-    """Return the page of a fleet.
-
-    Args:
-        fleet: The fleet.
-        command: Command line that made it.
-    """
+    """Return the page of a fleet, made by a command line."""
     scale = np.array([parameter.per_si for parameter in fleet.parameters])
     return printed_page(
         "fleet.html",
@@ -38,7 +33,7 @@ def fleet_page(fleet: Fleet, *, command: str = "") -> ViewerPage:
 
 
 def side_by_side(fleet: Fleet) -> Chart:
-    """Each parameter of each robot, from the mean of the fleet, in its spreads."""
+    """Distance of each parameter of each robot from the fleet's mean, in spreads of the fleet."""
     away, reach = (fleet.values - fleet.mean) / fleet.spread, 1.96 * fleet.stds / fleet.spread
     order = np.argsort(-np.max(np.abs(away), axis=0))[:_SHOWN]
     names = [fleet.parameters[k].name for k in order]

@@ -1,7 +1,7 @@
-"""The shapes of a robot, read from its URDF: primitives and meshes, plain bodies for what is missing.
+"""The shapes of a robot, read from its URDF: primitives and meshes, or plain bodies in their place.
 
-A link whose mesh cannot be loaded is drawn plainly, so that the robot can still be recognised; one note says so for all
-of them. So is a URDF that has no shapes at all.
+A link whose mesh cannot be loaded, and a URDF without shapes, are drawn plainly, so that the robot can still be
+recognised; one note names all such links.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from calib.core.robots.urdf.links import LinkShape as Visual
 from viz.plain_links import PlainLinks
 from viz.shapes import GREY, Colour, Shape, mesh, primitive, thin
 
-_MOST_FACES = 40_000  # of one mesh; more do not show on a screen and make the page slow
+_MOST_FACES = 40_000  # of one mesh; more make the page slow and do not show on a screen
 
 
 def read_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
     """Read the shapes of a robot's URDF.
 
     Returns:
-        The shapes; and notes for the user, one for all that could not be drawn as the URDF asks.
+        The shapes; and notes for the user, one for all that are not drawn as in the URDF.
     """
     plain, shapes, missing = PlainLinks(robot), [], {}
     try:
@@ -72,7 +72,7 @@ def _visual(name: str, link: str, visual: Visual, urdf_path: str) -> list[Shape]
 
 
 def _load_mesh(name: str, link: str, visual: Visual, origin: FloatArray, urdf_path: str) -> list[Shape]:
-    """Load a mesh file; the colour of the URDF wins over the file's own colours."""
+    """Load a mesh file; the colour of the URDF replaces the file's own colours."""
     import trimesh
 
     path = find_mesh(visual.file, urdf_path)
@@ -95,7 +95,7 @@ def _load_mesh(name: str, link: str, visual: Visual, origin: FloatArray, urdf_pa
 
 
 def _own_colour(visual: Any) -> Colour:
-    """Main colour of a mesh file's part."""
+    """Main colour of a part of a mesh file."""
     painted = getattr(visual, "material", visual)
     parts = np.ravel(getattr(painted, "main_color", ()))
     if not visual.defined or len(parts) < 3:

@@ -1,4 +1,4 @@
-"""From a robot, a fit or its folder, and measurements to a scene."""
+"""Scenes from a robot, a fit or its folder, and measurements."""
 
 from __future__ import annotations
 
@@ -27,13 +27,7 @@ Result = Fit | str | Path
 
 @dataclass(frozen=True, eq=False)
 class ShownScene:
-    """A scene and the robots that it was made from.
-
-    Attributes:
-        scene: The scene.
-        solid: The robot that is drawn solid.
-        ghost: The robot that is drawn as a ghost, or None.
-    """
+    """A scene with its robots: `solid`, and `ghost` or None."""
 
     scene: ViewerScene
     solid: Robot
@@ -45,8 +39,8 @@ def gather(robot: Robot, result: Result | None = None, data: Poses | None = None
 
     Args:
         robot: The nominal robot.
-        result: A fit, or the folder that one was saved to; none: the robot as it is.
-        data: Measurements to judge the robots with, instead of those of the fit; or poses alone, to look at.
+        result: A fit, or the folder of a saved fit; None: the robot alone.
+        data: Measurements to compare with the robots, instead of those of the fit; or poses alone.
         mapped: Number of poses of the map of the uncertainty over the workspace; 0: no map.
 
     Raises:
@@ -71,7 +65,7 @@ def gather(robot: Robot, result: Result | None = None, data: Poses | None = None
 
 
 def _planned_scene(robot: Robot, result: Result | None, poses: Poses) -> ShownScene:
-    """Poses where nothing was read yet, with what hits there."""
+    """Poses without readings, with the collisions there."""
     if isinstance(result, Fit):
         robot = result.robot
     elif result is not None:
@@ -106,7 +100,7 @@ def _with_map(scene: ViewerScene, calibrated: PredictingRobot, nominal: Robot, c
 
 
 def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, mapped: int) -> ShownScene:
-    """A failed result is shown, too: to look at it is how one finds out why; its verdict is shown with it."""
+    """The scene of a saved result, with its verdict; a failed result is shown too, to find out why."""
     result = load_result(folder, robot, failed_too=True)
     judgement = judgement_of_result(result.content["verdict"], result.content.get("next", ""))
     if not isinstance(result, EarlierResult):
@@ -130,7 +124,7 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, ma
 
 
 def _place_robot(robot: Robot, data: Measurements) -> Robot:
-    """Return the robot before calibration: an unknown base and unknown targets as measurements show them."""
+    """Return the robot before calibration, with unknown base and targets placed by the measurements."""
     description = robot.description
     unknown = description.base.pose == "unknown" or any(
         "unknown" in (target.position, target.orientation) for target in description.targets.values()
@@ -140,7 +134,7 @@ def _place_robot(robot: Robot, data: Measurements) -> Robot:
 
 
 def _stated_sigmas(robot: Robot, data: Measurements) -> Sigmas:
-    """Return the noise of measured points that the description or the measurements state."""
+    """Return the noise of measured points as stated in the description or the measurements."""
     stated = {
         group.name: group.typical for group in Whitening(robot, data).groups if group.stated and group.part.is_position
     }

@@ -1,7 +1,7 @@
 """Instruments as shapes: sockets, planes and spheres that the robot touches, wires, cameras and boards.
 
-They are drawn where the shown robot has them, on the bodies that carry them. Symbols without a size of their own are as
-large as suits the robot. Wires lead from their fixed end to the target at some of the poses.
+They are drawn at their places on the shown robot. The size of symbols without a size of their own follows the robot's.
+Wires lead from their fixed end to the target at some of the poses.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from viz.bodies import Bodies, PosedRobot
 from viz.shapes import DARK, Colour, Shape, mesh, primitive, rotation_onto_z
 
 _BRASS: Colour = (0.80, 0.58, 0.20, 1.0)
-_CLEAR: Colour = (0.80, 0.58, 0.20, 0.4)  # what touches and is touched: errors are drawn inside
+_CLEAR: Colour = (0.80, 0.58, 0.20, 0.4)  # touching and touched shapes, since errors are drawn inside
 _GLASS: Colour = (0.35, 0.60, 0.85, 0.45)
 _PAPER: Colour = (0.97, 0.97, 0.95, 1.0)
 _WIRE: Colour = (*_GLASS[:3], 0.8)
-_WIRES = 12  # that are drawn of each instrument
-_POINTS = 400  # of a board that are drawn
+_WIRES = 12  # drawn wires per instrument
+_POINTS = 400  # drawn points of a board
 
 
 def instrument_shapes(robot: Robot) -> tuple[Shape, ...]:
     """Return the shapes of instruments that touch, measure distances or see, and of their targets, on bodies."""
     shapes = [shape for instrument in robot.instruments for shape in _shapes_of(instrument, robot.mechanism.length)]
-    return tuple({shape.name: shape for shape in shapes}.values())  # targets that several look at, once
+    return tuple({shape.name: shape for shape in shapes}.values())  # shared targets once
 
 
 def wires(robot: Robot, bodies: Bodies, solid: PosedRobot) -> tuple[Shape, ...]:
@@ -49,7 +49,7 @@ def wires(robot: Robot, bodies: Bodies, solid: PosedRobot) -> tuple[Shape, ...]:
 
 
 def _lines_of_sight(robot: Robot, placed: FloatArray) -> list[Shape]:
-    """Lines from where the description's `sight` is to targets, in poses of all bodies (n, n_bodies, 4, 4)."""
+    """Lines from the description's `sight` to targets, in poses of all bodies (n, n_bodies, 4, 4)."""
     stand = robot.description.sight
     if stand is None:
         return []
@@ -71,7 +71,7 @@ def _body(place: str) -> str:
 
 @functools.singledispatch
 def _shapes_of(instrument: Instrument, size: float) -> list[Shape]:
-    """Shapes of an instrument of a robot of this size [m]; none of an instrument that is no more than its target."""
+    """Shapes of an instrument of a robot of this size [m]; empty if it is only its target."""
     return []
 
 
@@ -153,7 +153,7 @@ def _translation(point: object) -> FloatArray:
 
 
 def _rod(name: str, body: str | None, start: FloatArray, end: FloatArray, radius: float, colour: Colour) -> list[Shape]:
-    """A thin cylinder between two points; none where they are one."""
+    """A thin cylinder between two points; none if they coincide."""
     length = float(np.linalg.norm(end - start))
     if length <= 1e-9:
         return []

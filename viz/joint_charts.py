@@ -1,4 +1,4 @@
-"""Plots of joints: what fitted terms add to commands beside what readings show, and offsets as dials."""
+"""Plots of joints: joint errors by fitted terms and by readings, and offsets as dials."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from calib.core.rows.observed import observe
 from viz.charts import COLOURS, Chart, axis, layer, panel
 from viz.scene import ViewerJoint
 
-_SEEN = 0.04  # of the best pose's squared reach: readings of poses below it tell too little of a joint
-_FURTHEST = np.radians(50.0)  # turn of the needle of the largest offset on its dial
+_SEEN = 0.04  # part of the best pose's squared reach below which the readings of a pose do not count for a joint
+_FURTHEST = np.radians(50.0)  # rotation of the needle for the largest offset
 
 
 def corrections(fit: Fit, joints: tuple[ViewerJoint, ...]) -> Chart | None:
-    """Return what the joint terms that were fitted add to each joint, and what the readings show; None without terms.
+    """Return joint errors by fitted terms and by readings; None without terms.
 
-    What the readings of a pose show of joint j is the fitted error and the part of their residuals r that goes along
-    its column J_j: -(J_j^T r) / (J_j^T J_j) more.
+    The readings of a pose show an error of joint j that is larger than the fitted error by the part of their residuals
+    r
+    along its column J_j: -(J_j^T r) / (J_j^T J_j).
     """
     if not fit.robot.terms:
         return None
@@ -52,7 +53,7 @@ def corrections(fit: Fit, joints: tuple[ViewerJoint, ...]) -> Chart | None:
 
 
 def _left_in_joints(fit: Fit) -> FloatArray:
-    """Error of each joint that the residuals of each pose still show, (n_visits, n_actuated) [SI]; NaN: too little."""
+    """Joint error in the residuals of each pose, (n_visits, n_actuated) [SI]; NaN if they depend too little on it."""
     errors = fit.identification
     data, conditions = errors.data, errors.data.conditions
     at = fit.robot.assemble(data.joints, errors.passive, data.labels, conditions)
@@ -87,7 +88,7 @@ def dials(fit: Fit) -> Chart | None:
             turns = np.allclose(column, along * (along @ column), atol=1e-9) and abs(along @ column) > 0.5
             if turns and parameter.name in fit.free_names:
                 found = fit.parameters[parameter.name]
-                if found.status != "prior" and np.isfinite(found.high95):  # the measurements tell
+                if found.status != "prior" and np.isfinite(found.high95):  # the measurements determine it
                     offsets.append((parameter.name, found.value - found.nominal, found.high95 - found.value))
     if not offsets:
         return None
@@ -102,7 +103,7 @@ def dials(fit: Fit) -> Chart | None:
 
 
 def _dial(name: str, value: float, half: float, unit: str, turn: float) -> dict[str, object]:
-    """One offset: a circle, its needle, and the interval as an arc inside the circle."""
+    """An offset: a circle, its needle, and the interval as an arc inside the circle."""
     circle, needle = np.linspace(0, 2 * np.pi, 61), turn * value
     low, high = np.clip([turn * (value - half), turn * (value + half)], -np.pi, np.pi)
     arc = np.linspace(low, high, 31)

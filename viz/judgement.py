@@ -1,4 +1,4 @@
-"""The verdict on a fit as the viewer shows it: its grade, and each reason with its own."""
+"""The verdict on a fit for the viewer, with the grade of each reason."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Judgement:
 
     Attributes:
         grade: PASS, CHECK or FAIL.
-        reasons: Grade and text of each reason; an empty grade where it is not known.
+        reasons: Grade and text of each reason; an empty grade if unknown.
         needs_no_correction: Whether the measurements show nothing to correct.
-        following: The next step, in a sentence; empty where it is not known.
+        following: The next step, in a sentence; empty if unknown.
     """
 
     grade: str
@@ -29,13 +29,13 @@ class Judgement:
     following: str = ""
 
     def to_dict(self) -> dict[str, object]:
-        """Return the verdict as the viewer's page reads it."""
+        """Return the verdict as data for the viewer's page."""
         reasons = [{"grade": grade, "text": text} for grade, text in self.reasons]
         return {"grade": self.grade, "reasons": reasons, "next": self.following}
 
 
 def following_words(fit: Fit, command: str) -> str:
-    """Return the next step, with the files of the command line that made the fit where it names all of them."""
+    """Return the next step, with file names from the command line of the fit if it has all of them."""
     following, words = next_step(fit), shlex.split(command)
     folder = next((words[k + 1] for k, word in enumerate(words[:-1]) if word in ("--out", "-o")), "")
     data = fit.identification.data.path
@@ -52,14 +52,10 @@ def judgement_of_fit(fit: Fit, command: str = "") -> Judgement:
 
 
 def judgement_of_result(entry: dict[str, Any], following: str = "") -> Judgement:
-    """Return the verdict of a `result.json`.
+    """Return the verdict of a `result.json` from its entries `verdict` and `next`.
 
-    Without grades of its own, a reason has the verdict's where that is certain: a CHECK has nothing worse, and a FAIL
-    begins with what made it one.
-
-    Args:
-        entry: Its entry `verdict`.
-        following: Its entry `next`.
+    Without grades of its own, a reason gets the verdict's grade if that is certain: every reason of a CHECK, and the
+    first reason of a FAIL.
     """
     texts = entry["reasons"]
     certain = [entry["grade"] if entry["grade"] == "CHECK" or k == 0 else "" for k in range(len(texts))]

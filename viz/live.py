@@ -1,4 +1,4 @@
-"""The viewer, live: the page on this computer only, moved by the program that shows it."""
+"""The live viewer: a page on this computer only, moved by the program that shows it."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from viz.inputs import ShownScene, gather
 from viz.server import PageServer
 from viz.viewer_page import scene_page
 
-_PACE = 10  # states that tell how long a pose takes
+_PACE = 10  # states from which the time per pose is estimated
 
 
 class LiveViewer:
-    """A page that a browser on this computer shows, and that this program can move.
+    """A page for a browser on this computer, which this program can move.
 
-    No call waits for a browser or fails without one. The server ends with this process, however it ends.
+    No call waits for a browser or fails without a browser. The server ends with this process, however it ends.
 
         with viz.show(robot, result) as viewer:
             print(viewer.url)
@@ -36,7 +36,7 @@ class LiveViewer:
 
     Args:
         shown: The scene and its robots.
-        port: Port to listen on; 0 for any free one.
+        port: Port to listen on; 0 for any free port.
 
     Raises:
         InputError: The port is taken.
@@ -46,12 +46,12 @@ class LiveViewer:
         self._shown = shown
         self._history: list[tuple[float | None, ...]] = []  # poses, predicted and unseen error, their 95 % ends [mm]
         self._fit: Fit | None = None
-        self._pace: list[tuple[float, int]] = []  # when how many poses were measured [s]
+        self._pace: list[tuple[float, int]] = []  # time [s] and number of measured poses of the last states
         self._server = PageServer(scene_page(shown.scene, live=True).html, port)
 
     @property
     def url(self) -> str:
-        """Address to open in a browser on this computer. It cannot be guessed; who has it can look."""
+        """Address to open in a browser on this computer: secret, and sufficient to see the page."""
         return self._server.url
 
     @property
@@ -60,7 +60,7 @@ class LiveViewer:
         return self._shown.scene.notes
 
     def show_pose(self, index: int) -> None:
-        """Go to a row of the page: a measured point, or a reading where no points were measured.
+        """Go to a row of the page: a measured point, or a reading if no points were measured.
 
         Raises:
             DataError: There is no such row, or `index` is not a whole number.
@@ -105,8 +105,8 @@ class LiveViewer:
     def show(self, progress: Progress) -> None:
         """Show the progress after the poses measured so far, in the measuring cockpit above the picture.
 
-        Stop or go, the next pose and the errors come at once; then the fit, in place of what was shown, and the robots
-        at the next pose; at the first one of the table where there is none.
+        The verdict, the next pose and the errors come at once; then the new fit, with the robots at the next pose, or
+        at the first pose of the table without a next one.
         """
         self._server.send("told", json.dumps(self._cockpit(progress), allow_nan=False), keep="told")
         if progress.fit is not None:
@@ -129,17 +129,17 @@ class LiveViewer:
         }
 
     def remember(self, progress: Progress) -> None:
-        """Keep the progress after some poses: the curve towards the goal shows it."""
+        """Add the progress after some poses to the curve towards the goal."""
         errors = (progress.predicted, progress.unseen)
         ends = [end for error in errors for end in (error.low95, error.high95)]
         known = [millimetres(one) if math.isfinite(one) else None for one in (*(e.value for e in errors), *ends)]
-        if self._history and progress.n_poses <= (self._history[-1][0] or 0):  # lines were taken back
+        if self._history and progress.n_poses <= (self._history[-1][0] or 0):  # lines were removed
             self._history = [row for row in self._history if (row[0] or 0) < progress.n_poses]
             self._pace = []
         self._history.append((progress.n_poses, *known))
 
     def _change_lines(self, fit: Fit | None) -> list[str]:
-        """Lines on the last pose: the parameter that moved furthest, in its standard deviation."""
+        """Lines on the effect of the last pose: the parameter that moved furthest, in its standard deviation."""
         before, self._fit = self._fit, fit
         if fit is None or before is None or before.free_names != fit.free_names:
             return []
@@ -155,11 +155,11 @@ class LiveViewer:
         return [f"Changed most by the last pose: {name}, {by:+.4f} {estimate.unit} ({share:.1f} standard deviations)"]
 
     def wait_for_browser(self, timeout: float) -> bool:
-        """Wait until a browser has connected, at most `timeout` seconds; say whether one has."""
+        """Wait for a connection from a browser, at most `timeout` seconds; return whether there is one."""
         return self._server.wait_for_browser(timeout)
 
     def close(self) -> None:
-        """Stop the server and free its port. Browsers keep the picture. Closing twice is fine."""
+        """Stop the server and free its port; browsers keep the picture. Further calls do nothing."""
         self._server.close()
 
     def __enter__(self) -> LiveViewer:
@@ -171,5 +171,5 @@ class LiveViewer:
         self.close()
 
     def _repr_html_(self) -> str:
-        """Show the live page in a notebook cell, if the kernel runs on the browser's computer; see also `viz.page`."""
+        """Show the live page in a notebook cell, if the kernel runs on the browser's computer; else use `viz.page`."""
         return f'<iframe src="{html.escape(self.url)}" style="width: 100%; height: 640px; border: 0"></iframe>'

@@ -1,4 +1,4 @@
-"""Common parts of pages with plots: scripts, the policy that allows these alone, and formats of numbers.
+"""Common parts of pages with plots: scripts, and the policy that allows only these.
 
 Scripts of packages are compressed, and unpacked by the browser after the page's text has been painted.
 """
@@ -25,12 +25,12 @@ def chart_parts(charts: Charts, viewer: str = "") -> dict[str, Any]:
 
     Args:
         charts: The plots.
-        viewer: The viewer's page, to stand in a frame of this one; none if empty.
+        viewer: The viewer's page, shown in a frame; empty: none.
     """
     script = script_safe((files("viz") / "templates" / "charts.js").read_text(encoding="utf-8"))
     libraries = [] if not any(charts.by_place.values()) else [(name, *_library(name)) for name in _BOKEH]
     digests = [digest_of_script(script), *(digest for _, _, digest in libraries)]
-    if viewer:  # a frame's page needs the leave of the page around it, too
+    if viewer:  # the policy of the outer page also applies in the frame
         digests += map(digest_of_script, viewer_scripts())
     return {
         "charts": charts.by_place,
@@ -46,12 +46,12 @@ def chart_parts(charts: Charts, viewer: str = "") -> dict[str, Any]:
 
 
 def pack(text: str) -> str:
-    """Return text compressed, as letters; the same text gives the same letters."""
+    """Return compressed text as base64; the same text gives the same result."""
     return base64.b64encode(gzip.compress(text.encode("utf-8"), 9, mtime=0)).decode("ascii")
 
 
 def places(**charts: Chart | tuple[Chart | None, ...] | None) -> dict[str, tuple[Chart, ...]]:
-    """Return plots by the part of the page that they belong to."""
+    """Return plots by their part of the page."""
     return {
         name: tuple(chart for chart in (given if isinstance(given, tuple) else (given,)) if chart is not None)
         for name, given in charts.items()
@@ -59,7 +59,7 @@ def places(**charts: Chart | tuple[Chart | None, ...] | None) -> dict[str, tuple
 
 
 def _bokeh() -> Path:
-    package = find_spec("bokeh")  # importing it would take a second, and its scripts are all that is needed
+    package = find_spec("bokeh")  # importing it would take a second, and only its scripts are needed
     assert package is not None, "it is among the requirements"
     return Path(str(package.origin)).parent
 

@@ -1,6 +1,6 @@
 """The entries of the group `calib.pictures`: a command, the pages of a fit, figures.
 
-Nothing is imported before its first use, so that `calib --help` stays quick.
+Imports happen at first use, so that `calib --help` stays quick.
 """
 
 from __future__ import annotations
@@ -20,12 +20,7 @@ summary = "Show a robot and its calibration in a browser."
 
 
 def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
-    """Return `report.html` and `viewer.html` of a fit.
-
-    Args:
-        fit: The fit.
-        logo: Image for the report, as `calib.core.base.files.image_address` gives it.
-    """
+    """Return `report.html` and `viewer.html` of a fit; the report shows `logo`, an address from `image_address`."""
     from viz.judgement import judgement_of_fit
     from viz.report_page import command_line, report_page
     from viz.scene import scene_of_fit
@@ -57,24 +52,17 @@ def fleet(learned: Fleet) -> bytes:
 
 
 def answer(subject: object, title: str, text: str, figures: Sequence[tuple[int, str]]) -> bytes:
-    """Return the page of a judgement by new measurements, or of a hand-eye calibration.
-
-    Args:
-        subject: An `Acceptance` or a `HandEye`.
-        title: Heading of the page.
-        text: The text on the terminal.
-        figures: HTML of pictures, each with the number of the image that it belongs to (-1: of none).
-    """
+    """Return the page of an acceptance by new measurements, a hand-eye calibration or a detection; see `answer_page`."""
     from viz.answer_page import answer_page
 
     return answer_page(subject, title, text, figures).html.encode()
 
 
 def figures(subject: object) -> dict[str, bytes]:
-    """Return the figures of an assessment or of a selection as SVG files; the same input gives the same bytes.
+    """Return the figures of an assessment or a selection as SVG files; the same input gives the same bytes.
 
     Raises:
-        TypeError: It is neither.
+        TypeError: `subject` is neither.
     """
     from calib.planning.assessment import Assessment
     from calib.planning.selection_result import Selection
@@ -95,7 +83,7 @@ def plots(fit: Fit) -> FitPlots:
 
 
 def live(robot: Robot) -> LiveViewer:
-    """Return a live page that shows a robot until it gets more."""
+    """Return a live page that shows a robot until its first update."""
     from viz.inputs import gather
     from viz.live import LiveViewer
 

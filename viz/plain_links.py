@@ -1,14 +1,14 @@
 """Links without shapes of their own, drawn plainly: bodies from joint to joint, and joints by their kind.
 
-What holds a link are its anchors: the joint that moves it, the joints that it carries, and the points where loops close
-on it. The body is a capsule between two anchors and the hull around more, so that a leg reaches from its base joint to
-its platform joint. Widths follow from the robot's own distances.
+A link has anchors: the joint that moves it, the joints that it carries, and the points of loop closures. Its body is a
+capsule between two anchors and the hull around more, so that a leg reaches from its base joint to its platform joint.
+Widths follow from the robot's own distances.
 
-A prismatic joint is a sleeve, and its link reaches back into it, as far as it is out at home. A joint at which several
-axes meet is drawn once: two make a universal joint, three a ball, as does a loop that closes in three directions.
+A prismatic joint is a sleeve, and its link reaches back into it, by the joint's value at home. A place where several
+axes meet is drawn as one joint: two make a universal joint, three a ball, as does a loop closure in three directions.
 
 Passive joints that slide and turn at one place, such as six between base and platform, are no mechanism: loops hold
-what hangs on them. Neither they nor the links between them are drawn.
+their links. Neither they nor the links between them are drawn.
 """
 
 from __future__ import annotations
@@ -25,30 +25,26 @@ from calib.core.base.arrays import FloatArray
 from viz.shapes import DARK, Shape, mesh, primitive, rotation_onto_z
 
 _RADIUS = 0.045  # of the typical distance between two anchors
-_THIN = 0.6  # of the radius: bodies that passive joints move, such as rods
-_SAME = 1e-3  # of the robot's length: nearer anchors are one
+_THIN = 0.6  # factor on the radius of bodies that passive joints move, such as rods
+_SAME = 1e-3  # of the robot's length: distance below which anchors coincide
 _TURNING = ("revolute", "continuous")
 _BALL = [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)]
 
 
 @dataclass(frozen=True, eq=False)
 class PlainLinks:
-    """The links of a robot, to be drawn plainly.
-
-    Attributes:
-        robot: The robot.
-    """
+    """Plain shapes of a robot's links."""
 
     robot: Robot
 
     def shapes(self, link: str) -> list[Shape]:
-        """Return the plain shapes of a link: its body, and the joints at which it is moved and loops close."""
+        """Return the plain shapes of a link: its body, the joint that moves it, and the loop closures on it."""
         if link in self._floating:
             return []
         return [*self.body(link), *self._joint(link), *self._closures(link)]
 
     def body(self, link: str) -> list[Shape]:
-        """Return the body of a link between its anchors; nothing where it has only one."""
+        """Return the body of a link between its anchors; empty for a single anchor."""
         anchors = self._anchors(link)
         moved_by = self._moving_joints.get(link)
         passive = moved_by is not None and moved_by.name in self.robot.mechanism.passive
@@ -66,12 +62,12 @@ class PlainLinks:
 
     @cached_property
     def _moving_joints(self) -> dict[str, Any]:
-        """The joint that carries each link, by the link's name."""
+        """The joint that moves each link, by the link's name."""
         return {joint.child: joint for joint in self.robot.urdf.joints}
 
     @cached_property
     def _carries(self) -> dict[str, list[Any]]:
-        """The joints that each link carries."""
+        """The joints that each link carries, by the link's name."""
         carried: dict[str, list[Any]] = {}
         for joint in self.robot.urdf.joints:
             carried.setdefault(joint.parent, []).append(joint)
@@ -96,7 +92,7 @@ class PlainLinks:
         )
 
     def _run(self, link: str) -> list[Any]:
-        """The moving joints at one place that end with the one that moves a link, from base to tip."""
+        """The moving joints at one place up to the joint that moves a link, from base to tip."""
         run: list[Any] = []
         while link in self._moving_joints and self._moving_joints[link].type != "fixed":
             joint = self._moving_joints[link]
@@ -112,7 +108,7 @@ class PlainLinks:
 
     @cached_property
     def _closing_links(self) -> dict[str, list[str]]:
-        """On which links loops close, and how: `ball`, or `drum` where the link still turns about one axis."""
+        """Loop closures by link: `ball`, or `drum` if the link still turns about one axis."""
         mechanism = self.robot.mechanism
         links: dict[int, str] = {}
         for name, index in mechanism.frames.items():
@@ -127,7 +123,7 @@ class PlainLinks:
         return closed
 
     def _anchors(self, link: str) -> FloatArray:
-        """Where joints and loops hold a link, in its frame, (n, 3) [m]."""
+        """Points at which joints and loops hold a link, in its frame, (n, 3) [m]."""
         points: list[FloatArray] = []
         run = self._run(link)
         if link in self._moving_joints and (
@@ -151,7 +147,7 @@ class PlainLinks:
         return np.array(kept).reshape(-1, 3)
 
     def _prismatic_offset(self, joint: Any, *, in_parent: bool) -> FloatArray:
-        """How far a prismatic joint is out at home, (3,) [m]: in the frame of its parent, or of its own link."""
+        """Displacement of a prismatic joint at home, (3,) [m], in the frame of its parent or of its own link."""
         import pinocchio as pin
 
         way = self._home.get(joint.name, 0.0) * np.array(joint.axis, dtype=float)
@@ -159,7 +155,7 @@ class PlainLinks:
         return turned
 
     def _longest_run(self, joint: Any) -> list[Any]:
-        """The moving joints at one place that begin with a joint."""
+        """The moving joints at one place from a joint on."""
         link = joint.child
         while len(self._carries.get(link, [])) == 1:
             following = self._carries[link][0]
@@ -170,7 +166,7 @@ class PlainLinks:
 
     @cached_property
     def _radius(self) -> float:
-        """Radius of bodies: of what is typical between neighbouring joints [m]."""
+        """Radius of bodies, from the typical distance between neighbouring joints [m]."""
         length = float(self.robot.mechanism.length)
         gaps = [float(np.linalg.norm(joint.xyz)) for joint in self.robot.urdf.joints]
         gaps += [abs(self._home.get(joint.name, 0.0)) for joint in self.robot.urdf.joints if joint.type == "prismatic"]
@@ -178,7 +174,7 @@ class PlainLinks:
         return _RADIUS * float(np.median(known)) if known else _RADIUS * length
 
     def _joint(self, link: str) -> list[Shape]:
-        """The joint that moves a link, and an end where nothing follows."""
+        """The joint that moves a link, and an end if nothing follows."""
         radius, run = self._radius, self._run(link)
         if not run:
             end = link in self._moving_joints and link not in self._carries and link not in self._closing_links
@@ -199,7 +195,7 @@ class PlainLinks:
         return [primitive(f"{link}/drum", link, "cylinder", size, along, DARK)]
 
     def _closures(self, link: str) -> list[Shape]:
-        """The joints at which loops close on a link."""
+        """The joints of loop closures on a link."""
         shapes = []
         for number, kind in enumerate(self._closing_links.get(link, [])):
             name = f"{link}/closure{number}"
@@ -211,7 +207,7 @@ class PlainLinks:
         return shapes
 
     def gaps(self, link: str, drawn: list[Shape]) -> list[Shape]:
-        """Return capsules to the joints of a link that its own primitive shapes do not reach."""
+        """Return capsules to those joints of a link that its own primitive shapes do not reach."""
         shapes = []
         boxes = [shape.corners() for shape in drawn]
         for number, joint in enumerate(self._carries.get(link, [])):

@@ -1,4 +1,4 @@
-"""Figures of measured points for notebooks and papers: each answers one question, and can be read without colours."""
+"""Figures of measured points for notebooks and papers, readable without colours."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from viz.scene import ViewerJoint
 from viz.svg import AXES, STATES, plain_ticks
 
 _MM = PER_SI["length"]["mm"]
-_GROUP_MARKS = {IDENTIFICATION: ("o", None), VALIDATION: ("D", "white")}  # as in the viewer; face, if not the colour
+_GROUP_MARKS = {IDENTIFICATION: ("o", None), VALIDATION: ("D", "white")}  # as in the viewer; None: filled in colour
 _STANDS = 0.01  # range of a joint [deg, mm] below which it did not move
 
 
 def draw_histogram(axes: Any, table: PoseTable) -> None:
-    """Draw how many errors have which size, before and after."""
+    """Draw the histogram of errors, before and after."""
     from matplotlib.ticker import MaxNLocator
 
     lengths = {state: _MM * np.linalg.norm(table.error(state), axis=1) for state in STATES}
@@ -44,7 +44,7 @@ def draw_histogram(axes: Any, table: PoseTable) -> None:
 
 
 def draw_residuals(axes: Any, table: PoseTable, joint: ViewerJoint, number: int) -> None:
-    """Draw residuals after calibration against an actuated joint, of which this is the number."""
+    """Draw residuals after calibration against the actuated joint with this index."""
     values = joint.per_si * table.joints[:, number]
     for order, (name, component) in enumerate(zip(AXES, (_MM * table.error("after")).T, strict=True)):
         colour, marker = AXES[name]
@@ -67,10 +67,10 @@ def draw_residuals(axes: Any, table: PoseTable, joint: ViewerJoint, number: int)
 
 
 def draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
-    """Draw the errors of one series over the places of its poses: a line for each state, a mark for each group.
+    """Draw the errors of a series over its poses: a line for each state, a mark for each group.
 
     Args:
-        axes: Where to.
+        axes: Axes to draw into.
         table: The poses.
         rows: Rows of the series, (n,).
     """

@@ -1,7 +1,7 @@
 """Pose tables of fits, result folders and measurements.
 
-Instruments that measure points say where these were, and how far off. Where none of a set does, every pose has a row
-for each target of the robot, with its predicted positions and nothing measured.
+Instruments that measure points have a row for each. If no instrument of a set does, every pose has a row for each
+target of the robot, with its predicted position and nothing measured.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from viz.poses import (
 )
 
 Sigmas = Mapping[str, float]
-"""Noise of one reading of instruments that measure points, per axis, by their names [m]; unknown where left out."""
+"""Noise of point measurements per axis [m], by instrument; missing where unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +45,10 @@ class _Set:
         group: Group of the pose table.
         data: The measurements.
         placed: The robot before calibration.
-        before, after: Predicted minus measured points of each instrument, by its name, (n, 3) [m].
-        predictions: Positions that the calibrated robot predicts at each visit; None without one.
+        before, after: Predicted minus measured points, by instrument, (n, 3) [m].
+        predictions: Positions that the calibrated robot predicts at each visit; None without.
         sigmas: Noise.
-        outliers: Numbers of the readings that are outliers, by instrument.
+        outliers: Indices of outlying readings, by instrument.
     """
 
     group: str
@@ -62,7 +62,7 @@ class _Set:
 
 
 def from_fit(fit: Fit) -> PoseTable:
-    """Return the poses of a fit, identification first, outliers that were left out last."""
+    """Return the poses of a fit, identification first, excluded outliers last."""
     sets = [
         pose_table_of_errors(
             fit, IDENTIFICATION, fit.identification, fit.identification_uncertainty, findings.outliers(fit)
@@ -77,7 +77,7 @@ def from_fit(fit: Fit) -> PoseTable:
     calibrated = PredictingRobot(fit.robot, fit.reported_uncertainty.predict)
     sets += _left_out_table(findings.excluded_errors(fit), fit.identification, fit.placed, calibrated, noise(fit))
     if fit.validation is not None and not _are_of_one_file(fit.identification.data, fit.validation.data):
-        names = (IDENTIFICATION, VALIDATION, IDENTIFICATION)  # left out: of those to identify with
+        names = (IDENTIFICATION, VALIDATION, IDENTIFICATION)  # excluded ones belong to identification
         sets = [
             replace(table, series=tuple(f"{path} ({name})" for path in table.series))
             for table, name in zip(sets, names, strict=False)
@@ -88,7 +88,7 @@ def from_fit(fit: Fit) -> PoseTable:
 def _left_out_table(
     errors: ErrorSet | None, used: ErrorSet, placed: Robot, calibrated: PredictingRobot, sigmas: Sigmas
 ) -> list[PoseTable]:
-    """The points that were left out of a fit; where no instrument measures any, the visits left out as a whole."""
+    """The points that a fit excluded; if no instrument measures points, the excluded visits."""
     if errors is None:
         return []
     data = errors.data
@@ -120,11 +120,11 @@ def pose_table_of_errors(
     """Return one row for each reading of a point of a set with its errors.
 
     Args:
-        fit: The fit that they are of.
+        fit: The fit.
         group: Group of the pose table.
         errors: The set.
-        predictions: Positions that the calibrated robot predicts at each visit, if they are wanted.
-        outliers: Readings of the set that are outliers.
+        predictions: Positions that the calibrated robot predicts at each visit, or None.
+        outliers: Outlying readings of the set.
     """
     before, after = (_position_errors(errors, state) for state in ("before", "after"))
     rows = fit.validation_rows if group == VALIDATION else fit.rows
@@ -135,12 +135,12 @@ def pose_table_of_errors(
 def from_measurements(
     data: Measurements, nominal: Robot, calibrated: PredictingRobot | None, sigmas: Sigmas
 ) -> PoseTable:
-    """Return measurements with the predictions of a robot for them.
+    """Return measurements with the predictions of robots for them.
 
     Args:
         data: The measurements.
         nominal: The robot before calibration.
-        calibrated: The robot after it with its uncertainty, or None.
+        calibrated: The robot after calibration with its uncertainty, or None.
         sigmas: Noise of the instruments.
 
     Raises:
@@ -150,12 +150,12 @@ def from_measurements(
 
 
 def from_plan(robot: Robot, poses: Poses, hits: tuple[str, ...]) -> PoseTable:
-    """Return poses where nothing was read, at the positions that a robot predicts.
+    """Return poses without readings, at the positions that a robot predicts.
 
     Args:
         robot: The robot.
         poses: The poses.
-        hits: Pair that hits at each, "" for none, (n,).
+        hits: Colliding pair at each pose, "" for none, (n,).
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -181,7 +181,7 @@ def from_plan(robot: Robot, poses: Poses, hits: tuple[str, ...]) -> PoseTable:
 
 
 def noise(fit: Fit) -> Sigmas:
-    """Return the noise of measured points of each instrument, as found."""
+    """Return the estimated noise of point measurements, by instrument."""
     by_group = {
         group_noise.group.name: group_noise.sigma
         for group_noise in reversed(fit.noise)
@@ -205,7 +205,7 @@ def _position_errors(errors: ErrorSet, state: str) -> dict[str, FloatArray]:
 def _unjudged_table(
     group: str, data: Measurements, placed: Robot, calibrated: PredictingRobot | None, sigmas: Sigmas
 ) -> PoseTable:
-    """Rows of measurements that no fit has judged."""
+    """Rows of measurements that were in no fit."""
     before = _point_errors(placed, data)
     if calibrated is None:
         unknown = {name: np.full_like(errors, np.nan) for name, errors in before.items()}
@@ -215,7 +215,7 @@ def _unjudged_table(
 
 
 def _point_errors(robot: Robot, data: Measurements) -> dict[str, FloatArray]:
-    """Predicted minus measured points of each instrument that measures points, (n, 3) [m]."""
+    """Predicted minus measured points, (n, 3) [m], by instrument that measures points."""
     points_read = {
         name: readings for name, readings in data.readings.items() if _measures_points(robot.instrument(name))
     }
@@ -239,12 +239,12 @@ def _measures_points(instrument: Instrument) -> bool:
 
 
 def _are_of_one_file(first: Measurements, second: Measurements) -> bool:
-    """Whether two sets are parts of one file, so that their places are of one order."""
+    """Whether two sets are parts of one file, so that their places have one order."""
     return first.path == second.path and not np.intersect1d(first.places, second.places).size
 
 
 def _rows(source: _Set) -> PoseTable:
-    """One row for each reading of a point, pose by pose; for each visit and target where no points were measured."""
+    """One row for each reading of a point, pose by pose; without points, one for each visit and target."""
     parts, visits = [], []
     for instrument in source.placed.instruments:
         if instrument.name in source.before:
@@ -292,7 +292,7 @@ def _rows_of(source: _Set, instrument: Instrument) -> tuple[PoseTable, IntArray]
 
 
 def _transform_to_first_setup(robot: Robot, instrument: Instrument, setup: int) -> tuple[FloatArray, FloatArray]:
-    """Rotation (3, 3) and origin (3,) [m] of the measurement frame of a setup, in that of the first."""
+    """Rotation (3, 3) and origin (3,) [m] of the measurement frame of a setup, in the frame of the first setup."""
     first, later = robot.pairs(instrument)[0], robot.pairs(instrument)[setup]
     names = robot.mechanism.origin_names
     T = robot.mechanism.placement(names[first.a - 1]).inverse() * robot.mechanism.placement(names[later.a - 1])
@@ -300,7 +300,7 @@ def _transform_to_first_setup(robot: Robot, instrument: Instrument, setup: int) 
 
 
 def _predictions(source: _Set) -> PoseTable:
-    """One row for each visit and target: predictions, and nothing measured."""
+    """One row for each visit and target, with predictions and nothing measured."""
     data, targets = source.data, source.placed.target_names
     visits = np.repeat(np.arange(len(data)), len(targets))
     unknown = np.full((len(visits), 3), np.nan)
@@ -319,7 +319,7 @@ def _predictions(source: _Set) -> PoseTable:
 
 
 def _origin_columns(source: _Set, visits: IntArray) -> dict[str, Any]:
-    """Where the rows of these visits (n,) come from."""
+    """Columns on the origin of the rows of these visits (n,)."""
     n = len(visits)
     return {
         "group": (source.group,) * n,

@@ -1,4 +1,4 @@
-"""The data of each measured point: commanded, measured and predicted positions, with their uncertainty."""
+"""The data of each measured point: joints, measured and predicted positions, and their uncertainty."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED = "identification", "validation",
 PLANNED, COLLIDES = "planned", "collides"
 GROUPS = (IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED, PLANNED, COLLIDES)
 WORST = 1000
-"""Rows with the largest errors of each state, which are always in a page."""
-_MOST_ROWS = 20_000  # in one page, about 9 MB; more cannot be told apart on a screen
+"""Number of rows with the largest errors of each state that a page always has."""
+_MOST_ROWS = 20_000  # rows of a page, about 9 MB; more do not show on a screen
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class PredictingRobot:
 
     Attributes:
         robot: The robot.
-        predict: Predicts positions with their covariance, at actuated joints (n, n_actuated), under conditions if any.
+        predict: Predicts positions with covariance from actuated joints (n, n_actuated) and, if given, conditions.
     """
 
     robot: Robot
@@ -35,7 +35,7 @@ class PredictingRobot:
 
 @dataclass(frozen=True, eq=False)
 class RowTable(ReadOnlyArrays):
-    """A table of which every array and every tuple has an entry for each row; labels among them."""
+    """A table whose arrays and tuples have an entry for each row; `labels` is one of them."""
 
     def __len__(self) -> int:
         return len(self._columns()["labels"])
@@ -45,7 +45,7 @@ class RowTable(ReadOnlyArrays):
         return {name: value for name, value in values.items() if isinstance(value, (np.ndarray, tuple))}
 
     def subset(self, rows: IntArray | BoolArray) -> Self:
-        """Return the rows with these numbers (n,), in this order, or those of a mask."""
+        """Return the rows with these indices (n,), in this order, or the rows of a mask."""
         chosen = np.arange(len(self))[rows]
         return replace(
             self,
@@ -56,7 +56,7 @@ class RowTable(ReadOnlyArrays):
         )
 
     def followed_by(self, others: Sequence[Self]) -> Self:
-        """Return this table with the rows of others behind its own."""
+        """Return this table followed by the rows of other tables."""
         every = [table._columns() for table in (self, *others)]
         return replace(
             self,
@@ -70,21 +70,21 @@ class RowTable(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class PoseTable(RowTable):
-    """One row per pose and measured point. Positions are in the measurement frame; NaN where not known, such as where
-    no instrument measured points. Arrays are read-only.
+    """One row per pose and measured point. Positions are in the measurement frame; NaN where unknown, such as without
+    a measured point.
 
     Attributes:
         joints: Actuated joints, (n, n_actuated) [m or rad].
         measured: Measured positions, (n, 3) [m].
         before, after: Predicted positions of the robot before and after calibration, (n, 3) [m].
-        sigma: Standard deviation of each measured coordinate, which is a mean over the readings of its pose, (n,) [m].
+        sigma: Standard deviation of each measured coordinate, a mean over the readings of its pose, (n,) [m].
         spread: Standard deviation of the predicted position after calibration, (n, 3) [m].
-        group: `identification`, `validation`, `measured` (not part of a fit) or `left out` (of it, as an outlier);
-            `planned`, or `collides` where the robot hits something, of poses where nothing was read.
-        outlier: Which rows are outliers, (n,).
+        group: `identification`, `validation`, `measured` (not part of a fit) or `left out` (excluded as an outlier);
+            for poses without readings `planned`, or `collides` if the robot hits something.
+        outlier: Mask of outliers, (n,).
         labels: Name of each pose.
-        targets: Name of the measured point of each row: of the instrument that measured it.
-        readings: How many readings each measured position is a mean of, (n,).
+        targets: Name of each row's measured point, or of its instrument.
+        readings: Number of readings of which each measured position is a mean, (n,).
         series: Series of each row, measured in one go: a file, or a set of poses.
         place: Place of each row's pose in the order of measurement of its series, (n,).
     """
@@ -109,31 +109,28 @@ class PoseTable(RowTable):
         return predicted - self.measured
 
     def sigma_of_reading(self) -> FloatArray:
-        """Return the standard deviation of one reading of each row, per axis, (n,) [m]; NaN where not known."""
+        """Return the standard deviation of one reading of each row, per axis, (n,) [m]; NaN where unknown."""
         sigma: FloatArray = self.sigma * np.sqrt(self.readings)
         return sigma
 
     def normalised_residuals(self) -> FloatArray:
-        """Return the residuals after calibration, which are of means, divided by the sigma of these means, (n, 3).
-
-        NaN where sigma is zero or unknown.
-        """
+        """Return the residuals after calibration over their sigma, both of means, (n, 3); NaN without a sigma."""
         sigma = np.where(self.sigma > 0, self.sigma, np.nan)
         ratio: FloatArray = self.error("after") / sigma[:, None]
         return ratio
 
 
 def rows_shown(table: PoseTable) -> IntArray:
-    """Return the rows that the page holds, ascending, (n,): all, or those that matter and others evenly spread."""
+    """Return the rows of the page, ascending, (n,): all, or outliers, the largest errors and others evenly spread."""
     return spread_rows(table.outlier, [np.linalg.norm(table.error(state), axis=1) for state in ("before", "after")])
 
 
 def spread_rows(outlier: BoolArray, sizes: list[FloatArray]) -> IntArray:
-    """Return the rows that a page holds, ascending: all, or outliers, the largest errors, and others evenly spread.
+    """Return the rows of a page, ascending, (n,): all, or outliers, the largest errors, and others evenly spread.
 
     Args:
-        outlier: Which rows are outliers, (n,).
-        sizes: How large the errors of each state are, (n,); NaN where not known.
+        outlier: Mask of outliers, (n,).
+        sizes: Sizes of the errors of each state, (n,); NaN where unknown.
     """
     n = len(outlier)
     if n <= _MOST_ROWS:
@@ -154,7 +151,7 @@ def _evenly_spread(rows: IntArray, count: int) -> IntArray:
 def average_poses(table: PoseTable) -> PoseTable:
     """Return one row for each point of a pose: the mean of its readings, the rows of `table`.
 
-    Places are counted anew, so that repeats leave no gaps between the poses.
+    Places are renumbered without gaps between the poses.
     """
     numbers = _number_keys(zip(table.series, table.group, table.labels, table.targets, strict=True))
     _, first, count = np.unique(numbers, return_index=True, return_counts=True)
@@ -182,13 +179,13 @@ def average_poses(table: PoseTable) -> PoseTable:
 
 
 def _number_keys(keys: Iterable[Hashable]) -> IntArray:
-    """A number for each key, the same for equal ones, counted as they first appear."""
+    """A number for each key, equal for equal keys, in the order of first appearance."""
     numbers: dict[Hashable, int] = {}
     return np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.intp)
 
 
 def _places(table: PoseTable) -> IntArray:
-    """The place of the pose of each row among the poses of its series: where it was first measured counts."""
+    """The place of each row's pose among the poses of its series, by its first measurement."""
     pose = _number_keys(zip(table.series, table.labels, strict=True))
     first = np.full(int(pose.max(initial=-1)) + 1, np.iinfo(np.intp).max)
     np.minimum.at(first, pose, table.place)

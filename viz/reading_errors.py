@@ -1,17 +1,17 @@
-"""Errors of readings that are no positions, as arrows: their places, directions and sizes.
+"""Errors of readings other than positions, as arrows: their places, directions and sizes.
 
-A reading tells where the point that it sees is along some directions only. Its error is drawn as the smallest motion of
-that point that explains it. With the residual r (predicted minus read) and its derivative J by the point's motion
+A reading constrains the observed point along some directions only. Its error is drawn as the smallest motion of that
+point that explains it. With the residual r (predicted minus read) and its derivative J by the point's motion
 (`calib.core.instruments.kind`),
 
-    dp = J^+ r        from where the reading has the point to where the robot has it
+    dp = J^+ r        from the point as read to the point as predicted
 
-which is along the wire of a distance, along the normal of a plane, from the middle of a socket to the ball, and of a
-pixel at the depth of the point, square to the line of sight. Readings that no motion changes but turns (orientations,
-inclinometers) have the smallest turn that explains them, an arrow along its axis; those of a joint have the joint's
-axis. Colours count the residual itself, in its own unit.
+It is along the wire of a distance, along the normal of a plane, from the middle of a socket to the ball, and for a
+pixel at the depth of the point, square to the line of sight. Readings that only rotations change (orientations,
+inclinometers) have the smallest rotation that explains them, an arrow along its axis; readings of a joint have the
+joint's axis. Colours show the residual itself, in its own unit.
 
-When it fails. Beyond first order: a pixel far off in the image, or a turn of much more than a tenth of a radian.
+When it fails. Beyond first order: a pixel far off in the image, or a rotation of much more than a tenth of a radian.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ class ReadingErrors(RowTable):
 
     Attributes:
         part: The part.
-        turns: Whether arrows are turns, along their axes [rad], and no motions [m].
+        turns: Whether arrows are rotation vectors [rad] rather than motions [m].
         joints: Actuated joints, (n, n_actuated) [m or rad].
-        anchors: Where arrows begin, (n, 3) [m].
-        before, after: Arrows, (n, 3) [m, or rad of turns]; NaN where not known.
-        residuals_before, residuals_after: Predicted minus read, (n, n_axes) [SI]; NaN where not known.
+        anchors: Beginnings of the arrows, (n, 3) [m].
+        before, after: Arrows, (n, 3) [m or rad]; NaN where unknown.
+        residuals_before, residuals_after: Predicted minus read, (n, n_axes) [SI]; NaN where unknown.
         group: Group of each row, as in `PoseTable`.
-        outlier: Which rows are outliers, (n,).
+        outlier: Mask of outliers, (n,).
         labels: Name of each pose.
-        targets: Name of the instrument of each row, with what it looked at.
+        targets: Instrument of each row, with its target.
     """
 
     part: Part
@@ -65,7 +65,7 @@ class ReadingErrors(RowTable):
     targets: tuple[str, ...]
 
     def arrows(self, state: str) -> FloatArray:
-        """Return the arrows `before` or `after`, (n, 3)."""
+        """Return the arrows `before` or `after` calibration, (n, 3) [m or rad]."""
         return {"before": self.before, "after": self.after}[state]
 
     def residuals(self, state: str) -> FloatArray:
@@ -73,13 +73,13 @@ class ReadingErrors(RowTable):
         return {"before": self.residuals_before, "after": self.residuals_after}[state]
 
     def sizes(self, state: str) -> FloatArray:
-        """Return how large the errors are, (n,) [SI]; NaN where no component is known."""
+        """Return the sizes of the errors, (n,) [SI]; NaN where no component is known."""
         residuals = self.residuals(state)
         known = np.isfinite(residuals).any(axis=1)
         return np.where(known, np.sqrt(np.nansum(residuals**2, axis=1)), np.nan)
 
     def rows_shown(self) -> IntArray:
-        """Return the rows that a page holds, (n_shown,): all, or those that matter and others evenly spread."""
+        """Return the rows of a page, (n_shown,): all, or outliers, the largest errors and others evenly spread."""
         return spread_rows(self.outlier, [self.sizes(state) for state in STATES])
 
 
@@ -88,8 +88,8 @@ class _SeenReadings(ReadOnlyArrays):
     """Frames and joints that the readings of an instrument depend on, for one robot.
 
     Attributes:
-        points: The point that each tells about, (n, 3) [m].
-        axes: Axes of the frame that it looks from, (n, 3, 3).
+        points: The observed point of each reading, (n, 3) [m].
+        axes: Axes of the observing frame, (n, 3, 3).
         residuals: Predicted minus read, (n, n_rows) [SI].
         by_motion: Derivative by the point's motion [dp; dw] in these axes, (n, n_rows, 6).
     """
@@ -101,7 +101,7 @@ class _SeenReadings(ReadOnlyArrays):
 
 
 def reading_errors_of_fit(fit: Fit) -> tuple[ReadingErrors, ...]:
-    """Return the errors of all readings of a fit that are no positions, part by part."""
+    """Return the errors of all readings of a fit other than positions, part by part."""
     tables = []
     sets = [(IDENTIFICATION, fit.identification, fit.rows, findings.outliers(fit))]
     if fit.validation is not None and fit.validation_rows is not None:
@@ -119,12 +119,12 @@ def reading_errors_of_fit(fit: Fit) -> tuple[ReadingErrors, ...]:
 def reading_errors_of_measurements(
     data: Measurements, nominal: Robot, calibrated: Robot | None
 ) -> tuple[ReadingErrors, ...]:
-    """Return the errors of all readings that are no positions, part by part, by what robots predict.
+    """Return the errors of all readings other than positions, part by part, against the predictions of robots.
 
     Args:
         data: The measurements.
         nominal: The robot before calibration.
-        calibrated: The robot after it, or None.
+        calibrated: The robot after calibration, or None.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -142,7 +142,7 @@ def reading_errors_of_measurements(
 
 
 def _other_parts(robot: Robot, name: str) -> list[Part]:
-    """The parts of an instrument that are no positions."""
+    """The parts of an instrument other than positions."""
     return [part for part in robot.instrument(name).parts if not part.is_position]
 
 
@@ -157,7 +157,7 @@ def _join_tables(tables: list[ReadingErrors]) -> tuple[ReadingErrors, ...]:
 def _tables_of_set(
     group: str, errors: ErrorSet, placed: Robot, calibrated: Robot | None, outliers: Mapping[str, IntArray]
 ) -> list[ReadingErrors]:
-    """The errors of one set of readings, by instrument and part, pose by pose."""
+    """The errors of a set of readings, by instrument and part, pose by pose."""
     data = errors.data
     names = {instrument.name for instrument, part, _ in errors.parts() if not part.is_position}
     if not names:
@@ -202,18 +202,18 @@ def _tables_of_set(
 
 
 def smallest_motion(by_motion: FloatArray, residuals: FloatArray) -> tuple[FloatArray, bool]:
-    """Return the smallest motions, or turns, that explain residuals, and whether they are turns.
+    """Return the smallest motions, or rotations, that explain residuals, and whether they are rotations.
 
     Args:
         by_motion: Derivative of the residuals by the motion [dp; dw], (n, n_axes, 6).
-        residuals: Predicted minus read, (n, n_axes) [SI]; NaN where a component was not read.
+        residuals: Predicted minus read, (n, n_axes) [SI]; NaN for unread components.
 
     Returns:
-        (n, 3) [m, or rad of turns]; NaN where nothing was read, or nothing is known.
+        (n, 3) [m or rad]; NaN without a known component. And the flag.
     """
     turns = not by_motion[:, :, :3].any()
     slopes = by_motion[:, :, 3:] if turns else by_motion[:, :, :3]
-    read: BoolArray = np.isfinite(residuals) & np.isfinite(slopes).all(axis=2)  # none behind a camera
+    read: BoolArray = np.isfinite(residuals) & np.isfinite(slopes).all(axis=2)  # not finite behind a camera
     by = np.where(read[:, :, None], slopes, 0.0)
     residuals = np.where(read, residuals, 0.0)
     motion = np.einsum("nij,nj->ni", linalg.pinv(by, rcond=1e-9), residuals)
@@ -222,7 +222,7 @@ def smallest_motion(by_motion: FloatArray, residuals: FloatArray) -> tuple[Float
 
 
 def _seen_readings(robot: Robot, data: Measurements) -> dict[str, _SeenReadings]:
-    """Frames and joints that readings depend on, by name of the instrument."""
+    """The observed points, frames and residuals of readings, by instrument."""
     configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
     mechanism, base = robot.mechanism, robot.mechanism.targets[0].a
     views, result = views_of_instruments(robot, configurations, data.readings), {}
@@ -231,7 +231,7 @@ def _seen_readings(robot: Robot, data: Measurements) -> dict[str, _SeenReadings]
         instrument, seen = robot.instrument(name), views[name]
         poses: FloatArray = np.tile(
             np.eye(4), (len(readings), 1, 1)
-        )  # of the frame that it looks from, or of the joint
+        )  # of the observing frame, or of the joint
         points: FloatArray = np.zeros((len(readings), 3))
         compared = instrument.compare(seen, robot.values[robot.unknowns(name)], readings)
         if isinstance(compared, Comparison):
@@ -253,6 +253,6 @@ def _seen_readings(robot: Robot, data: Measurements) -> dict[str, _SeenReadings]
 
 
 def _poses(robot: Robot, joints: FloatArray, base: int, frame: int) -> FloatArray:
-    """Where a frame of the mechanism is in the measurement frame at joint values (n, n_joints), (n, 4, 4) [m]."""
+    """Pose of a frame of the mechanism in the measurement frame at joint values (n, n_joints), (n, 4, 4) [m]."""
     pair = RelativeFrame("frame", base, frame, False, (0, 1, 2))
     return kinematics.relative_pose(kinematics.sweep(robot.mechanism, joints, (pair,)), pair)

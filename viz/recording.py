@@ -1,7 +1,7 @@
 """A scene as a recording for rerun, `.rrd`: the robot pose by pose, readings with error arrows, and errors over poses.
 
-The recording has one timeline, `row`: the rows of the page, part by part. Errors are drawn in their place and enlarged
-as on the page; `errors/PART/before` and `after` are their sizes in the unit of the part.
+The only timeline of the recording is `row`: the rows of the page, part by part. Errors are drawn in their place and
+enlarged as on the page; `errors/PART/before` and `after` are their sizes in the unit of the part.
 """
 
 from __future__ import annotations
@@ -67,5 +67,5 @@ def recording(scene: ViewerScene) -> bytes:
 
 
 def _rgb(colour: str) -> list[int]:
-    """Numbers of a colour such as #0072B2."""
+    """Red, green and blue of a colour such as #0072B2, 0 to 255."""
     return [int(colour[k : k + 2], 16) for k in (1, 3, 5)]

@@ -1,7 +1,7 @@
 """Remarks in the comments of measurement files, such as that they are simulated.
 
-The pages show them in the files' own words, so that a reader knows what the data are. Lines
-such as `# operator: J. Doe` are the record of the measurement, which the report has in a table of its own.
+The pages show them in the files' own words. Lines such as `# operator: J. Doe` are the record of the measurement, which
+the report has in a table of its own.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Remarks:
     """The comments of one or several measurement files.
 
     Attributes:
-        lines: The first of them, shortened where they are long.
-        more: How many follow.
+        lines: The first comments, shortened if long.
+        more: Number of further comments.
     """
 
     lines: tuple[str, ...]
@@ -35,20 +35,16 @@ class Remarks:
 
     @property
     def simulated(self) -> bool:
-        """Whether a line that is shown speaks of simulation."""
+        """Whether a shown line mentions simulation."""
         return any(re.search(r"\bsimulat", line, re.IGNORECASE) for line in self.lines)
 
     def to_dict(self) -> dict[str, object]:
-        """Return the remarks as the viewer's page reads them."""
+        """Return the remarks as data for the viewer's page."""
         return {"lines": list(self.lines), "more": self.more, "simulated": self.simulated}
 
 
 def remarks(*comments: Iterable[str]) -> Remarks:
-    """Return the comments of measurement files, each line once, those that speak of simulation first.
-
-    Args:
-        comments: Comments of each file, line by line.
-    """
+    """Return the comments of measurement files, each line once, lines on simulation first."""
     lines = list(dict.fromkeys(text for lines in comments for line in lines if (text := " ".join(line.split()))))
     lines.sort(key=lambda line: re.search(r"\bsimulat", line, re.IGNORECASE) is None)
     shown = tuple(line if len(line) <= _LONGEST else line[: _LONGEST - 1].rstrip() + "…" for line in lines)
@@ -56,12 +52,7 @@ def remarks(*comments: Iterable[str]) -> Remarks:
 
 
 def fit_remarks(fit: Fit, *, beside_record: bool = False) -> Remarks:
-    """Return the comments of the files that a fit was made from.
-
-    Args:
-        fit: The fit.
-        beside_record: Leave out those that `record` and `signatures` have.
-    """
+    """Return the comments of a fit's files; with `beside_record`, without those in `record` and `signatures`."""
     files = (data.comments for data in _files(fit))
     if not beside_record:
         return remarks(*files)
@@ -69,7 +60,7 @@ def fit_remarks(fit: Fit, *, beside_record: bool = False) -> Remarks:
 
 
 def record(fit: Fit) -> list[tuple[str, str]]:
-    """Return the conditions of the measurement that the files state: names and texts."""
+    """Return the stated conditions of the measurement: names and texts."""
     stated = {key: _stated_texts(fit, key) for key in _RECORD}
     stated[_TEMPERATURE] = stated[_TEMPERATURE] or _temperatures(fit)
     return [(key.capitalize(), "; ".join(values)) for key, values in stated.items() if values]
@@ -82,7 +73,7 @@ def signatures(fit: Fit) -> list[str]:
 
 
 def tolerance(fit: Fit) -> str:
-    """Return the required tolerance, in the words of the files; empty where they have none, or several."""
+    """Return the required tolerance as stated in the files; empty if they state none or several."""
     stated = _stated_texts(fit, _TOLERANCE)
     return stated[0] if len(stated) == 1 else ""
 

@@ -1,6 +1,6 @@
-"""The report of a fit, to look at, to point at and to print: the answer first, then robot, errors and plots together.
+"""The report of a fit, for the screen and for paper: the answer first, then robot, errors and plots.
 
-No requests; only the page's own scripts run; all text escaped.
+The page makes no requests, runs only its own scripts, and escapes all text.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ if TYPE_CHECKING:
 _PACKAGES = ("pin", "numpy", "scipy", "trimesh", "meshcat", "bokeh")
 _DECIMALS, _MOST_DECIMALS = 4, 9
 _LONGEST_LABEL = 24
-_BESIDE = 2  # plots beside the robot in space: of the first part of readings
+_BESIDE = 2  # plots of the first part of readings beside the robot in space
 
 
 @dataclass(frozen=True)
 class ReportSource:
-    """A file that went into the result, and its SHA-256 (or why there is none)."""
+    """A file behind the result, and its SHA-256 (or the reason why there is none)."""
 
     role: str
     path: str
@@ -77,10 +77,10 @@ def report_page(
     Args:
         fit: The fit.
         command: Command line that made it.
-        created: Time to print; now if not given.
-        viewer: File beside the page with the viewer, to link to; none if not given.
-        logo: Image to put beside the title, as `calib.core.base.files.image_address` gives it; none if not given.
-        scene: The fit's scene, where it has been made before.
+        created: Time to print; default: now.
+        viewer: File with the viewer beside the page, to link to; empty: none.
+        logo: Image beside the title, an address from `calib.core.base.files.image_address`; empty: none.
+        scene: The fit's scene, if it exists already.
     """
     shown = scene_of_fit(fit) if scene is None and fit.assembles else scene
     headline, table, budget, claim = Headline.from_fit(fit), from_fit(fit), budget_table(fit), judge(fit).claim
@@ -130,14 +130,14 @@ def report_page(
 def printed_page(
     template: str, charts: Charts, command: str, created: datetime | None = None, frame: str = "", **content: object
 ) -> ViewerPage:
-    """Return a page to look at and to print.
+    """Return a page for the screen and for paper.
 
     Args:
         template: Its template.
         charts: Its plots.
         command: Command line that made it.
-        created: Time to print; now if not given.
-        frame: The viewer's page, to stand in a frame of this one; none if empty.
+        created: Time to print; default: now.
+        frame: The viewer's page, shown in a frame; empty: none.
         content: Further variables of the template.
     """
     when = created if created is not None else datetime.now(UTC)
@@ -171,13 +171,13 @@ def _charts(fit: Fit, scene: ViewerScene | None) -> Charts:
 
 
 def _space(scene: ViewerScene | None, part: str) -> list[float] | None:
-    """RMS distance [mm] before and after of points that one instrument sees in another unit; None where none does."""
+    """RMS distance [mm] before and after of points read in another unit by one instrument; else None."""
     alike = [] if scene is None else [other for other in scene.others if other.part == part]
     return mean_distances(scene, alike[0]) if scene is not None and len(alike) == 1 else None
 
 
 def page_environment() -> Environment:
-    """Return the environment of printed pages: all inserted text is escaped; with formats for numbers."""
+    """Return the environment of printed pages: it escapes all inserted text and formats numbers."""
     environment = templates(trim_blocks=True, lstrip_blocks=True)
     formats = {"mm": millimetres, "number": number, "significant": significant, "sentence": sentence, "cell": cell}
     environment.filters |= formats | {"powers": powers, "unbroken": unbroken, "labelled": labelled}
@@ -185,14 +185,14 @@ def page_environment() -> Environment:
 
 
 def frame_name(robot: Robot) -> str:
-    """Return the name of the frame of measured coordinates: a link's name only where it is that link's frame."""
+    """Return the name of the frame of measured coordinates: a link's name only if it is that link's frame."""
     base = robot.description.base
     is_link = base.pose == "known" and not np.any([base.xyz, base.rpy])
     return base.frame if is_link else "the measurement frame"
 
 
 def sources(fit: Fit) -> list[ReportSource]:
-    """Return the files that went into the fit, with their hashes; the URDF's is of what was read."""
+    """Return the files behind the fit, with their hashes; the URDF's hash is of the content as read."""
     result = [_source("Robot description", fit.nominal.path)]
     if fit.nominal.urdf.path != fit.nominal.path:
         result.append(ReportSource("URDF", fit.nominal.urdf.path, hashlib.sha256(fit.nominal.urdf.source).hexdigest()))
@@ -216,7 +216,7 @@ def _source(role: str, path: str) -> ReportSource:
 
 
 def versions() -> list[tuple[str, str]]:
-    """Return the programs that took part, and their versions."""
+    """Return the programs behind the fit, and their versions."""
     programs = [("Python", platform.python_version())]
     for package in _PACKAGES:
         try:
@@ -227,7 +227,7 @@ def versions() -> list[tuple[str, str]]:
 
 
 def command_line() -> str:
-    """Return the command line of this process if it is one of our programs, else nothing."""
+    """Return the command line of this process if it is `calib` or `medrue`, else an empty text."""
     name = Path(sys.argv[0]).name if sys.argv else ""
     if name == "__main__.py":
         return shlex.join(["python", "-m", Path(sys.argv[0]).parent.name, *sys.argv[1:]])
@@ -241,12 +241,12 @@ def millimetres(value: float) -> str:
 
 
 def unbroken(text: str) -> Markup:
-    """Return text as HTML whose options, such as --html, are not broken after their hyphens; copied, it is the same."""
+    """Return text as HTML whose options, such as --html, do not break after their hyphens; copies are unchanged."""
     return Markup(re.sub(r"(?<![\w-])--\w[\w-]*", r'<span class="option">\g<0></span>', str(escape(text))))
 
 
 def labelled(line: str) -> Markup:
-    """Return a line as HTML, with what stands before its colon in bold type where it is short."""
+    """Return a line as HTML, with a short text before its colon in bold type."""
     label, colon, rest = line.partition(": ")
     if not rest or len(label) > _LONGEST_LABEL:
         return unbroken(line)
@@ -254,19 +254,19 @@ def labelled(line: str) -> Markup:
 
 
 def powers(text: str) -> str:
-    """Return text whose numbers, such as 7.1e-05, are not broken after the sign of their power."""
+    """Return text whose numbers, such as 7.1e-05, do not break after the sign of their exponent."""
     return re.sub(r"(?<=\de)-(?=\d)", "−", text)
 
 
 def decimals_of(std: float) -> int:
-    """Return with how many decimals to print a value: to two digits of its standard deviation; four if it has none."""
+    """Return the number of decimals for two digits of a value's standard deviation; four without."""
     if not (np.isfinite(std) and std > 0):
         return _DECIMALS
     return int(np.clip(1 - np.floor(np.log10(std)), 0, _MOST_DECIMALS))
 
 
 def significant(value: float, std: float) -> str:
-    """Format a number to two digits of its standard deviation, or with as few decimals as it needs if it has none."""
+    """Format a number to two digits of its standard deviation, or with as few decimals as it needs without."""
     if np.isfinite(std) and std > 0:
         return number(value, decimals_of(std))
     return number(value, next((n for n in range(_DECIMALS) if round(value, n) == round(value, _DECIMALS)), _DECIMALS))

@@ -27,10 +27,10 @@ def forest(
 
     Args:
         names: Names, the first at the top.
-        groups: Of each set of marks its label, its colour, values (n,) and half intervals (n,), NaN where there is
-            none, and what hover says of each.
-        label: Label of the axis along which they are.
-        band: Its entry in the legend, and half the width of a band around zero; None for none.
+        groups: For each set of marks its label, its colour, values (n,) and half intervals (n,), NaN without, and
+            hover texts.
+        label: Label of the axis of values.
+        band: Legend and half width of a band around zero, or None.
     """
     reach = max(np.nanmax(np.abs(values) + np.nan_to_num(half), initial=0.0) for _, _, values, half, _ in groups)
     end = 1.05 * max(float(reach), band[1] if band else 0.0, 1e-9)
@@ -55,7 +55,7 @@ def _piece(names: Sequence[str], groups: Sequence[Any], x: Any, band: tuple[str,
 
 
 def parameters(fit: Fit) -> Chart | None:
-    """Return the change of every free parameter of the robot with its interval, in sigmas expected; largest first."""
+    """Return the change of every free parameter of the robot with its interval, in expected sigmas, largest first."""
     own = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
     if not own:
         return None
@@ -86,13 +86,13 @@ def parameters(fit: Fit) -> Chart | None:
 
 
 def waterfall(fit: Fit) -> Chart | None:
-    """Return the part of the error before calibration that each cause took away, and the rest."""
+    """Return the reduction of the error before calibration by each cause, and the rest."""
     budget = budget_table(fit)
     if budget is None:
         return None
     causes, unit = budget["causes"], budget["unit"]
     squares = np.array([max(row["mean_square"], 0.0) for row in causes])
-    ends = np.sqrt(np.maximum(np.cumsum(squares[::-1])[::-1], 0.0))  # what is left before each cause goes
+    ends = np.sqrt(np.maximum(np.cumsum(squares[::-1])[::-1], 0.0))  # the error before each cause is removed
     starts = np.append(ends[1:], 0.0)
     texts = [
         f"{row['cause']}: {row['rms']:.3g} {unit} RMS, {100 * row['share']:.2g} % of the mean square"
@@ -119,10 +119,10 @@ def waterfall(fit: Fit) -> Chart | None:
 
 
 def joint_shares(fit: Fit) -> Chart | None:
-    """Return how much of the squared error before calibration each joint made, the largest first."""
+    """Return each joint's share of the squared error before calibration, largest first."""
     budget = findings.joint_budget(fit)
     shares = [] if budget is None else worst_joints(budget)
-    if budget is None or not (shares and budget.before > 0):  # a robot may have instruments to calibrate alone
+    if budget is None or not (shares and budget.before > 0):  # a robot may have only instruments to calibrate
         return None
     percent, half = (100 / budget.before * np.array(v) for v in zip(
         *((one.mean_square, 1.96 * one.std) for one in shares), strict=True))  # fmt: skip

@@ -1,4 +1,4 @@
-"""Robot, poses and errors as named shapes, matrices and numbers: all that a viewer shows, without a viewer."""
+"""The content of a viewer without a viewer: robot, poses and errors as named shapes, matrices and numbers."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from viz.surroundings import surrounding_shapes
 from viz.workspace_map import WorkspaceMap
 
 _NICE = (1.0, 2.0, 5.0)
-_VECTOR_SIZE, _GHOST_SIZE = 0.025, 0.04  # of the scene: how large typical exaggerated errors should look at first
+_VECTOR_SIZE, _GHOST_SIZE = 0.025, 0.04  # of the scene: size of typical exaggerated errors at first
 _LARGEST_FACTOR = 1000.0
-_LOOKED_AT = 16  # poses of the robot that the first camera makes room for
-_LONGEST_TIP = 0.2  # of the scene: how far the first camera follows an enlarged error vector
-_TURN, _RISE = 0.65, 0.33  # first camera: from beside the points and from above [rad]
+_LOOKED_AT = 16  # poses of the robot that the first camera shows completely
+_LONGEST_TIP = 0.2  # of the scene: longest part of an enlarged error vector that the first camera shows
+_TURN, _RISE = 0.65, 0.33  # first camera: angle to the side of the points and above them [rad]
 
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
-    """A first look at the scene. Its frame has the measurement frame's origin, but stands upright like the root link.
+    """The first view of the scene. Its frame has the measurement frame's origin, but stands upright like the root link.
 
     Attributes:
         upright: Rotation from the measurement frame to the view's frame, whose z axis points upwards, (3, 3).
         low, high: Corners of the box around everything, (3,) [m].
-        outline: Points around everything: what must be visible, (m, 3) [m].
+        outline: Points around everything that must be visible, (m, 3) [m].
         direction: Unit vector from the scene to the camera, (3,).
     """
 
@@ -59,13 +59,13 @@ class SceneView:
 
 @dataclass(frozen=True)
 class OtherErrors:
-    """Errors of an instrument's other readings than positions, or of several instruments.
+    """Errors of readings other than positions, of one or several instruments.
 
     Attributes:
         instruments: The instruments.
         part: Part of their readings, such as `contact`.
         unit: Unit of all numbers.
-        sets: Of each set its name, and RMS and largest error before and after calibration.
+        sets: For each set its name, and RMS and largest error before and after calibration.
     """
 
     instruments: tuple[str, ...]
@@ -75,13 +75,13 @@ class OtherErrors:
 
     @property
     def instrument(self) -> str:
-        """The instrument; of several how many, such as `3 instruments`."""
+        """The instrument's name, or the number of instruments, such as `3 instruments`."""
         return self.instruments[0] if len(self.instruments) == 1 else count_noun(len(self.instruments), "instrument")
 
 
 @dataclass(frozen=True)
 class ViewerJoint:
-    """How the panel names an actuated joint: its name, unit, and how many of the unit make one SI unit."""
+    """Name of an actuated joint in the panel, its unit, and the number of these units in one SI unit."""
 
     name: str
     unit: str
@@ -90,32 +90,31 @@ class ViewerJoint:
 
 @dataclass(frozen=True, eq=False)
 class ViewerScene:
-    """Everything a viewer shows. Lengths in m, angles in rad, points in the measurement frame.
+    """The content of a viewer. Lengths in m, angles in rad, points in the measurement frame.
 
     Attributes:
         title: The robot's name.
         joints: Actuated joints, in the order of the pose table's columns.
         shapes: Shapes of the robot, each on a link.
-        decorations: Shapes that stand still.
+        decorations: Shapes at rest.
         bodies: The tree of links.
-        solid: The robot as well as it is known: calibrated, or nominal without a result.
+        solid: The robot as known: calibrated, or nominal without a result.
         ghost: The robot before calibration; None without a result.
         poses: The points.
-        shown: Rows of these that a page holds, (n_shown,): the robots are posed in them; at home where there are none.
-        readings: Errors of readings that are no positions, part by part: the rows that a page holds.
-        pose_of_row: Of each of these rows, part by part, which of the robots' poses it is of.
-        n_readings: Rows of all readings, of which `readings` are those that a page holds.
-        vector_factors: Exaggeration of the errors of each state to start with, of positions and of each part of
-            `readings`.
-        ghost_factor: Exaggeration of the ghost to start with; 1 where there is nothing to correct.
+        shown: Rows of these in the page, (n_shown,), at which the robots are posed; at home without rows.
+        readings: Errors of readings other than positions in the page, part by part.
+        pose_of_row: Index of the robots' pose of each of these rows, part by part.
+        n_readings: Number of rows of all readings, in the page or not.
+        vector_factors: First exaggeration of the errors of each state, of positions and of each part of `readings`.
+        ghost_factor: First exaggeration of the ghost; 1 if there is nothing to correct.
         view: First camera.
-        drive: How the robot is moved by hand.
+        drive: Data to move the robot by hand.
         notes: Warnings about the picture.
-        uncertainty_notes: Sentences on the frame of its numbers, where they could be mistaken for others.
+        uncertainty_notes: Sentences on the frame of the numbers, if it could be mistaken.
         remarks: Comments of the measurement files.
-        verdict: Verdict on the fit, if there is one.
+        verdict: Verdict on the fit, or None.
         map: Uncertainty over the workspace, if requested.
-        others: Errors of other readings than positions, each in its unit.
+        others: Errors of readings other than positions, each in its unit.
     """
 
     title: str
@@ -151,17 +150,17 @@ class ViewerScene:
 
     @property
     def shows_poses(self) -> bool:
-        """Whether a page has the rows of the pose table: errors of positions, or predictions where nothing was read."""
+        """Whether a page has the rows of the pose table: errors of positions, or predictions without readings."""
         return not self.readings or any(np.any(np.isfinite(self.poses.error(state))) for state in STATES)
 
     @property
     def n_rows(self) -> int:
-        """How many rows a page has to go to."""
+        """Number of rows of a page."""
         return (len(self.poses) if self.shows_poses else 0) + sum(map(len, self.readings))
 
 
 def scene_of_fit(fit: Fit, judgement: Judgement | None = None) -> ViewerScene:
-    """Return the scene of a fit, with a verdict that is known, or its own."""
+    """Return the scene of a fit, with a given verdict or its own."""
     verdict, notes = judgement or judgement_of_fit(fit), fit.reported_uncertainty.notes
     comments, others = fit_remarks(fit), other_errors(fit.nominal, instrument_blocks(fit), fit.errors)
     table, readings = from_fit(fit), readings_of_fit(fit)
@@ -193,14 +192,14 @@ def build_scene(
 
     Args:
         nominal: The robot before calibration.
-        calibrated: The robot after it; None if there is none.
-        poses: Points to show; none: the robot at home.
-        readings: Errors of readings that are no positions.
+        calibrated: The robot after calibration, or None.
+        poses: Points to show; None: the robot at home.
+        readings: Errors of readings other than positions.
         verdict: Verdict on the fit.
-        notes: Further warnings, other than those on the URDF's shapes.
+        notes: Warnings, in addition to those on the URDF's shapes.
         uncertainty_notes: Sentences on the frame of the numbers.
         comments: Comments of the measurement files.
-        others: Errors of other readings than positions.
+        others: Errors of readings other than positions.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -215,7 +214,7 @@ def build_scene(
     ghost = None if calibrated is None else posed_robot(nominal, bodies, shown)
     if ghost is not None and nominal.description.base.pose == "unknown":
         ghost = replace(ghost, root=bodies.poses(solid, 0)[0])
-    if ghost is not None:  # what measures has no nominal place: the ghost carries it where it is
+    if ghost is not None:  # instruments have no nominal place, so the ghost carries them at the calibrated place
         of_instruments = np.array([name.startswith("(") for name in bodies.names[1:]]) & (
             np.arange(1, len(bodies.names)) != bodies.base
         )
@@ -264,13 +263,13 @@ def build_scene(
 def other_errors(
     robot: Robot, blocks: Iterable[Mapping[str, Any]], together: Mapping[str, Any]
 ) -> tuple[OtherErrors, ...]:
-    """Return the errors of instruments that are not those of positions, as `result.json` has them.
+    """Return the errors of instruments other than errors of positions, from entries of `result.json`.
 
     Args:
-        robot: The robot that was read.
-        blocks: Its entry `instruments`.
-        together: Its entry `errors`, of the main part of all instruments: first, where several read that and it is no
-            position.
+        robot: The robot of the readings.
+        blocks: The entry `instruments`.
+        together: The entry `errors`, of the main part of all instruments; it comes first if several instruments have
+            that part and it is no position.
     """
     read = [
         (block["name"], part, known.is_position)
@@ -288,7 +287,7 @@ def other_errors(
 
 
 def _sizes(errors: Mapping[str, Any]) -> tuple[tuple[str, tuple[float, float], tuple[float, float]], ...]:
-    """Of each set its name, and RMS and largest error before and after calibration."""
+    """Name, RMS and largest error before, and the same after calibration, of each set."""
 
     def ends(off: Mapping[str, Any]) -> tuple[float, float]:
         return float(off["rms"]), float(off["max"])
@@ -306,7 +305,7 @@ def joints_of(robot: Robot) -> tuple[ViewerJoint, ...]:
 
 
 def nice_factor(typical: float, longest: float) -> float:
-    """Return 1, 2 or 5 times a power of ten, from 1 to 1000, that makes `typical` at most `longest` if it can [m]."""
+    """Return 1, 2 or 5 times a power of ten, from 1 to 1000, that makes `typical` at most `longest` if possible [m]."""
     if not (typical > 0 and longest > 0):
         return 1.0
     ratio = min(max(longest / typical, 1.0), _LARGEST_FACTOR)
@@ -323,14 +322,14 @@ def _typical_motion(bodies: Bodies, solid: PosedRobot, ghost: PosedRobot) -> flo
 
 
 def _typical(vectors: FloatArray) -> float:
-    """Return the median length of vectors, NaN where none is known."""
+    """Return the median length of the finite vectors; NaN without any."""
     lengths = np.linalg.norm(vectors, axis=1)
     known = lengths[np.isfinite(lengths)]
     return float(np.median(known)) if len(known) else float("nan")
 
 
 def _shown_joints(joints: FloatArray, readings: tuple[ReadingErrors, ...]) -> tuple[FloatArray, tuple[IntArray, ...]]:
-    """Joints to pose the robots in, (n, n_actuated): those of points first; and which of them each reading is of."""
+    """Joints of the robots' poses, (n, n_actuated), first of points; and the index of each reading's pose."""
     numbers: dict[bytes, int] = {}
     for number, row in enumerate(joints):
         numbers.setdefault(row.tobytes(), number)
@@ -347,7 +346,7 @@ def _shown_joints(joints: FloatArray, readings: tuple[ReadingErrors, ...]) -> tu
 
 
 def _tips(places: FloatArray, arrows: dict[str, FloatArray], factors: dict[str, float], longest: float) -> FloatArray:
-    """Return the tips of the enlarged errors of both states, not further than `longest` [m] out, (m, 3) [m]."""
+    """Return the tips of the enlarged errors of both states, at most `longest` [m] away, (m, 3) [m]."""
     tips = [np.zeros((0, 3))]
     for state, factor in factors.items():
         errors = factor * arrows[state]
@@ -361,7 +360,7 @@ def _tips(places: FloatArray, arrows: dict[str, FloatArray], factors: dict[str, 
 def _view(
     bodies: Bodies, solid: PosedRobot, shapes: tuple[Shape, ...], decorations: tuple[Shape, ...], table: PoseTable
 ) -> SceneView:
-    """Look from the side where the points are, from slightly above, so that they stand before the robot."""
+    """View from the side of the points, slightly from above, so that they stand before the robot."""
     R = bodies.poses(solid, 0)[0, :3, :3].T
     number = {name: body for body, name in enumerate(bodies.names)}
     robot = [np.zeros((0, 3))]
@@ -386,7 +385,7 @@ def _view(
 
 
 def _outline(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return the corners of the convex hull, or of the box where all points lie in a plane."""
+    """Return the corners of the convex hull, or of the box if all points lie in a plane."""
     try:
         corners: FloatArray = points[scipy.spatial.ConvexHull(points).vertices]
     except (scipy.spatial.QhullError, ValueError):

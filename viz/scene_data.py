@@ -1,4 +1,4 @@
-"""A scene as the viewer's script reads it: names and numbers in JSON, long arrays as base64."""
+"""A scene as data for the viewer's script: names and numbers in JSON, long arrays as base64."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from viz.reading_errors import ReadingErrors
 from viz.scene import OtherErrors, ViewerScene, nice_factor
 from viz.workspace_map import WorkspaceMap
 
-_COLOURS = "viridis"  # even in lightness, and told apart with any colour vision
-_POINT_RADIUS = (0.0012, 0.008)  # of the scene's size: of points that crowd, and of points with room
-_SAME = 5e-4  # of the scene's size: nearer points look like one
-_POINT_PIXELS = (4.0, 7.0)  # smallest width of points that crowd, and of points with room
-_FEW_POINTS = 500  # so many have room
+_COLOURS = "viridis"  # even in lightness, and distinct with any colour vision
+_POINT_RADIUS = (0.0012, 0.008)  # of the scene's size: for crowded points, and for points with room
+_SAME = 5e-4  # of the scene's size: distance below which points look like one
+_POINT_PIXELS = (4.0, 7.0)  # smallest width for crowded points, and for points with room
+_FEW_POINTS = 500  # number of points that have room
 _MARKS = {IDENTIFICATION: "disc", VALIDATION: "diamond", MEASURED: "square", EXCLUDED: "disc", PLANNED: "disc"}
 _MARKS[COLLIDES] = "alarm"
-_SHORT = {IDENTIFICATION: "fit", VALIDATION: "val", MEASURED: "meas", EXCLUDED: "out"}  # where names repeat
+_SHORT = {IDENTIFICATION: "fit", VALIDATION: "val", MEASURED: "meas", EXCLUDED: "out"}  # suffixes of repeated names
 _SHORT |= {PLANNED: "plan", COLLIDES: "hits"}
 _MM = PER_SI["length"]["mm"]
-_ELLIPSOID = 0.012  # of the scene's size: how long typical enlarged half axes look at first
-_EXACT = 1e-12  # [SI]: smallest range of colours, where nothing is wrong anywhere
+_ELLIPSOID = 0.012  # of the scene's size: length of typical enlarged half axes at first
+_EXACT = 1e-12  # [SI]: smallest range of colours, for errors of zero
 _MOST_AXES = 3  # of a part of readings
 
 
 def scene_data(scene: ViewerScene, *, live: bool = False) -> dict[str, Any]:
-    """Return the scene as the page's script reads it; arrays as base64, unknown numbers as NaN inside these."""
+    """Return the scene as data for the page's script; arrays as base64, with NaN for unknown numbers."""
     bodies, table, shown = scene.bodies, scene.poses, scene.shown
     n_kept, n = sum(map(len, scene.readings)), scene.n_readings
     names = [body for body, name in enumerate(bodies.names) if not name.startswith("(")]
@@ -105,7 +105,7 @@ def _bodies(bodies: Bodies) -> dict[str, Any]:
 
 
 def summary(scene: ViewerScene) -> list[dict[str, Any]]:
-    """Return count, root mean square and largest error [mm] of each group, before and after calibration where known."""
+    """Return count, root mean square and largest error [mm] of each group, before and after calibration if known."""
     rows = []
     group = np.array(scene.poses.group)
     for name in GROUPS:
@@ -122,11 +122,11 @@ def summary(scene: ViewerScene) -> list[dict[str, Any]]:
 
 
 def certainty(scene: ViewerScene) -> dict[str, Any]:
-    """Return the uncertainty of the numbers [mm]; None where not known.
+    """Return the uncertainty of the numbers [mm]; None where unknown.
 
     Returns:
-        `noise`: standard deviation of one reading per axis. `means`: the smallest and the largest standard deviation
-        per axis of measured positions, which are means of `readings`: the smallest and the largest number of these.
+        `noise`: standard deviation of one reading per axis. `means`: smallest and largest standard deviation per axis
+        of measured positions, which are means of readings. `readings`: smallest and largest number of these readings.
         `predicted`: standard deviation of predicted positions, all axes together, on average and at worst.
     """
     table = scene.poses
@@ -143,13 +143,13 @@ def certainty(scene: ViewerScene) -> dict[str, Any]:
 
 
 def ranges(sizes: Mapping[str, FloatArray], outlier: BoolArray) -> dict[str, list[float]]:
-    """Return the error [SI] at both ends of the colours: of each state (from zero), and of all (logarithmic).
+    """Return the errors [SI] at both ends of the colours: of each state (from zero), and of all (logarithmic).
 
-    Outliers do not stretch the colours, where there is anything else: they have the last colour.
+    Outliers do not stretch the colours and have the last colour, unless all rows are outliers.
 
     Args:
-        sizes: How large the errors of each state are, (n,) [SI]; NaN where not known.
-        outlier: Which rows are outliers, (n,).
+        sizes: Sizes of the errors of each state, (n,) [SI]; NaN where unknown.
+        outlier: Mask of outliers, (n,).
     """
     result, known = {}, []
     for state, lengths in sizes.items():
@@ -179,7 +179,7 @@ def point_radius(scene: ViewerScene) -> float:
     """Return a radius [m] at which points are easy to see and rarely hide each other."""
     size = float(np.linalg.norm(scene.view.high - scene.view.low))
     anchors = np.concatenate([rows.anchors for rows in rows_of(scene)])
-    grid = max(_SAME * size, 1e-6)  # points of several instruments at one place are one
+    grid = max(_SAME * size, 1e-6)  # points of several instruments at one place count once
     points = grid * np.unique(np.round(anchors[np.isfinite(anchors).all(axis=1)] / grid), axis=0)
     if len(points) < 2:
         return _POINT_RADIUS[1] * size
@@ -188,12 +188,12 @@ def point_radius(scene: ViewerScene) -> float:
 
 
 def point_pixels(count: int) -> float:
-    """Return the smallest width [px] at which `count` points are drawn: smaller where many would hide the robot."""
+    """Return the smallest width [px] of `count` drawn points: smaller for many, which would hide the robot."""
     return float(np.clip(_POINT_PIXELS[1] * np.sqrt(_FEW_POINTS / max(count, 1)), *_POINT_PIXELS))
 
 
 def _places(scene: ViewerScene) -> FloatArray:
-    """Where each point stands: measured, or else as well predicted as known."""
+    """The place of each point: measured, or else as well predicted as known, (n, 3) [m]."""
     table = scene.poses
     predicted = np.where(np.isfinite(table.after), table.after, table.before)
     places: FloatArray = np.where(np.isfinite(table.measured), table.measured, predicted)
@@ -210,7 +210,7 @@ def _left_out_notes(shown: int, n: int) -> list[str]:
 
 
 def rows_of(scene: ViewerScene) -> list[ReadingErrors]:
-    """The rows that the page has, part by part: points first, as the readings that they are."""
+    """Return the rows of the page, part by part, points first."""
     if not scene.shows_poses:
         return list(scene.readings)
     table, places = scene.poses.subset(scene.shown), _places(scene)[scene.shown]
@@ -223,7 +223,7 @@ def rows_of(scene: ViewerScene) -> list[ReadingErrors]:
 
 
 def _parts(scene: ViewerScene) -> list[dict[str, Any]]:
-    """Parts whose errors the page shows: names, units, colour limits in these units, first enlargements."""
+    """Parts of errors in the page: names, units, colour limits in these units, first enlargements."""
     factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
     parts = []
     for rows, enlargements in zip(rows_of(scene), factors, strict=True):
@@ -247,9 +247,9 @@ def _parts(scene: ViewerScene) -> list[dict[str, Any]]:
 
 
 def mean_distances(scene: ViewerScene, other: OtherErrors) -> list[float] | None:
-    """Return the RMS distance [mm] of points before and after, of readings that see points and have another unit.
+    """Return the RMS distance [mm] of observed points before and after, for readings in another unit.
 
-    Those of the validation are counted if there are any; None for other readings.
+    Validation readings count if there are any; None for readings without a distance.
     """
     if sum(map(len, scene.readings)) != scene.n_readings or other.unit in ("mm", "mrad"):
         return None
@@ -269,10 +269,9 @@ def mean_distances(scene: ViewerScene, other: OtherErrors) -> list[float] | None
 
 
 def _table(scene: ViewerScene) -> dict[str, Any]:
-    """All rows of the page, points first. Arrows in m, or in rad of turns.
+    """All rows of the page, points first, with arrows in m or rad.
 
-    Of readings that are no positions there are sizes and components of errors, too, in the unit of their part; those of
-    points are their arrows.
+    Readings other than positions also have sizes and components of errors, in the unit of their part.
     """
     parts, shown = rows_of(scene), scene.shown
     points = scene.poses.subset(shown if scene.shows_poses else shown[:0])
@@ -311,7 +310,7 @@ def _scale(errors: ReadingErrors) -> float:
 
 
 def _components(errors: ReadingErrors, state: str) -> FloatArray:
-    """The first components of errors, in the unit of the part; NaN where there are fewer, (n, _MOST_AXES)."""
+    """The first components of errors, in the unit of the part, (n, _MOST_AXES); NaN for missing ones."""
     components = np.full((len(errors), _MOST_AXES), np.nan)
     kept = _scale(errors) * errors.residuals(state)[:, :_MOST_AXES]
     components[:, : kept.shape[1]] = kept
@@ -319,7 +318,7 @@ def _components(errors: ReadingErrors, state: str) -> FloatArray:
 
 
 def _map(scene: ViewerScene, known: WorkspaceMap) -> dict[str, Any]:
-    """The map; how many times its ellipsoids are enlarged at first is such that typical ones can be seen."""
+    """The map, with a first enlargement that makes typical ellipsoids visible."""
     size = float(np.linalg.norm(scene.view.high - scene.view.low))
     longest = np.linalg.norm(known.half_axes, axis=1).max(axis=1, initial=0.0)
     typical = float(np.median(longest)) if len(longest) else float("nan")
@@ -339,7 +338,7 @@ def _map(scene: ViewerScene, known: WorkspaceMap) -> dict[str, Any]:
 
 
 def _span(values: FloatArray) -> list[float]:
-    """Smallest and largest of the known values."""
+    """Smallest and largest of the finite values."""
     known = values[np.isfinite(values)]
     return [float(known.min()), max(float(known.max()), _EXACT)] if len(known) else [0.0, _EXACT]
 

@@ -20,12 +20,12 @@ from calib.core.commands.common import Output, shared_options
 DESKTOP = {"width": 1400, "height": 900}
 PHONE = {"width": 390, "height": 844}
 PAPER = {"width": 688, "height": 890}
-"""A window as wide as what A4 leaves between its margins: pages in it are drawn as they are printed."""
+"""A window as wide as A4 between its margins, so that pages look as in print."""
 _BEFORE = "document.getElementById('state-before').click()"
 _DARK = "for (const id of ['dark', 'same-scale']) document.getElementById(id).click()"
 _FRAMES = "document.getElementById('show-frames').click()"
 _ELLIPSOIDS = "document.getElementById('show-ellipsoids').click();document.getElementById('map-block').scrollIntoView()"
-_MAP = "map.html"  # of `calib view --map --html`, taken where it is
+_MAP = "map.html"  # of `calib view --map --html`, if it exists
 PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
     ("viewer", "viewer.html", DESKTOP, ""),
     ("viewer-before", "viewer.html", DESKTOP, _BEFORE),
@@ -35,14 +35,14 @@ PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
     ("report", "report.html", {"width": 1000, "height": 1300}, ""),
     ("viewer-map", _MAP, DESKTOP, _ELLIPSOIDS),
 )
-"""Name of the picture, page, size of the window [px], and what to do before taking it."""
+"""Name of the picture, page, size of the window [px], and the script to run before."""
 
 
 def chromium() -> str:
     """Return the path of the system's Chromium.
 
     Raises:
-        InputError: There is none.
+        InputError: There is no Chromium.
     """
     for name in ("chromium", "chromium-browser", "google-chrome"):
         path = shutil.which(name)
@@ -65,8 +65,8 @@ def take(folder: Path, views: tuple[tuple[str, str, dict[str, int], str], ...] =
     """Take pictures, and return PNG files by name.
 
     Args:
-        folder: Folder with the pages, of a result; map.html need not be there.
-        views: Entries of `PICTURES`.
+        folder: Folder of a result with its pages; map.html is optional.
+        views: Entries as in `PICTURES`.
 
     Raises:
         InputError: A page, Chromium or playwright is missing.
@@ -91,7 +91,7 @@ def take(folder: Path, views: tuple[tuple[str, str, dict[str, int], str], ...] =
 
 
 def take_one(browser: Any, page: Path, size: dict[str, int], action: str) -> bytes:
-    """Return a PNG file of a page in a browser of playwright; for the others see `PICTURES`."""
+    """Return a PNG file of a page in a browser of playwright; `size` and `action` are as in `PICTURES`."""
     tab = browser.new_page(viewport=size, reduced_motion="reduce")
     if size == PAPER:
         tab.emulate_media(media="print")

@@ -1,7 +1,4 @@
-"""Figures of `calib check` and `calib select` as SVG files.
-
-The same input gives the same bytes.
-"""
+"""Figures of `calib check` and `calib select` as SVG files; the same input gives the same bytes."""
 
 from __future__ import annotations
 
@@ -39,7 +36,7 @@ def selection_figures(selection: Selection) -> dict[str, bytes]:
 
 
 def singular_values(assessment: Assessment) -> Figure:
-    """Draw the singular values of all parameters, the threshold, and the gap where the rank ends."""
+    """Draw the singular values of all parameters, the threshold, and the gap at the rank."""
     figure, (axes,) = new_figure(1, 1, (6.4, 3.6))
     rank = assessment.rank_all
     values = rank.singular_values
@@ -58,7 +55,7 @@ def singular_values(assessment: Assessment) -> Figure:
 
 
 def correlations(assessment: Assessment) -> Figure:
-    """Draw the correlation matrix of the free parameters; what is undetermined stays white."""
+    """Draw the correlation matrix of the free parameters; undetermined entries stay white."""
     names = [parameter.name for parameter in assessment.free_parameters]
     size = max(4.0, 0.17 * len(names) + 1.8)
     figure, (axes,) = new_figure(1, 1, (size + 0.8, size))

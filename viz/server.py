@@ -1,16 +1,16 @@
 """A web server for one page, on this computer only, inside this process.
 
 meshcat's own server listens on every network interface, runs as a separate process that outlives its parent, and its
-calls wait for ever when it is gone. Here the server is a thread: whatever ends the process, SIGKILL included, ends
-the server and frees its port. It listens on 127.0.0.1, under an address that cannot be guessed, and answers only
-requests that name this address as their host, so that no web page elsewhere can read it, also not by a name that it
-lets point here; nor one that says it comes from another page. Nothing is ever read from a browser but the head of a
-GET, which has an end, and only so many are served at once: where more come, who was there first and has still not said
-what it wants makes room, so that silent connections keep no one out.
+calls wait for ever when it is gone. Here the server is a thread: the end of the process, even by SIGKILL, ends the
+server and frees its port. It listens on 127.0.0.1, under a secret address. It answers only requests that name this
+address as their host and come from no other page, so that no web page elsewhere can read it, even by a host name that
+resolves to this address. It reads only the head of a GET, whose length is limited, and serves a limited number of
+connections: if more come, the oldest connection that has sent no request is closed, so that silent connections keep no
+browser out.
 
-Messages go to browsers as server-sent events. Each browser has a queue of its own: sending never waits, and a browser
-that is closed or does not read is dropped. So that its queue shows whether it reads, the system may keep little for it:
-left alone, it takes megabytes of messages that are not read.
+Messages go to browsers as server-sent events. Each browser has a queue: sending never waits, and a browser that is
+closed or does not read is dropped. The system's buffer for a browser is small, so that the queue shows whether the
+browser reads; by default, it takes megabytes of unread messages.
 """
 
 from __future__ import annotations
@@ -26,19 +26,15 @@ from typing import Any
 from calib.core.base.errors import InputError
 
 ADDRESS = "127.0.0.1"
-_WAITING = 4096  # messages that a slow browser may have before it is dropped
-_SYSTEM_BUFFER = 1 << 17  # bytes that the system may keep for a browser, about; it takes up to twice as many
+_WAITING = 4096  # unread messages of a slow browser before it is dropped
+_SYSTEM_BUFFER = 1 << 17  # approximate bytes that the system may keep for a browser; it takes up to twice as many
 _HEARTBEAT = 5.0  # seconds between signs of life, which notice a closed browser
 _PATIENCE = 10.0  # seconds that one write or read may take
 _CLIENTS = 32  # connections at once; each has a thread and a queue
 
 
 class PageServer:
-    """Serve a page and send messages to its readers.
-
-    Args:
-        page: The HTML.
-        port: Port to listen on; 0 for any free one.
+    """Serve a page (HTML) and send messages to its readers; port 0 is any free port.
 
     Raises:
         InputError: The port is taken, or not allowed.
@@ -74,7 +70,7 @@ class PageServer:
 
     @property
     def n_browsers(self) -> int:
-        """How many browsers are connected."""
+        """Number of connected browsers."""
         with self._lock:
             return len(self._browsers)
 
@@ -84,7 +80,7 @@ class PageServer:
         Args:
             event: Kind of message.
             data: One line of text.
-            keep: Under this key the message is kept for browsers that come later; a later one replaces it.
+            keep: Key under which the message is kept for later browsers; it replaces an earlier message.
         """
         message = f"event: {event}\ndata: {data}\n\n".encode()
         with self._lock:
@@ -103,22 +99,22 @@ class PageServer:
         self.send("reload", "now")
 
     def forget(self, key: str) -> None:
-        """Drop the message that is kept under this key."""
+        """Drop the message kept under this key."""
         with self._lock:
             self._state.pop(key, None)
 
     def wait_for_browser(self, timeout: float) -> bool:
-        """Wait until a browser has connected, at most `timeout` seconds; say whether one has."""
+        """Wait for a connection from a browser, at most `timeout` seconds; return whether there is one."""
         return self._connected.wait(timeout)
 
     def close(self) -> None:
-        """Stop serving and free the port. Browsers keep the picture. Closing twice is fine."""
+        """Stop serving and free the port; browsers keep the picture. Further calls do nothing."""
         with self._lock:
             if self.closed:
                 return
             self.closed = True
             for browser in self._browsers:
-                with contextlib.suppress(queue.Full):  # a full queue is noticed when it has been read
+                with contextlib.suppress(queue.Full):  # the browser's thread ends after it has sent a full queue
                     browser.put_nowait(None)
             self._browsers.clear()
         self._server.shutdown()
@@ -129,7 +125,7 @@ class PageServer:
         """Answer one request."""
         hosts = (f"{ADDRESS}:{self.port}", f"localhost:{self.port}")
         named = handler.headers.get_all("Host", [])
-        origin = handler.headers.get("Origin")  # a browser that opens an address says none
+        origin = handler.headers.get("Origin")  # absent if a browser opens the address itself
         if len(named) != 1 or named[0] not in hosts or origin not in (None, *(f"http://{host}" for host in hosts)):
             handler.send_error(403)
         elif handler.path == f"/{self._token}/":
@@ -186,13 +182,13 @@ class _Server(ThreadingHTTPServer):
     owner: PageServer
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
-        self._silent: dict[socket.socket, None] = {}  # connections that have said nothing yet, the oldest first
-        self._known: set[socket.socket] = set()  # those that have
+        self._silent: dict[socket.socket, None] = {}  # connections without a request yet, the oldest first
+        self._known: set[socket.socket] = set()  # connections with a request
         self._places = threading.Lock()
         super().__init__(address, handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own, or hang up if too many are served."""
+        """Answer in a new thread, or hang up if there are too many connections."""
         with self._places:
             if len(self._silent) + len(self._known) >= _CLIENTS and self._silent:
                 oldest = next(iter(self._silent))
@@ -208,14 +204,14 @@ class _Server(ThreadingHTTPServer):
             self.shutdown_request(request)
 
     def has_spoken(self, request: socket.socket) -> None:
-        """Say that a connection has sent the head of its request."""
+        """Record that a connection has sent the head of its request."""
         with self._places:
             if request in self._silent:
                 del self._silent[request]
                 self._known.add(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer, and make room for another one."""
+        """Answer, and make room for another connection."""
         try:
             super().process_request_thread(request, client_address)
         finally:
@@ -224,7 +220,7 @@ class _Server(ThreadingHTTPServer):
                 self._known.discard(request)
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A browser that went away is no error; nothing is printed."""
+        """Print nothing: a browser that went away is no error."""
 
 
 class _Handler(BaseHTTPRequestHandler):

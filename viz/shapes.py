@@ -17,11 +17,11 @@ _UPPER = np.array(np.meshgrid(*[(False, True)] * 3)).reshape(3, -1).T  # coordin
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """One drawable shape.
+    """A drawable shape.
 
     Attributes:
         name: Unique name.
-        body: Link that carries it; None for what stands still in the measurement frame.
+        body: Link that carries it; None for a shape at rest in the measurement frame.
         kind: Kind of the shape, which decides the meaning of `size`.
         size: box: edge lengths; cylinder: radius and length along z; sphere: radius; mesh: empty [m].
         T_body_shape: Pose of the shape in its link, (4, 4) [m].
@@ -39,7 +39,7 @@ class Shape:
     faces: IntArray
 
     def triangles(self) -> tuple[FloatArray, IntArray]:
-        """Return the surface in its link's frame: vertices (n, 3) [m], and the three of each triangle, (m, 3)."""
+        """Return the surface in its link's frame: vertices (n, 3) [m], and vertex indices of triangles, (m, 3)."""
         from trimesh import creation
 
         make = {
@@ -74,16 +74,7 @@ def primitive(
     T_body_shape: FloatArray,
     colour: Colour = GREY,
 ) -> Shape:
-    """Return a box, cylinder or sphere.
-
-    Args:
-        name: Unique name.
-        body: Link that carries it; None for what stands still in the measurement frame.
-        kind: Kind of the shape, which decides the meaning of `size`.
-        size: As `Shape` has it [m].
-        T_body_shape: Pose of the shape in its link, (4, 4) [m].
-        colour: Red, green, blue, opacity, 0 to 1.
-    """
+    """Return a box, cylinder or sphere; the arguments are attributes of `Shape`, T_body_shape (4, 4) [m]."""
     return Shape(
         name,
         body,
@@ -104,15 +95,12 @@ def mesh(
     colour: Colour = GREY,
     T_body_shape: FloatArray | None = None,
 ) -> Shape:
-    """Return a triangle mesh.
+    """Return a triangle mesh; the arguments are attributes of `Shape`.
 
     Args:
-        name: Unique name.
-        body: Link that carries it; None for what stands still in the measurement frame.
         vertices: Corners, (n, 3) [m].
-        faces: The three corners of each triangle, (m, 3).
-        colour: Red, green, blue, opacity, 0 to 1.
-        T_body_shape: Pose of the mesh in its link, (4, 4) [m]; that of the link if None.
+        faces: Vertex indices of each triangle, (m, 3).
+        T_body_shape: Pose of the mesh in its link, (4, 4) [m]; None: identity.
     """
     return Shape(
         name,
@@ -127,15 +115,15 @@ def mesh(
 
 
 def thin(vertices: FloatArray, faces: IntArray, most: int) -> tuple[FloatArray, IntArray]:
-    """Return a mesh with at most `most` faces: vertices that share a cell of a grid, as fine as fits, become one.
+    """Return a mesh with at most `most` faces, by merging vertices in the cells of a grid that is as fine as possible.
 
     Args:
         vertices: Corners, (n, 3) [m].
-        faces: The three corners of each triangle, (m, 3).
+        faces: Vertex indices of each triangle, (m, 3).
         most: Largest number of triangles.
 
     Returns:
-        Vertices and faces, in the same form; the arguments where there are few enough.
+        Vertices and faces in the same form; the arguments if there are few enough.
     """
     cells = 512
     fewer_vertices, fewer = vertices, faces

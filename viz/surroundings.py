@@ -15,7 +15,7 @@ from viz.shapes import Colour, Shape, mesh, primitive
 
 _STONE: Colour = (0.72, 0.66, 0.58, 0.55)
 _TOOL: Colour = (0.80, 0.58, 0.20, 0.6)
-_PLANE = 2.5  # edge of a floor that is drawn, of the robot's characteristic length
+_PLANE = 2.5  # edge of a drawn floor, in characteristic lengths of the robot
 
 
 def surrounding_shapes(robot: Robot) -> tuple[Shape, ...]:
@@ -39,7 +39,7 @@ def surrounding_shapes(robot: Robot) -> tuple[Shape, ...]:
 
 
 def _body(robot: Robot, frame: str | None) -> str:
-    """The link that the picture has for a frame."""
+    """The link of the picture that carries a frame."""
     joint = 0 if frame is None else robot.mechanism.joint(frame)
     return next(link for link in robot.urdf.links if robot.mechanism.frames.get(link) == joint)
 

@@ -1,7 +1,7 @@
 """Figures as SVG files: readable in any size and print, text selectable.
 
-matplotlib is imported where a figure is drawn. Figures are objects of their own: nothing global is touched and no
-window can open. Text is never read as mathematics, because names come from files.
+matplotlib is imported when a figure is drawn. Figures touch nothing global and open no window. Text is never read as
+mathematics, because names come from files.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#7F7F7F"
-"""Colours that are told apart with any colour vision (Okabe and Ito), and a grey for what is only context."""
+"""Colours that are distinct with any colour vision (Okabe and Ito), and a grey for context."""
 AXES = {"x": (ORANGE, "o"), "y": (GREEN, "^"), "z": (BLUE, "s")}
 """Colour and mark of each axis."""
 STATES = {"before": (GREY, "--"), "after": (BLUE, "-")}
-"""Colour and line before calibration, and after."""
+"""Colour and line before and after calibration."""
 
-_POINTS = 72  # to an inch, as in SVG files
+_POINTS = 72  # dots per inch, as in SVG files
 _Arguments = ParamSpec("_Arguments")
 _Drawn = TypeVar("_Drawn")
 _STYLE: dict[Any, Any] = {
@@ -45,7 +45,7 @@ _STYLE: dict[Any, Any] = {
 
 
 def with_style(draw: Callable[_Arguments, _Drawn]) -> Callable[_Arguments, _Drawn]:
-    """Draw and write with our style, and put matplotlib's settings back afterwards."""
+    """Draw and write with our style, and restore matplotlib's settings afterwards."""
 
     @functools.wraps(draw)
     def drawn(*args: _Arguments.args, **options: _Arguments.kwargs) -> _Drawn:
@@ -69,16 +69,16 @@ def new_figure(rows: int, columns: int, size: tuple[float, float], **shared: Any
 def svg_file(figure: Figure) -> bytes:
     """Return a figure as an SVG file; the same figure gives the same bytes."""
     if figure.get_layout_engine() is None and all(axes.get_subplotspec() for axes in figure.axes):
-        figure.set_layout_engine("constrained")  # axes that were placed by hand stay
+        figure.set_layout_engine("constrained")  # only if no axes were placed by hand
     stream = io.BytesIO()
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     return stream.getvalue()
 
 
 def plain_ticks(*axes: Any) -> None:
-    """Write the ticks of logarithmic axes as plain numbers such as 0.01: powers would need mathematics to print.
+    """Write the ticks of logarithmic axes as plain numbers such as 0.01, since powers would need mathematics.
 
-    Where fewer than two powers of ten are in sight, 2 and 5 times as many have numbers, too.
+    If fewer than two powers of ten are visible, 2 and 5 times as many have numbers, too.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 

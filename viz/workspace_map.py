@@ -1,12 +1,11 @@
-"""Errors and uncertainty of a robot over its workspace: a cloud of positions that it can take.
+"""Errors and uncertainty of a robot over its workspace: a cloud of reachable positions.
 
 Poses are drawn at random with the calibrated robot (`Robot.sample`): half of them within the joint limits, half within
-the ranges that the joints had in the measured poses, which are often a small part of them. At each stand two numbers:
-how far the nominal robot would be from there, which is the error that calibration takes away, and the standard
-deviation of the predicted position, from noise and priors. Beyond what was measured that is extrapolation, and what the
-model leaves out can be larger there than the standard deviation says; so each point knows whether it lies within: every
-joint within the range that it had in the measured poses, and the position within the convex hull of the measured ones
-(of a robot that moves in a plane: within their outline).
+the joint ranges of the measured poses, which are often a small part of the limits. Each position has two numbers: the
+distance of the nominal robot from it, which calibration removes, and the standard deviation of the predicted position,
+from noise and priors. Outside of the measured region this is extrapolation, and errors of the model can exceed the
+standard deviation. So each point has a mark whether it lies inside: every joint within its measured range, and the
+position within the convex hull of the measured positions (for a robot that moves in a plane: within their outline).
 """
 
 from __future__ import annotations
@@ -23,9 +22,9 @@ from calib.core.numerics import linalg
 from viz.poses import PoseTable, PredictingRobot
 
 SEED = 1
-_ELLIPSOIDS = 40  # at most: more hide the robot
+_ELLIPSOIDS = 40  # largest number; more would hide the robot
 _CHANCE = 0.95
-_FLAT = 0.01  # a hull whose extent along an axis is a smaller part of its largest is flat: noise is no volume
+_FLAT = 0.01  # extent of a hull along an axis, over its largest extent, below which it is flat: noise is no volume
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +35,10 @@ class WorkspaceMap(ReadOnlyArrays):
         places: Predicted positions, (n, 3) [m].
         error: Distance of the nominal robot from them, (n,) [m]; NaN where it cannot be assembled.
         std: Standard deviation of the positions, all axes together, (n,) [m].
-        is_inside: Which lie within what was measured, (n,).
+        is_inside: Mask of positions in the measured region, (n,).
         hull: Edges of the convex hull of measured positions, (k, 2, 3) [m].
-        centres, half_axes: Ellipsoids that hold the true position with a chance of 95 % at poses of the table: where,
-            (m, 3) [m], and their half axes as columns, (m, 3, 3) [m].
+        centres, half_axes: Ellipsoids that contain the true position with a probability of 95 % at poses of the table:
+            centres, (m, 3) [m], and half axes as columns, (m, 3, 3) [m].
     """
 
     places: FloatArray
@@ -90,10 +89,10 @@ def workspace_map(calibrated: PredictingRobot, nominal: Robot, table: PoseTable,
 
 
 def _are_within_hull(points: FloatArray, places: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Which places (m, 3) lie in the hull of points (n, 3), or in their outline where these lie in a plane; its edges.
+    """Mask of places (m, 3) in the hull of points (n, 3), or in their outline if these lie in a plane, and its edges.
 
     Returns:
-        (m,), and (k, 2, 3); none lies in what has neither volume nor area.
+        (m,), and (k, 2, 3) [m]; a hull without volume or area contains no place.
     """
     nowhere = np.zeros(len(places), dtype=bool), np.zeros((0, 2, 3))
     if not len(points):

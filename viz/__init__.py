@@ -66,7 +66,7 @@ def page(
 
 
 def report(result: Fit, *, command: str = "") -> ViewerPage:
-    """Return the report of a fit as one self-contained page; it prints `command`, the command line that made the fit."""
+    """Return the report of a fit as one self-contained page; it prints `command`, the command line of the fit."""
     from viz.report_page import report_page
 
     return report_page(result, command=command)

@@ -1,4 +1,4 @@
-"""A page with one result: an acceptance by new measurements, a hand-eye calibration, or a board found in photographs."""
+"""A page with one result: an acceptance by new measurements, a hand-eye calibration, or a board in photographs."""
 
 from __future__ import annotations
 

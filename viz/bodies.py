@@ -37,7 +37,7 @@ _FLATTEST = 0.05  # spread of a link's joint origins along a direction below whi
 
 @dataclass(frozen=True, eq=False)
 class PosedRobot:
-    """One robot in all shown poses.
+    """A robot in all shown poses.
 
     Attributes:
         placements: Pose of each joint in its parent link, (n_joints, 4, 4) [m].

@@ -52,7 +52,7 @@ def fleet(learned: Fleet) -> bytes:
 
 
 def answer(subject: object, title: str, text: str, figures: Sequence[tuple[int, str]]) -> bytes:
-    """Return the page of an acceptance by new measurements, a hand-eye calibration or a detection; see `answer_page`."""
+    """Return the page of an acceptance, a hand-eye calibration or a detection; see `answer_page`."""
     from viz.answer_page import answer_page
 
     return answer_page(subject, title, text, figures).html.encode()

@@ -229,9 +229,7 @@ def _seen_readings(robot: Robot, data: Measurements) -> dict[str, _SeenReadings]
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     for name, readings in data.readings.items():
         instrument, seen = robot.instrument(name), views[name]
-        poses: FloatArray = np.tile(
-            np.eye(4), (len(readings), 1, 1)
-        )  # of the observing frame, or of the joint
+        poses: FloatArray = np.tile(np.eye(4), (len(readings), 1, 1))  # of the observing frame, or of the joint
         points: FloatArray = np.zeros((len(readings), 3))
         compared = instrument.compare(seen, robot.values[robot.unknowns(name)], readings)
         if isinstance(compared, Comparison):

@@ -1,4 +1,4 @@
-"""The numbers at the head of a report: what counts, whether it is enough, and where the robot is worst."""
+"""The numbers at the head of a report: the main error, the tolerance, and the worst pose."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from viz.remarks import tolerance
 
 @dataclass(frozen=True)
 class Headline:
-    """The error of the headline: part, unit, number of poses, their set, values before and after."""
+    """The error of the headline: part, unit, set of poses and their number, values before and after."""
 
     part: Part
     unit: str
@@ -50,14 +50,14 @@ class Tolerance:
 
 
 def tolerance_of(fit: Fit) -> Tolerance | None:
-    """Return whether 95 of 100 errors at poses like those measured stay below the required tolerance, if any.
+    """Return whether 95 of 100 errors at poses like those measured stay below the stated tolerance; None without.
 
-    For positions, by the claim of the calibration; where the claim does not hold, none do.
+    For positions, this is by the claim of the calibration; without a claim, the answer is open.
     """
     text = tolerance(fit)
     if not text:
         return None
-    limit = quantity(text, "length", "tolerance")  # reading the file has checked it
+    limit = quantity(text, "length", "tolerance")  # valid, since it was checked when the file was read
     claim = judge(fit).claim
     if claim is None or not claim.at_measured_poses.is_position or not np.isfinite(claim.at_measured_poses.limit95):
         return Tolerance(text, "not judged", "CHECK", "These measurements do not tell how far positions are off.")
@@ -97,7 +97,7 @@ def _worst_reading(errors: ErrorSet) -> str:
 
 
 def extent(table: PoseTable) -> str:
-    """Return the box [mm] in which points were measured; empty where none were."""
+    """Return the box of measured points in words [mm]; empty without points."""
     fitted = np.isin(np.array(table.group), (IDENTIFICATION, VALIDATION))
     points: FloatArray = error_scale("length") * table.measured[fitted & np.isfinite(table.measured).all(axis=1)]
     if not len(points):

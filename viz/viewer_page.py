@@ -1,4 +1,4 @@
-"""The viewer as one self-contained HTML file: opens from disk, needs no server, loads nothing else."""
+"""The viewer as one self-contained HTML file, which opens from disk without a server."""
 
 from __future__ import annotations
 
@@ -47,16 +47,12 @@ _SCRIPTS = (
 
 @dataclass(frozen=True)
 class ViewerPage:
-    """A finished page.
-
-    Attributes:
-        html: The whole file.
-    """
+    """A finished page; `html` is the whole file."""
 
     html: str
 
     def save(self, path: Path | str, *, force: bool = False) -> Path:
-        """Write the page, or leave what was there untouched.
+        """Write the page, or leave an existing file untouched.
 
         Args:
             path: HTML file to write.
@@ -69,14 +65,14 @@ class ViewerPage:
         return Path(path)
 
     def _repr_html_(self) -> str:
-        """Show the page inside a notebook cell; works with a kernel on another machine, too."""
+        """Show the page inside a notebook cell, even with a kernel on another machine."""
         return f'<iframe srcdoc="{html.escape(self.html)}" style="width: 100%; height: 640px; border: 0"></iframe>'
 
 
 def templates(**options: Any) -> Environment:
-    """Return the environment of pages, all inserted text escaped; `options` go to Jinja's `Environment`.
+    """Return the environment of pages, which escapes all inserted text; `options` go to Jinja's `Environment`.
 
-    Compiled templates stay for later, where Python keeps its modules as well.
+    Compiled templates are cached where Python caches modules.
     """
     from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader
 
@@ -102,8 +98,8 @@ def scene_page(scene: ViewerScene, *, live: bool = False, report: str = "", embe
     Args:
         scene: The scene.
         live: Whether the page listens to the server that sends it.
-        report: File beside the page with the report, to link to; none if not given.
-        embedded: Whether the page stands in a frame of another one, which has controls of its own.
+        report: File with the report beside the page, to link to; empty: none.
+        embedded: Whether the page is in a frame of another page, which has controls of its own.
     """
     folder = files("viz") / "templates"
     meshcat, script = viewer_scripts()
@@ -139,17 +135,17 @@ def meshcat_script() -> tuple[str, str]:
 
 
 def script_safe(code: str) -> str:
-    """Return code that cannot end the script element that holds it, with line ends as browsers read them."""
+    """Return code that cannot end the script element around it, with line ends as browsers read them."""
     return code.replace("\r\n", "\n").replace("\r", "\n").replace("</script", "<\\/script").replace("<!--", "<\\!--")
 
 
 def digest_of_script(code: str) -> str:
-    """Return the digest by which a page's Content-Security-Policy allows a script: no other one runs."""
+    """Return the digest by which a page's Content-Security-Policy allows only this script."""
     return base64.b64encode(hashlib.sha256(code.encode("utf-8")).digest()).decode("ascii")
 
 
 def json_in_script(data: object) -> str:
-    """Return JSON in which no text can end the script element that holds it."""
+    """Return JSON in which no text can end the script element around it."""
     text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     for letter, code in (
         ("<", "\\u003c"),

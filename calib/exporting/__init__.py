@@ -1,1 +1,1 @@
-"""The robot in the formats that other programs read."""
+"""The robot in the formats of other programs."""

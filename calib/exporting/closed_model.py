@@ -1,12 +1,11 @@
-"""The source of every simulator format: the calibrated URDF, one assembled configuration, and the ties.
+"""The common source of the simulator formats: the calibrated URDF, an assembled configuration, and ties of loops.
 
-A tie says that two links meet: in a point, or as whole frames. Everything is computed from the numbers in the text of
-the calibrated URDF, so a robot that was exported and loaded again gives the same model to the last bit.
+A tie joins two links, in a point or as whole frames. Everything is computed from the numbers in the text of the
+calibrated URDF, so an exported robot gives the same model to the last bit when it is loaded again.
 
-Servos of the exported motors are as stiff as a simulator can be asked to hold. A position servo that holds a load sags
-by load / stiffness. The stiffness here follows from the inertia that a motor feels, so that every robot, light or
-heavy, sags by the gravity that acts on it over (2 pi f)^2: at 100 Hz, about 0.03 mm where gravity acts fully along the
-motion.
+Servos of the exported motors are as stiff as a simulator can hold. A position servo under a load sags by
+load / stiffness. The stiffness here follows from the inertia at the motor, so that every robot, light or heavy, sags by
+the acceleration of gravity over (2 pi f)^2: at 100 Hz, about 0.03 mm where gravity acts fully along the motion.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from calib.core.robots.urdf.writing import quote_attribute
 from calib.exporting.gap import Gap, free_joints, loop_gaps, require_small
 
 _FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6
-"""Mass [kg] and moments of inertia [kg m^2] of the links between free joints: small, but what simulators can handle."""
+"""Mass [kg] and moments of inertia [kg m^2] of the links between free joints: the least that simulators can handle."""
 _SLIDE_LIMIT = 1.0  # limit of an added slide [m]
 SERVO_FREQUENCY = 100.0
 """Undamped frequency of the position servos at home, with critical damping [Hz]."""
@@ -38,13 +37,13 @@ _LEAST_INERTIA = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Tie:
-    """Two links that meet.
+    """A connection of two links.
 
     Attributes:
         name: Name of the closure.
         a, b: Links.
-        full_pose: True: `a` is fixed to `b` in its `placement`. False: only the origin of `a` is, as a point.
-        placement: Link `a` seen from link `b`, at home.
+        full_pose: True: `a` is fixed to `b` at `placement`. False: only the origin of `a` is fixed.
+        placement: Pose of link `a` in link `b`, at home.
     """
 
     name: str
@@ -71,11 +70,11 @@ class ClosedModel:
         urdf: Calibrated URDF, with free joints added where requested.
         home: Value of every moving joint in an assembled configuration [m or rad].
         actuated: Joints with a motor.
-        inertia: Inertia that each motor feels at home, loops closed, the other motors at rest [kg or kg m^2].
+        inertia: Inertia at each motor at home, loops closed, the other motors at rest [kg or kg m^2].
         ties: Ties that close the loops.
         gaps: Gaps that the ties have to absorb; empty with free joints.
         markers: Targets and measurement frame.
-        robot: The robot that it was made from.
+        robot: The original robot.
     """
 
     urdf: UrdfText
@@ -89,16 +88,16 @@ class ClosedModel:
 
 
 def closed_model(robot: Robot, *, free_slide: bool = False) -> ClosedModel:
-    """Return the model that the simulator formats are written from.
+    """Return the common source of the simulator formats.
 
     Args:
         robot: The robot, with its current values.
-        free_slide: Add a joint for each direction that a closure leaves free, so that nothing has to be absorbed.
+        free_slide: Add a joint for each direction that a closure leaves free, so that ties absorb no gaps.
 
     Raises:
-        InputError: A tie would hold a motion that the mechanism has, or no joint has the motions that are free.
+        InputError: A tie would hold a motion of the mechanism, or no joint has exactly the free motions.
     """
-    robot = robot.with_terms(())  # which none of the formats holds
+    robot = robot.with_terms(())  # the formats hold no joint terms
     urdf = parse_urdf(urdf_of_origins(robot), robot.urdf.path)
     home = home_values(robot)
     gaps = loop_gaps(robot)
@@ -131,7 +130,7 @@ def home_values(robot: Robot) -> dict[str, float]:
 
 
 def link_poses(urdf: UrdfText, values: dict[str, float]) -> dict[str, pin.SE3]:
-    """Return the pose of every link in the root link; joints that `values` does not name are at zero."""
+    """Return the pose of every link in the root link; joints without a value are at zero."""
     poses = {urdf.root: pin.SE3.Identity()}
     for joint in urdf.joints_from_root:
         motion = joint_motion(joint.type, joint.axis, values.get(joint.name, 0.0))
@@ -140,7 +139,7 @@ def link_poses(urdf: UrdfText, values: dict[str, float]) -> dict[str, pin.SE3]:
 
 
 def joint_motion(kind: str, axis: tuple[float, ...], value: float) -> pin.SE3:
-    """Return what a joint adds to its origin at a value [m or rad]."""
+    """Return the transform of a joint at a value [m or rad], relative to its origin."""
     if kind in HELD_TYPES or value == 0:
         return pin.SE3.Identity()
     if kind == "prismatic":
@@ -149,7 +148,7 @@ def joint_motion(kind: str, axis: tuple[float, ...], value: float) -> pin.SE3:
 
 
 def tie_lines(model: ClosedModel) -> list[str]:
-    """Return what a user must know of the loops, as lines of a comment."""
+    """Return remarks on the loops for the user, as lines of a comment."""
     if not model.ties:
         return []
     lines = ["simulators close loops only approximately; take important poses from calib predict"]
@@ -164,7 +163,7 @@ def tie_lines(model: ClosedModel) -> list[str]:
 
 
 def link_of(urdf: UrdfText, frame: str) -> str:
-    """Return the link that a frame of the description is: a joint's name stands for its child.
+    """Return the link of a frame in the description; a joint's name means its child.
 
     Raises:
         InputError: There is neither a link nor a joint of that name.
@@ -192,7 +191,7 @@ def _markers(robot: Robot) -> tuple[Marker, ...]:
 def _with_free_joints(
     robot: Robot, urdf: UrdfText, ends: list[tuple[str, str]], home: dict[str, float]
 ) -> tuple[UrdfText, list[tuple[str, str]], dict[str, float]]:
-    """Put free joints behind the first link of each closure, and tie the last of them instead of it."""
+    """Put free joints behind the first link of each closure, and tie the last of these to the second link."""
     poses = link_poses(urdf, home)
     parts, new_ends, new_home = [], [], dict(home)
     for index, (a, b) in enumerate(ends):
@@ -227,7 +226,7 @@ def _free_joint(name: str, parent: str, axis: str, slides: bool) -> str:
 
 
 def motor_inertia(robot: Robot, urdf: UrdfText) -> tuple[float, ...]:
-    """Return the inertia that each motor feels at home, the loops closed and the other motors at rest [kg or kg m^2].
+    """Return the inertia at each motor at home, loops closed and the other motors at rest [kg or kg m^2].
 
     With dq = E da for the motors' rates da (passive joints follow through the loops), it is the diagonal of E^T M E.
     """

@@ -24,7 +24,7 @@ from calib.core.robots.urdf.text import UrdfText
 from calib.exporting.formats import JOINT_TABLES, export, format_of
 from calib.exporting.functions.languages import LANGUAGES
 
-_WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
+_WORTH_A_SLIDE = 1e-6  # change of a gap that deserves a remark [m or rad]
 
 
 @click.command("export")
@@ -86,7 +86,7 @@ def command(
     if failed := failure_lines(output, result, out):
         lines = [*(lines or []), *failed]
     notes: list[str] = []
-    relative = _relative_meshes(model.urdf)  # before anything is written: it may refuse a broken shape
+    relative = _relative_meshes(model.urdf)  # before anything is written, since a broken shape is an error
     output.check(*(() if file_format == JOINT_TABLES else (out,)))
     gaps = export(
         model,
@@ -126,7 +126,7 @@ def command(
 
 
 def _origin_of_values(parameters: str | None, result: str | None) -> list[str]:
-    """Lines for the comment in the URDF."""
+    """Lines on the origin of the values for the comment in the URDF."""
     if parameters:
         return [f"values: {parameters}"]
     if not result:
@@ -141,7 +141,7 @@ def _origin_of_values(parameters: str | None, result: str | None) -> list[str]:
 
 
 def _relative_meshes(urdf: UrdfText) -> str:
-    """The first mesh file that is named relative to the URDF, or ""."""
+    """The first mesh file with a path relative to the URDF, or ""."""
 
     shapes = (shape for link in read_links(urdf).values() for shape in (*link.visuals, *link.collisions))
     return next(

@@ -1,7 +1,7 @@
 """Files for controllers and ROS: Denavit-Hartenberg tables, joint zeros, Universal Robots' kinematics, xacro origins.
 
-Most of them hold less than the calibrated robot. Each file says, in its comment, what it holds and which error is left
-at the target, judged by the robot itself with all that it has: loops, joint terms, tool.
+Most of these files hold less than the calibrated robot. Each states in its comment what it holds and the error at the
+target that remains, compared with the complete robot: loops, joint terms, tool.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from calib.exporting.joint_zeros import joint_zeros
 from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
 from calib.exporting.toolbox import ExactDumper
 
-_FITTED = 0.25  # part of the poses that judge: offsets need no more
+_FITTED = 0.25  # part of the judging poses from which offsets are found
 
 
 @dataclass(frozen=True)
 class ControllerFile(FormatFile):
-    """A file for a controller, and the error that it leaves."""
+    """A file for a controller, and the error that remains with it."""
 
     remainder: Remainder | None
 
@@ -69,7 +69,7 @@ def dh_file(robot: Robot, convention: Convention, provenance: Sequence[str] = ()
 
 
 def _z_to(axis: Sequence[float]) -> pin.SE3:
-    """A turn that takes z to a unit axis; none for z itself, and for the other axes of the frame the shortest."""
+    """The shortest rotation that takes z to a unit axis."""
     quaternion = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(axis))
     return pin.SE3(quaternion.toRotationMatrix(), np.zeros(3))
 
@@ -101,16 +101,16 @@ def _tool_text(chain: SerialChain) -> str:
 def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
     """Return the kinematics YAML of `ur_description`, Universal Robots' ROS description.
 
-    It holds the six joint origins, from `base_link_inertia` on, or from where the shoulder stands. What a calibration
-    found of the fixed joints before goes into the first of them. Of what it found behind wrist_3, only a turn about and
-    a shift along the last axis have a place, in the last of them.
+    The file has the six joint origins, from `base_link_inertia` or the link under the shoulder on. Calibrated changes
+    of earlier fixed joints go into the first origin. Of changes behind wrist_3, only a rotation about and a shift along
+    the last axis fit, into the last origin.
 
     Raises:
-        InputError: The robot is not one that `ur_description` made.
+        InputError: The robot is not made by `ur_description`.
     """
     chain, nominal = (serial_chain(robot, mechanism) for mechanism in (robot.mechanism, robot.nominal))
     _check_ur(robot, chain)
-    # nominal pose in the base of the link that the shoulder stands on
+    # nominal pose in the base of the link under the shoulder
     mount = nominal.links[0] * robot.nominal.placement(nominal.joints[0].name).inverse()
     tail, calibrated_tail = nominal.links[-1], chain.links[-1]
     turned = calibrated_tail.rotation @ tail.rotation.T
@@ -141,7 +141,7 @@ def _xyz_rpy(origin: pin.SE3) -> list[float]:
 
 
 def has_ur_kinematics(robot: Robot) -> bool:
-    """Return whether a robot is one that `ur_description` made."""
+    """Return whether a robot is made by `ur_description`."""
     try:
         _check_ur(robot, serial_chain(robot, robot.nominal))
     except InputError:
@@ -170,7 +170,7 @@ def _check_ur(robot: Robot, chain: SerialChain) -> None:
 
 
 def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:
-    """Poses (n, 4, 4) of a chain of joints about z between these links, at joint values (n, n_joints)."""
+    """Function from joint values (n, n_joints) to poses (n, 4, 4) of a chain of joints about z between these links."""
 
     def forward(q: FloatArray) -> FloatArray:
         poses = []
@@ -185,9 +185,9 @@ def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:
 
 
 def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
-    """Return a sign and a zero correction for each joint with a motor, and the error that they leave.
+    """Return a sign and a zero correction for each joint with a motor, and the error that remains with them.
 
-    Of a fit, those that fit its measurements best; else those of `joint_zeros`, over the joint ranges.
+    For a fit, they fit its measurements best; else they come from `joint_zeros`, over the joint ranges.
     """
     file_robot, placed = robot.files.get(Holds.ZEROS), any(p.placement for p in robot.parameters)
     anew = ", base and target placed anew" if placed else ""

@@ -1,8 +1,8 @@
 """The calibrated URDF with Drake's extensions: ball constraints that close the loops, servo gains, frames.
 
 The URDF itself keeps its bytes; one block is added before `</robot>` and the namespace is declared on the top element.
-A tie of a point is one `drake:ball_constraint`. A tie of whole frames is three of them, at three points that are not in
-line. Drake simulates ball constraints in discrete time (the plant's time step above zero).
+A tie of a point is one `drake:ball_constraint`. A tie of whole frames is three, at three points that are not in line.
+Drake simulates ball constraints in discrete time (the plant's time step above zero).
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from calib.exporting.closed_model import ClosedModel, Marker, Tie, servo_gains, 
 
 NAMESPACE = "http://drake.mit.edu"
 
-_ARM = 0.1  # from the first to the second and third point of a tie of whole frames [m]
+_ARM = 0.1  # distance of the second and third point from the first in a tie of whole frames [m]
 
 
 def drake_bytes(model: ClosedModel, provenance: Sequence[str] = ()) -> bytes:
-    """Return the URDF for Drake, with these lines among those of its comment."""
+    """Return the URDF for Drake; `provenance` are lines of its comment."""
     origin = [*provenance, *provenance_lines(model.robot)]
     lines = [comment(["calib: a closed robot for Drake", *origin, *tie_lines(model)])]
     lines += [_ball(tie, point) for tie in model.ties for point in _points(tie)]
@@ -41,7 +41,7 @@ def drake_bytes(model: ClosedModel, provenance: Sequence[str] = ()) -> bytes:
 
 
 def _points(tie: Tie) -> list[FloatArray]:
-    """Points of link a that are fixed points of link b."""
+    """Points of link a that are fixed in link b."""
     if not tie.full_pose:
         return [np.zeros(3)]
     return [np.zeros(3), np.array([_ARM, 0.0, 0.0]), np.array([0.0, _ARM, 0.0])]
@@ -66,7 +66,7 @@ def _frame(marker: Marker) -> str:
 
 
 def _transmissions(model: ClosedModel) -> list[str]:
-    """An actuator with servo gains for each motor that the file gives none."""
+    """An actuator with servo gains for each motor without an actuator in the file."""
     root = element_tree(model.urdf.source)
     present = {joint.get("name") for entry in root.iterfind("transmission") for joint in entry.iterfind("joint")}
     return [

@@ -1,4 +1,4 @@
-"""The formats of `calib export`, and what each holds; `calib.exporting.formats` writes them."""
+"""The formats of `calib export` and their contents; `calib.exporting.formats` writes them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from calib.core.robots.file_formats import Format, FormatFile
 from calib.core.robots.robot import Robot
 from calib.exporting.functions.languages import COMMENTS, LANGUAGES, why_none
 
-_WRITERS = "calib.exporting.controllers"  # loaded at first use: a fit names formats, and writes none of them
+_WRITERS = "calib.exporting.controllers"  # loaded at first use, since a fit only names formats
 
 
 def _controller(name: str, *convention: str) -> Callable[[Robot, Sequence[str]], FormatFile]:
@@ -47,4 +47,4 @@ MORE_FORMATS = (
     Format("joint-tables", Holds.TABLES),
     *(Format(name, Holds.EVERYTHING, _has_functions, comment=COMMENTS.get(name, "")) for name in LANGUAGES),
 )
-"""Those that hold joint terms."""
+"""The formats that hold joint terms."""

@@ -21,14 +21,14 @@ from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 
 _WITH_URDF = ("urdf", "drake", "toolbox")
-_UNTOUCHED = ("urdf", "toolbox")  # their URDF gets no comment, unless there is something to say
+_UNTOUCHED = ("urdf", "toolbox")  # their URDF gets a comment only if there is something to say
 JOINT_TABLES = "joint-tables"
 """The format that is a folder of files."""
 _ENDINGS = {".urdf": "urdf", ".xml": "mjcf", ".mjcf": "mjcf", ".xacro": "xacro", ".c": "c"}
 
 
 def format_of(path: Path | str) -> str:
-    """Return the format that the ending of a file's name means; an `InputError` where it means several, or none."""
+    """Return the format of a file by its suffix; `InputError` for an ambiguous or unknown suffix."""
     ending = Path(path).suffix.lower()
     if ending not in _ENDINGS:
         raise InputError(f"{path}: its ending does not say the format; give it ({', '.join(formats())})")
@@ -48,38 +48,37 @@ def export(
 ) -> tuple[Gap, ...]:
     """Write a robot with its current values for another program.
 
-    The file gets the best robot that its format holds: if it has no place for joint terms, the robot that a fit found
-    to be best without them (`calib.core.robots.accuracy_of_files`).
+    The file gets the best robot that its format holds. For a format without joint terms, this is the best robot without
+    them that a fit found (`calib.core.robots.accuracy_of_files`).
 
     Args:
-        format: `urdf`: the URDF, only edited origins changed. `mjcf`: for MuJoCo, Pinocchio and Drake, loops
+        format: `urdf`: the URDF with only the edited origins changed. `mjcf`: for MuJoCo, Pinocchio and Drake, loops
             closed. `drake`: URDF with Drake's ball constraints. `toolbox`: robot.yaml for toolbox-parallel-robots, with
             the URDF beside it under the same name. `dh`, `mdh`: Denavit-Hartenberg tables, standard and modified.
             `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
             `xacro`: joint origins as properties. `joint-tables`: a folder of tables of each joint's error
-            (see `calib.exporting.joint_tables`). `klipper`, `marlin`,
-            `duet`: lines to paste into the settings of a delta printer. `numpy`, `c`,
-            `jax`, `torch`, `casadi`: the whole model as functions in that language (see `calib.exporting.functions`).
+            (see `calib.exporting.joint_tables`). `klipper`, `marlin`, `duet`: lines for the settings of a delta
+            printer. `numpy`, `c`, `jax`, `torch`, `casadi`: the whole model as functions in that language (see
+            `calib.exporting.functions`).
         path: File to write, or folder of `joint-tables`.
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
-        meshes: Formats that hold a URDF (`urdf`, `drake`, `toolbox`): what to put before relative mesh paths, such as
-            `package://my_robot`, so that they do not depend on where the file lies.
-        provenance: Lines for the comment that says where the numbers come from; if this is None, formats `urdf` and
-            `toolbox` put no comment into the URDF, unless it holds less than the robot.
-        note: Called with each thing that the user should know, such as a mesh that had to be left out, or what a format
-            for controllers holds and which error it leaves.
+        meshes: Formats with a URDF (`urdf`, `drake`, `toolbox`): prefix of relative mesh paths, such as
+            `package://my_robot`, so that they do not depend on the file's folder.
+        provenance: Lines on the origin of the numbers for the comment; without them, formats `urdf` and `toolbox` put
+            no comment into a URDF that holds the whole robot.
+        note: Called with remarks for the user, such as an omitted mesh, or the content of a format for controllers and
+            the error that remains.
         force: Write the file even if its robot is worse than the nominal one, or belongs to joint terms that
-            the format cannot hold; and replace files that this program did not write, or that the robot comes from.
+            the format cannot hold; and replace files that this program did not write, or inputs of the robot.
 
     Returns:
-        What 3D constraints would have to absorb, for each direction that a closure leaves free.
+        The gaps that 3D constraints would have to absorb, for each direction that a closure leaves free.
 
     Raises:
-        InputError: Unknown format, an option that the format does not have, a place that cannot be written, a file
-            there that should not be replaced, or loops that the format cannot express.
-        ComputationError: The robot that the format holds is worse than the nominal one at poses that judge it, or
-            it is not known, because no fit was made without what it cannot hold; or no pose is known at which loops
-            close.
+        InputError: Unknown format, an option that the format does not have, a path that cannot be written, an existing
+            file that must not be replaced, or loops that the format cannot express.
+        ComputationError: The robot in the format is worse than the nominal one at the judging poses, or unknown because
+            no fit was made without the terms that it cannot hold; or no pose with closed loops is known.
     """
     robot = as_robot(robot)
     format, path = format or format_of(path), Path(path)

@@ -1,18 +1,17 @@
-"""Gaps of loops in the directions that their closures leave free; a constraint in three dimensions has to absorb them.
+"""Gaps of loops in the directions that their closures leave free, which a constraint in 3D has to absorb.
 
 This package closes a loop of a planar mechanism in its plane only. Perpendicular to the plane the bearings hold the
 links, and after calibration the two frames of a cut need not meet in that direction. Other programs constrain points
-(three directions) or whole frames (six). Such a constraint also acts in the directions that are free here:
+(three directions) or whole frames (six). Such a constraint also acts in the free directions:
 
-* A gap that is the same in every pose does no harm: the constraint is placed at the assembled home, with the gap built
-  into its anchor.
-* A gap that changes from pose to pose has to be absorbed: the simulated links are strained, or sit where the real ones
-  do not. `change` says by how much.
+* A constant gap does no harm: the constraint is placed at the assembled home, with the gap built into its anchor.
+* A gap that changes with the pose has to be absorbed: the simulated links are strained or displaced. `change` is the
+  size of this.
 
-The exact alternative is a joint that is free in just these directions, put between the first frame and the constraint:
-a slide for each free translation, a hinge for a free rotation. Joint and constraint together then constrain what the
-closure constrains, no more and no less. For points this holds for any combination of free translations. For whole
-frames it holds where the free motions are those of a joint: slides, one hinge, or a hinge with slides along or across.
+The exact alternative is a joint with just the free motions between the first frame and the constraint: a slide for each
+free translation, a hinge for a free rotation. Joint and constraint together then equal the closure. For points this is
+possible for any free translations; for whole frames if the free motions are those of a joint: slides, one hinge, or a
+hinge with slides along or across.
 """
 
 from __future__ import annotations
@@ -32,9 +31,9 @@ from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.robot import Robot
 
 LARGEST_CHANGE = 0.01
-"""Largest change of a gap that a constraint may be left to absorb [characteristic lengths of the robot, or rad]."""
+"""Largest change of a gap that a constraint may absorb [characteristic lengths of the robot, or rad]."""
 _POSES, _REACH = 64, 0.1
-_UNLIMITED = {"length": 1.0, "angle": np.pi}  # taken as a joint's limit where it has none [m], [rad]
+_UNLIMITED = {"length": 1.0, "angle": np.pi}  # default limit of a joint without limits [m], [rad]
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,8 @@ class Gap:
         direction: Free direction, in the axes of the closure's first frame.
         at_home: Gap in the home configuration [m or rad].
         change: Largest difference from `at_home` over the poses [m or rad].
-        n_poses: Number of assembled poses looked at.
-        where: Region of these poses, for messages; empty for poses that the caller gave.
+        n_poses: Number of assembled poses.
+        where: Region of these poses, for messages; empty for the caller's poses.
     """
 
     name: str
@@ -63,7 +62,7 @@ class Gap:
         return "angle" if self.direction in ANGLE_COMPONENTS else "length"
 
     def text(self) -> str:
-        """Return one sentence, in mm or mrad."""
+        """Return a sentence on the gap, in mm or mrad."""
         apart, change = (quantity_text(value, self.dimension, ".4f") for value in (self.at_home, self.change))
         which = f"loop {self.name}, direction {self.direction}"
         if max(abs(self.at_home), self.change) < 1e-9:
@@ -77,10 +76,7 @@ class Gap:
 def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
     """Return assembled poses within a tenth of each joint's range around home, home first, (n, n_actuated) [m or rad].
 
-    The points are evenly spread (no random numbers); those that cannot be assembled are left out.
-
-    Args:
-        count: Number to try.
+    `count` poses are tried, evenly spread without random numbers; poses that cannot be assembled are dropped.
     """
     lower, upper = joint_ranges(robot)
     spread = 2 * joint_samples(robot.mode, count + 1)[1:, : len(lower)] - 1  # its first point is a corner
@@ -93,7 +89,7 @@ def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
 def joint_ranges(robot: Robot) -> tuple[FloatArray, FloatArray]:
     """Return lower and upper limits of the actuated joints, (n_actuated,) each [m or rad].
 
-    Where a joint has no limits, they are half a turn or 1 m in both directions.
+    The default is half a turn or 1 m in both directions.
     """
     default = np.array([_UNLIMITED[robot.mechanism.dimensions[name]] for name in robot.joint_names])
     lower, upper = robot.urdf.limits(robot.joint_names)
@@ -101,7 +97,7 @@ def joint_ranges(robot: Robot) -> tuple[FloatArray, FloatArray]:
 
 
 def free_directions(robot: Robot, loop: int) -> tuple[Component, ...]:
-    """Directions that a 3D constraint would hold and the closure does not."""
+    """Return the directions that a 3D constraint would hold and the closure leaves free."""
     constrained = robot.mechanism.loops[loop].rows
     whole = range(6 if robot.mechanism.loops[loop].full_pose else 3)
     return tuple(COMPONENTS[row] for row in whole if row not in constrained)
@@ -112,7 +108,7 @@ def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:
 
     Args:
         robot: The robot, with its current parameter values.
-        q: Poses to look at, (n, n_actuated) [m or rad]; `poses_near_home` if not given.
+        q: Poses, (n, n_actuated) [m or rad]; default: `poses_near_home`.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -135,7 +131,7 @@ def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:
 
 
 def require_small(robot: Robot, gaps: tuple[Gap, ...]) -> None:
-    """Raise `InputError` where a 3D constraint would hold a motion that the mechanism has."""
+    """Raise `InputError` if a 3D constraint would hold a motion of the mechanism."""
     for gap in gaps:
         limit = LARGEST_CHANGE * (1.0 if gap.direction in ANGLE_COMPONENTS else robot.mechanism.length)
         if gap.change > limit:
@@ -146,7 +142,7 @@ def require_small(robot: Robot, gaps: tuple[Gap, ...]) -> None:
 
 
 def free_joints(robot: Robot, loop: int) -> tuple[tuple[Component, bool], ...]:
-    """Return a joint for each free direction of a closure: (direction, whether it is a slide), slides first.
+    """Return a joint for each free direction of a closure, (direction, whether it is a slide), slides first.
 
     Raises:
         InputError: No chain of joints has exactly these motions.

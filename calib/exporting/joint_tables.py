@@ -1,15 +1,14 @@
-"""Joint correction tables: where each joint is at each command, for controllers without a model.
+"""Joint correction tables: actual joint values by commands, for controllers without a model.
 
-A table has equal steps, with linear interpolation between them. That is off by at most h^2 / 8 times the largest second
-derivative of the joint's error, whose bound every term knows; the step h is chosen so that this stays below
-`TOLERANCE`. A table reaches over the joint's limits in the URDF (two turns about zero where there are none), and a
-little further, so that the way back (which command gives a wanted value) holds at the limits too. Outside, nothing
-is known.
+A table has equal steps, with linear interpolation. Its error is at most h^2 / 8 times the largest second derivative of
+the joint's error, which every term can bound; the step h keeps this below `TOLERANCE`. A table covers the joint's
+limits in the URDF (two turns about zero without limits), and a little more, so that its inverse (the command for a
+wanted value) exists at the limits too.
 
-Only errors that depend on the joint's own command fit into a table. What else the model has (backlash, compliance,
-bending, drift) is left out; the file states its size. The tables, and the joint origins that go with them, are then
-those that a fit found to be best without it (`calib.core.robots.accuracy_of_files`); the URDF with these origins lies
-beside the tables. Tables and the origins of another file do not go together.
+Only errors that depend on the joint's own command fit into a table. Other parts of the model (backlash, compliance,
+bending, drift) are left out; the file states their size. The tables, and the joint origins that go with them, are then
+those that a fit found best without these parts (`calib.core.robots.accuracy_of_files`); the URDF with these origins is
+beside the tables. Tables must not be used with the origins of another file.
 """
 
 from __future__ import annotations
@@ -33,20 +32,20 @@ from calib.core.robots.terms.term import Context, JointTerm
 
 TOLERANCE = 4e-7
 """Largest error of the interpolation [rad or m]."""
-_TURNS = 2.0 * np.pi  # range to either side of a joint that turns without limits [rad]
+_TURNS = 2.0 * np.pi  # range to either side for a revolute joint without limits [rad]
 _MOST_STEPS = 200_000
 _SI: dict[Dimension, str] = {"length": "m", "angle": "rad"}
 
 
 @dataclass(frozen=True, eq=False)
 class JointTable(ReadOnlyArrays):
-    """Where a joint is, by its command.
+    """Actual values of a joint by its commands.
 
     Attributes:
-        joint: The joint.
-        dimension: Whether it slides or turns.
+        joint: Name of the joint.
+        dimension: `length` or `angle`.
         commands: With equal steps, (n,) [rad or m].
-        actual: True value there, (n,) [rad or m].
+        actual: Actual values there, (n,) [rad or m].
     """
 
     joint: str
@@ -56,7 +55,7 @@ class JointTable(ReadOnlyArrays):
 
 
 def joint_tables(robot: Robot) -> tuple[JointTable, ...]:
-    """Return the table of each actuated joint; terms that no table can hold do not count.
+    """Return the table of each actuated joint, without terms that no table can hold.
 
     Raises:
         InputError: The robot has no joint terms for tables, a sliding joint no limits, or a table would be too long.
@@ -71,7 +70,7 @@ def joint_tables(robot: Robot) -> tuple[JointTable, ...]:
 
 
 def require_own_terms(robot: Robot) -> None:
-    """Raise `InputError` where there is nothing to put into tables."""
+    """Raise `InputError` if no term fits into tables."""
     if not without_terms(robot, Holds.TABLES).terms:
         raise InputError(
             f"{robot.path}: has no joint terms that depend on the joint's own value alone; there is nothing to put"
@@ -115,7 +114,7 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
 
 
 def _remark_on_rest(robot: Robot, indices: slice, term: JointTerm) -> str:
-    """Say which part of a joint's error is not in its table."""
+    """A sentence on the part of a joint's error that is not in its table."""
     dimension = robot.mechanism.dimensions[term.joint]
     size = quantity_text(float(np.max(np.abs(robot.values[indices]))), dimension)
     columns = [f"the column '{name}'" for name in term.reads()]
@@ -125,10 +124,7 @@ def _remark_on_rest(robot: Robot, indices: slice, term: JointTerm) -> str:
 
 
 def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, bytes]:
-    """Return `joint_tables.csv`, and the URDF to use with it.
-
-    Args:
-        lines: Comments of each file.
+    """Return `joint_tables.csv`, and the URDF to use with it; `lines` are comments of each file.
 
     Raises:
         InputError: See `joint_tables`.

@@ -1,10 +1,10 @@
-"""The joint zeros with which the nominal model comes nearest to a robot that is not the result of a fit.
+"""The joint zeros that bring the nominal model nearest to a robot without a fit.
 
-The nominal model is fitted to positions that the robot predicts, by the method by which a fit of measurements finds the
-zeros for its files (`calib.core.calibrating.file_robots`). Free are the zeros, and base and targets where the
-description calls them unknown. Errors that base or target can explain as well as a zero are left to base or target.
+The nominal model is fitted to positions that the robot predicts, by the same method as the zeros of a fit's files
+(`calib.core.calibrating.file_robots`). Free are the zeros, and base and targets if the description calls them unknown.
+Errors that base or target can explain as well as a zero are left to base or target.
 
-When it fails. Poses from which loops of the nominal model do not close are left out.
+When it fails. Poses at which loops of the nominal model do not close are dropped.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from calib.core.robots.robot_files import without_terms
 from calib.core.rows.registration import register
 
 _EXACT = 1e-9  # noise of predicted positions [m]: so small that priors decide only what positions leave open
-_NOTHING = 1e-12  # [m or rad]
+_NOTHING = 1e-12  # smaller offsets are zero [m or rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +35,10 @@ class JointZeros:
     """Joint zeros, and the errors that remain with them.
 
     Attributes:
-        signs: 1, or -1 where a joint counts the other way, (n_joints,).
+        signs: 1, or -1 for a joint that counts the other way, (n_joints,).
         offsets: Offsets in sign * q + offset, (n_joints,) [m or rad].
-        errors, errors_before: Error of each target with and without these zeros, (n_poses, n_targets) [m], without the
-            poses at which the loops of one of the two robots do not close.
+        errors, errors_before: Error of each target with and without these zeros, (n_poses, n_targets) [m], without
+            poses at which the loops of either robot do not close.
     """
 
     signs: FloatArray
@@ -48,12 +48,12 @@ class JointZeros:
 
 
 def joint_zeros(robot: Robot, q: FloatArray, *, fitted: float = 1.0) -> JointZeros:
-    """Return the joint zeros that bring the nominal robot nearest to this one.
+    """Return the joint zeros that bring the nominal robot nearest to `robot`.
 
     Args:
         robot: The robot, with its current values.
         q: Poses, (n, n_joints) [m or rad].
-        fitted: Part of the poses (0 to 1, counted from the first) from which the offsets are found.
+        fitted: Part of the poses (0 to 1, from the first on) from which the offsets are found.
     """
     positions = robot.positions(q)
     actual = actual_joints(robot, q, term_columns(robot, q))[:, : q.shape[1]]
@@ -72,7 +72,7 @@ def _read(robot: Robot, q: FloatArray, positions: FloatArray) -> Measurements:
 
 
 def _errors(plain: Robot, q: FloatArray, positions: FloatArray) -> FloatArray:
-    """Error of each target with base and targets placed for these poses, (n_closed, n_targets) [m]."""
+    """Error of each target after placing base and targets for these poses, (n_closed, n_targets) [m]."""
     closes = plain.close(q).ok
     placed = register(plain, _read(plain, q[closes], positions[closes]))
     return np.linalg.norm(placed.positions(q[closes]) - positions[closes], axis=2)

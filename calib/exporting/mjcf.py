@@ -1,16 +1,17 @@
-"""MuJoCo's format (MJCF), in the form that MuJoCo, Pinocchio and Drake read alike.
+"""MuJoCo's format (MJCF), in a form that MuJoCo, Pinocchio and Drake read with the same meaning.
 
 Bodies stand at the assembled home and each joint's `ref` is its value there, so that every program finds the loops
-closed where it looks for the second anchor of a `<connect>` (or the pose of a `<weld>`): in the reference
-configuration. Joint values mean the same as in the URDF. Numbers are written as the shortest decimals that read back
-to the same float; MuJoCo's own writer would keep six digits.
+closed in the reference configuration, from which it takes the second anchor of a `<connect>` (or the pose of a
+`<weld>`). Joint values mean the same as in the URDF. Numbers are the shortest decimals that read back to the same
+float; MuJoCo's own writer would keep six digits.
 
-Every link is a body, also the fixed ones; a root link named `world` becomes the body `world_link`, because MuJoCo keeps
-that name for itself. Targets and the measurement frame are bodies with nothing but a site, because not every program
-reads sites; that of `target_tip` is `target_tip_site`. Motors are position servos whose stiffness comes from the
-inertia that they feel at home. Ties are soft in a simulator, though little here: never take its pose for the truth.
+Every link is a body, even a fixed link; a root link named `world` becomes the body `world_link`, because MuJoCo
+reserves the name. Targets and the measurement frame are bodies with only a site, because not every program reads sites;
+the site of `target_tip` is `target_tip_site`. Motors are position servos whose stiffness comes from the inertia at
+home. Ties in
+a simulator are slightly soft: its poses are not exact.
 
-A lamp and a floor that touches nothing make the robot visible; the keyframe `home` puts joints and servos there.
+A lamp and a floor without contacts make the robot visible; the keyframe `home` puts joints and servos at home.
 """
 
 from __future__ import annotations
@@ -36,9 +37,9 @@ from calib.exporting.mjcf_shapes import MjcfShapes, add_surroundings, pose_attri
 TIE_SOFTNESS = {"solref": "-1000000 -1000", "solimp": "0.999 0.999 0.001 0.5 2"}
 """MuJoCo's softness of the ties: stiffness [1/s^2] and damping [1/s] per effective mass, and impedance (1 is rigid)."""
 WORLD = "world_link"
-"""Name of the body for a root link called `world`, which MuJoCo keeps for itself."""
+"""Name of the body for a root link called `world`, a name that MuJoCo reserves."""
 _LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
-"""Mass and inertia that a moving link without mass gets [kg], [kg m^2]: MuJoCo refuses massless ones."""
+"""Mass and inertia for a moving link without mass [kg], [kg m^2]: MuJoCo refuses massless moving bodies."""
 _NO_MASS, _NO_INERTIA = 1e-9, 1e-12
 """Mass and inertia of a massless link with shapes [kg], [kg m^2]: MuJoCo before 3.4 takes its mass from the shapes."""
 _TYPES = {"prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
@@ -46,13 +47,7 @@ _TYPES = {"prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
 
 @dataclass(frozen=True)
 class Mjcf:
-    """An MJCF file and what goes with it.
-
-    Attributes:
-        content: The file.
-        meshes: Converted mesh files that it names.
-        notes: Shapes that cannot be drawn as the URDF asks, and why.
-    """
+    """An MJCF file, the converted mesh files that it names, and remarks on shapes that cannot be drawn."""
 
     content: bytes
     meshes: dict[Path, bytes]
@@ -64,10 +59,10 @@ def mjcf(model: ClosedModel, path: Path | str = "robot.xml", provenance: Sequenc
 
     Args:
         path: Path of the file; mesh files are named relative to its folder.
-        provenance: Further lines for the comment that says where the numbers come from.
+        provenance: Further lines of the comment on the origin of the numbers.
 
     Raises:
-        InputError: A link other than the root is named `world`, which MuJoCo keeps for itself.
+        InputError: A link other than the root is named `world`, which MuJoCo reserves.
     """
     writer = _Writer(model, Path(path))
     content = writer.write(provenance)
@@ -118,7 +113,7 @@ class _Writer:
         T_root_base = np.linalg.inv(robot.forward(robot.home, urdf.root))
         links = np.array([T_root_base @ robot.forward(robot.home, link) for link in robot.urdf.links])
         add_surroundings(world, links[:, :3, 3])
-        # Pinocchio passes over the placement of a body that is fixed to the worldbody itself: this one has none
+        # Pinocchio ignores the placement of a body that is fixed to the worldbody itself; this body has none
         self._content(SubElement(world, "body", name=self._body_name(urdf.root)), urdf.root, moving=False)
 
     def _content(self, element: Element, name: str, moving: bool) -> None:
@@ -175,7 +170,7 @@ class _Writer:
         )
 
     def _carried_mass(self, name: str) -> float:
-        """Mass of the links that are fixed to a link [kg]."""
+        """Mass of the links fixed to a link [kg]."""
         total = 0.0
         for joint in self.children[name]:
             inertial = self.links[joint.child].inertial
@@ -184,7 +179,7 @@ class _Writer:
         return total
 
     def _contact(self, root: Element) -> None:
-        """Links that a tie holds together do not collide with each other."""
+        """Exclude contacts between links that a tie connects."""
         if not any(link.collisions for link in self.links.values()) or not self.model.ties:
             return
         contact = SubElement(root, "contact")
@@ -200,7 +195,7 @@ class _Writer:
                 SubElement(contact, "exclude", body1=self._body_name(link), body2=self._body_name(other))
 
     def _carrier(self, name: str) -> tuple[str, pin.SE3]:
-        """The moving body that carries a link, and the link's place in it (Pinocchio ties fixed bodies wrongly)."""
+        """The moving body that carries a link, and the link's pose in it (Pinocchio ties fixed bodies wrongly)."""
         placement = pin.SE3.Identity()
         while name != self.model.urdf.root:
             joint = next(joint for joint in self.model.urdf.joints if joint.child == name)
@@ -214,7 +209,7 @@ class _Writer:
         return WORLD if link == "world" else link
 
     def _fixed_links(self, name: str) -> set[str]:
-        """Links that are fixed to a link, itself included."""
+        """Links fixed to a link, including itself."""
         welded, waiting = {name}, [name]
         fixed = [joint for joint in self.model.urdf.joints if joint.type in HELD_TYPES]
         while waiting:
@@ -243,7 +238,7 @@ class _Writer:
                 SubElement(equality, "connect", attributes, anchor=numbers(anchor.translation))
         for joint in followers:
             assert joint.mimic is not None
-            leader, factor, _ = joint.mimic  # about ref, where both stand, the offset is 0
+            leader, factor, _ = joint.mimic  # relative to ref, where both are zero, the offset vanishes
             SubElement(
                 equality,
                 "joint",
@@ -260,7 +255,7 @@ class _Writer:
             SubElement(actuator, "position", name=name, joint=name, kp=repr(stiffness), kv=repr(damping))
 
     def _keyframe(self, root: Element) -> None:
-        """Home, with the servos holding it; joints in the order in which MuJoCo counts them."""
+        """Add the keyframe home, with the servos there; joints in MuJoCo's order."""
         joints = [element.attrib for element in root.iter("joint") if "type" in element.attrib]
         positions = numbers(self.model.home[joint["name"]] for joint in joints)
         controls = numbers(self.model.home[name] for name in self.model.actuated)

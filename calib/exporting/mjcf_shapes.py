@@ -28,12 +28,12 @@ class MjcfShapes:
     """Writes geoms and collects the mesh files that they need.
 
     Args:
-        urdf_path: Path of the URDF; mesh files are looked for from there.
-        path: The MJCF file; mesh files are named relative to its folder, and converted ones lie in a folder beside it.
+        urdf_path: Path of the URDF, from which mesh files are searched.
+        path: The MJCF file; mesh files are named relative to its folder, and converted files are beside it.
 
     Attributes:
         asset: The `<asset>` element with the meshes.
-        remarks: Shapes that could not be drawn, and why.
+        remarks: Shapes that could not be drawn, with reasons.
         converted: Contents of the converted mesh files.
     """
 
@@ -50,7 +50,7 @@ class MjcfShapes:
         """Add a link's shapes to its body: visuals in group 2, collisions in group 3.
 
         Args:
-            ends: Positions of its joints, (3,) [m] each, to which rods are drawn if its visuals cannot be read.
+            ends: Positions of its joints, (3,) [m] each, for rods if its visuals cannot be read.
         """
         visible = {"group": "2", "contype": "0", "conaffinity": "0"}
         drawn = [self._geom(body, shape, visible) for shape in link.visuals]
@@ -72,7 +72,7 @@ class MjcfShapes:
         if shape.kind != "mesh" and min(shape.size) <= 0:
             self.remarks.append(f"{shape.kind} of size zero at {body.get('name')} left out; MuJoCo refuses it")
             return True
-        common = {**pose_attributes(shape.placement), "mass": "0", **role}  # a link weighs what its <inertial> says
+        common = {**pose_attributes(shape.placement), "mass": "0", **role}  # the mass comes from <inertial>
         if shape.kind == "mesh":
             parts = self._files_of(shape)
             for file, own_colour in parts:
@@ -90,7 +90,7 @@ class MjcfShapes:
         return True
 
     def _files_of(self, shape: LinkShape) -> list[tuple[Path, tuple[float, ...]]]:
-        """Files that MuJoCo can read for a mesh, and the colours that they bring; without any, a remark says why."""
+        """Files of a mesh that MuJoCo can read, with their colours; a remark if there are none."""
         path = find_mesh(shape.file, self.urdf_path)
         if path is None:
             self.remarks.append(f"mesh {shape.file} left out (not found; set ROS_PACKAGE_PATH, or mend its name)")
@@ -107,11 +107,9 @@ class MjcfShapes:
         return self._parts[path]
 
     def _convert(self, path: Path) -> list[tuple[Path, tuple[float, ...]]]:
-        """Write a mesh file as OBJ files, one for each colour.
+        """Write a mesh file as OBJ files, one for each colour; `ValueError` if it has no triangles.
 
-        Raises:
-            ValueError: There are no triangles in it.
-            Exception: Others, from the readers of mesh files.
+        Other exceptions come from the readers of mesh files.
         """
         stem = f"{path.stem}_{len(self._parts)}"
         parts = []
@@ -124,7 +122,7 @@ class MjcfShapes:
         return parts
 
     def _mesh(self, path: Path, scale: tuple[float, ...]) -> str:
-        """Name of the asset for a mesh file, which is added if it is new."""
+        """Name of the asset of a mesh file, added if it is new."""
         file = os.path.relpath(path, self.folder)
         key = (file, scale)
         if key not in self._meshes:
@@ -136,7 +134,7 @@ class MjcfShapes:
 
 
 def _obj_by_colour(path: Path) -> Iterator[tuple[tuple[float, ...], bytes]]:
-    """Yield the parts of a mesh file that have the same colour, as OBJ."""
+    """Yield the parts of a mesh file by colour, as OBJ."""
     import trimesh
 
     scene: Any = trimesh.load(path, force="scene")
@@ -147,7 +145,7 @@ def _obj_by_colour(path: Path) -> Iterator[tuple[tuple[float, ...], bytes]]:
         if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
             corners = np.asarray(geometry.triangles, dtype=float) @ T_file_part[:3, :3].T + T_file_part[:3, 3]
             if np.linalg.det(T_file_part[:3, :3]) < 0:
-                corners = corners[:, ::-1]  # so that a mirrored part shows its outside again
+                corners = corners[:, ::-1]  # a mirrored part would be inside out
             points.setdefault(_colour(geometry.visual), []).append(corners)
     for colour, triangles in points.items():
         vertices, index = np.unique(np.concatenate(triangles).reshape(-1, 3), axis=0, return_inverse=True)
@@ -170,7 +168,7 @@ def add_surroundings(world: Element, points: FloatArray) -> None:
     Args:
         points: Origins of the links' frames at home, (n, 3) [m].
     """
-    size = round(max(float(np.max(np.abs(points))), 0.1), 3)  # millimetres: more digits would only be rounding
+    size = round(max(float(np.max(np.abs(points))), 0.1), 3)  # millimetres suffice; more digits would be rounding
     low, high = (round(float(end), 3) for end in (np.min(points[:, 2]), np.max(points[:, 2])))
     SubElement(world, "light", name="lamp", pos=numbers((0.0, -size, high + 2 * size)), dir="0 0.4 -1")
     floor = {"type": "plane", "size": numbers((3 * size, 3 * size, size / 10)), "rgba": "0.85 0.87 0.9 1"}
@@ -179,7 +177,7 @@ def add_surroundings(world: Element, points: FloatArray) -> None:
 
 
 def pose_attributes(placement: pin.SE3) -> dict[str, str]:
-    """Return `pos` and `quat` of a pose; each is left out where it is zero."""
+    """Return `pos` and `quat` of a pose, without default values."""
     result = {}
     if np.any(placement.translation):
         result["pos"] = numbers(placement.translation)

@@ -1,7 +1,6 @@
-"""A robot as the chain of joints from its base link to the link of the first target, and the accuracy that remains in
-a format that holds less than the robot.
+"""A robot as the chain of joints from its base link to its first target's link, and the errors of formats.
 
-Controllers know such chains. Fixed joints are folded into the links between the moving ones.
+Controllers compute with such chains. Fixed joints are folded into the links between the moving joints.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText
 from calib.exporting.closed_model import joint_motion, link_of
 from calib.exporting.gap import joint_ranges, poses_near_home
 
-_SOBOL = 12  # so many doublings: 4096 poses show an RMS error to 0.1 %
+_SOBOL = 12  # 2^12 = 4096 poses show an RMS error to 0.1 %
 _WITH_LOOPS = 256
 _SAME_PLACE = 1e-9  # [m], [rad]
 
@@ -49,10 +48,10 @@ def serial_chain(robot: Robot, mechanism: Mechanism) -> SerialChain:
     """Return the chain to the first target of a robot that motors move.
 
     Args:
-        mechanism: Its nominal or its current one.
+        mechanism: Its nominal or its current mechanism.
 
     Raises:
-        InputError: It is no chain of joints with motors.
+        InputError: The robot is no chain of joints with motors.
     """
     description = robot.description
     target = (*mechanism.moved_targets, mechanism.targets[0])[0]
@@ -95,13 +94,13 @@ def _joint_path(urdf: UrdfText, base: str, tip: str) -> list[UrdfJoint]:
 
 @dataclass(frozen=True)
 class Remainder:
-    """Errors that remain in a format.
+    """Errors of the robot in a format, compared with the robot.
 
     Attributes:
         rms, largest: Distance of the target [m].
-        angle: Largest angle between the tip's frames [rad]; NaN where only positions were compared.
-        n_poses: Number of poses looked at.
-        where: Where these lie.
+        angle: Largest angle between the tip's frames [rad]; NaN if only positions were compared.
+        n_poses: Number of poses.
+        where: Region of the poses, in words.
     """
 
     rms: float
@@ -112,12 +111,12 @@ class Remainder:
 
     @classmethod
     def from_distances(cls, distances: FloatArray, where: str, angle: float = np.nan) -> Remainder:
-        """Return the remaining errors, from distances of targets (n_poses, ...) [m]."""
+        """Return the errors from distances of targets (n_poses, ...) [m]."""
         rms, largest = float(np.sqrt(np.mean(distances**2))), float(np.max(distances))
         return cls(rms, largest, angle, len(distances), where)
 
     def text(self) -> str:
-        """Return one clause, in mm and mrad."""
+        """Return a clause on the errors, in mm and mrad."""
         poses = f"in {self.n_poses} poses {self.where}"
         if self.largest < _SAME_PLACE and not self.angle >= _SAME_PLACE:
             angle = "" if np.isnan(self.angle) else f", angles within {self.angle:.1g} rad"
@@ -128,10 +127,10 @@ class Remainder:
 
 
 def judging_poses(robot: Robot) -> tuple[FloatArray, str]:
-    """Return the poses that formats are judged by, (n, n_actuated) [m or rad], and where they lie.
+    """Return the poses for comparing formats, (n, n_actuated) [m or rad], and their region in words.
 
-    They fill the joint ranges evenly (Sobol sequence, no random numbers; every part of it from the first on does). With
-    loops, which do not close everywhere, they stay within a tenth of the ranges around home.
+    They fill the joint ranges evenly (a Sobol sequence, as does every first part of it). With loops, which do not close
+    everywhere, they stay within a tenth of the ranges around home.
     """
     if robot.mechanism.loops:
         return poses_near_home(robot, _WITH_LOOPS), "near home"
@@ -142,12 +141,12 @@ def judging_poses(robot: Robot) -> tuple[FloatArray, str]:
 
 
 def remainder(robot: Robot, chain: SerialChain, forward: Callable[[FloatArray], FloatArray]) -> Remainder:
-    """Compare a format with the robot.
+    """Return the errors of a format, compared with the robot.
 
     Args:
         robot: The robot, with its current values.
-        forward: The poses of the tip in the base that the format has, (n, 4, 4) [m], at values of the chain's joints,
-            (n, n_joints) [m or rad].
+        forward: Function from values of the chain's joints, (n, n_joints) [m or rad], to the format's poses of the tip
+            in the base, (n, 4, 4) [m].
     """
     q, where = judging_poses(robot)
     columns = [robot.joint_names.index(joint.name) for joint in chain.joints]

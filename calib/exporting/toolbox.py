@@ -1,10 +1,9 @@
-"""`robot.yaml`: a file for Pinocchio's toolbox-parallel-robots next to a URDF, and a description for `calib` as well.
+"""`robot.yaml`: a file for Pinocchio's toolbox-parallel-robots beside a URDF, and a robot description for `calib`.
 
-The toolbox reads `closed_loop`, `type` and `name_mot`, and ignores the rest. The rest makes the file a description of
-the calibrated robot, which `calib` can load: its assembled home, the fitted places of base and targets, and the
-parametrisation.
+The toolbox reads `closed_loop`, `type` and `name_mot`, and ignores the rest, which describes the calibrated robot: its
+assembled home, the fitted poses of base and targets, and the parametrisation.
 
-The toolbox holds all three directions of a `3d` closure, also those that `closed_loop_axes` leaves free.
+The toolbox holds all three directions of a `3d` closure, even those that `closed_loop_axes` leaves free.
 """
 
 from __future__ import annotations
@@ -24,12 +23,7 @@ from calib.exporting.gap import loop_gaps
 
 
 def calibrated_description(robot: Robot, urdf_name: str) -> Description:
-    """Return the description for the calibrated URDF, with assembled home and the fitted places of base and targets.
-
-    Args:
-        robot: The robot, with its current values.
-        urdf_name: Name of the URDF in the description.
-    """
+    """Return the description for the calibrated URDF, with assembled home and the fitted poses of base and targets."""
     description, mechanism = robot.description, robot.mechanism
     changes: dict[str, Any] = {"urdf": urdf_name}
     if mechanism.loops:
@@ -59,8 +53,8 @@ def toolbox_yaml(robot: Robot, urdf_name: str, provenance: Sequence[str] = ()) -
 
     Args:
         robot: The robot, with its current values.
-        urdf_name: Name of the URDF that goes beside it (the toolbox expects `robot.urdf`).
-        provenance: Further lines for the comment on the origin of the numbers.
+        urdf_name: Name of the URDF beside it (the toolbox expects `robot.urdf`).
+        provenance: Further lines of the comment on the origin of the numbers.
     """
     description = calibrated_description(robot, urdf_name)
     lines = ["calib: robot description, for Pinocchio's toolbox-parallel-robots as well", *provenance]
@@ -71,7 +65,7 @@ def toolbox_yaml(robot: Robot, urdf_name: str, provenance: Sequence[str] = ()) -
         lines += [f"  {gap.text()}" for gap in gaps]
     content = description.model_dump(mode="json", exclude_defaults=True)
     content = {key: content[key] for key in Description.model_fields if key in content}
-    for key in ("closed_loop", "type"):  # the toolbox wants them in every file
+    for key in ("closed_loop", "type"):  # the toolbox requires both keys
         content.setdefault(key, [])
     header = "".join(f"# {line}\n" for line in lines)
     text = yaml.dump(

@@ -1,18 +1,18 @@
 """Agreement of a fitted robot with a controller: within the digits of a file, and at other poses.
 
-The only noise of printed pairs is rounding, of joint values and of poses: every number is off by a uniform part of its
-last digit. With L_v what these parts do to the whitened rows of pair v, and rows and priors linear,
+The only noise of printed pairs is rounding of joint values and poses: every number has a uniform error within its last
+digit. With L_v the effect of these errors on the whitened rows of pair v, and rows and priors linear,
 
     e_v = L_v w,   w uniform on (-sqrt 3, sqrt 3)      C = (J^T J + P^T P)^-1
-    d = C (J^T e + P^T z)                              error of the parameters, z normal for what priors hold
-    r = e - J d                                        residuals of a robot that the model holds exactly
-    r'_v = (1 - J_v C J_v^T)^-1 r_v                    the same at pair v, predicted by a fit of the others
+    d = C (J^T e + P^T z)                              error of the parameters, z normal for the priors
+    r = e - J d                                        residuals if the model is exact
+    r'_v = (1 - J_v C J_v^T)^-1 r_v                    residuals of pair v, predicted by a fit of the others
 
-Many draws of w are the distribution of sum r^2, sum r'^2 and of errors elsewhere, without approximations of a normal
-noise. Real residuals far above all draws say that the controller computes with something that the model lacks.
+Many draws of w give the distributions of sum r^2, sum r'^2 and of errors elsewhere, without the approximation of normal
+noise. Real residuals far above all draws show that the model lacks something that the controller has.
 
-When it fails. Something that the controller knows and that is smaller than what rounding hides; the claim has an
-allowance for that (`_ALLOWANCE`).
+When it fails. A part of the controller's model that is smaller than rounding stays hidden; the claim has an allowance
+for that (`_ALLOWANCE`).
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
 
 _DRAWS = 600
-_BEYOND = 1.1  # times the largest of all draws, above which residuals are no rounding
-_ALLOWANCE = 1.25  # times the claim, for what rounding may hide
-_POSES = 300  # other poses that the claim is about
+_BEYOND = 1.1  # ratio to the largest draw above which residuals are no rounding
+_ALLOWANCE = 1.25  # factor on the claim, for errors below rounding
+_POSES = 300  # other poses of the claim
 _SURE = 0.99  # part of the draws in which the claim holds
 
 
@@ -41,13 +41,13 @@ class Agreement(ReadOnlyArrays):
     """Agreement of robot and pairs, by the residuals.
 
     Attributes:
-        ratio: Sum of squares over the largest of all draws: at most 1 where rounding explains them.
+        ratio: Sum of squares over the largest of all draws: at most 1 if rounding explains them.
         relative_distances: Distance of each pair from the prediction of the others, over the largest of all draws,
             (n_pairs,).
-        rounding_distance: Distance that rounding moves a printed position, 95 % of the pairs [m].
+        rounding_distance: Distance by which rounding moves a printed position, 95 % of the pairs [m].
         claim: Distance between robot and controller at other poses over the joints' ranges, 95 % of them [m].
         turn_claim: The same for orientations [rad].
-        left_out: Distance from what the others predict, RMS over the pairs [m].
+        left_out: Distance from the prediction of the others, RMS over the pairs [m].
         rms: Distance at the pairs, RMS [m].
     """
 
@@ -66,14 +66,14 @@ class Agreement(ReadOnlyArrays):
 
 
 def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatArray | None = None) -> Agreement:
-    """Compare residuals with rounding.
+    """Return the comparison of residuals with rounding.
 
     Args:
-        fit: To pairs, whose noise is stated as the covariance of rounding.
-        name: Name of the instrument that stands for the controller.
+        fit: Fit to pairs, with the covariance of rounding as noise.
+        name: Name of the instrument for the controller's poses.
         rounding: L before whitening, (n_pairs, 6, k) [m, rad].
         seed: Seed of the draws.
-        more: Further columns by which the whitened rows may move, (6 n_pairs, c); the fit is not repeated.
+        more: Further columns of the whitened rows, (6 n_pairs, c); the fit is not repeated.
     """
     rng = np.random.default_rng(seed)
     whitening, n, k = fit.whitening, len(rounding), rounding.shape[2]
@@ -109,14 +109,14 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
 
 
 def _leave_one_out_residuals(jacobian: FloatArray, C: FloatArray, r: FloatArray) -> FloatArray:
-    """Return r' of the module docstring, (n_draws, n_pairs, 6), of r (n_draws, n_pairs, 6) or (n_draws, 6 n)."""
+    """r' of the module docstring, (n_draws, n_pairs, 6), from r (n_draws, n_pairs, 6) or (n_draws, 6 n_pairs)."""
     blocks = jacobian.reshape(-1, 6, jacobian.shape[1])
     others = linalg.pinv(np.eye(6) - blocks @ C @ blocks.swapaxes(1, 2), rcond=1e-9)
     return np.asarray(np.einsum("vij,dvj->dvi", others, r.reshape(len(r), -1, 6)))
 
 
 def _error_elsewhere(fit: Fit, d: FloatArray) -> tuple[float, float]:
-    """Distance [m] and turn [rad] at 95 % of other poses, in nearly all draws of scaled parameter errors."""
+    """Distance [m] and rotation [rad] at 95 % of other poses, in nearly all draws of scaled parameter errors."""
     robot, index, scales = fit.robot, fit.unknowns.index, fit.unknowns.scales
     rows = linearise(robot, robot.assemble(other_poses(robot)), turns=True).jacobian[:, 0][..., index] * scales
     answers = []
@@ -127,7 +127,7 @@ def _error_elsewhere(fit: Fit, d: FloatArray) -> tuple[float, float]:
 
 
 def other_poses(robot: Robot) -> FloatArray:
-    """Return poses over the joints' ranges, one turn at most, (n, n_joints) [m or rad]."""
+    """Return poses over the joints' ranges, at most one turn, (n, n_joints) [m or rad]."""
     lower, upper = robot.urdf.limits(robot.joint_names)
     middle = np.where(np.isfinite(lower + upper), (lower + upper) / 2, 0.0)
     half = np.minimum(np.where(np.isfinite(upper - lower), (upper - lower) / 2, np.pi), np.pi)

@@ -1,11 +1,11 @@
-"""Base and tool that carry a robot's poses to those that were printed: T_printed = X T_robot(q) Y.
+"""Base and tool that carry a robot's poses to printed poses: T_printed = X T_robot(q) Y.
 
-Rotations first: X and Y maximise the sum of tr(X^T R_i Y^T N_i^T) over the rotations R_i that were printed and N_i of
-the robot. Without the orthogonality this is the first pair of singular vectors of sum R_i (x) N_i (9 x 9); a few
-alternating projections onto rotations follow. Then p_i = X (n_i + N_i t_Y) + t_X is linear in both translations.
+Rotations first: X and Y maximise the sum of tr(X^T R_i Y^T N_i^T) over the printed rotations R_i and the robot's N_i.
+Without orthogonality this is the first pair of singular vectors of sum R_i (x) N_i (9 x 9); a few alternating
+projections onto rotations follow. Then p_i = X (n_i + N_i t_Y) + t_X is linear in both translations.
 
-Rows that are far off in the answer are left out and the rest aligned again: one row of another program does not hide
-what the others say.
+Rows with large misses are left out and the rest is aligned again, so that a row of another program does not spoil the
+result.
 
 When it fails. Fewer than three different rotations; more than a third of the rows wrong.
 """
@@ -21,21 +21,21 @@ from calib.core.numerics import linalg
 from calib.core.numerics.rigid import nearest_rotation
 
 ARM = 0.3
-"""Length of the lever by which a turn counts as a distance [m]."""
+"""Length of the lever by which a rotation counts as a distance [m]."""
 _ROUNDS = 5
-_FAR = 6.0  # times the median miss, beyond which a row is left out
+_FAR = 6.0  # ratio to the median miss above which a row is left out
 _LEAST = 1e-4  # miss that is never left out [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment(ReadOnlyArrays):
-    """Base and tool, and what they leave.
+    """Base and tool, and the misses that remain.
 
     Attributes:
         base: X, (4, 4).
         tool: Y, (4, 4).
-        distances: Distance and, by `ARM`, turn that are left in each row, (n,) [m].
-        kept: Which rows it was made of, (n,).
+        distances: Miss of each row, from distance and rotation by `ARM`, (n,) [m].
+        kept: Mask of the aligned rows, (n,).
     """
 
     base: FloatArray
@@ -45,7 +45,7 @@ class Alignment(ReadOnlyArrays):
 
     @property
     def rms_distance(self) -> float:
-        """Root mean square of the misses of the rows that were kept [m]."""
+        """Root mean square of the misses of the kept rows [m]."""
         return float(np.sqrt(np.mean(self.distances[self.kept] ** 2)))
 
 
@@ -68,8 +68,8 @@ def align(robot: FloatArray, printed: FloatArray) -> Alignment:
 
 
 def turns_apart(robot: FloatArray, printed: FloatArray) -> float:
-    """Return how badly the best X and Y carry rotations N_i to R_i, (n, 3, 3) each, over how far these turn: 0 for
-    exactly, about 1 where they have nothing to do with each other.
+    """Return the misfit of rotations N_i to R_i, (n, 3, 3) each, by the best X and Y, over their spread: 0 for exact
+    agreement, about 1 for unrelated rotations.
     """
     turned = max(1.0 - float(np.sum(np.mean(T, axis=0) ** 2)) / 3.0 for T in (robot, printed))
     missed = 1.0 - float(linalg.singular_values(_product(robot, printed))[0]) / len(robot)
@@ -83,7 +83,7 @@ def _product(N: FloatArray, R: FloatArray) -> FloatArray:
 
 
 def distances(poses: FloatArray, others: FloatArray) -> FloatArray:
-    """Return how far poses are from others (n, 4, 4): distance and, by `ARM`, turn, (n,) [m]."""
+    """Return misses of poses from others (n, 4, 4), from distance and rotation by `ARM`, (n,) [m]."""
     away = np.sum((poses[:, :3, 3] - others[:, :3, 3]) ** 2, axis=1)
     turned = np.sum((poses[:, :3, :3] - others[:, :3, :3]) ** 2, axis=(1, 2)) / 2.0  # 4 sin^2 of half the angle
     return np.asarray(np.sqrt(away + ARM**2 * turned))

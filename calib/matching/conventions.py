@@ -1,4 +1,4 @@
-"""Rotations as makers write them, and the words of their headers: one table, for reading files and for words."""
+"""Manufacturers' forms of rotations, and the words of their headers, for reading files and for messages."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from calib.core.base.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Convention:
-    """One form of rotations.
+    """A form of rotations.
 
     Attributes:
-        form: Its name; three axes as scipy writes them (capitals: moving axes).
+        form: Its name; three axes in scipy's notation (capitals: moving axes).
         width: Numbers of a rotation.
-        makers: Makers that write so.
+        makers: Manufacturers that use it.
     """
 
     form: str
@@ -30,7 +30,7 @@ class Convention:
         return self.width == 3
 
     def rotation(self, numbers: FloatArray) -> scipy.spatial.transform.Rotation:
-        """Return rotations of numbers (n, width), angles in rad."""
+        """Return the rotations of numbers (n, width), angles in rad."""
         of = scipy.spatial.transform.Rotation
         if self.form == "rotation vector":
             return of.from_rotvec(numbers.copy())
@@ -67,4 +67,4 @@ HEADERS = {
     "thetax thetay thetaz": "xyz",
     " ".join(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)): "matrix",
 }
-"""Endings of the names of columns, and the form that they mean; rx ry rz mean one thing here and another there."""
+"""Endings of column names, and the form that they mean; rx ry rz are ambiguous."""

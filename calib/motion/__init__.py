@@ -1,1 +1,1 @@
-"""From a plan to a robot that moves: shapes, surroundings, sight, ways between poses, programs."""
+"""Robots that visit poses without collisions: shapes, surroundings, sight, paths between poses, programs."""

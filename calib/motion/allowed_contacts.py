@@ -1,11 +1,12 @@
-"""Pairs of shapes that are not looked at, as MoveIt's setup assistant leaves them out.
+"""Pairs of shapes that are not checked for collisions, as in MoveIt's setup assistant.
 
-Links that one joint connects, or a loop: their shapes meet there. Links that touch at home, or nearly always, at many
-poses: nobody can tell them apart. Pairs that an SRDF beside the URDF names. Pairs that never touched at many poses
-stay, other than there: they cost microseconds, and what is rare is what breaks a robot.
+- Links that a joint or a loop connects: their shapes meet there.
+- Links that touch at home, or at nearly all of many poses: nearly constant contact is a matter of their shapes.
+- Pairs that an SRDF beside the URDF disables.
 
-Obstacles, and parts of the tool, are excused from nothing but touching always. An obstacle that touches a link that
-moves, wherever it is, is in the wrong place: that is an error.
+Unlike in MoveIt, pairs that never touched at many poses are checked: they cost microseconds, and rare contacts are the
+ones that break robots. Obstacles and parts of the tool are only exempt from constant contact. An obstacle in constant
+contact with a moving link is misplaced, which is an error.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _SHOWN = 6
 
 
 def build_scene(robot: Robot) -> CollisionScene:
-    """Return the scene of a robot, with the pairs that count.
+    """Return the scene of a robot, with the pairs to check.
 
     Raises:
         DescriptionError: A mesh is missing, an SRDF is of another robot, or an obstacle surrounds the robot.
@@ -46,7 +47,7 @@ def build_scene(robot: Robot) -> CollisionScene:
 
 
 def _adjacent(scene: CollisionScene) -> BoolArray:
-    """Pairs of links that a joint or a loop connects, (n_pairs,)."""
+    """Mask of the pairs of links that a joint or a loop connects, (n_pairs,)."""
     robot = scene.robot
     frames = np.array([(scene.bodies[a].joint, scene.bodies[b].joint) for a, b in scene.pairs], dtype=np.intp)
     a, b = frames.reshape(-1, 2).T
@@ -59,7 +60,7 @@ def _adjacent(scene: CollisionScene) -> BoolArray:
 
 
 def _without_permanent_contacts(scene: CollisionScene) -> CollisionScene:
-    """The scene without pairs that touch at home or nearly always."""
+    """The scene without pairs that touch at home or at nearly all poses."""
     if not scene.pairs:
         return scene
     touching = scene.distances(scene.configurations(home_and_more(scene.robot, _SAMPLES, 0))[0])
@@ -82,7 +83,7 @@ def _without_permanent_contacts(scene: CollisionScene) -> CollisionScene:
 
 
 def _require_room(scene: CollisionScene, touching: FloatArray, always: BoolArray) -> None:
-    """Raise `DescriptionError` if an obstacle touches a link, not counting clearance, wherever that is."""
+    """Raise `DescriptionError` if a fixed obstacle always touches a link, not counting clearance."""
     for k in np.flatnonzero(always & (np.max(touching + scene.margins, axis=0) <= 0)):
         for body in (scene.bodies[place] for place in scene.pairs[k]):
             if body.is_described and not is_moved_frame(scene.robot)[body.joint]:
@@ -93,7 +94,7 @@ def _require_room(scene: CollisionScene, touching: FloatArray, always: BoolArray
 
 
 def home_and_more(robot: Robot, count: int, seed: int) -> FloatArray:
-    """Return home, then poses over the joint limits as far as they can be found, (n, n_actuated) [m or rad]."""
+    """Return home, then up to `count` poses over the joint limits, (n, n_actuated) [m or rad]."""
     try:
         return np.vstack([robot.home, robot.sample(count, seed)])
     except DataError:
@@ -117,7 +118,7 @@ def _disabled_pairs(robot: Robot) -> set[frozenset[str]]:
                 f"{path}: is the SRDF of robot '{root.get('name')}', but {robot.urdf.path} is '{robot.urdf.name}'"
             )
         if own or same:
-            pairs.update(named)  # those of links that this part of the robot lacks have no shapes here
+            pairs.update(named)  # links that this part of the robot lacks have no shapes here
     return pairs
 
 

@@ -1,6 +1,6 @@
-"""Approach and retreat of a touch: straight out from what is touched, along its normal.
+"""Approach and retreat of a touch: along the normal of the touched surface.
 
-That is z of a plane's or socket's own axes, and of a sphere the line from its centre. The target is moved along it, as
+The normal is z of a plane's or socket's axes, and of a sphere the line from its centre. The target moves along it, as
 far as the joints allow with the smallest change.
 """
 
@@ -24,9 +24,8 @@ _OFF = 0.05  # distance from contact at which the straight approach begins [m]
 
 
 def approaches(robot: Robot, poses: Poses) -> FloatArray:
-    """Return from where each pose is approached, (n, n_actuated) [m or rad]; the pose itself where nothing is touched.
-
-    NaN where no joint values are there.
+    """Return joint values from which each pose is approached, (n, n_actuated) [m or rad]; the pose itself if it touches
+    nothing; NaN if there are none.
     """
     touches = [touch for touch in robot.instruments if isinstance(touch, Touch) and touch.name in poses.planned]
     if not touches:

@@ -136,7 +136,7 @@ def command(
 
 
 def _start(path: str | None, robot: Robot) -> FloatArray | None:
-    """Joint values from a file with one row, (n_actuated,) [m or rad]."""
+    """Joint values from a file with one row, (n_actuated,) [m or rad]; None without a file."""
     if path is None:
         return None
     poses = read_poses(path, robot)

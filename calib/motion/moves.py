@@ -1,13 +1,14 @@
-"""Straight moves of the joints, checked so that nothing is missed between the points that are looked at.
+"""Straight moves of the joints, checked so that no collision between checked points is missed.
 
-A move is cut in halves. In the middle of a piece every pair is at some distance; the joints move it nearer by at most
-R |dq| on the way to the ends of the piece (`calib.motion.scene`). A pair that is farther apart than that is proven free
-on the whole piece, and is not looked at again there; a piece on which some are not is cut once more. Half of a pair's
-clearance is for what is between: the points that are looked at keep all of it, and every point half.
+A move is cut in halves. In the middle of a piece every pair has a distance; the joints bring it nearer by at most R
+|dq| on the way to the ends of the piece (`calib.motion.scene`). A pair with a larger distance is proven free on the
+whole piece, and is not checked again there; a piece with unproven pairs is cut again. Half of a pair's clearance is
+reserved
+for points between: checked points keep all of it, and every point half.
 
-Passive joints of closed loops do not move straight. How far they move from the middle of a piece to its ends is known
-at these three points; twice the larger counts, and pieces are short from the start. That is a bound for ways that bend
-little between such points, no proof; loops that do not close at a point end the move there.
+Passive joints of closed loops do not move straight. Their motion from the middle of a piece to its ends is known at
+these three points; twice the larger is used as bound, and the first pieces are short. This is a bound for slightly bent
+paths between such points, no proof; loops that do not close at a point block the move.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ _BENDS = 2.0
 
 @dataclass(frozen=True)
 class StraightMove:
-    """Verdict on a straight move.
+    """Result of the check of a straight move.
 
     Attributes:
-        hit: The pair that hits first in order of looking, or "".
-        clearance: Smallest distance of any pair at the points looked at [m]; at least that, of meshes far apart.
-        tightest: That pair.
+        hit: The first colliding pair in the order of checking, or "".
+        clearance: Smallest distance of any pair at the checked points [m]; a lower bound for meshes far apart.
+        tightest: Name of that pair.
     """
 
     hit: str
@@ -70,7 +71,7 @@ def check_move(scene: CollisionScene, start: FloatArray, end: FloatArray) -> Str
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Pieces of a move: where each begins and ends, 0 to 1; all joints there; pairs that may hit on it."""
+    """Pieces of a move: first and last part of the way, 0 to 1; all joints there; pairs that may hit on each piece."""
 
     first: FloatArray
     last: FloatArray
@@ -83,7 +84,7 @@ class _Pieces:
 
     @property
     def middle(self) -> FloatArray:
-        """The middle of each, (n,)."""
+        """Middle of each piece, (n,)."""
         result: FloatArray = (self.first + self.last) / 2
         return result
 
@@ -94,7 +95,7 @@ class _Pieces:
         return np.where(passive, _BENDS, 1.0) * moved
 
     def halve(self, middles: FloatArray, unproven: BoolArray) -> _Pieces:
-        """Return the halves of those on which something is not proven."""
+        """Return the halves of the pieces with unproven pairs."""
         open_ = np.any(unproven, axis=1)
         middle, at_middle = self.middle[open_], middles[open_]
         return _Pieces(

@@ -16,7 +16,7 @@ from ompl import base, geometric, util
 
 from calib.core.base.arrays import FloatArray
 
-_STEP = 1.0  # largest step of a joint from one point of OMPL's trees to the next [m or rad]
+_STEP = 1.0  # largest step of a joint between neighbours in OMPL's trees [m or rad]
 _SEED = 57
 
 util.noOutputHandler()
@@ -25,12 +25,12 @@ util.RNG.setSeed(_SEED)
 
 @atexit.register
 def _let_go() -> None:
-    """Release all objects of OMPL at exit: otherwise its bindings write a page about them to standard error."""
+    """Release all objects of OMPL at exit; otherwise its bindings write a page about them to standard error."""
     for name in [name for name in sys.modules if name == "ompl" or name.startswith("ompl.")]:
         vars(sys.modules.pop(name)).clear()
     for name in ("ProvenMotions", "base", "geometric", "util"):
         globals().pop(name, None)
-    gc.unfreeze()  # the program freezes all that is there, maybe before this: frozen objects are not collected
+    gc.unfreeze()  # the program may have frozen these objects, and frozen objects are not collected
     gc.collect()
 
 

@@ -1,10 +1,10 @@
-"""A way around what blocks a straight move: along free poses that are known, or found by OMPL; then shortened.
+"""A path around the obstacles of a straight move: along known free poses, or found by OMPL; then shortened.
 
-All stops and further free poses are the nodes of a roadmap, each with moves to those near it. The shortest way on it is
-checked move by move; a move that hits is taken out for good, until a way is free or none is left. What was checked for
-one stop serves the next. Where the map ends, OMPL's RRT-Connect searches from the nearest node that free moves reach.
-It asks whether a point is free, and whether a straight move is (`calib.motion.moves`), and never sees shapes. The way
-is shortened by leaving out corners while the move past them is free.
+All stops and further free poses are the nodes of a roadmap, each with moves to its neighbours. The shortest path on it
+is checked move by move; a blocked move is removed for good, until a path is free or none is left. Checked moves serve
+all stops. Where the roadmap ends, OMPL's RRT-Connect searches from the nearest node that free moves reach. It only
+checks points and straight moves (`calib.motion.moves`), and never sees shapes. The path is shortened by leaving out
+corners while the move past them is free.
 
 Reference: bohlin2000; kuffner2000; sucan2012.
 """
@@ -23,25 +23,25 @@ from calib.core.base.version import DISTRIBUTION
 from calib.motion.moves import StraightMove, check_move
 from calib.motion.scene import CollisionScene
 
-_MOST_CHECKS = 150  # times that OMPL may ask for a move
+_MOST_CHECKS = 150  # largest number of moves that OMPL may check
 _SHORTCUTS = 20
 _NEAREST = 25  # moves of each node of the roadmap
-_TRIED = 100  # ways on it that are checked
-_SAME = 1e-9  # length of a move between nodes that are the same
-_KNOWN = 0.7  # length of a move that is known to be free, of its own: ways that are known are cheap
+_TRIED = 100  # largest number of paths to check
+_SAME = 1e-9  # length of a move between equal nodes
+_KNOWN = 0.7  # factor on the length of a move known to be free, so that known paths are preferred
 
 
 @dataclass(eq=False)
 class Planner:
-    """Finds ways in a scene.
+    """Finds paths in a scene.
 
     Attributes:
         scene: The scene.
-        nodes: Free poses of the roadmap, all different; ways are between two of them, (n, n_actuated) [m or rad].
+        nodes: Free poses of the roadmap, all different, (n, n_actuated) [m or rad].
         limits: Limits of the joints, (n_actuated, 2) [m or rad].
         seed: Seed of random numbers.
-        checked_moves: Moves that were checked, by their ends.
-        here: The node at which the robot is.
+        checked_moves: Checked moves by their ends.
+        here: The robot's present node.
     """
 
     scene: CollisionScene
@@ -52,7 +52,7 @@ class Planner:
     here: int = 0
 
     def __post_init__(self) -> None:
-        """Find the moves of the roadmap: their lengths (n, n), 0 where there is none; and which are proven free."""
+        """Compute the lengths of the roadmap's moves, (n, n), 0 for none, and mark those known to be free."""
         n, width = len(self.nodes), np.maximum(np.ptp(self.limits, axis=1), 1e-9)
         self._scaled = self.nodes / np.where(np.isfinite(width), width, 2 * np.pi)
         gaps = np.max(np.abs(self._scaled[:, None] - self._scaled[None]), axis=2)
@@ -73,18 +73,18 @@ class Planner:
         return first
 
     def move(self, start: FloatArray, end: FloatArray) -> StraightMove:
-        """Return what the straight move between two commands, (n_actuated,) each, is worth, both ways alike."""
+        """Return the check of the straight move between two commands, (n_actuated,) each, in either direction."""
         key = b"".join(sorted((start.tobytes(), end.tobytes())))
         if key not in self.checked_moves:
             self.checked_moves[key] = check_move(self.scene, start, end)
         return self.checked_moves[key]
 
     def free_path(self, start: int, end: int, *, searched: bool = True) -> FloatArray | None:
-        """Return the corners of a free way between two nodes, both included, (n, n_actuated); None: none found.
+        """Return the corners of a free path between two nodes, including both, (n, n_actuated); None: none found.
 
         Args:
-            start, end: Numbers of the nodes.
-            searched: Whether OMPL searches where the roadmap ends, which takes long.
+            start, end: Indices of the nodes.
+            searched: Whether OMPL searches where the roadmap ends, which is slow.
 
         Raises:
             InputError: OMPL is needed, and not installed.
@@ -97,7 +97,7 @@ class Planner:
         return None if found is None else self._shorten(found)
 
     def _is_free(self, a: int, b: int) -> bool:
-        """Whether the move between two nodes is; the roadmap remembers it."""
+        """Whether the move between two nodes is free; the roadmap keeps the answer."""
         free = not self.move(self.nodes[a], self.nodes[b]).hit
         self._mark(a, b, free=free)
         return free
@@ -108,7 +108,7 @@ class Planner:
         self._lengths[a, b] = self._lengths[b, a] = _KNOWN * length if free else 0.0
 
     def _roadmap_path(self, start: int, end: int) -> FloatArray | None:
-        """The shortest way along the nodes whose moves are free."""
+        """The shortest path along the nodes whose moves are free."""
         for _ in range(_TRIED):
             length, before = scipy.sparse.csgraph.dijkstra(self._lengths, indices=start, return_predecessors=True)
             if not np.isfinite(length[end]):
@@ -144,7 +144,7 @@ class Planner:
         return None if found is None or before is None else np.vstack([before[:-1], found])
 
     def _shorten(self, corners: FloatArray) -> FloatArray:
-        """A way with fewer corners, and shorter ones."""
+        """A shorter path with fewer corners."""
         generator = np.random.default_rng(self.seed)
         corners = self._straighten(corners)
         for _ in range(_SHORTCUTS if len(corners) > 2 else 0):
@@ -154,7 +154,7 @@ class Planner:
         return corners
 
     def _straighten(self, corners: FloatArray) -> FloatArray:
-        """The way without the corners that it can pass by, from the farthest on."""
+        """The path without avoidable corners, skipping as many as possible at a time."""
         kept = [0]
         while kept[-1] < len(corners) - 1:
             here = kept[-1]
@@ -163,7 +163,7 @@ class Planner:
         return corners[kept]
 
     def _cut_corner(self, corners: FloatArray, generator: np.random.Generator) -> FloatArray | None:
-        """The way past a corner, from somewhere before it to somewhere behind; None where that is blocked."""
+        """The path with a corner cut off at random points before and behind it; None if that is blocked."""
         if len(corners) < 3:
             return None
         k = int(generator.integers(1, len(corners) - 1))

@@ -1,4 +1,4 @@
-"""Poses free of collisions, and pairs that hit: for planning and pages (`check_poses`)."""
+"""Poses free of collisions, and colliding pairs, for planning and pages (`check_poses`)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from calib.motion.allowed_contacts import build_scene, home_and_more
 from calib.motion.shapes import has_collision_shapes, missing_meshes
 from calib.motion.sight import Sight, build_sight
 
-_SAMPLES = 100  # poses that show what hides a line always
+_SAMPLES = 100  # poses from which shapes that always hide a line are found
 
 
 def why_unchecked(robot: Robot) -> str:
-    """Return why nothing is checked; "" if the robot file has collision shapes, or the description asks for a check."""
+    """Return the reason why nothing is checked; "" if the robot has collision shapes or the description needs it."""
     description = robot.description
     if description.obstacles == UNCHECKED:
         return f"the description says 'obstacles: {UNCHECKED}'"
@@ -38,7 +38,7 @@ def why_unchecked(robot: Robot) -> str:
 
 @memoize
 def surroundings(robot: Robot) -> Sight:
-    """Return the scene of a robot with its lines of sight, requested or not.
+    """Return the scene of a robot with its lines of sight.
 
     Raises:
         DescriptionError: A mesh is missing, an SRDF is of another robot, or an obstacle surrounds the robot.
@@ -51,7 +51,7 @@ def surroundings(robot: Robot) -> Sight:
 
 
 def what_hits(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
-    """Return the pair that hits, or the shape that hides a target, at commands (n, n_actuated) [m or rad], (n,); or "".
+    """Return the colliding pair, or the hiding shape, at commands (n, n_actuated) [m or rad], (n,); "" for none.
 
     Raises:
         DescriptionError: See `surroundings`.

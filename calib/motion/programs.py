@@ -1,8 +1,8 @@
-"""A route as a program for the robot's controller: moves by joint values, at every stop a dwell and a digital output.
+"""A route as a program for the robot's controller: moves by joint values, with a dwell and a digital output at stops.
 
-Every program asks first, before anything moves: the robot must stand where the route starts. A stop is a move that ends
-at rest, a comment with its pose name and clearance, a dwell for the arm to settle, an output that is on while the
-instrument reads. Corners of ways around are moves without a stop. Numbers are written with digits enough for 1e-7 rad.
+Every program first asks the operator whether the robot stands at the start of the route. A stop is a move that ends at
+rest, a comment with its pose name and clearance, a dwell for the arm to settle, and an output that is on while the
+instrument reads. Corners of paths are moves without a stop. Numbers have enough digits for 1e-7 rad.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from calib.motion.route import Route, Stop
 _DEGREES = PER_SI["angle"]["deg"]
 _ROBOT_AXES = 6
 THIRD_JOINT = ("j3", "j2+j3")
-"""The third joint of a robot file on a FANUC controller, which counts J3 from the horizontal."""
+"""Meanings of the third joint of a robot file on a FANUC controller, which counts J3 from the horizontal."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class Motion:
 
     Attributes:
         name: Name of the program; letters, digits and underscores.
-        speed: Part of the speed that the controller allows, 0 to 1.
-        joint_speed: Speed of the joint that moves fastest, where the program states it [rad/s or m/s].
-        dwell: At each stop before the instrument reads [s].
-        reading: Time that the output is on [s].
-        output: Number of the digital output; None: none is switched.
-        third_joint: One of `THIRD_JOINT`, for FANUC.
+        speed: Fraction of the speed that the controller allows, 0 to 1.
+        joint_speed: Speed of the fastest joint, if the program states it [rad/s or m/s].
+        dwell: Time at each stop before the instrument reads [s].
+        reading: Time with the output on [s].
+        output: Number of the digital output, or None.
+        third_joint: Member of `THIRD_JOINT`, for FANUC.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Language:
     Attributes:
         suffix: Suffix of its files.
         write: Writes a route.
-        six_axes: Whether its joint moves have places for six turning joints alone.
+        six_axes: Whether its joint moves are only for six revolute joints.
     """
 
     suffix: str
@@ -68,16 +68,16 @@ class Language:
 
 @dataclass(frozen=True)
 class _Words:
-    """The words of a controller's language for the steps of a route.
+    """Text templates of a controller's language for the steps of a route.
 
     Attributes:
-        begin, end: Lines before and behind the stops, with {name}, {question} and {percent}.
-        move: With {joints}; {k}, which move it is, from 1; {speed} [rad/s], {along} [mm/s] or {percent}.
-        joint: Text of one joint, with {k}, from 1, and {value}.
+        begin, end: Lines before and after the stops, with {name}, {question} and {percent}.
+        move: With {joints}; {k}, the number of the move, from 1; {speed} [rad/s], {along} [mm/s] or {percent}.
+        joint: Text of a joint, with {k}, from 1, and {value}.
         remark: A comment.
         wait: With a time [s].
         output: With the number of an output, and its value.
-        states: An output on, and off.
+        states: Values of an output on and off.
         scale: One radian in joint values.
     """
 
@@ -92,7 +92,7 @@ class _Words:
     scale: float = _DEGREES
 
     def joints(self, values: FloatArray) -> str:
-        """Return joint values (n,) [rad] as they stand in a move."""
+        """Return joint values (n,) [rad] as text of a move."""
         return ", ".join(self.joint.format(k=k, value=v + 0.0) for k, v in enumerate(self.scale * values, 1))
 
     def text(self, route: Route, motion: Motion) -> str:
@@ -100,7 +100,7 @@ class _Words:
         return "\n".join(self.lines(route, motion, _question(route))) + "\n"
 
     def lines(self, route: Route, motion: Motion, question: str) -> list[str]:
-        """Return the lines of a program that asks a question before anything moves."""
+        """Return the lines of a program, with a question before the first move."""
         along = max(10, round(100 * motion.speed) * 10) if motion.speed < 1 else 1000
         given = {"name": motion.name, "question": question, "speed": motion.joint_speed, "along": along}
         given |= {"percent": max(1, round(100 * motion.speed))}
@@ -135,11 +135,9 @@ def write_program(route: Route, language: str, motion: Motion) -> str:
 
 
 def _question(route: Route, start: FloatArray | None = None) -> str:
-    """Question to the operator before anything moves, in letters that every controller shows.
+    """Question to the operator before the first move, in letters that every controller shows.
 
-    Args:
-        route: The route.
-        start: Its start as the controller counts joints, if not as the robot file does [rad].
+    `start` are the route's first joint values as the controller counts them, if different [rad].
     """
     values = ", ".join(f"{value:.1f}" for value in _DEGREES * (route.start if start is None else start))
     return (
@@ -207,7 +205,7 @@ _FANUC = _Words(
 
 
 def _fanuc(route: Route, motion: Motion) -> str:
-    """Lines with numbers, and the positions that they go to behind all of them."""
+    """Numbered lines, then the positions of all moves."""
     coupled = (np.arange(len(route.start)) == 2) * (motion.third_joint == THIRD_JOINT[1])
 
     def counted(joints: FloatArray) -> FloatArray:
@@ -225,7 +223,7 @@ def _fanuc(route: Route, motion: Motion) -> str:
 
 
 def _ros2(route: Route, motion: Motion) -> str:
-    """A `trajectory_msgs/JointTrajectory`: each stop held for dwell and reading; `stops` says which times they are."""
+    """A `trajectory_msgs/JointTrajectory` that rests at each stop for dwell and reading; `stops` has these times."""
     points, stops, time = [{"positions": route.start.tolist(), "time_from_start": _duration(0.0)}], [], 0.0
     here = route.start
     for stop in route.stops:
@@ -244,7 +242,7 @@ def _ros2(route: Route, motion: Motion) -> str:
         time += motion.dwell + motion.reading
         points.append({"positions": here.tolist(), "time_from_start": _duration(time)})
     zero = [0.0] * len(route.robot.joint_names)
-    for point in points:  # at rest at every point, so that a controller that blends by splines goes straight
+    for point in points:  # at rest at every point, so that a controller with splines moves straight
         point |= {"velocities": zero, "accelerations": zero}
     content = {
         "confirm": _question(route),
@@ -261,7 +259,7 @@ def _duration(seconds: float) -> dict[str, int]:
 
 
 def _csv(route: Route, motion: Motion) -> str:
-    """Every point in order; corners of ways around are `via` points, without a dwell."""
+    """Every point in order; corners of paths are `via` points without a dwell."""
     rows = [
         (stop.name if k == len(stop.corners) else f"{stop.name} via {k + 1}", q, k == len(stop.corners))
         for stop in route.stops
@@ -273,7 +271,7 @@ def _csv(route: Route, motion: Motion) -> str:
 
 
 def table_to_fill_in(route: Route) -> str:
-    """Return the stops as a table, with empty columns for what the instruments read there."""
+    """Return the stops as a table, with empty columns for the readings of the instruments."""
     columns = pose_columns(route.robot, [stop.name for stop in route.stops], route.joints)
     for instrument in route.robot.instruments:
         numbers = [header(column.name, column.dimension) for column in instrument.columns()]

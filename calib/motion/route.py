@@ -1,8 +1,8 @@
-"""The route: the order in which a robot visits poses, free ways between them, and poses that it cannot visit.
+"""The route: the order of poses, free paths between them, and poses that cannot be visited.
 
 Order of work. Poses that are not free, or outside the joint limits, are left out. The others are put in an order of
-little travel, and ways are found one after the other. What is touched is approached, and left, along its normal. Poses
-that no way reaches are left out by name, and replaced by the next best of the candidates, which are visited at the end.
+little travel, and paths are found one after the other. A touch is approached and left along its normal. Poses without a
+path are left out by name, and replaced by the next best candidates, which are visited at the end.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from calib.motion.poses import surroundings, what_hits
 from calib.motion.scene import CollisionScene
 
 _NODES = 150  # poses of the roadmap in addition to the stops
-_ROUNDS = 4  # in which the next best are tried
-_TURNS = 3  # tried variants of a pose with joints turned all the way round
+_ROUNDS = 4  # rounds of tries with the next best candidates
+_TURNS = 3  # tried variants of a pose with joints turned by whole turns
 _ROUND = 1e-9  # rounding of limits, in turns
 _NO_WAY = "no free way leads there"
 
 
 @dataclass(frozen=True, eq=False)
 class Stop(ReadOnlyArrays):
-    """A pose that is visited.
+    """A visited pose.
 
     Attributes:
         name: Name of the pose.
         joints: (n_actuated,) [m or rad].
-        corners: Corners of the way from the stop before, without both ends, (n, n_actuated).
+        corners: Corners of the path from the stop before, without both ends, (n, n_actuated) [m or rad].
         clearance: Smallest distance of any pair at the stop [m].
         pair: Name of that pair.
-        poses_passed: Smallest distance on the way there [m].
+        poses_passed: Smallest distance on the path [m].
     """
 
     name: str
@@ -55,15 +55,15 @@ class Stop(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """Stops in order, from where the robot stands.
+    """Stops in order, from the robot's start.
 
     Attributes:
         robot: The robot.
         start: Its first joint values, (n_actuated,) [m or rad].
         stops: The stops.
-        left_out: Names of poses that are not visited, and why.
-        replaced: Names of those that stand in for them.
-        remarks: Notes on shapes that were not checked.
+        left_out: Reason for each pose that is not visited, by name.
+        replaced: Names of the candidates that replace them.
+        remarks: Notes on unchecked shapes.
     """
 
     robot: Robot
@@ -97,15 +97,15 @@ def plan_route(
     Args:
         robot: The robot at its present values.
         poses: Poses to measure.
-        start: Its first joint values, (n_actuated,) [m or rad]; home if not given.
-        candidates: Poses that may stand in for those that cannot be visited.
-        seed: Seed of everything random.
-        progress: Called with how many poses were tried.
+        start: Its first joint values, (n_actuated,) [m or rad]; default: home.
+        candidates: Poses that may replace poses that cannot be visited.
+        seed: Seed of all random numbers.
+        progress: Called with the number of tried poses.
 
     Raises:
-        InputError: The robot collides where it stands.
+        InputError: The robot collides at the start.
         ComputationError: None of the poses can be visited.
-        DescriptionError: The scene cannot be; see `calib.motion.poses.surroundings`.
+        DescriptionError: The scene cannot be built; see `calib.motion.poses.surroundings`.
     """
     start = np.array(robot.home if start is None else start)
     scene = surroundings(robot).scene
@@ -131,7 +131,7 @@ def plan_route(
 
 
 def _why_blocked(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
-    """Why poses cannot be visited, "" where they may be."""
+    """Reasons why poses cannot be visited, "" for none."""
     low, high = robot.joint_limits.T
     outside = np.any((joints < low - 1e-9) | (joints > high + 1e-9), axis=1)
     hits = what_hits(robot, joints)
@@ -139,7 +139,7 @@ def _why_blocked(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
 
 
 def _more_free_poses(robot: Robot, scene: CollisionScene, seed: int) -> FloatArray:
-    """Further free poses, turned round to be near home, (n, n_actuated)."""
+    """Further free poses, with whole turns of joints towards home, (n, n_actuated)."""
     try:
         q = robot.sample(_NODES, seed)
     except DataError:
@@ -153,9 +153,9 @@ def _more_free_poses(robot: Robot, scene: CollisionScene, seed: int) -> FloatArr
 def _visit(
     planner: Planner, start: FloatArray, poses: Poses, progress: Progress | None
 ) -> tuple[list[Stop], dict[str, str]]:
-    """Stops in order, and why the other poses are not visited, by name.
+    """Stops in order, and the reasons of the unvisited poses by name.
 
-    A pose that no known way reaches is tried with joints turned all the way round, and then searched for.
+    A pose without a known path is tried with whole turns of joints, and then searched for.
     """
     stops: list[Stop] = []
     why = list(_why_blocked(planner.scene.robot, poses.joints))
@@ -177,9 +177,9 @@ def _visit(
 
 
 def _turned_by_full_turns(robot: Robot, start: FloatArray, joints: FloatArray) -> list[FloatArray]:
-    """The same poses with joints turned whole turns, those nearest to the start first, (n, n_actuated) each; else NaN.
+    """The same poses with whole turns of joints, nearest to the start first, (n, n_actuated) each; NaN beyond limits.
 
-    Every joint as near as it can be, or all but one of them.
+    Every joint is as near as possible, or all but one.
     """
     turning = np.array([robot.mechanism.dimensions[name] != "length" for name in robot.joint_names])
     least, most = ((robot.joint_limits[:, end] - joints) / (2 * np.pi) for end in (0, 1))
@@ -198,7 +198,7 @@ def _turned_by_full_turns(robot: Robot, start: FloatArray, joints: FloatArray) -
 
 
 def _pass(planner: Planner, start: FloatArray, poses: Poses, searched: bool) -> tuple[list[Stop], dict[str, str]]:
-    """Stops of one pass through free poses, and why the others were not reached, by name."""
+    """Stops of one pass through free poses, and the reasons of the other poses by name."""
     from_where = approaches(planner.scene.robot, poses)
     why = {
         poses.names[k]: _why_not_straight(planner, from_where[k], poses.joints[k])
@@ -220,7 +220,7 @@ def _pass(planner: Planner, start: FloatArray, poses: Poses, searched: bool) -> 
 
 
 def _why_not_straight(planner: Planner, approach: FloatArray, touching: FloatArray) -> str:
-    """Why a touch cannot be approached along its normal; "" where it can."""
+    """Reason why a touch cannot be approached along its normal; "" for none."""
     if not np.all(np.isfinite(approach)):
         return "no joint values are straight out from what it touches"
     hit = _why_blocked(planner.scene.robot, approach[None])[0] or planner.move(approach, touching).hit
@@ -228,7 +228,7 @@ def _why_not_straight(planner: Planner, approach: FloatArray, touching: FloatArr
 
 
 def _stop(planner: Planner, name: str, points: FloatArray) -> Stop:
-    """The stop at the end of a way, (n, n_actuated), from the stop before on; a point may come twice."""
+    """The stop at the end of a path (n, n_actuated) from the stop before; points may repeat."""
     scene, way = planner.scene, points[np.append(True, np.any(np.diff(points, axis=0) != 0, axis=1))]
     apart = scene.distances(scene.configurations(points[-1:])[0])[0] + scene.margins
     nearest = int(np.argmin(apart)) if apart.size else -1
@@ -238,7 +238,7 @@ def _stop(planner: Planner, name: str, points: FloatArray) -> Stop:
 
 
 def _next_best(robot: Robot, candidates: Poses, tried: set[str], stops: Sequence[Stop], count: int) -> Poses:
-    """The candidates that add most to the stops, by O1, of those that are free and were not tried."""
+    """The candidates that add most to the stops by O1, among free and untried ones."""
     hits = _why_blocked(robot, candidates.joints)
     usable = [k for k, name in enumerate(candidates.names) if name not in tried and not hits[k]]
     rest = candidates.subset(np.array(usable, dtype=np.intp))

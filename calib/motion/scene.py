@@ -1,14 +1,15 @@
-"""The scene: all shapes of a robot and its surroundings, the pairs of them that may touch, and their distances.
+"""The scene: all shapes of a robot and its surroundings, the pairs to check, and their distances.
 
-Distances are computed by coal with Pinocchio's `GeometryModel`, less the clearance of a pair: below zero, it touches.
+coal computes distances with Pinocchio's `GeometryModel`. The clearance of a pair is subtracted: below zero, it
+collides.
 
 How much nearer can a pair come while joints move? Joint j, between the links of shapes a and b, turns one of them about
 its axis. No point of this shape is farther from the axis than
 
-    R_j = sum of the lengths of the origins that follow (and of slides) + radius of the shape about its link
+    R_j = sum of the lengths of the following origins (and of slides) + radius of the shape about its link
 
-so the distance changes by at most sum_j R_j |dq_j|, with R_j = 1 where j slides. This bound holds for any path between
-two configurations on which each joint j moves by at most |dq_j|. `calib.motion.moves` proves by it that moves are free.
+so the distance changes by at most sum_j R_j |dq_j|, with R_j = 1 for a sliding joint. This bound holds for any path
+between two configurations on which each joint j moves by at most |dq_j|. `calib.motion.moves` proves moves free by it.
 
 Reference: schwarzer2005.
 """
@@ -30,7 +31,7 @@ from calib.motion.shapes import Body, bodies_of, is_inside
 
 Pairs = tuple[tuple[int, int], ...]
 _ROUGH = 0.005
-"""Distance of hulls, less the clearance, below which the distance of the triangles is computed [m]."""
+"""Distance of hulls minus clearance below which the distance of the triangles is computed [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +42,7 @@ class CollisionScene:
         robot: The robot.
         bodies: The shapes.
         pairs: Indices of the two shapes of each pair.
-        remarks: Notes on the shapes of links, and on pairs that are left out.
+        remarks: Notes on the shapes of links, and on unchecked pairs.
     """
 
     robot: Robot
@@ -50,7 +51,7 @@ class CollisionScene:
     remarks: tuple[str, ...] = ()
 
     def with_pairs(self, pairs: Pairs, *remarks: str) -> CollisionScene:
-        """Return the scene with these pairs."""
+        """Return the scene with these pairs and further remarks."""
         return replace(self, pairs=pairs, remarks=self.remarks + remarks)
 
     def name(self, pair: int) -> str:
@@ -68,7 +69,7 @@ class CollisionScene:
             geometry.addCollisionPair(pin.CollisionPair(a, b))
         data = pin.GeometryData(geometry)
         for request, rough in zip(data.distanceRequests, self._is_rough, strict=True):
-            request.enable_signed_distance = not rough  # the depth of hulls in each other does not matter
+            request.enable_signed_distance = not rough  # penetration depth is irrelevant for hulls of meshes
         return geometry, data, self.robot.mechanism.model.createData()
 
     @cached_property
@@ -82,7 +83,7 @@ class CollisionScene:
         return np.array([any(self.bodies[k].mesh is not None for k in pair) for pair in self.pairs], dtype=bool)
 
     def configurations(self, q: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return all joints (n, n_joints) [m or rad] at commands q (n, n_actuated), and whether their loops close.
+        """Return all joints (n, n_joints) [m or rad] at commands q (n, n_actuated), and the mask of closed loops (n,).
 
         Loops near a singularity count as open.
         """
@@ -101,14 +102,14 @@ class CollisionScene:
     def distances(
         self, joints: FloatArray, counted_pairs: BoolArray | None = None, *, thorough: bool = True
     ) -> FloatArray:
-        """Return the distance of each pair, less its clearance, (n, n_pairs) [m].
+        """Return the distance of each pair minus its clearance, (n, n_pairs) [m].
 
-        For meshes more than a few millimetres apart it is the distance of their hulls, which is never larger.
+        For meshes more than a few millimetres apart it is the distance of their hulls, a lower bound.
 
         Args:
             joints: Configurations, (n, n_joints) [m or rad].
-            counted_pairs: Pairs that count in each configuration, (n, n_pairs); others are infinitely far. None: all.
-            thorough: Whether to find a mesh inside another one; no path from outside leads there without contact.
+            counted_pairs: Mask of pairs in each configuration, (n, n_pairs); others are infinitely far. None: all.
+            thorough: Whether to find a mesh inside another mesh; no path from outside leads there without contact.
         """
         geometry, data, workspace = self.workspace
         result = np.full((len(joints), len(self.pairs)), np.inf)
@@ -127,12 +128,12 @@ class CollisionScene:
         return result if counted_pairs is None else np.where(counted_pairs, result, np.inf)
 
     def _exact(self, pair: int, of_hulls: float, placed: Any, thorough: bool) -> float:
-        """Distance of the triangles of a pair, less its clearance [m]."""
+        """Distance of the triangles of a pair minus its clearance [m]."""
         a, b = self.pairs[pair]
         one, other = self.bodies[a], self.bodies[b]
         shapes = [body.hull if body.mesh is None else body.mesh for body in (one, other)]
         if any(isinstance(body.hull, coal.Halfspace) for body in (one, other)):
-            return of_hulls  # a plane touches a hull where it touches the shape in it
+            return of_hulls  # a plane touches a hull at a point of its shape
         T = [coal.Transform3s(placed[k].rotation, placed[k].translation) for k in (a, b)]
         margin = float(self.margins[pair])
         apart = coal.distance(shapes[0], T[0], shapes[1], T[1], coal.DistanceRequest(), coal.DistanceResult())
@@ -148,8 +149,7 @@ class CollisionScene:
     def reach(self, slides: FloatArray) -> FloatArray:
         """Return R of the module docstring, (n_pairs, n_joints) [m, or 1].
 
-        Args:
-            slides: Largest value of each prismatic joint, (n_joints,) [m]; entries of other joints are not used.
+        `slides` are the largest values of prismatic joints, (n_joints,) [m]; other entries are unused.
         """
         support, pairs = self.robot.mechanism.support, np.array(self.pairs, dtype=np.intp).reshape(-1, 2)
         lengths = self._lengths + np.where(self._slides, slides, 0.0)
@@ -168,11 +168,11 @@ class CollisionScene:
 
     @cached_property
     def _slides(self) -> BoolArray:
-        """Mask of the joints that slide, (n_joints,)."""
+        """Mask of the sliding joints, (n_joints,)."""
         return np.linalg.norm(self.robot.mechanism.axes[:, :3], axis=1) > 0.5
 
     def hits(self, q: FloatArray) -> tuple[str, ...]:
-        """Return the name of the pair that touches most at commands q (n, n_actuated), (n,); "" where none touches."""
+        """Return the name of the pair with the deepest collision at commands q (n, n_actuated), (n,); "" for none."""
         joints, ok = self.configurations(q)
         found = np.full(len(q), "", dtype=object)
         found[~ok] = "loops that do not close"
@@ -199,7 +199,7 @@ def moving_between(robot: Robot, a: IntArray, b: IntArray) -> IntArray:
 
 
 def all_shapes(robot: Robot) -> CollisionScene:
-    """Return all shapes of a robot, with every pair whose shapes move relative to each other.
+    """Return all shapes of a robot, with every pair of shapes that can move relative to each other.
 
     Raises:
         DescriptionError: See `calib.motion.shapes.bodies_of`.

@@ -1,12 +1,12 @@
 """Shapes for collisions: of links, tools and obstacles, each fixed to a link.
 
-Collision shapes of the URDF; where the file has none, its visuals; where it has none of these either, capsules from the
-origin of each link to those of its children.
+They are the collision shapes of the URDF; without any, its visuals; without these, capsules from the origin of each
+link to those of its children.
 
-Distances come in two steps. A mesh stands in its convex hull, which coal measures in microseconds: where hulls are
-apart, meshes are. Where hulls are not, the triangles decide, and whether one mesh is inside the other (the surface of a
-box says nothing of what it holds). Visuals are drawn for the eye, often of open surfaces: of these, and of meshes with
-very many triangles, the hull is the shape.
+Distances come in two steps. A mesh lies in its convex hull, whose distances take coal microseconds: if hulls are apart,
+meshes are apart. If not, the triangles decide, and whether one mesh is inside the other (the triangles of a box do not
+show what is in it). Visuals are drawn for the eye and often open: of these, and of meshes with very many triangles, the
+hull is the shape.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from calib.core.robots.surroundings import UNCHECKED, ObstacleSection, ShapeSect
 from calib.core.robots.urdf.links import LinkShape, find_mesh, read_links
 
 _MOST_TRIANGLES = 20_000
-_THIN = 0.04  # radius of capsules that stand for links, of the robot's characteristic length
-_FLAT = 1e-4  # thickness that a hull of no volume gets [m]
+_THIN = 0.04  # radius of capsules for links, in characteristic lengths of the robot
+_FLAT = 1e-4  # thickness of a hull without volume [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +40,13 @@ class Body:
     Attributes:
         name: Name of its link, or of the obstacle.
         joint: Index of the link's frame in the mechanism.
-        placement: In the link's frame.
-        hull: Convex shape that holds it.
-        mesh: Its triangles where it is not convex, else None.
-        corners: Corners of these triangles, (n, 3, 3) [m]; empty where it is convex.
+        placement: Pose in the link's frame.
+        hull: Convex shape around it.
+        mesh: Its triangles if it is not convex, else None.
+        corners: Corners of these triangles, (n, 3, 3) [m]; empty if it is convex.
         radius: Distance of its farthest point from the link's origin [m].
-        clearance: Distance that others keep from it [m].
-        is_described: Whether the description brings it: an obstacle, or a part of the tool.
+        clearance: Least distance from other shapes [m].
+        is_described: Whether it comes from the description: an obstacle, or a part of the tool.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class _Solid:
-    """A shape in its own axes: hull, triangles, and points whose hull it is (of a ball: its middle, and a radius)."""
+    """A shape in its own axes: hull, triangles, and points that span it (for a ball: its centre, and a radius)."""
 
     hull: Any
     mesh: Any = None
@@ -75,8 +75,8 @@ def bodies_of(robot: RobotData) -> tuple[tuple[Body, ...], tuple[str, ...]]:
     """Return the shapes of a robot and its surroundings, and remarks on them.
 
     Raises:
-        DescriptionError: A mesh that is missing or cannot be read, an obstacle on a link that there is not, or a plane
-            on a link that moves.
+        DescriptionError: A mesh that is missing or cannot be read, an obstacle on an unknown link, or a plane on a
+            moving link.
         UrdfError: A shape of the URDF is not made of numbers.
     """
     links, remarks = _links(robot)
@@ -84,7 +84,7 @@ def bodies_of(robot: RobotData) -> tuple[tuple[Body, ...], tuple[str, ...]]:
 
 
 def missing_meshes(robot: RobotData) -> tuple[str, ...]:
-    """Return the meshes that the URDF names for its collision shapes and that are not there."""
+    """Return the missing meshes of the URDF's collision shapes."""
     named = [
         shape.file for link in read_links(robot.urdf).values() for shape in link.collisions if shape.kind == "mesh"
     ]
@@ -97,7 +97,7 @@ def has_collision_shapes(robot: RobotData) -> bool:
 
 
 def is_moved_frame(robot: RobotData) -> BoolArray:
-    """Mask of the frames that move in the root link, (n_joints + 1,)."""
+    """Mask of the frames that move relative to the root link, (n_joints + 1,)."""
     mechanism = robot.mechanism
     result: BoolArray = mechanism.support @ np.any(mechanism.select_moving != 0, axis=1) > 0
     return result
@@ -218,7 +218,7 @@ def _solid_of_mesh(path: Path, scale: FloatArray, *, exact: bool) -> _Solid:
 
 
 def _hull(vertices: FloatArray) -> tuple[Any, FloatArray]:
-    """Convex hull of points, and its corners; a box around them where they lie in a plane."""
+    """Convex hull of points, and its corners; a box around points in a plane."""
     import scipy
     import trimesh
 
@@ -253,9 +253,9 @@ def _capsules(robot: RobotData, link: str) -> list[Body]:
 
 
 def _stretches(robot: RobotData, link: str) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Both ends of the rods of a link, (3,) [m]: from its origin to its joints and targets, and rods of slides.
+    """Ends of the rods of a link, (3,) [m]: from its origin to its joints and targets, and rods of slides.
 
-    Where a motor slides, a rod as long as that is out at home lies on each side: they cover up to twice that.
+    At a sliding joint, a rod as long as the joint's value at home lies on each side, which covers up to twice that.
     """
     home = dict(zip(robot.mechanism.actuated, robot.home.tolist(), strict=True))
     origin = np.zeros(3)

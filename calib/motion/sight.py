@@ -1,11 +1,10 @@
-"""Lines of sight: whether an instrument sees its target, past the robot and what stands around it.
+"""Lines of sight: whether an instrument sees its target, past the robot and its surroundings.
 
-A line runs between the two frames that an instrument looks along: camera and points of a board, socket and ball of a
-ballbar. A tracker's line starts where the description's `sight` says. It is as wide as a beam, and ends short of both
-ends, which stand in shapes of their own. What hides a line at nearly all poses is where the line ends; it does not
-count, and is named.
+A line runs between the two frames of an instrument: camera and points of a board, socket and ball of a ballbar. A
+tracker's line starts at the description's `sight`. It has the width of a beam, and ends short of both ends, which are
+inside shapes. A shape that hides a line at nearly all poses is at the end of the line; it does not count, and is named
+in a remark.
 """
-
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -24,7 +23,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.surroundings import AcceptanceSection
 from calib.motion.scene import CollisionScene
 
-_SHORT = 0.025  # distance at which a line ends before its target [m]
+_SHORT = 0.025  # distance from its ends that a line leaves out [m]
 _BEAM = 0.01  # width of a line [m]
 _ALWAYS = 0.95  # part of the poses
 _THINNEST = 1e-6
@@ -35,12 +34,12 @@ class SightLine:
     """A line of sight.
 
     Attributes:
-        name: The target, and by which instrument where that has a name of its own, such as `board by camera`.
+        name: The target, with the instrument if that has a name of its own, such as `board by camera`.
         ends: Joint indices of the two frames.
         points: The ends in these frames, (2, 3) [m].
         width: [m].
-        target: Name of the shape that the line goes to; it does not hide itself.
-        acceptance: Directions in which the target is seen from the first end, if that counts.
+        target: Name of the shape at the end of the line, which does not hide itself.
+        acceptance: Directions in which the target is visible from the first end, or None.
     """
 
     name: str
@@ -58,7 +57,7 @@ class Sight:
     Attributes:
         scene: The shapes.
         lines: The lines.
-        ignored: Names of a line and of a shape that hides it at nearly all poses.
+        ignored: Pairs of a line and of a shape that hides it at nearly all poses, by names.
     """
 
     scene: CollisionScene
@@ -66,7 +65,7 @@ class Sight:
     ignored: frozenset[tuple[str, str]] = frozenset()
 
     def hidden_targets(self, joints: FloatArray) -> list[str]:
-        """Return the shape that hides a target in configurations (n, n_joints) [m or rad], "" for none."""
+        """Return the shape that hides a target in each configuration (n, n_joints) [m or rad], "" for none."""
         return [next(self._hiding_shapes(q), "") for q in joints]
 
     def _hiding_shapes(self, q: FloatArray) -> Iterator[str]:
@@ -97,7 +96,7 @@ class Sight:
             yield line, ends, turned
 
     def shapes_hiding(self, line: SightLine, ends: FloatArray) -> Iterator[str]:
-        """Return the shapes, where they are now, that hide a line between two points (2, 3) [m]."""
+        """Yield the shapes that hide a line between two points (2, 3) [m], in the workspace's present configuration."""
         along = ends[1] - ends[0]
         length = float(np.linalg.norm(along))
         free = length - 2 * _SHORT - line.width
@@ -114,7 +113,7 @@ class Sight:
                 yield body.name
 
     def without_ends(self, joints: FloatArray) -> Sight:
-        """Return the lines without what hides them in nearly all configurations (n, n_joints), with remarks on that."""
+        """Return the lines without shapes that hide them in nearly all configurations (n, n_joints), with remarks."""
         count: dict[tuple[str, str], int] = {}
         for q in joints:
             for line, ends, _ in list(self._lines_in_root(q)):
@@ -158,7 +157,7 @@ def _lines(robot: Robot) -> Iterator[SightLine]:
 
 
 def _points_seen(instrument: FrameInstrument) -> FloatArray:
-    """Points in the target's frame that must be seen: the outermost ones of a board or body, (n, 3) [m]."""
+    """Points in the target's frame that must be visible: the outermost of a board or body, (n, 3) [m]."""
     if not isinstance(instrument, Pixel):
         return np.zeros((1, 3))
     points = np.array(list(instrument.points_of_body.values()))

@@ -1,1 +1,1 @@
-"""Proof for quality systems: that an installation computes rightly (`calib qualify`)."""
+"""Quality systems: proof that an installation computes correctly (`calib qualify`), certificates, and signatures."""

@@ -51,17 +51,17 @@ _UNITS = {
     "1/K": (1e6, "um/m/K", 1.0, "m K"),
 }
 """Factor and unit of standard uncertainties in the table, and of their sensitivity coefficients: products are in um."""
-_LEAST = 1e-4  # below which numbers are shown as 0
+_LEAST = 1e-4  # smaller numbers are shown as 0
 _SIGNED_BY = ("Calibrated by", "Approved by")
 
 
 def certificate_content(result: LoadedResult, stated: TraceabilitySection, found: Budget) -> dict[str, Any]:
-    """Return the data of a certificate as JSON has it, in SI units.
+    """Return the data of a certificate as JSON has them, in SI units.
 
     Args:
         result: The result.
-        stated: Source of its measurements.
-        found: Uncertainty of the measurand.
+        stated: Traceability of its measurements.
+        found: Uncertainty budget of the measurand.
     """
     fit = result.fit
     figures, _ = iso_figures(fit.identification, np.random.default_rng(fit.seed))

@@ -1,4 +1,4 @@
-"""`calib qualify`: proof that this installation computes rightly, as a protocol to sign."""
+"""`calib qualify`: proof that this installation computes correctly, as a protocol to sign."""
 
 from __future__ import annotations
 

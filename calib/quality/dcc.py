@@ -1,8 +1,8 @@
 """A certificate as a digital calibration certificate: XML by PTB's schema DCC 3.2.0, quantities in D-SI 2.1.
 
-The order of elements, what is required, and the units are those of the schemas (https://ptb.de/dcc/v3.2.0/dcc.xsd,
-https://ptb.de/si/v2.1.0/SI_Format.xsd); `tests/test_certificate.py` holds the rules. What the schema requires and
-nobody stated is written as "not stated", a country as ZZ (ISO 3166-1 reserves it for users); a date cannot be made up.
+The order of elements, the required elements, and the units follow the schemas (https://ptb.de/dcc/v3.2.0/dcc.xsd,
+https://ptb.de/si/v2.1.0/SI_Format.xsd); `tests/test_certificate.py` checks the rules. A required element without a
+statement is written as "not stated", a country as ZZ (ISO 3166-1 reserves it for users); a date must be stated.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Node: TypeAlias = tuple[str, "str | Sequence[Node]"]
 
 
 def xml(content: Mapping[str, Any]) -> bytes:
-    """Return a certificate, from its data, as XML.
+    """Return a certificate as XML, from its data.
 
     Raises:
         InputError: lxml is not installed, or the description does not give the day of the measurements.
@@ -78,7 +78,7 @@ def _word(text: str | None) -> str:
 
 
 def _identifications(values: Mapping[str, str | None], issuers: Sequence[str] = ("manufacturer", "other")) -> Node:
-    """Identification numbers of a thing, by name, each with its issuer."""
+    """Identification numbers by name, each with its issuer."""
     return "identifications", [
         ("identification", [("issuer", issuer), ("value", _word(value)), _text("name", name)])
         for (name, value), issuer in zip(values.items(), issuers, strict=False)
@@ -173,14 +173,7 @@ def _result(name: str, data: Sequence[Node]) -> Node | None:
 
 
 def _quantity(name: str, value: float, unit: str, uncertainty: tuple[float, float, float] | None = None) -> Node:
-    """Return a quantity in D-SI.
-
-    Args:
-        name: Its name.
-        value: Value in SI.
-        unit: Unit in D-SI; empty where D-SI has none.
-        uncertainty: Expanded uncertainty, coverage factor and probability.
-    """
+    """A quantity in D-SI, from a value in SI; `uncertainty`: expanded uncertainty, coverage factor and probability."""
     if not unit:
         return "quantity", [_text("name", name), _text("noQuantity", f"{value!r} (its unit is none of D-SI)")]
     real: list[Node] = [("si:value", repr(float(value))), ("si:unit", unit)]

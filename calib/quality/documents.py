@@ -1,4 +1,4 @@
-"""A document of tables, with lines to sign, as a page (HTML) and as PDF (fpdf2, extra `certificate`)."""
+"""A document of tables with lines to sign, as a page (HTML) and as PDF (fpdf2, extra `certificate`)."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ th{background:#eef1f5}thead th{white-space:nowrap}
 .FAIL{color:#ff8a80}.PASS{color:#7fd99a}.NOTED{color:#e2c16b}.line{border-color:#e4e7eb}}
 @media print{body{margin:0;max-width:none;font-size:11px}}
 """
-_WIDE = 34  # letters in a cell beyond which it is broken into lines
+_WIDE = 34  # letters in a cell above which it is broken into lines
 _EDGE = 4  # width of a cell's edges and of bold type, in letters
-_WHOLE = 30  # rows of a table up to which it is kept on one page
+_WHOLE = 30  # largest number of rows of a table that is kept on one page
 _ROOM = 130  # letters in a line of a page
 
 
@@ -40,7 +40,7 @@ class DocumentRows:
     cells: tuple[tuple[str, ...], ...]
 
     def draw(self, pdf: Any) -> None:
-        """Draw the table at the end of a PDF: columns as wide as their words need, long ones twice as wide as short."""
+        """Draw the table at the end of a PDF, with column widths that follow the widths of words and cells."""
         widths = [
             max(_EDGE + max(len(word) for word in name.split()), *(min(len(cell), _WIDE) for cell in cells))
             for name, *cells in zip(self.columns, *self.cells, strict=True)

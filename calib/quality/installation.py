@@ -1,7 +1,7 @@
-"""Installation qualification: installed files, compared with the checksums that their publishers listed.
+"""Installation qualification: installed files, compared with their publishers' checksums.
 
 Every wheel lists the SHA-256 of each of its files (RECORD, PEP 376 and 427). A file that differs from its entry was
-changed after it was installed. An editable installation of this program has no such list. This is noted; then only
+changed after installation. An editable installation of this program has no such list, which is noted; then only
 operation qualification can find a changed number.
 """
 
@@ -30,7 +30,7 @@ _OLDEST_BLAS = {"openblas": Version("0.3.21")}
 
 
 def machine_facts() -> dict[str, str]:
-    """Return what identifies the program and the machine, by name."""
+    """Return the facts that identify the program and the machine, by name."""
     libraries = sorted({_library(entry) for entry in threadpoolctl.threadpool_info() if entry["user_api"] == "blas"})
     return {
         "program": f"{DISTRIBUTION} {VERSION}",
@@ -71,7 +71,7 @@ def _dependency(requirement: Requirement) -> Iterator[Check]:
 
 
 def _check_files(of: Distribution) -> Iterator[Check]:
-    """Compare the files of a distribution with its list; note where it has none."""
+    """Compare the files of a distribution with its list; note a missing list."""
     subject = f"files of {of.name} {of.version}"
     listed = {file: file.hash.value for file in of.files or () if file.hash is not None and file.hash.mode == "sha256"}
     if not any(file.suffix in (".py", ".so", ".pyd", ".dylib") for file in listed):

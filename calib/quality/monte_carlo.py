@@ -1,11 +1,11 @@
-"""The budget checked by Monte Carlo (GUM Supplement 1): inputs are drawn, the fit is made again, positions deviate.
+"""The budget checked by Monte Carlo (GUM Supplement 1): inputs are drawn, and the fit is repeated.
 
 Each draw has errors of the instrument, a temperature and an expansion (a Latin hypercube of normal numbers), noise e of
-the readings that has the sum T^T J^T e which decides the fit, means of the priors drawn by themselves, and, where sizes
-of joint terms were found, other logarithms of these. From the minimum, the solver of the fit
-(`calib.core.numerics.least_squares`) finds that of the drawn readings; positions there, exact and with loops closed,
-less those of the fit are what the measurand is off. Where the base is unknown, they are laid on those of the fit as one
-body. What needs no fit (repeatability, what the model leaves out, extrapolation) is added as normal numbers.
+the readings with the sum T^T J^T e, which decides the fit, independent means of the priors, and, for estimated sizes of
+joint terms, other logarithms of these. From the minimum, the solver of the fit (`calib.core.numerics.least_squares`)
+finds the minimum of the drawn readings. The error of the measurand is the exact positions there, with loops closed,
+minus those of the fit. With an unknown base, they are first aligned with those of the fit as one body. Contributions
+without a fit (repeatability, model errors, extrapolation) are added as normal numbers.
 
 Reference: jcgm101 (GUM Supplement 1), section 7.
 """
@@ -33,7 +33,7 @@ from calib.core.rows.unknowns import Unknowns
 from calib.quality.uncertainty_budget import ELSEWHERE, MODEL, REPEATABILITY, SYSTEMATIC, Budget, ErrorPropagation
 
 _TOLERANCE = 1e-7  # relative change of the cost
-_SEEN = 1e-4  # part of a direction below which only priors tell of it
+_SEEN = 1e-4  # part of a direction below which only priors determine it
 _ADDED = (REPEATABILITY, MODEL, ELSEWHERE)
 
 
@@ -42,10 +42,10 @@ class MonteCarlo:
     """Result of a Monte Carlo propagation.
 
     Attributes:
-        draws: Number of draws that could be made.
-        fitted: Standard uncertainty of a coordinate by all that goes through the fit, and temperatures [m].
-        combined: The same with all that counts [m].
-        propagated_fitted, propagated: Both as the budget has them [m].
+        draws: Number of successful draws.
+        fitted: Standard uncertainty of a coordinate from contributions through the fit, and temperatures [m].
+        combined: Standard uncertainty from all contributions [m].
+        propagated_fitted, propagated: The same by linear propagation in the budget [m].
     """
 
     draws: int
@@ -56,12 +56,12 @@ class MonteCarlo:
 
     @property
     def difference(self) -> float:
-        """Larger relative difference of both from what was propagated."""
+        """The larger relative difference of `fitted` and `combined` from the propagated values."""
         pairs = ((self.fitted, self.propagated_fitted), (self.combined, self.propagated))
         return max((abs(drawn / known - 1.0) for drawn, known in pairs if known > 0), default=0.0)
 
     def to_dict(self) -> dict[str, float]:
-        """Return it as JSON has it, in SI units."""
+        """Return the result as data for JSON, in SI units."""
         return {**vars(self), "relative_difference": self.difference}
 
 
@@ -74,15 +74,15 @@ def monte_carlo(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> MonteCarlo:
-    """Check a budget.
+    """Check a budget by repeated fits of drawn inputs.
 
     Args:
         linear: The linear model of the fit.
         stated: Statements for the budget.
         known: The budget.
         draws: Number of draws.
-        seed: Seed of all that is drawn.
-        progress: Told of each draw.
+        seed: Seed of all draws.
+        progress: Called after each draw.
     """
     rng = np.random.default_rng(seed)
     instrument, heat = stated.instrument, stated.temperature
@@ -118,11 +118,11 @@ def monte_carlo(
 
 
 def _deviation(linear: ErrorPropagation, unknowns: Unknowns, readings: FloatArray, mean: FloatArray) -> FloatArray:
-    """Return how far positions move, (n_coordinates,) [m], where readings and prior means are drawn.
+    """Change of positions, (n_coordinates,) [m], for drawn readings and prior means.
 
     Args:
         linear: The linear model.
-        unknowns: The fitted unknowns, with the sizes that were drawn.
+        unknowns: The fitted unknowns, with the drawn sizes.
         readings: Change of the whitened readings, (n_rows,).
         mean: Mean of the priors, (n_free,).
     """
@@ -149,7 +149,7 @@ def _deviation(linear: ErrorPropagation, unknowns: Unknowns, readings: FloatArra
 
     def jacobian(u: FloatArray) -> FloatArray:
         rows = rows_at(u.tobytes())
-        assert rows is not None  # requested only where the residuals were finite
+        assert rows is not None  # requested only where the residuals are finite
         return np.vstack([weights[:, None] * rows.jacobian, prior.rows])
 
     u = minimise(residuals, jacobian, unknowns.deviations(fit.robot.values), tolerance=_TOLERANCE).x

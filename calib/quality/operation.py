@@ -1,8 +1,8 @@
-"""Operation qualification: the installation computes what references say.
+"""Operation qualification: the installation reproduces reference results.
 
-References are certified numbers (NIST), products of single transforms that are written here, differences of positions,
-the truth of simulated robots, and the 95 of 100 that an interval of 95 % means. Other packages add checks of their own
-robots under the group of entry points `calib.qualification`: functions without arguments that yield `Check`.
+References are certified numbers (NIST), products of single transforms, differences of positions, the truth of simulated
+robots, and the coverage of 95 % intervals. Other packages add checks of their own robots in the entry point group
+`calib.qualification`: functions without arguments that yield `Check`.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from calib.quality.sample_robots import sample_robots
 
 _PHASE = Phase.OPERATION
 _DIGITS = 7.0
-"""Digits of NIST's eleven that an answer must have."""
-_FAR = 1e-9  # distance of positions computed in two ways that rounding explains [m]
-_SLOPES = 1e-6  # the same of derivatives and their differences, relative
-_QUIET = 1e-7  # noise that is stated where there is none [m]
-_FOUND = 1e-6  # allowed error of a robot that was measured without noise [m]
+"""Number of NIST's eleven digits that an answer must have."""
+_FAR = 1e-9  # largest difference of positions computed in two ways [m]
+_SLOPES = 1e-6  # largest relative difference of derivatives and differences
+_QUIET = 1e-7  # stated noise of readings without noise [m]
+_FOUND = 1e-6  # allowed error of a robot measured without noise [m]
 _POSES, _ELSEWHERE = 40, 25
 _SMALL = 0.3  # part of the expected errors: loops close at nearly the same joint values
 _FITS, _LEAST, _MOST = 40, 0.93, 0.97
@@ -91,7 +91,7 @@ def _regression(problem: ReferenceProblem) -> Iterator[Check]:
 
 
 def _common_digits(found: FloatArray, certified: FloatArray) -> float:
-    """The least number of digits that two vectors have in common, at most 11."""
+    """The least number of common digits of two vectors, at most 11."""
     with np.errstate(divide="ignore"):
         return float(np.min(np.minimum(-np.log10(np.abs(found / certified - 1.0)), 11.0)))
 
@@ -118,7 +118,7 @@ def _robot(name: str, robot: Robot, seed: int) -> Iterator[Check]:
 
 
 def draw_robot(robot: Robot, seed: int, part: float = 1.0) -> Robot:
-    """Return the robot with errors of its free parameters, drawn from this part of what is expected of them."""
+    """Return the robot with random errors of its free parameters, with `part` of the expected sigmas."""
     expected = np.array([parameter.sigma_si for parameter in robot.parameters])
     draws = np.random.default_rng(seed).standard_normal(len(expected))
     return robot.with_parameters(robot.values + robot.is_free * part * expected * draws)
@@ -131,7 +131,7 @@ def _common_poses(robot: Robot, other: Robot, count: int, seed: int) -> FloatArr
 
 
 def _chain(robot: Robot, joints: FloatArray) -> dict[str, FloatArray]:
-    """Return each link's pose in the root, (n, 4, 4): products of single transforms of the exported URDF's numbers."""
+    """Each link's pose in the root, (n, 4, 4): products of single transforms of the exported URDF's numbers."""
     configurations = robot.assemble(joints)
     names = (*robot.mechanism.driven, *robot.mechanism.passive)
     values = dict(zip(names, np.hstack([configurations.actuated, configurations.passive]).T, strict=True))
@@ -164,7 +164,7 @@ def _attribute(joint: ElementTree.Element, tag: str, key: str, default: str) -> 
 
 
 def _largest_difference(robot: Robot, joints: FloatArray) -> float:
-    """Distance of positions and loops from products of single transforms [m]."""
+    """Largest distance of positions and loops from products of single transforms [m]."""
     poses, description = _chain(robot, joints), robot.description
     base = description.base.frame
     tools = {section.frame for section in description.targets.values()}
@@ -177,7 +177,7 @@ def _largest_difference(robot: Robot, joints: FloatArray) -> float:
 
 
 def _slopes(robot: Robot, joints: FloatArray) -> float:
-    """Largest difference of the Jacobian of the first target to central differences, over its largest element."""
+    """Largest difference of the first target's Jacobian from central differences, over its largest element."""
     target = next(iter(robot.description.targets.values())).frame
     exact, step = robot.jacobian(joints, target)[:, :3], 1e-6
     for column in range(joints.shape[1]):
@@ -187,14 +187,14 @@ def _slopes(robot: Robot, joints: FloatArray) -> float:
 
 
 def _recovery_error(robot: Robot, true: Robot, joints: FloatArray, seed: int) -> float:
-    """Error at other poses of a robot that was calibrated by readings without noise [m]."""
+    """Error at other poses of a robot that was calibrated from readings without noise [m]."""
     fit = calibrate(robot, simulate(true, joints, sigma=0.0), None, Settings(sigma=_QUIET))
     elsewhere = _common_poses(fit.robot, true, _ELSEWHERE, seed=seed + 1000)
     return float(np.max(np.linalg.norm(fit.robot.positions(elsewhere) - true.positions(elsewhere), axis=-1)))
 
 
 def _coverage() -> Iterator[Check]:
-    """Count how often intervals of 95 % hold the truth, over calibrations of the first arm from simulated readings."""
+    """Count the 95 % intervals that contain the truth, over calibrations of the first arm from simulated readings."""
     _, robot = next(sample_robots())
     hits = list[bool]()
     joints = robot.sample(_POSES, seed=5)
@@ -214,7 +214,7 @@ def _coverage() -> Iterator[Check]:
 
 
 def _check_repeats() -> Iterator[Check]:
-    """Calibrate twice from the same readings, and compare every bit of the answers."""
+    """Calibrate twice from the same readings, and compare every bit of the results."""
     _, robot = next(sample_robots())
     data = simulate(draw_robot(robot, 1), robot.sample(_POSES, seed=1), seed=1)
     digests = [_digest(calibrate(robot, data, None, Settings())) for _ in range(2)]
@@ -230,7 +230,7 @@ def _digest(fit: Fit) -> str:
 
 
 def _exit_codes() -> Iterator[Check]:
-    """Run the program on wrong and on right input, as a user does."""
+    """Run the program on wrong and on correct input, as a user does."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         urdf, description = loop_files("four_bar", TEMPLATES["four_bar"].lengths, "robot.urdf")

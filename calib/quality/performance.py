@@ -1,8 +1,8 @@
-"""Performance qualification: a calibration keeps what it promises, on a simulated robot and on the user's own.
+"""Performance qualification: a calibration keeps its claims, on a simulated robot and on the user's own.
 
-On the simulated robot the truth is known: what the fit claims of its error is compared with the error at other poses,
-and a robot that is wrong must not get PASS. On a robot and measurements of the user, a fifth of the poses is held out,
-and the claim is compared with these.
+On the simulated robot the truth is known: the fit's claim is compared with the error at other poses, and wrong input
+must not get PASS. On a robot and measurements of the user, a fifth of the poses is held out and compared with the
+claim.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from calib.quality.sample_robots import sample_robots
 _PHASE = Phase.PERFORMANCE
 _POSES, _OTHERS, _HELD_OUT = 60, 300, 0.2
 _LEAST = 0.75
-"""Claim over the error found, from which a claim is neither too small nor useless: as much as 1 over `_LEAST`."""
+"""Least ratio of claim and error, in either direction: a claim must be neither too small nor useless."""
 
 
 def performance_work(robot: Robot | None, data: Measurements | None) -> Iterator[Work]:
-    """Yield the pieces of work of the phase; those of the user's robot where there is one."""
+    """Yield the pieces of work of the phase, including the user's robot if given."""
     yield _PHASE, "simulated robot", _check_simulated
     yield _PHASE, "wrong robots", _check_mistakes
     if robot is not None and data is not None:
@@ -62,7 +62,7 @@ def _check_simulated() -> Iterator[Check]:
 
 
 def _check_mistakes() -> Iterator[Check]:
-    """Hand in the same robot with a sign, a scale and an order of joints that are wrong."""
+    """Calibrate from input with a wrong sign, scale or order of joints."""
     _, robot = next(sample_robots())
     true = draw_robot(robot, seed=13)
     data = simulate(true, true.sample(_POSES, seed=13), seed=13)
@@ -75,13 +75,13 @@ def _check_mistakes() -> Iterator[Check]:
         grade: str
         try:
             grade = judge(calibrate(robot, replace(data, joints=joints), None, Settings(sigma=None))).grade
-        except CalibrationError as error:  # refused with a reason: no number leaves either
+        except CalibrationError as error:  # refused with a reason, so no wrong number results
             grade = f"refused ({type(error).__name__})"
         yield Check.from_values(_PHASE, what, "never PASS", grade, grade != "PASS")
 
 
 def _check_own_data(robot: Robot, data: Measurements) -> Iterator[Check]:
-    """Compare the claim with poses of the user's measurements that were held out."""
+    """Compare the claim with held-out poses of the user's measurements."""
     used, held_out = data.read_visits().split(validation=_HELD_OUT, seed=0)
     fit = calibrate(robot, used, held_out, Settings())
     verdict = judge(fit)

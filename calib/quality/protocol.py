@@ -1,7 +1,7 @@
 """A qualification protocol: checks in three phases, each with its requirement and its result.
 
 The phases are those of laboratory and medical quality systems. Installation (IQ): the installed files are the released
-ones. Operation (OQ): the program computes what references say. Performance (PQ): it calibrates a robot as it promises.
+files. Operation (OQ): the program reproduces reference results. Performance (PQ): its calibrations keep their claims.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ class Check:
 
     Attributes:
         phase: Phase of the check.
-        subject: Thing that is checked.
+        subject: The thing to check.
         expected: Requirement, and its source.
         found: Result in words.
-        outcome: PASS or FAIL; NOTED where there is nothing to compare with.
+        outcome: PASS or FAIL; NOTED if there is nothing to compare with.
     """
 
     phase: Phase

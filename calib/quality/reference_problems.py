@@ -1,7 +1,7 @@
 """Nonlinear regressions of NIST's Statistical Reference Datasets, with certified answers of eleven digits.
 
-Four of higher difficulty, each from both of NIST's starting points. Data and certified values are a work of the United
-States government and in the public domain.
+The four are of higher difficulty, each from both of NIST's starting points. Data and certified values are a work of the
+United States government and in the public domain.
 
 Reference: nist_strd.
 """
@@ -23,10 +23,10 @@ class ReferenceProblem:
     """A regression.
 
     Attributes:
-        name: NIST's.
+        name: NIST's name.
         model: Values (m,) and derivatives (m, n) at parameters (n,) and predictors (m,).
         starts: Both starting points, (2, n).
-        certified: Parameters, (n,).
+        certified: Certified parameters, (n,).
         std: Their certified standard deviations, (n,).
         y, x: Response and predictor, (m,).
     """
@@ -64,7 +64,7 @@ def _rat42(b: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _problem(name: str, model: Model, table: str, y: str, x: str) -> ReferenceProblem:
-    """Read a problem: lines of start 1, start 2, certified value and standard deviation of each parameter."""
+    """A problem from lines of start 1, start 2, certified value and standard deviation of each parameter."""
     numbers = np.array([[float(cell) for cell in line.split()] for line in table.strip().splitlines()])
     response, predictor = (np.array([float(cell) for cell in text.split()]) for text in (y, x))
     return ReferenceProblem(name, model, numbers[:, :2].T, numbers[:, 2], numbers[:, 3], response, predictor)

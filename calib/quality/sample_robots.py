@@ -1,4 +1,4 @@
-"""Eight robots to qualify with: three arms by Denavit-Hartenberg tables, and the five templates with loops.
+"""Eight robots for qualification: three arms by Denavit-Hartenberg tables, and the five templates with loops.
 
 The arms are a six-axis arm with an elbow, a selective compliance arm and a five-axis arm, in round numbers.
 """

@@ -1,4 +1,4 @@
-"""A signature of a file by a key of the user's: Ed25519 (RFC 8032), in base 64 in a file next to it.
+"""A signature of a file by a user's key: Ed25519 (RFC 8032), in base 64 in a file next to it.
 
 Every byte of the file counts, whatever its format. OpenSSL makes keys:
 
@@ -30,7 +30,7 @@ def signer(key: str, password: Callable[[], str]) -> Callable[[bytes], str]:
 
     Args:
         key: File of the private key (PEM).
-        password: Function that asks for the key's password, if it has one.
+        password: Function that returns the key's password; called only if the key has one.
 
     Raises:
         InputError: `cryptography` is not installed, or the file is no such key.
@@ -56,7 +56,7 @@ def verify(path: str, key: str) -> None:
 
     Raises:
         InputError: A file is missing, or is no such key.
-        ComputationError: The file, or its signature, is not as it was signed with this key.
+        ComputationError: The file or its signature has changed, or another key signed it.
     """
     content, text = (read_bytes(each, what, InputError) for each, what in ((path, "a file"), (key, "a public key")))
     lines = read_bytes(path + ENDING, f"the signature of {path}", InputError).splitlines()

@@ -1,28 +1,28 @@
 """Uncertainty budget of a calibrated robot by the GUM, in the words of the GUM and of the VIM.
 
-Measurand: one coordinate of the tool's position, as the calibrated robot gives it, root mean square over the poses
-measured and the three axes. Where the base is unknown, a motion of all positions as one body does not count.
+Measurand: one coordinate of the tool's position, as the calibrated robot gives it, root mean square over the measured
+poses and the three axes. With an unknown base, a motion of all positions as one body does not count.
 
-Readings y reach the parameters through the fit's linear model. With the whitened rows J at the solution, W what whitens
-readings, T T^T = (J^T J + P^T P)^-1 (`calib.core.numerics.statistics`) and s the scales, a common change dy of the
+Readings y reach the parameters through the fit's linear model. With the whitened rows J at the solution, the whitening
+W of readings, T T^T = (J^T J + P^T P)^-1 (`calib.core.numerics.statistics`) and s the scales, a common change dy of the
 readings moves parameters by s T T^T J^T W dy, and positions by B times that, B their derivative. So:
 
-    readings        B s T (core - S - V) T^T s B^T    type A; what is independent from reading to reading
+    readings        B s T (core - S - V) T^T s B^T    type A; independent parts of each reading
     prior           B s T S T^T s B^T                 type B; S the share of the priors
-    sizes           B s T V T^T s B^T                 type A; of joint terms, where the same readings gave their sizes
+    sizes           B s T V T^T s B^T                 type A; of joint terms whose sizes come from the same readings
                                                       (`calib.core.numerics.prior_sizes`)
     instrument      u . |B s T T^T J^T W dy/dx|       type B; scale and offset of lengths, offset of angles, focal
                                                       length and principal point of a camera: fully correlated, no
                                                       number of poses makes them smaller
     temperature     u . expansion . lever             lever: coordinate of the tool from the base
-    robot           repeatability, from repeated poses, and what the model leaves out: the claim's mean square
-                    (`calib.core.judging.claim`) less what rows above have of it
+    robot           repeatability, from repeated poses, and errors of the model: the claim's mean square
+                    (`calib.core.judging.claim`) minus the part in the rows above
 
-Combined is the root of the sum of squares; effective degrees of freedom are by Welch and Satterthwaite (GUM G.4), the
-coverage factor is Student's t at 95 %.
+The combined uncertainty is the root of the sum of squares; effective degrees of freedom are by Welch and Satterthwaite
+(GUM G.4), the coverage factor is Student's t at 95 %.
 
-When it fails. Scatter of repeats and claim hold the noise of single readings too, which nothing tells apart: this errs
-on the wide side. The centring of the target differs from reading to reading, so that the noise as found has it already.
+When it fails. Scatter of repeats and claim also contain the noise of single readings, which cannot be separated: the
+result is too wide. The centring of the target differs from reading to reading, so the estimated noise contains it.
 
 Reference: jcgm100 (GUM), sections 4, 5.2, G.4.
 """
@@ -65,8 +65,8 @@ class Systematic:
     """An error of the instrument that all readings share.
 
     Attributes:
-        quantity: Its quantity.
-        attribute: Its name in `traceability.instrument`.
+        quantity: Name of the quantity.
+        attribute: Name in `traceability.instrument`.
         unit: Its unit.
         axes: Number of independent numbers.
     """
@@ -96,11 +96,11 @@ class BudgetRow:
         quantity: The input quantity.
         standard_uncertainty: Its standard uncertainty, in `unit`.
         unit: Unit of the input quantity.
-        sensitivity: Coefficient, m per unit.
+        sensitivity: Sensitivity coefficient [m per unit].
         note: Its source.
-        freedom: Degrees of freedom; infinite where it is taken as known.
-        type: Kind of its evaluation: A (statistics of observations) or B (other information).
-        counts: Whether it is part of the combined one; not where another row has it already.
+        freedom: Degrees of freedom; infinite for a known uncertainty.
+        type: Kind of evaluation: A (statistics of observations) or B (other information).
+        counts: Whether it is part of the combined uncertainty; False if another row contains it.
     """
 
     quantity: str
@@ -142,7 +142,7 @@ class Budget:
 
     @property
     def coverage_factor(self) -> float:
-        """Of a coverage interval of 95 %."""
+        """Coverage factor of a 95 % interval."""
         return float(scipy.special.stdtrit(min(self.freedom, 1e9), 0.5 + PROBABILITY / 2))
 
     @property
@@ -151,7 +151,7 @@ class Budget:
         return self.coverage_factor * self.combined_uncertainty
 
     def to_dict(self) -> dict[str, object]:
-        """Return it as JSON has it, in SI units; null for infinitely many degrees of freedom."""
+        """Return the budget as data for JSON, in SI units; null for infinite degrees of freedom."""
         rows = [asdict(row) | {"contribution": row.contribution, "freedom": _finite(row.freedom)} for row in self.rows]
         return {
             "rows": rows,
@@ -173,11 +173,11 @@ class ErrorPropagation:
 
     Attributes:
         fit: The fit.
-        positions: Positions of the targets at the poses measured, (n, n_targets, 3) [m].
+        positions: Positions of the targets at the measured poses, (n, n_targets, 3) [m].
         derivative: B s, by the scaled free parameters, (n n_targets 3, n_free) [m].
         noise: Covariance of T^T J^T e, e the noise of the whitened readings, (rank, rank).
-        sizes: Addition to it by sizes of joint terms that were found, (rank, rank); 0 where none were.
-        systematic: Change of the whitened readings by what `SYSTEMATIC` lists, (n_rows, 10) [per 1, m, rad or px].
+        sizes: Addition to `noise` from estimated sizes of joint terms, (rank, rank); 0 without any.
+        systematic: Change of the whitened readings by the errors in `SYSTEMATIC`, (n_rows, 10) [per 1, m, rad or px].
     """
 
     fit: JudgedFit
@@ -223,13 +223,13 @@ class ErrorPropagation:
         return (self.positions - base).ravel()
 
     def coordinate_rms(self, core: FloatArray) -> float:
-        """Return the uncertainty of a coordinate (root mean square) [m] by a covariance of T^-1 u, (rank, rank)."""
+        """Return the uncertainty of a coordinate (root mean square) [m] from a covariance of T^-1 u, (rank, rank)."""
         carried = self.derivative @ self.fit.root
         return float(np.sqrt(max(np.mean(np.einsum("ij,jk,ik->i", carried, core, carried)), 0.0)))
 
 
 def _systematic(fit: JudgedFit) -> FloatArray:
-    """Return `ErrorPropagation.systematic`."""
+    """Changes of readings for `ErrorPropagation.systematic`."""
     n = sum(each.axes for each in SYSTEMATIC)
     changes = {name: np.zeros((*r.shape, n)) for name, r in fit.identification.after.items()}
     for instrument, part, rows in fit.identification.parts():
@@ -303,7 +303,7 @@ def _thermal(linear: ErrorPropagation, stated: TraceabilitySection) -> list[Budg
 
 
 def _robot_rows(fit: JudgedFit, included: float, poses: PosesLike | None) -> list[BudgetRow]:
-    """Rows of the robot itself; `known`: what rows have of the claim's mean square [m^2]."""
+    """Rows of the robot itself; `included` is the part of the claim's mean square in other rows [m^2]."""
     scatter, freedom = repeatability(fit.identification)
     rows, claim = [], fit.verdict.claim
     if freedom:

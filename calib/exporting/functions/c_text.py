@@ -1,4 +1,4 @@
-"""A robot's functions as one C99 file: tables of facts, and code that computes with them, without allocation."""
+"""A robot's functions as one C99 file: tables of facts, and code that computes with them without allocation."""
 
 from __future__ import annotations
 
@@ -29,11 +29,7 @@ Nothing is allocated, and nothing is kept between calls. Include the file where 
 
 
 def c_text(facts: RobotFacts, lines: Sequence[str]) -> str:
-    """Return the file.
-
-    Args:
-        lines: Comments on the origin of the numbers.
-    """
+    """Return the C file of a robot; `lines` are comments on the origin of the numbers."""
     parts = [_comment(facts, lines), _sizes(facts), template("c_types"), _tables(facts)]
     parts += [template(name) for name in ("c_code", "c_loops", "c_joints", "c_doors")]
     prefix = c_name(facts.name)
@@ -110,7 +106,7 @@ def _tables(facts: RobotFacts) -> str:
 
 
 def _errors(facts: RobotFacts) -> list[str]:
-    """Tables of the joint errors; an empty table has one entry that is not used."""
+    """Tables of the joint errors; an empty table has one unused entry, as C requires."""
     text = []
     for k, wave in enumerate(facts.waves):
         text += [_array(f"double @_sine_{k}[]", wave.sine), _array(f"double @_cosine_{k}[]", wave.cosine)]
@@ -129,7 +125,7 @@ def _errors(facts: RobotFacts) -> list[str]:
 
 
 def _tree(name: str, tree: FunctionTree) -> str:
-    """The tables that a tree points to, then the tree."""
+    """A tree, after the tables to which it points."""
     joints = [
         f"{{{joint.before}, {int(joint.slides)}, {joint.coordinate}, {_number(joint.factor)}, {_number(joint.offset)},"
         f" {_list(_columns(joint.placement))}}}"

@@ -1,11 +1,9 @@
 """Facts from which a function computes the tool poses of a robot: trees, joint terms, gravity.
 
-Joint errors are sums of two kinds of terms (`calib.core.robots.terms.formula`), with their coefficients multiplied in;
-those that are zero are left out. The torque of gravity that some depend on is that of the nominal robot, whose tree is
-therefore a second one.
+Joint errors are sums of two kinds of terms (`calib.core.robots.terms.formula`), with their coefficients multiplied in
+and zero terms left out. Torques of gravity are the nominal robot's, whose tree is therefore a second tree.
 
-The rest is what files in every language share: what they say of a robot, and the code that is the same for
-every robot (the `.txt` files).
+The module also has the common parts of files in every language: the header, and the code in `.txt` files.
 """
 
 from __future__ import annotations
@@ -36,9 +34,9 @@ CONDITIONS = {
     Source.WARMTH: "temperature",
     Source.TORQUE: "load",
 }
-"""The condition of a command that each source needs, by the name that functions give it."""
+"""Condition of a command by the source that needs it; functions take conditions by these names."""
 NEUTRAL = {"approach": 0.0, "time": 0.0, "temperature": REFERENCE_TEMPERATURE, "load": 0.0}
-"""Value of each condition that is not given."""
+"""Default value of each condition."""
 MEANING = {
     "approach": "direction in which each joint moved last, +1 or -1, 0 where not known, (..., n_joints)",
     "time": "as the measurements counted it [s], (...)",
@@ -54,17 +52,17 @@ SOURCES = {
     Source.WARMTH: "temperature",
     Source.TORQUE: "torque",
 }
-"""Quantities that joint errors are proportional to, by their names in the code."""
+"""Quantities to which joint errors are proportional, by their names in the code."""
 
 
 @dataclass(frozen=True)
 class JointShare:
-    """A driven joint is off by `rate` times a number x that is known of the command, or x / sqrt(x^2 + knee^2).
+    """Error of a driven joint: `rate` times a number x, or x / sqrt(x^2 + knee^2).
 
     Attributes:
-        driven: Number of the driven joint.
-        source: The number that it takes.
-        place: Index of the joint, where there is a number for each.
+        driven: Index of the driven joint.
+        source: The quantity x.
+        place: Index of the joint, if x has a value for each.
         knee: As above; 0: x itself.
         rate: The coefficient, with all constants.
     """
@@ -78,11 +76,11 @@ class JointShare:
 
 @dataclass(frozen=True, eq=False)
 class Wave(ReadOnlyArrays):
-    """A driven joint is off by sum over k of sine_k sin(k base q) + cosine_k cos(k base q), k = 1, 2, ...
+    """Error of a driven joint: sum over k of sine_k sin(k base q) + cosine_k cos(k base q), k = 1, 2, ...
 
     Attributes:
-        driven: Number of the driven joint.
-        place: Number of the actuated joint whose command is q.
+        driven: Index of the driven joint.
+        place: Index of the actuated joint with command q.
         base: Phase per unit of q [rad/rad or rad/m].
         sine, cosine: The coefficients, (n_orders,) each [m or rad].
     """
@@ -99,10 +97,10 @@ class Gravity(ReadOnlyArrays):
     """Masses and directions from which gravity torques are computed.
 
     Attributes:
-        tree: The nominal robot's; its world is the root link.
-        masses: Mass that each joint carries next, (n_joints,) [kg].
+        tree: Tree of the nominal robot; its world is the root link.
+        masses: Mass that each joint carries directly, (n_joints,) [kg].
         moments: Mass times centre in the frame behind the joint, (n_joints, 3) [kg m].
-        payload: Joint that carries the payload, from 1, and where it hangs behind it, (3,) [m].
+        payload: Joint that carries the payload, from 1, and the payload's position behind it, (3,) [m].
         acceleration: Acceleration of gravity, (3,) [m/s^2].
     """
 
@@ -115,21 +113,21 @@ class Gravity(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class RobotFacts(ReadOnlyArrays):
-    """Numbers of a robot from which a function is written.
+    """Numbers of a robot for its function.
 
     Attributes:
         name: The robot's name.
         joints: Names of the actuated joints, in the order of commands.
         units: Unit of each, `rad` or `m`.
         tools: Names of the targets.
-        tree: The robot's; its first frame is the measurement frame, then one for each target.
+        tree: Tree of the robot; its first frame is the measurement frame, then one for each target.
         shares, waves: Its joint errors.
-        gravity: For torques; None where nothing depends on them.
+        gravity: For torques; None if no error depends on them.
         conditions: Names of the conditions that the joint errors depend on.
         lower, upper: Limits of the actuated joints, (n_actuated,) [m or rad].
-        home: Commands of the home configuration, within these, (n_actuated,) [m or rad].
+        home: Commands of the home configuration, within these limits, (n_actuated,) [m or rad].
         length: Characteristic length [m].
-        base: Pose of the measurement frame in the root link, (4, 4) [m]; None where joints move it.
+        base: Pose of the measurement frame in the root link, (4, 4) [m]; None if joints move it.
     """
 
     name: str
@@ -180,10 +178,10 @@ def facts_of(robot: Robot) -> RobotFacts:
 
 
 def _starts(robot: Robot) -> tuple[FloatArray, FloatArray]:
-    """Commands (n, n_actuated) spread over the joint limits, home first, and x of the closed configurations there."""
+    """Commands (n, n_actuated) over the joint limits, home first, and x of the closed configurations there."""
     commands = robot.home[None]
     if robot.mechanism.loops:
-        with suppress(DataError):  # then too little is known of where it can go, and home is one place
+        with suppress(DataError):  # without samples, home is the only start
             commands = np.vstack([commands, robot.sample(_STARTS - 1)])
     closed = robot.close(commands)
     kept = np.flatnonzero(closed.ok)
@@ -194,7 +192,7 @@ def _starts(robot: Robot) -> tuple[FloatArray, FloatArray]:
 
 
 def _errors(robot: Robot) -> tuple[tuple[JointShare, ...], tuple[Wave, ...]]:
-    """The joint errors, terms of one kind for one joint added up."""
+    """The joint errors, with equal terms of a joint added up."""
     rates: dict[tuple[int, Source, int, float], float] = {}
     series: dict[tuple[int, int, float], dict[int, FloatArray]] = {}
     start = robot.coefficients.start
@@ -205,7 +203,7 @@ def _errors(robot: Robot) -> tuple[tuple[JointShare, ...], tuple[Wave, ...]]:
             continue
         for driven in driven_by(term, robot.mechanism):
             formula = term.formula(driven)
-            assert formula is not None  # or no function is written of the robot
+            assert formula is not None  # else `why_none` has refused the robot
             if isinstance(formula, Proportional):
                 key = (driven, formula.source, formula.place, formula.knee)
                 rates[key] = rates.get(key, 0.0) + formula.factor * float(values[0])
@@ -259,17 +257,12 @@ def _base(robot: Robot) -> FloatArray | None:
 
 
 def template(name: str) -> str:
-    """Return code that is the same for every robot."""
+    """Return the code of a `.txt` file, which is the same for every robot."""
     return (Path(__file__).parent / f"{name}.txt").read_text(encoding="utf-8")
 
 
 def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str]:
-    """Return the header of a file on a robot, line by line.
-
-    Args:
-        lines: Sources of the numbers.
-        base: Name in the file of the pose of the measurement frame.
-    """
+    """Return the header of a file in lines; `base` is the name of the measurement frame's pose in the file."""
     joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.joints, facts.units, strict=True))
     text = [f"The robot {facts.name}: poses of its tools from the commands of its joints.", "", *lines]
     text += ["", f"Commands: {joints}. All units are SI.", f"Tools: {', '.join(_numbered_names(facts.tools))}."]

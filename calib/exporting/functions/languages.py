@@ -14,17 +14,13 @@ COMMENTS = {"c": "//"}
 
 
 def function_file(robot: Robot, language: str, lines: Sequence[str]) -> bytes:
-    """Return the file.
-
-    Args:
-        robot: The robot, with its current values.
-        lines: Comments on the origin of the numbers.
+    """Return the file of a robot's function; `lines` are comments on the origin of the numbers.
 
     Raises:
         InputError: `why_none` gives a reason, or nothing moves the robot's target.
         ComputationError: No configuration is known at which the loops close.
     """
-    # imported here, so that commands that only need the names of formats do not load these writers
+    # imported here, since commands that only name formats do not need these writers
     from calib.exporting.functions.c_text import c_text
     from calib.exporting.functions.facts import facts_of
     from calib.exporting.functions.python_text import python_text
@@ -37,7 +33,7 @@ def function_file(robot: Robot, language: str, lines: Sequence[str]) -> bytes:
 
 
 def why_none(robot: Robot) -> str:
-    """Return in words why a robot cannot be written as a function; empty if it can."""
+    """Return the reason why a robot cannot be written as a function; empty if it can."""
     whole = next((loop for loop in robot.mechanism.loops if loop.full_pose), None)
     if whole is not None:
         return f"loop {whole.name} is of type 6d, which functions cannot close; describe it with closures of type 3d"

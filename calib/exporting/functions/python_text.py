@@ -1,6 +1,6 @@
-"""A robot's functions as a Python file: facts as numbers, and code for numpy, jax or torch that computes with them.
+"""A robot's functions as a Python file: facts as numbers, and code for numpy, jax, torch or casadi.
 
-The three libraries share the code; their differences are a few lines each.
+numpy, jax and torch share the code except for a few lines each; casadi has its own.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _OF_LIBRARY: dict[str, tuple[str, ...]] = {
 
 
 def python_text(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
-    """Return the file.
+    """Return the Python file of a robot.
 
     Args:
-        library: `numpy`, `jax` or `torch`.
+        library: `numpy`, `jax`, `torch` or `casadi`.
         lines: Comments on the origin of the numbers.
     """
     parts = [_docstring(facts, library, lines), template(f"python_{library}"), _numbers(facts)]
@@ -117,7 +117,7 @@ def _tree(tree: FunctionTree) -> dict[str, Any]:
 
 
 def _order(tree: FunctionTree) -> list[int] | None:
-    """Index of the joint whose value each of x is; None where some are no joint's value."""
+    """Index of the joint of each element of x; None if some element is no joint's value."""
     order = {joint.coordinate: k for k, joint in enumerate(tree.joints) if joint.factor == 1.0}
     return [order[k] for k in range(len(order))] if len(tree.scale) == len(order) == len(tree.joints) else None
 

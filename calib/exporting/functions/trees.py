@@ -1,11 +1,11 @@
-"""A mechanism as the few facts that its kinematics need: joints in order, frames on them, and how loops close.
+"""A mechanism as the few facts that its kinematics need: joints in order, frames on them, and loop closures.
 
-What does not move is folded. Each joint that is left turns about the z axis, or slides along it, of a frame that stands
-at a constant place in the one before; so code needs one constant transform and one elementary motion for each joint.
+Fixed joints are folded. Each remaining joint turns about the z axis, or slides along it, of a frame at a constant pose
+in the joint before; so code needs one constant transform and one elementary motion for each joint.
 
-Values of the joints are x = [driven joints; passive joints], joint k being at factor_k x_c(k) + offset_k, which holds
-`<mimic>` too. "World" is the nearest frame that all frames of interest stand on, so that a robot that stands far from
-the root link's origin loses no digits.
+Values of the joints are x = [driven joints; passive joints]; joint k has the value factor_k x_c(k) + offset_k, which
+covers `<mimic>` too. "World" is the nearest frame that carries all frames of interest, so that a robot far from the
+root link's origin loses no digits.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _LARGEST_TURN = 2 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class TreeJoint(ReadOnlyArrays):
-    """A joint that moves.
+    """A moving joint.
 
     Attributes:
-        before: Number of the joint that it stands on, from 1; 0 is the world.
+        before: Number of the joint that carries it, from 1; 0 is the world.
         slides: Whether it slides along z; else it turns about z.
-        coordinate: Coordinate of x that it follows.
+        coordinate: Index in x of its coordinate.
         factor, offset: Its value is factor x + offset [m or rad].
-        placement: Placement of its frame behind the joint before, (4, 4) [m].
+        placement: Pose of its frame behind the joint before, (4, 4) [m].
     """
 
     before: int
@@ -47,11 +47,11 @@ class TreeJoint(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class TreeFrame(ReadOnlyArrays):
-    """A frame that stands on a joint.
+    """A frame on a joint.
 
     Attributes:
         after: Number of the joint; 0 is the world.
-        placement: Behind it, (4, 4) [m].
+        placement: Pose behind the joint, (4, 4) [m].
         moved_by: Mask of the joints that move it, (n_joints,).
     """
 
@@ -62,11 +62,11 @@ class TreeFrame(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class Closure:
-    """Frame b in frame a: the components that must be zero.
+    """A loop closure: components of frame b in frame a that must be zero.
 
     Attributes:
-        a, b: Places among the tree's frames.
-        rows: Components that are zero, of x, y, z; loops that constrain whole poses are refused
+        a, b: Indices among the tree's frames.
+        rows: Zero components, of x, y, z; loops that constrain whole poses are refused
             (`calib.exporting.functions.languages`).
     """
 
@@ -80,15 +80,15 @@ class FunctionTree(ReadOnlyArrays):
     """Joints and frames from which kinematics are written.
 
     Attributes:
-        joints: The joints, each behind the one that it stands on.
+        joints: The joints, each after the joint that carries it.
         frames: Frames of interest.
         closures: The loops.
         n_driven, n_passive: Sizes of the two parts of x.
-        scale: Scale of each of x: 1 rad, or a length, (n_driven + n_passive,).
+        scale: Scale of each element of x: 1 rad, or a length, (n_driven + n_passive,).
         starts: Closed configurations, home first, (n_starts, n_driven + n_passive).
-        blocks: Rows and columns of each block of C_p whose determinant tells the assembly mode.
+        blocks: Rows and columns of each block of C_p whose determinant decides the assembly mode.
         signs: Sign of each of these determinants, (n_blocks,).
-        limits: Place among the passive joints, whether it turns, and limits, of each that has some [m or rad].
+        limits: Index among the passive joints, whether it turns, and limits, of each joint with limits [m or rad].
         tolerance: Largest residual of a closed pose [m, rad].
     """
 
@@ -114,7 +114,7 @@ class FunctionTree(ReadOnlyArrays):
 
     @property
     def behind(self) -> BoolArray:
-        """Mask of the joints behind each joint, itself included, (n_joints, n_joints)."""
+        """Mask of the joints behind each joint, including itself, (n_joints, n_joints)."""
         result = np.eye(len(self.joints), dtype=bool)
         for k, joint in enumerate(self.joints):
             if joint.before:
@@ -128,7 +128,7 @@ def tree_of(
     """Return the facts of a mechanism.
 
     Args:
-        frames: Joint indices of frames that are needed in addition to those of the loops; they come first.
+        frames: Joint indices of the frames of interest, which come before those of the loops.
         starts: Closed configurations, home first, (n_starts, n_driven + n_passive) [m or rad].
         from_root: Whether the world is the root link.
     """
@@ -165,7 +165,7 @@ def tree_of(
 
 @dataclass(frozen=True)
 class _FramePlace:
-    """A frame of the mechanism: its joint, its constant place behind it, and whether it is that joint's own."""
+    """A frame of the mechanism: its joint, its constant pose behind it, and whether it is that joint's own frame."""
 
     after: int
     place: pin.SE3
@@ -175,11 +175,11 @@ class _FramePlace:
 def _fold_frames(
     mechanism: Mechanism, select: FloatArray, shared: BoolArray, needed: BoolArray
 ) -> tuple[tuple[TreeJoint, ...], list[_FramePlace]]:
-    """Return the joints that move, and where each frame of the mechanism is."""
+    """Return the moving joints, and the place of each frame of the mechanism."""
     identity = pin.SE3.Identity()
     at, joints = [_FramePlace(0, identity)], list[TreeJoint]()
     for k in range(mechanism.n_joints):
-        if shared[k]:  # all frames of interest stand on it
+        if shared[k]:  # it carries all frames of interest
             at.append(_FramePlace(0, identity))
             continue
         before = at[mechanism.model.parents[k + 1]]
@@ -204,7 +204,7 @@ def _fold_frames(
 
 
 def _to_z(axis: FloatArray) -> FloatArray:
-    """A rotation whose z axis is the given one (3,); its entries are 0 and 1 where the axis is one of x, y, z."""
+    """A rotation whose z axis is `axis` (3,), with entries 0 and 1 if `axis` is x, y or z."""
     first = np.cross(np.roll(np.eye(3)[np.argmax(np.abs(axis))], 1), axis)
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first), axis], axis=1)
@@ -217,7 +217,7 @@ def _frame(mechanism: Mechanism, at: list[_FramePlace], numbers: list[int], inde
 
 
 def _limits(mechanism: Mechanism) -> list[tuple[int, bool, float, float]]:
-    """Limits of passive joints, with the margin that counts as inside; a whole turn is no limit."""
+    """Limits of passive joints, widened by the allowed margin; a whole turn is no limit."""
     limits = []
     for k, (low, high) in enumerate(zip(mechanism.lower.tolist(), mechanism.upper.tolist(), strict=True)):
         turns = not bool(mechanism.is_metre_column[k])

@@ -21,10 +21,10 @@ _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def numpy_columns(file: SomeFile) -> dict[str, Sequence[object]]:
-    """Return the columns of NumPy's file.
+    """Return the columns of a NumPy file.
 
     Raises:
-        DataError: It cannot be read (see `_unreadable`), or has no arrays of one length.
+        DataError: The file cannot be read, or has no arrays of one length.
     """
     try:
         loaded = np.load(io.BytesIO(_content(file)), allow_pickle=False)
@@ -42,7 +42,7 @@ def mat5_columns(file: SomeFile) -> dict[str, Sequence[object]]:
 
 
 def mat73_columns(file: SomeFile) -> dict[str, Sequence[object]]:
-    """Return the columns of a MATLAB file of version 7.3, whose axes are in the other order.
+    """Return the columns of a MATLAB file of version 7.3, whose axes are in reverse order.
 
     Raises:
         DataError: The package h5py is missing; for others see `numpy_columns`.
@@ -62,10 +62,10 @@ def mat73_columns(file: SomeFile) -> dict[str, Sequence[object]]:
 
 
 def json_columns(file: SomeFile) -> dict[str, Sequence[object]]:
-    """Return the columns of JSON: of arrays by name, or of records by name, in a list or one a line.
+    """Return the columns of JSON: arrays by name, or records by name, in a list or one per line.
 
     Raises:
-        DataError: It is no valid JSON, or holds neither; for others see `numpy_columns`.
+        DataError: The file is no valid JSON, or holds neither; for others see `numpy_columns`.
     """
     text = "\n".join(file.lines)
     try:
@@ -84,7 +84,7 @@ def json_columns(file: SomeFile) -> dict[str, Sequence[object]]:
 
 
 def has_lists(file: SomeFile) -> bool:
-    """Whether the first row of a table has a list of numbers in a cell."""
+    """Return whether the first row of a table has a list of numbers in a cell."""
     return len(file.first_lines) > 1 and bool(re.search(r'(^|[,"])\[[-+\d.e,\s]+(\]|$)', file.first_lines[1]))
 
 
@@ -101,7 +101,7 @@ def list_columns(file: SomeFile) -> dict[str, Sequence[object]]:
 
 
 def _flatten(arrays: Mapping[str, Any], start: str = "") -> dict[str, Any]:
-    """Arrays in structures, by names with what they are in."""
+    """Arrays in nested structures, by names with those of the structures."""
     result: dict[str, Any] = {}
     for name, value in arrays.items():
         result |= _flatten(value, f"{start}{name}_") if isinstance(value, dict) else {f"{start}{name}": value}
@@ -118,7 +118,7 @@ def _unreadable(file: SomeFile, error: Exception) -> DataError:
 
 
 def _columns(file: SomeFile, arrays: Mapping[str, Any]) -> dict[str, Sequence[object]]:
-    """Columns of the arrays of numbers; all whose first axis, or second of two, has the length that most have.
+    """Columns of the numeric arrays whose first axis, or second of two, has the most frequent length.
 
     Texts of that length, such as names of poses, are columns, too.
     """

@@ -1,4 +1,4 @@
-"""Formats of other programs, each with its head and what becomes of it: a table of `docs/howto/foreign_files.md`."""
+"""Formats of other programs, with their recognition and reading; the table of `docs/howto/foreign_files.md`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from calib.files import arrays, reports, servos, text
 
 
 def _begins(pattern: bytes) -> Callable[[SomeFile], bool]:
-    """Return whether the first bytes of a file fit a pattern."""
+    """Return a test whether the first bytes of a file match a pattern."""
     begins = re.compile(pattern, re.DOTALL)
     return lambda file: begins.match(file.head) is not None
 
 
 def _not_read(name: str, head: str, pattern: bytes, way: str) -> OtherFormat:
-    """Return a format that is known by its first bytes, and the way to measurements."""
+    """Return a format recognised by its first bytes, with the user's way to measurements."""
     return OtherFormat(name, head, way, _begins(pattern))
 
 

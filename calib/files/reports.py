@@ -27,11 +27,11 @@ class _Layout:
     """The columns of a report.
 
     Attributes:
-        header: Its line.
+        header: Index of the header line.
         name: Column of names.
-        values: Columns of X, Y, Z; or the one of measured values.
-        control: Column of X, Y, Z below each other; None where they are in one line.
-        unit: In the header.
+        values: Columns of X, Y, Z; or the single column of measured values.
+        control: Column of the axis letters if X, Y, Z are in separate rows; else None.
+        unit: Unit in the header, or None.
     """
 
     header: int
@@ -64,7 +64,7 @@ def _layout(file: SomeFile) -> _Layout | None:
 
 
 def is_report(file: SomeFile) -> bool:
-    """Whether a file has measured coordinates as such reports have them."""
+    """Return whether a file has measured coordinates in one of these layouts."""
     return _layout(file) is not None
 
 
@@ -72,10 +72,10 @@ def report_lines(file: SomeFile) -> list[str]:
     """Return a header and a row for each point.
 
     Raises:
-        DataError: A point has not one X, Y and Z.
+        DataError: A point does not have exactly one X, Y and Z.
     """
     lines, layout = file.lines, _layout(file)
-    assert layout is not None  # or another format would have been found
+    assert layout is not None  # else another format would have matched
     rows = [(k, cells_of(line)) for k, line in enumerate(lines[layout.header + 1 :], layout.header + 2) if line.strip()]
     unit = layout.unit or unit_above(lines[: layout.header + 2])
     points: dict[str, dict[str, str]] = {}

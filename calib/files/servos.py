@@ -8,16 +8,16 @@ from calib.core.base.errors import DataError
 from calib.core.data.other_formats import SomeFile
 
 _TICKS = 4096  # ticks in a turn of the servos of LeRobot's arms
-_KEYS = ((b'"homing_offset"', b'"range_min"'), (b'"homing_offset"', b'"motor_names"'))  # today's, and the first ones
+_KEYS = ((b'"homing_offset"', b'"range_min"'), (b'"homing_offset"', b'"motor_names"'))  # current and first versions
 
 
 def is_calibration_of_servos(file: SomeFile) -> bool:
-    """Whether a file is such JSON."""
+    """Return whether a file is such JSON."""
     return file.head.lstrip()[:1] == b"{" and any(all(key in file.head for key in keys) for keys in _KEYS)
 
 
 def servo_lines(file: SomeFile) -> list[str]:
-    """Raise `DataError` that says which lines of `columns` take a log's numbers to joint angles."""
+    """Raise `DataError` with the lines of `columns` that convert a log's numbers to joint angles."""
     try:
         servos = json.loads("\n".join(file.lines))
         if "motor_names" in servos:

@@ -1,4 +1,4 @@
-"""`calib fleet`: what robots of one model say of the next one."""
+"""`calib fleet`: the prior of the next robot of a model, from robots of the model."""
 
 from __future__ import annotations
 

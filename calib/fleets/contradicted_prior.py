@@ -1,16 +1,16 @@
-"""A robot is compared with its fleet: the fleet's prior is left out where the readings contradict it.
+"""Comparison of a robot with its fleet: the fleet's prior is dropped where the readings contradict it.
 
 A robot that was repaired, that fell, or that is of another make would be pulled towards the others, and its noise would
-seem larger than it is, which hides that. So it is fitted first as if there were no fleet, and what its readings tell is
-compared with what the fleet leads to expect, as results of a fleet are compared with each other
-(`calib.fleets.hierarchy`). The least likely parameter loses the fleet's prior and keeps the description's,
-until the rest is likely; beyond a quarter of the parameters the whole fleet is left out.
+seem larger, which hides the difference. So it is first fitted without the fleet. The information of its readings is
+compared with the fleet's prior, as results of a fleet are compared with each other (`calib.fleets.hierarchy`). The
+least likely parameter loses the fleet's prior and keeps the description's, until the rest is likely; beyond a quarter
+of the parameters the whole fleet is dropped.
 
-Where few readings leave that fit no degree of freedom, it has the fleet's prior, but several times as wide; either way
-what a prior says is taken out of the comparison.
+If few readings leave that fit no degree of freedom, it gets the fleet's prior, but several times as wide. The
+information of a prior is always removed before the comparison.
 
-When it fails. Where neither fit finds an answer (too few readings for unstated noise), nothing is compared.
-Poses that do not show a parameter cannot contradict it.
+When it fails. If neither fit succeeds (too few readings for unstated noise), nothing is compared. Poses that do not
+determine a parameter cannot contradict its prior.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from calib.core.robots.robot import Robot
 from calib.fleets.hierarchy import compare_with_fleet
 from calib.fleets.shared_parameters import evidence_of_fit, expectation_of_fleet, shared_parameters, without_fleet
 
-_WIDE = 5.0  # factor that makes a prior so wide that it decides little
-_MOST = 0.25  # part of the parameters that may be unlike before the whole robot is
-_EXTRA = 3.0  # degrees of freedom of spreads beyond one for each robot: what parameters of a kind share
+_WIDE = 5.0  # factor on a prior that makes it decide little
+_MOST = 0.25  # largest part of unlike parameters; with more, the whole robot is unlike
+_EXTRA = 3.0  # degrees of freedom of spreads in addition to one for each robot: from parameters of a kind
 
 
 def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Settings, fleet: FleetSection) -> Robot:
-    """Return the robot without those parts of its fleet's prior that the readings contradict.
+    """Return the robot without the parts of its fleet's prior that the readings contradict.
 
     Args:
         robot: The nominal robot.
@@ -70,7 +70,7 @@ def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Setti
 
 
 def _with_little_of_it(robot: Robot, fleet: FleetSection, data: Measurements, settings: Settings) -> Fit | None:
-    """The fit without the fleet, or with a wide prior of it; None where neither is possible."""
+    """The fit without the fleet, or with its widened prior; None if neither is possible."""
     wide = robot.description.model_copy(update={"fleet": fleet.widen(_WIDE, robot.parameters)})
     for tried in (without_fleet(robot), replace(robot, description=wide)):
         with suppress(CalibrationError):

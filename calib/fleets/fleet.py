@@ -1,4 +1,4 @@
-"""A fleet: results of robots of one model, and what they say of the next one (`calib.fleets.hierarchy`)."""
+"""A fleet: results of robots of one model, and the prior of the next robot (`calib.fleets.hierarchy`)."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from calib.fleets.shared_parameters import evidence_of_fit, section_of, shared_p
 from calib.fleets.ur_files import is_calibration, result_of_calibration
 
 _WIDTH = 118
-_CONFIRMED = 1.25  # ratio of found to stated noise, or its inverse, up to which results confirm it
+_CONFIRMED = 1.25  # largest ratio of estimated and stated noise, in either direction, that confirms the statement
 _MOST_CONFIRMED = 60.0  # degrees of freedom: the next robot's instrument may be another one
 _STATEMENT = 8.0
 """Degrees of freedom of a noise that only the user states, right to a quarter: 1 / (2 * 0.25^2) (jcgm100, G.4.2)."""
-_NAMED = 3  # parameters of a robot that are named as unlike
+_NAMED = 3  # unlike parameters of a robot that are named
 _UNPROVEN = {
     "CHECK": "systematic errors there count as properties of the robot.",
     "FAIL": "what is wrong there may count as a property of the robot: leave it out, or fit it again.",
 }
-_SCREEN = 12  # robots, and parameters, whose tables leave a screen of 40 lines
+_SCREEN = 12  # robots, and parameters, whose tables fit on a screen of 40 lines
 
 
 @dataclass(frozen=True)
@@ -44,13 +44,13 @@ class Member:
 
     Attributes:
         name: The part of its folder's name that the others do not have.
-        folder: Its result, as it was given.
+        folder: Path of its result.
         verdict, n_poses: Verdict and number of poses of its result.
-        is_unlike: Whether it is unlike the others, which then learned nothing from it.
-        combined_rms: Root mean square of how far it is from what the others expect, 1 on average; NaN if not tested.
-        p_value: Chance of a robot so far off in anything, over all tests of this robot; NaN if not tested.
-        unlike_parameters: Parameters in which such a robot is further off than chance, the furthest first, with the
-            distance in standard deviations of what is expected.
+        is_unlike: Whether it is unlike the others, whose mean and spread then do not contain it.
+        combined_rms: Root mean square deviation from the others' prediction, 1 on average; NaN if not tested.
+        p_value: Probability of such a deviation, over all tests of this robot; NaN if not tested.
+        unlike_parameters: Parameters of an unlike robot with significant deviations, the largest first, in standard
+            deviations of the prediction.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Member:
     unlike_parameters: tuple[tuple[str, float], ...]
 
     def sentence(self) -> str:
-        """Say whether it is like the others."""
+        """Return whether it is like the others, in words."""
         if np.isnan(self.p_value):
             return "not tested"
         if not self.is_unlike:
@@ -77,16 +77,16 @@ class Fleet(ReadOnlyArrays):
     """Robots of one model.
 
     Attributes:
-        robot: The first one, nominal, with the prior of the next robot in its description.
+        robot: The first robot, nominal, with the prior of the next robot in its description.
         members: The robots.
         parameters: Shared parameters, with the sigmas of the description.
         nominal: Nominal values, (n,) [SI].
         mean, mean_std: Mean over the robots, and its standard deviation, (n,) [SI].
         spread: Standard deviation from robot to robot, (n,) [SI].
         n_determined: Number of robots that determine each parameter, (n,).
-        values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of a robot left out, by its
-            own fit.
-        notes: Remarks for users of it.
+        values, stds: Values of each robot, with the others as its prior, (n_robots, n) [SI]; for an unlike robot, from
+            its own fit.
+        notes: Remarks for users.
     """
 
     robot: Robot
@@ -112,9 +112,8 @@ class Fleet(ReadOnlyArrays):
     def report(self, *, verbose: bool = False) -> str:
         """Return the fleet as text: the robots, then the parameters.
 
-        Args:
-            verbose: All of them; otherwise, of more than fit on a screen, the robots that are least like the others,
-                and the parameters whose mean is most surely off nominal.
+        With `verbose`, all of them; else, if there are too many, the robots least like the others, and the parameters
+        with the most significant mean.
         """
         robots = text_table(
             ("robot", "verdict", "poses", "off", "p", "comparison"), ("robot", "verdict", "comparison"), plain=True
@@ -141,7 +140,7 @@ class Fleet(ReadOnlyArrays):
         return plain_text([robots, *others, "", table, *less, *ending], _WIDTH, wrap=True)
 
     def conclusion(self) -> str:
-        """Return in a sentence what was learned."""
+        """Return the result in a sentence."""
         odd = [member.name for member in self.members if member.is_unlike]
         spread = np.median(self.spread / np.array([p.sigma_si for p in self.parameters]))
         left = f" Left out as unlike the others: {listing(odd)}." if odd else ""
@@ -151,7 +150,7 @@ class Fleet(ReadOnlyArrays):
         )
 
     def to_dict(self) -> dict[str, object]:
-        """Return the fleet for `--json`, in the units of tables; null where there is no number."""
+        """Return the fleet for `--json`, in the units of tables; null for missing numbers."""
         rows = []
         for k, parameter in enumerate(self.parameters):
             numbers = {"nominal": self.nominal[k], "mean": self.mean[k], "mean_std": self.mean_std[k]}
@@ -187,14 +186,14 @@ class Fleet(ReadOnlyArrays):
         return as_data({"robots": members, "parameters": rows, "chance": FALSE_ALARM, "notes": self.notes})
 
     def save(self, path: Path | str, *, force: bool = False) -> None:
-        """Write the robot description with what the fleet says, and its URDF beside it under the same name.
+        """Write the robot description with the fleet's prior, and its URDF beside it under the same name.
 
         Args:
             path: YAML file to write.
             force: Whether to replace files that this program did not write, or that were edited.
 
         Raises:
-            InputError: A file cannot be written, or should not be replaced.
+            InputError: A file cannot be written, or must not be replaced.
         """
         path, urdf = Path(path), urdf_beside(path)
         text = description_yaml(self.robot.description.model_copy(update={"urdf": urdf.name}))
@@ -213,23 +212,23 @@ def _hidden_count_lines(count: int, noun: str, why: str) -> list[str]:
 
 
 def urdf_beside(path: Path | str) -> Path:
-    """Return where the URDF of a description goes; a name that does not end in .yaml is an `InputError`."""
+    """Return the path of a description's URDF; `InputError` for a name without .yaml."""
     if Path(path).suffix.lower() not in (".yaml", ".yml"):
         raise InputError(f"{path}: the name of a robot description ends in .yaml")
     return Path(path).with_suffix(".urdf")
 
 
 def fleet(*results: Path | str) -> Fleet:
-    """Make the prior of the next robot of a model, from results of others.
+    """Make the prior of the next robot of a model from results of others.
 
     Args:
         results: Two or more result folders, of different robots with the same URDF and parameters; or calibrations of
             Universal Robots (YAML), of robots of one type.
 
     Raises:
-        InputError: Fewer than two, or the same one twice.
-        DataError: A folder holds no result, or a damaged one, or one of another model, with other parameters, or of the
-            same readings.
+        InputError: Fewer than two results, or a repeated one.
+        DataError: A folder holds no result, or a damaged one, or one of another model, with other parameters, or from
+            the same readings.
         ComputationError: A result failed, and was not forced.
     """
     if len(results) < 2:
@@ -247,7 +246,7 @@ def fleet(*results: Path | str) -> Fleet:
         learned = _fleet(folders)
     section = learned.robot.description.fleet
     assert section is not None
-    bare = section.model_copy(update={"noise_freedom": _STATEMENT})  # noise found there is no instrument's
+    bare = section.model_copy(update={"noise_freedom": _STATEMENT})  # the noise of these fits is no instrument's
     description = learned.robot.description.model_copy(update={"fleet": bare})
     return replace(
         learned,
@@ -292,7 +291,7 @@ def _fleet(folders: Sequence[Path]) -> Fleet:
 
 
 def _shared_parameters(robots: Sequence[Robot], folders: Sequence[Path]) -> tuple[Parameter, ...]:
-    """Shared parameters of the robots; an error where they are not of one model, or were not fitted alike."""
+    """Shared parameters of the robots; an error if models or free parameters differ."""
     first = shared_parameters(robots[0])
     names = [p.name for p in first]
     if not names:
@@ -315,7 +314,7 @@ def _shared_parameters(robots: Sequence[Robot], folders: Sequence[Path]) -> tupl
 
 
 def _require_different(results: Sequence[LoadedResult]) -> None:
-    """Raise `DataError` if two results used the same readings: then they are of one robot."""
+    """Raise `DataError` if two results used the same readings, and so are of one robot."""
     used = [set(result.readings().get("identification", {})) for result in results]
     for k, readings in enumerate(used):
         for other in range(k):
@@ -383,7 +382,7 @@ def _member(
 
 
 def _confirmed_freedom(results: Sequence[LoadedResult]) -> float:
-    """Degrees of freedom with which results confirm the stated noise; 0 where they contradict it."""
+    """Degrees of freedom with which results confirm the stated noise; 0 if they contradict it."""
     contents = [result.content for result in results]
     stated = [content for content in contents if content.get("sigma_stated") and content["sigma"] is not None]
     freedom = np.array([float(content["degrees_of_freedom"]) for content in stated])

@@ -4,13 +4,13 @@ Result i has a likelihood of its own n scaled parameters u_i, with precision H_i
 
     log p(data_i | u_i) = -u_i^T H_i u_i / 2 + h_i^T u_i + const,
 
-so that directions that its data do not determine, where H_i is zero, have no effect. The robots differ around a mean,
+so that undetermined directions, where H_i is zero, have no effect. The robots differ around a mean,
 
     u_i = m + d_i,        d_i ~ N(0, diag(t^2)),        m ~ N(0, I),        t_k^2 ~ scaled inverse chi^2 (nu, r^2),
 
-with one typical size r for parameters of a kind (`kinds`), found from the data, so that few robots are enough: r is
-the geometric mean of the t_k of the kind, and each t_k is drawn towards it with the weight of nu robots. Given t, all
-else is normal:
+with one typical size r for parameters of a kind (`kinds`), estimated from the data, so that few robots are enough: r is
+the geometric mean of the t_k of the kind, and each t_k is drawn towards it with the weight of nu robots. Given t,
+everything else is normal:
 
     A_i = (H_i + diag(1/t^2))^-1            covariance of d_i given m
     V = (I + sum H_i - H_i A_i H_i)^-1,     m = V sum (I - H_i A_i) h_i
@@ -22,17 +22,17 @@ components (`calib.core.numerics.variance_components`), and f_k are degrees of f
 robot has Student tails. A normal with the same variance, t_k^2 f_k / (f_k - 2), takes its place; its 95 % intervals
 hold.
 
-Each result is tested against the others. Learned without result i, they predict u_i ~ N(m, D + V), with D the diagonal
-of these variances. The first test is of all parameters together. It takes the K combinations in which the prediction is
-wider than the noise of result i, scales them to variance 1, and tests their mean square. This is a mean of K squares,
-each of Student's t with the typical f_k = f, so scaled: its mean is 1 and its variance 2 (f - 1) / (f - 4) / K.
-The scaled F of K and f' = 4 + (K + 2) (f - 4) / 3 degrees of freedom has the same mean and variance and takes its
-place: many spreads, each roughly known, are together known well. The second test is of each parameter alone, by
-Student's t, scaled too, as for an added variable: with B = (D + V)^-1 and S = (B + H_i)^-1, B S (h_i - H_i m) is the
-score, and the diagonal of B - B S B its variance. So a parameter that is determined only in sums is tested by these.
-Each of the two tests has half of the chance of a false alarm. The least likely result is left out, and all is learned
-again, until no robot is unlike at a chance of one in a hundred for all tests together. So one wrong result changes
-nothing, and does not hide behind the spread that it makes.
+Each result is tested against the others. Without result i, they predict u_i ~ N(m, D + V), with D the diagonal of these
+variances. The first test is of all parameters together. It takes the K combinations in which the prediction is wider
+than the noise of result i, scales them to variance 1, and tests their mean square. This is a mean of K squares, each of
+a scaled Student's t with the typical f_k = f: its mean is 1 and its variance 2 (f - 1) / (f - 4) / K. It is replaced by
+the scaled F of K and f' = 4 + (K + 2) (f - 4) / 3 degrees of freedom, with the same mean and variance: many roughly
+known spreads are together known well. The second test is of each parameter alone, by a scaled Student's t, as for an
+added variable: with B = (D + V)^-1 and S = (B + H_i)^-1, B S (h_i - H_i m) is the score, and the diagonal of B - B S B
+its variance. So a parameter that is determined only in sums is tested by these. Each of the two tests has half of the
+probability of a false alarm. The least likely result is left out, and everything is estimated again, until no robot is
+unlike at a probability of one in a hundred for all tests together. So one wrong result changes nothing, and does not
+hide behind the spread that it causes.
 
 When it fails. Half of the results are wrong. There are only two results, and neither can be called unlike. Spreads are
 correlated (all links of a robot are longer): they count as independent, so that combinations of them seem narrower than
@@ -57,19 +57,14 @@ _WEIGHT = 4.0  # nu of the module docstring
 _SMALLEST = 1e-3  # least typical size r of spreads, over the sigma of single robots
 _STANDS = 1e-4  # relative change of a variance at which the iteration ends
 _ROUNDS = 500
-_WIDER = 2.0  # variance of a combination, over that of noise, from which it is tested
+_WIDER = 2.0  # least variance of a tested combination, over that of noise
 _NOTHING = 1e-2  # information, over that of the prior of single robots, below which a direction is undetermined
-_SHOWN = 0.1  # part of a parameter's prior, given the others, that data must determine for a test
+_SHOWN = 0.1  # least part of a parameter's prior, given the others, that data must determine for a test
 
 
 @dataclass(frozen=True, eq=False)
 class FleetEvidence(ReadOnlyArrays):
-    """Likelihood of scaled parameters by the data of one result alone.
-
-    Attributes:
-        precision: H, (n, n).
-        information_vector: h, (n,).
-    """
+    """Likelihood of scaled parameters from the data of one result: H (n, n) and h (n,) of the module docstring."""
 
     precision: FloatArray
     information_vector: FloatArray
@@ -84,7 +79,7 @@ class Hierarchy(ReadOnlyArrays):
         covariance: V of the mean, (n, n).
         variance: Variance of one more robot around the mean, (n,).
         freedom: f, (n,).
-        estimates: d_i + m of the results, (n_results, n).
+        estimates: d_i + m for each result, (n_results, n).
         deviations: Standard deviations of the estimates, (n_results, n).
         n_determined: Number of results that determine each parameter, counted in parts, (n,).
     """
@@ -105,9 +100,9 @@ class FleetComparison(ReadOnlyArrays):
     Attributes:
         distances: Deviation of each parameter if it alone is unlike, in standard deviations, (n,); NaN where the
             result does not determine it.
-        p_values: Chance of each distance, (n,); NaN where there is none.
-        combined_rms: Root mean square over combinations, 1 on average; NaN where there are none.
-        p_combined: Chance of `combined_rms`.
+        p_values: Probability of each distance, (n,); NaN without a distance.
+        combined_rms: Root mean square over combinations, 1 on average; NaN without any.
+        p_combined: Probability of `combined_rms`.
     """
 
     distances: FloatArray
@@ -116,7 +111,7 @@ class FleetComparison(ReadOnlyArrays):
     p_combined: float
 
     def p_value(self) -> float:
-        """Return the chance of the less likely of the two tests, corrected for their number; NaN without a test."""
+        """Return the probability of the less likely test, corrected for the number of tests; NaN without a test."""
         single = self.p_values[np.isfinite(self.p_values)]
         chances = [len(single) * float(np.min(single))] if len(single) else []
         chances += [self.p_combined] if np.isfinite(self.p_combined) else []
@@ -126,14 +121,14 @@ class FleetComparison(ReadOnlyArrays):
 def evidence_of_data(
     covariance: FloatArray, u: FloatArray, prior: FloatArray, mean: FloatArray, freedom: float
 ) -> FleetEvidence:
-    """Return the evidence of the data alone, from an estimate with a prior: C^-1 less the prior.
+    """Return the evidence of the data alone, from an estimate with a prior: C^-1 minus the prior's precision.
 
     Args:
         covariance: C of the scaled estimate, (n, n).
         u: The estimate, (n,).
         prior: Precision of the prior, (n, n); 0 for parameters without a prior.
         mean: Mean of the prior, (n,).
-        freedom: Degrees of freedom of the noise found, by which the covariance is widened as Student's t.
+        freedom: Degrees of freedom of the estimated noise, by which the covariance is widened as Student's t.
     """
     inverse = np.linalg.inv(covariance)
     sizes, axes = linalg.eigh((inverse - prior + (inverse - prior).T) / 2)
@@ -144,7 +139,7 @@ def evidence_of_data(
 
 
 def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray | None = None) -> Hierarchy:
-    """Learn mean and spread; see the module docstring.
+    """Estimate mean and spread; see the module docstring.
 
     Args:
         kinds: Kind of each parameter, from 0, (n,).
@@ -214,7 +209,7 @@ def _with_mean(result: FleetEvidence, variance: FloatArray, covariance: FloatArr
 def compare_with_fleet(
     result: FleetEvidence, mean: FloatArray, expected: FloatArray, freedom: FloatArray
 ) -> FleetComparison:
-    """Compare a result with the prediction of others, learned without it.
+    """Compare a result with the prediction of the others, without it.
 
     Args:
         mean: Prediction of the others, (n,).
@@ -246,13 +241,13 @@ def compare_with_fleet(
 def learn_without_odd(
     results: Sequence[FleetEvidence], kinds: IntArray
 ) -> tuple[Hierarchy, tuple[int, ...], tuple[FleetComparison | None, ...]]:
-    """Learn from all results that are not unlike the others.
+    """Estimate mean and spread from all results that are not unlike the others.
 
     Args:
         kinds: Kind of each parameter, (n,).
 
     Returns:
-        Hierarchy of the results that are alike; indices of the others; comparison of each result (None for two).
+        Hierarchy of the remaining results; indices of the others; comparison of each result (None for two results).
     """
     odd: list[int] = []
     indices = range(len(results))

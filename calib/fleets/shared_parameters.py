@@ -1,8 +1,8 @@
 """The evidence of a result on the parameters that robots of one model share, and a fleet's expectation of them.
 
-Shared are joint origins and coefficients of joint terms. Where base, targets and instruments stand is no property of a
-robot: they are integrated out, as the block of the covariance does that the others have. Nor are coefficients whose
-common size is found from the data (curves): these keep their own prior.
+Shared are joint origins and coefficients of joint terms. The places of base, targets and instruments are no property of
+a robot: they are integrated out, by taking the block of the covariance of the shared parameters. Coefficients whose
+common size is estimated from the data (curves) are not shared either: these keep their own prior.
 
 Everything is scaled, u = (p - p_nominal) / s with the description's sigmas s.
 """
@@ -22,7 +22,7 @@ from calib.core.robots.robot import Robot
 from calib.core.rows.unknowns import Unknowns
 from calib.fleets.hierarchy import FleetEvidence, Hierarchy, evidence_of_data
 
-_SMALL = 1e-3  # variance of the mean along a combination, over that of the spread, that is not worth a column
+_SMALL = 1e-3  # variance of the mean along a combination, over that of the spread, below which it gets no column
 
 
 def without_fleet(robot: Robot) -> Robot:
@@ -49,11 +49,11 @@ def evidence_of_fit(
     """Return the evidence of a fit's data, scaled by the sigmas of `shared`.
 
     Args:
-        robot: Calibrated, with the prior that it was fitted with.
+        robot: Calibrated, with the prior of its fit.
         free: Mask of its free parameters, (n_parameters,).
-        covariance: Covariance of the free ones, (n_free, n_free) [SI].
+        covariance: Covariance of the free parameters, (n_free, n_free) [SI].
         freedom: Degrees of freedom of the noise.
-        shared: Which parameters.
+        shared: The shared parameters.
     """
     unknowns = Unknowns.from_robot(robot, free)
     index = np.array([unknowns.names.index(p.name) for p in shared], dtype=np.intp)
@@ -69,7 +69,7 @@ def evidence_of_fit(
 def expectation_of_fleet(
     fleet: FleetSection, robot: Robot, shared: Sequence[Parameter]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a fleet's expectation of the parameters that it knows: mean (n,) and covariance (n, n), scaled."""
+    """Return a fleet's expectation of its parameters: mean (n,) and covariance (n, n), scaled."""
     scales, nominal = _scales(shared)
     parameters = fleet.expected(shared, robot.path)
     covariance = fleet.covariance([p.name for p in shared])

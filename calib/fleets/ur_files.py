@@ -1,9 +1,9 @@
 """A result folder from the maker's calibration of a robot, as if `calib fit` had fitted the stock model of its type.
 
-Controllers of Universal Robots compute with a calibration (`calib.core.robots.urdf.ur_kinematics`). Rounded poses of
-the robot in this file are fitted by the stock model of its type, with all joint origins free, and base and tool known.
+Controllers of Universal Robots compute with a calibration (`calib.core.robots.urdf.ur_kinematics`). The stock model of
+the type is fitted to rounded poses of the robot in this file, with all joint origins free, and base and tool known.
 Single numbers of two files cannot be compared, because parallel axes leave some of them undetermined. The prior of the
-fit puts all robots of a type into one gauge, and its covariance says which combinations stay undetermined.
+fit puts all robots of a type into one gauge, and its covariance shows which combinations stay undetermined.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.ur_kinematics import JOINTS, nearest_type, nominal_origins, read_origins, ur_urdf
 
 _POSES = 40
-_STEP = 5e-5, 2e-4  # to which poses are rounded: far below the differences between robots [m], [rad]
-_FAR = 0.03  # RMS distance beyond which a robot is not of a type [m]
+_STEP = 5e-5, 2e-4  # rounding of poses, far below the differences between robots [m], [rad]
+_FAR = 0.03  # largest RMS distance of a robot from its type [m]
 
 
 def is_calibration(path: Path | str) -> bool:
-    """Whether this is a calibration file of Universal Robots, and not a result folder."""
+    """Return whether a path is a calibration file of Universal Robots, not a result folder."""
     return Path(path).suffix.lower() in (".yaml", ".yml") and Path(path).is_file()
 
 
 def result_of_calibration(path: Path | str, folder: Path) -> None:
-    """Write the result folder of a robot with a calibration of its maker.
+    """Write the result folder of a robot from its maker's calibration.
 
     Args:
         path: The file of the calibration.

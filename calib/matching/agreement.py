@@ -109,7 +109,7 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
 
 
 def _leave_one_out_residuals(jacobian: FloatArray, C: FloatArray, r: FloatArray) -> FloatArray:
-    """r' of the module docstring, (n_draws, n_pairs, 6), from r (n_draws, n_pairs, 6) or (n_draws, 6 n_pairs)."""
+    """Residuals r' of the module docstring, (n_draws, n_pairs, 6), from r of this shape or (n_draws, 6 n_pairs)."""
     blocks = jacobian.reshape(-1, 6, jacobian.shape[1])
     others = linalg.pinv(np.eye(6) - blocks @ C @ blocks.swapaxes(1, 2), rcond=1e-9)
     return np.asarray(np.einsum("vij,dvj->dvi", others, r.reshape(len(r), -1, 6)))

@@ -1,12 +1,12 @@
 """The twin of a controller: joint origins with which a robot has the poses that its controller prints.
 
-Order of work: (1) what the columns mean, and where base and tool are (`calib.matching.readings`); (2) a fit of all
-joint origins, with the covariance of rounding as the only noise; base and tool stand where the user says, or, if they
-are near the robot's own frames, there: a base that differs is the same as another first origin; (3) where that leaves
-more than rounding, another tool and pairs of another program are tried, then joint terms, which a controller may
-compute with and a URDF cannot hold; (4) what it is worth (`calib.matching.agreement`).
+Order of work: (1) the meaning of the columns, and the places of base and tool (`calib.matching.readings`); (2) a fit of
+all joint origins, with the covariance of rounding as the only noise; base and tool are where the user states, or at the
+robot's own frames if they are near these: another base is equivalent to another first origin; (3) if more than rounding
+remains, another tool and pairs of another program are tried, then joint terms, which a controller may have and a URDF
+cannot hold; (4) the claim (`calib.matching.agreement`).
 
-PASS says that rounding explains the residuals of all pairs, and that errors at other poses are of its size.
+PASS means that rounding explains the residuals of all pairs, and that errors at other poses are of its size.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from calib.matching.result import Match
 from calib.matching.twin_fit import TwinFit
 
 _LEAST = 4  # pairs
-_MOST = 500  # that are used
-_NEAR = 0.015, np.radians(1.5)  # distance of base and tool from frames that count as theirs [m], [rad]
-_ELSEWHERE = 0.02, np.radians(2.0)  # difference of stated and found places beyond which a statement is wrong [m], [rad]
-_ALIKE = 2.0  # residuals over those of the best reading, up to which another one fits alike
-_BETTER = 0.5  # residuals with a free tool over those without, below which the tool is another one
-_WRONG = 0.2  # part of the pairs that may be of another program
-_SINGLE = 4.0  # distance of the worst pair from what the others predict, over the median, if it is of another program
+_MOST = 500  # largest number of pairs in the fit
+_NEAR = 0.015, np.radians(1.5)  # largest distance of base and tool from the robot's own frames [m], [rad]
+_ELSEWHERE = 0.02, np.radians(2.0)  # largest difference of stated from fitted places [m], [rad]
+_ALIKE = 2.0  # ratio to the best reading's residuals below which another reading fits as well
+_BETTER = 0.5  # ratio of residuals with a free tool below which the tool is another one
+_WRONG = 0.2  # largest part of the pairs from another program
+_SINGLE = 4.0  # least ratio of the worst pair's miss to the median if it is from another program
 
 
 def match(
@@ -54,14 +54,14 @@ def match(
     Args:
         robot: The stock robot: description, URDF, or a calibration of Universal Robots.
         pairs: Joint values and poses (`calib.matching.pairs`).
-        tool: Pose of the tool in the robot's last link, as the file writes poses; found if not given.
-        base: Pose of the robot's base in the controller's, written as `tool`.
-        terms: Whether joint terms are tried where joint origins do not explain the poses.
+        tool: Pose of the tool in the robot's last link, in the file's form; default: fitted.
+        base: Pose of the robot's base in the controller's, in the file's form; default: fitted.
+        terms: Whether to try joint terms if joint origins do not explain the poses.
         seed: Seed of the draws of rounding.
 
     Raises:
-        DataError: Too few pairs; no reading of the columns fits, or several do alike; a tool or base that was stated is
-            another one.
+        DataError: Too few pairs; no reading of the columns fits, or several fit equally; a stated tool or base
+            contradicts the pairs.
         InputError: The robot has loops.
     """
     nominal = as_robot(robot)
@@ -111,7 +111,7 @@ def _first_fit(
 
 
 def _best_fit(fits: list[TwinFit], pairs: Pairs) -> TwinFit:
-    """The reading that fits best; an error where another one fits alike, and no header says which."""
+    """The reading that fits best; an error if another fits equally and no header decides."""
     best = min(fit.agreement.left_out for fit in fits)
     alike = [fit for fit in fits if fit.agreement.left_out <= _ALIKE * best]
     without_mistakes = [fit for fit in alike if not fit.candidate.reading.mistakes(pairs)]
@@ -121,7 +121,7 @@ def _best_fit(fits: list[TwinFit], pairs: Pairs) -> TwinFit:
 
 
 def _without_others(fit: TwinFit) -> TwinFit:
-    """Without pairs that are of another program, where rounding explains all others."""
+    """The fit without pairs of another program, if rounding explains the rest."""
     less = fit
     for _ in range(int(_WRONG * len(fit.pairs))):
         far = less.agreement.relative_distances
@@ -173,7 +173,7 @@ def _is_beyond_limits(pose: FloatArray, other: FloatArray, limits: tuple[float, 
 
 
 def _frame_near(found: FloatArray) -> FloatArray | None:
-    """The frame itself, turned by quarter turns, if what was found is near it; else None."""
+    """The nearest frame turned by quarter turns, if `found` is near it; else None."""
     quarters = scipy.spatial.transform.Rotation.create_group("O").as_matrix()
     nearest = quarters[np.argmax(np.einsum("kij,ij->k", quarters, found[:3, :3]))]
     frame = np.eye(4)

@@ -1,8 +1,7 @@
-"""Pairs of joint values and poses that a controller prints: their columns, and the step to which they are rounded.
+"""Pairs of joint values and poses that a controller prints: their columns, and their rounding steps.
 
-Columns are found by the words that makers use. Where a header has none of these words, or there is no header, the
-numbers of a line are joint values, x, y, z, and the rotation, in this order. `calib.matching.readings` finds units and
-meaning of the numbers.
+Columns are found by the manufacturers' words. Without such words or a header, the numbers of a line are joint values,
+x, y, z, and the rotation, in this order. `calib.matching.readings` finds units and meaning of the numbers.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from calib.matching.conventions import HEADERS
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _STEMS = ("j", "joint", "axis", "a", "rax", "ax", "theta", "q", "actualq", "jointposition", "actualjointpositions")
-"""Beginnings of the names of joint columns, in the order of trust: q1 to q4 may be a quaternion."""
+"""Beginnings of joint column names, the most certain first: q1 to q4 may be a quaternion."""
 _WIDTHS = (3, 4, 9)
 _POSES = ("pose", "otee")
 """Parts of the names of numbered pose columns: UR's actual_TCP_pose_0, Franka's O_T_EE_0."""
@@ -43,9 +42,9 @@ class Pairs(ReadOnlyArrays):
         joints: (n, n_joints), in units of the file.
         positions: In the units of the file, (n, 3).
         rotations: In the units of the file, (n, 3, 4 or 9).
-        units: Units of joint values, positions and rotations, where the file states them.
+        units: Units of joint values, positions and rotations, or None where the file states none.
         steps: Rounding steps of each joint, of positions and of rotations, in units of the file, (n_joints + 2,).
-        words: Key in `HEADERS` of the names of the rotation's columns; empty if the names do not tell.
+        words: Key in `HEADERS` for the names of the rotation's columns; empty without.
     """
 
     path: str
@@ -61,7 +60,7 @@ class Pairs(ReadOnlyArrays):
         return len(self.joints)
 
     def evenly(self, most: int) -> Pairs:
-        """Return at most `most` pairs, evenly spread over the file: a log has thousands of nearly equal ones."""
+        """Return at most `most` pairs, evenly spread over the file, since a log has thousands of similar pairs."""
         kept = np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
         arrays = {name: getattr(self, name)[kept] for name in ("joints", "positions", "rotations")}
         return replace(self, rows=tuple(self.rows[k] for k in kept), **arrays)
@@ -106,7 +105,7 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
 
 
 def _without_header(path: Path | str) -> Table | None:
-    """The numbers of each line, where the first line is no header; None for a table."""
+    """The numbers of each line if the first line is no header; None for a table."""
     if not str(path).lower().endswith((".csv", ".txt", ".log", ".dat", ".tsv")):
         return None
     lines = list(enumerate(read_text(path, "a file of pairs", DataError).splitlines(), start=1))
@@ -137,7 +136,7 @@ def _series(names: list[str]) -> dict[str, dict[int, int]]:
 
 
 def _joint_columns(table: Table, names: list[str], joint_names: Sequence[str]) -> list[int]:
-    """Columns of the joints: by the robot's names, or numbered with a stem that means joints."""
+    """Columns of the joints: by the robot's names, or numbered with a stem for joints."""
     if all(name in table.names for name in joint_names):
         return [table.names.index(name) for name in joint_names]
     series, n = _series(names), len(joint_names)
@@ -149,7 +148,7 @@ def _joint_columns(table: Table, names: list[str], joint_names: Sequence[str]) -
 
 
 def _pose_columns(names: list[str], joints: Sequence[int]) -> tuple[list[int], list[int], str]:
-    """Columns of positions and of rotations, and the header's word for these; empty where names do not tell."""
+    """Columns of positions and of rotations, and the header's word for these; empty if names do not show it."""
     for stem, columns in _series(names).items():
         order = _NUMBERED.get(len(columns))
         if order is not None and any(word in stem for word in _POSES) and not set(columns.values()) & set(joints):
@@ -191,7 +190,7 @@ def _unit(table: Table, columns: Sequence[int]) -> str | None:
 
 
 def _step(table: Table, columns: Sequence[int], numbers: dict[int, FloatArray]) -> float:
-    """Rounding step of columns: one that divides all numbers, else the last digit of half of the cells."""
+    """Rounding step of columns: a step that divides all numbers, else the last digit of half of the cells."""
     values = np.concatenate([numbers[k] for k in columns])
     decimals = [
         len(mantissa.partition(".")[2]) - int(exponent or 0)

@@ -1,16 +1,16 @@
-"""Meaning of the numbers of pairs: units, form of the rotations, which frame is seen from which, signs and order.
+"""Meaning of the numbers of pairs: units, form of the rotations, frames, signs and order.
 
-Every reading is tried on the nominal robot, base and tool placed as well as possible (`calib.matching.alignment`). The
-right one leaves what the robot's origins are off, some millimetres; a wrong one leaves a part of the workspace. Tried
-are: joint values in degrees and radians; all forms of rotations (`calib.matching.conventions`); the tool seen from the
-base, the base from the tool, and rotations alone inverse. Only where none of them fits, a twist is tried: joint 3
-counted from the horizontal (joint 2 is in it), joint values some rows above or below their poses, columns of positions
-in another order or with another sign, and columns of joint values with other order, sign, zero or scale
+Every reading is tried on the nominal robot, with the best base and tool (`calib.matching.alignment`). The right reading
+leaves the errors of the robot's origins, some millimetres; a wrong reading leaves a part of the workspace. Candidates
+are: joint values in degrees and radians; all forms of rotations (`calib.matching.conventions`); the tool in the base,
+the base in the tool, and inverse rotations alone. If none of them fits, twists are tried: joint 3 counted from the
+horizontal (joint 2 is in it), joint values some rows above or below their poses, columns of positions in another order
+or with another sign, and columns of joint values with other order, sign, zero or scale
 (`calib.core.fitting.column_maps`).
 
-What a header says breaks ties and is compared with what was found; it decides nothing by itself.
+A header breaks ties and is compared with the result; it decides nothing by itself.
 
-When it fails. Two twists at once; a twist in poses that are inverse.
+When it fails. Two twists at once; a twist in inverse poses.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from calib.matching.alignment import Alignment, align, turns_apart
 from calib.matching.conventions import CONVENTIONS, HEADERS, Convention
 from calib.matching.pairs import Pairs
 
-_SAME = 1e-9  # differences of joint values and poses that count as none [m], [rad]
-_FINEST = 1e-6  # digit of a number below which a controller rounds by itself [m or rad]
-_FIT = 0.08  # miss over the spread of the robot's positions, below which a reading fits
-_STILL = 0.005  # spread of the robot's positions below which pairs tell nothing [m]
-_ALIKE = 3.0  # miss over that of the best, up to which a fit has to decide
-_SHORT = 12  # readings of each joint unit and direction whose rotations agree best: six sequences agree alike
-_MIRRORED = 4  # likeliest readings whose columns of positions are tried in other orders
-_MOST = 4  # readings that fits decide between
+_SAME = 1e-9  # differences of joint values and poses that count as zero [m], [rad]
+_FINEST = 1e-6  # finest own rounding of a controller [m or rad]
+_FIT = 0.08  # miss over the spread of the robot's positions below which a reading fits
+_STILL = 0.005  # spread of the robot's positions below which pairs determine nothing [m]
+_ALIKE = 3.0  # ratio to the best miss below which a fit must decide
+_SHORT = 12  # best readings by rotations for each joint unit and direction: six sequences agree equally
+_MIRRORED = 4  # best readings whose columns of positions are tried in other orders
+_MOST = 4  # largest number of readings that fits decide between
 _SHIFTS = (-3, -2, -1, 1, 2, 3)
-_TURN = 4.5 * np.pi  # joint values beyond this are no radians
+_TURN = 4.5 * np.pi  # joint values above this are no radians
 _DIRECTIONS = {
     "direct": "the tool in the base",
     "inverse": "the base seen from the tool (inverse poses)",
@@ -55,9 +55,9 @@ class Twist:
 
     Attributes:
         words: The deviation in words; empty: none.
-        joints: A of joint values A q + b, q as they stand, (n_joints, n_joints); None for one.
+        joints: A of joint values A q + b, q as in the file, (n_joints, n_joints); None: identity.
         zeros: b, (n_joints,) [m or rad].
-        shift: By how many rows the joint values stand below their poses.
+        shift: Number of rows by which the joint values are below their poses.
         positions: Matrix from columns of positions to x, y, z, (3, 3).
     """
 
@@ -73,14 +73,14 @@ _NONE = Twist()
 
 @dataclass(frozen=True, eq=False)
 class Interpretation:
-    """One meaning of the numbers.
+    """A meaning of the numbers.
 
     Attributes:
         convention: Convention of rotations.
-        joint_unit, length_unit, angle_unit: Of joints that turn, of lengths, and of the rotations' angles.
+        joint_unit, length_unit, angle_unit: Units of revolute joints, of lengths, and of the rotations' angles.
         joint_scales: Factors from numbers of the file to joint values, (n_joints,) [m or rad per 1].
         direction: Key of `_DIRECTIONS`.
-        twist: A further deviation from most files.
+        twist: A further deviation from the usual meaning.
     """
 
     convention: Convention
@@ -92,12 +92,12 @@ class Interpretation:
     twist: Twist = _NONE
 
     def joints(self, numbers: FloatArray) -> FloatArray:
-        """Return joint values (n, n_joints) [m or rad] of the file's numbers (n, n_joints)."""
+        """Return joint values (n, n_joints) [m or rad] from the file's numbers (n, n_joints)."""
         q: FloatArray = numbers * self.joint_scales
         return q if self.twist.joints is None else q @ self.twist.joints.T + self.twist.zeros
 
     def poses(self, positions: FloatArray, rotations: FloatArray) -> FloatArray:
-        """Return T_base_tool, (n, 4, 4) [m], of the file's numbers (n, 3) and (n, k)."""
+        """Return T_base_tool, (n, 4, 4) [m], from the file's numbers (n, 3) and (n, k)."""
         T = np.tile(np.eye(4), (len(positions), 1, 1))
         columns = positions if self.twist.positions is None else positions @ self.twist.positions.T
         T[:, :3, 3] = columns / PER_SI["length"][self.length_unit]
@@ -107,19 +107,16 @@ class Interpretation:
         return np.linalg.inv(T) if self.direction == "inverse" else T
 
     def select_pairs(self, pairs: Pairs) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return joint values (n, n_joints) and the numbers of positions and rotations that belong to them (n, k) each.
-
-        All in the units of the file.
-        """
+        """Return joint values (n, n_joints) with their positions and rotations (n, k), in the units of the file."""
         ahead, behind = max(self.twist.shift, 0), max(-self.twist.shift, 0)
         n = len(pairs) - ahead - behind
         q, other = slice(ahead, ahead + n), slice(behind, behind + n)
         return pairs.joints[q], pairs.positions[other], pairs.rotations[other]
 
     def steps(self, pairs: Pairs) -> FloatArray:
-        """Return the last digits of joints, positions and rotations, none finer than a controller's own rounding.
+        """Return the rounding steps of joints, positions and rotations, (n_joints + 2,), in units of the file.
 
-        In units of the file, (n_joints + 2,).
+        They are at least a controller's own rounding.
         """
         pose = (1 / PER_SI["length"][self.length_unit], 1 / PER_SI["angle"][self.angle_unit])
         return np.maximum(pairs.steps, _FINEST / np.append(self.joint_scales, pose))
@@ -131,7 +128,7 @@ class Interpretation:
         return f"{text}; {_DIRECTIONS[self.direction]}"
 
     def mistakes(self, pairs: Pairs) -> list[str]:
-        """Return the differences of the file from its header, or from most files."""
+        """Return the differences of the file from its header, or from the usual meaning."""
         columns = zip(("joint values", "positions", "rotations"), pairs.units,
                    (self.joint_unit, self.length_unit, self.angle_unit), strict=True)  # fmt: skip
         found = [
@@ -146,21 +143,21 @@ class Interpretation:
 
 @dataclass(frozen=True)
 class PlacedInterpretation:
-    """A reading with the base and tool that it needs."""
+    """A reading with its base and tool."""
 
     reading: Interpretation
     aligned: Alignment
 
 
 def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
-    """Return the readings that fit the nominal robot, the best first; several where only a fit can tell them apart.
+    """Return the readings that fit the nominal robot, the best first; several if only a fit can decide.
 
     Args:
-        robot: Nominal, its base and target at the links that the controller may mean.
+        robot: Nominal, its base and target at the controller's possible links.
         pairs: The file.
 
     Raises:
-        DataError: None fits, or two fit alike; see `alike_error`.
+        DataError: No reading fits, or several fit equally; see `alike_error`.
     """
     usual = _likeliest(robot, pairs, [_NONE], _DIRECTIONS)
     tried = [_place(robot, pairs, reading) for reading in usual]
@@ -194,7 +191,7 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
 
 
 def alike_error(pairs: Pairs, readings: Sequence[Interpretation]) -> DataError:
-    """Return what to raise where several readings fit alike."""
+    """Return the error for several readings that fit equally."""
     words = listing([reading.words() for reading in readings], " | ", shown=_MOST)
     return DataError(
         f"{pairs.path}: these readings of the columns fit alike: {words}; write units and the maker's words into the"
@@ -203,7 +200,7 @@ def alike_error(pairs: Pairs, readings: Sequence[Interpretation]) -> DataError:
 
 
 def nominal_poses(robot: Robot, joints: FloatArray) -> FloatArray:
-    """Return the poses of the link that the target is on, (n, 4, 4) [m]."""
+    """Return the poses of the target's link, (n, 4, 4) [m]."""
     return robot.forward(joints, robot.description.targets[robot.target_names[0]].frame)
 
 
@@ -212,7 +209,7 @@ def _miss(candidate: PlacedInterpretation) -> float:
 
 
 def _are_same(pairs: Pairs, one: Interpretation, other: Interpretation) -> bool:
-    """Whether two readings mean the same joint values and poses in this file."""
+    """Whether two readings give the same joint values and poses in this file."""
     (q, *pose), (q_other, *pose_other) = one.select_pairs(pairs), other.select_pairs(pairs)
     if len(q) != len(q_other) or not np.allclose(one.joints(q), other.joints(q_other), atol=_SAME):
         return False
@@ -229,9 +226,9 @@ def _place(robot: Robot, pairs: Pairs, reading: Interpretation) -> PlacedInterpr
 def _likeliest(
     robot: Robot, pairs: Pairs, twists: Sequence[Twist], directions: Iterable[str] = ("direct",)
 ) -> list[Interpretation]:
-    """The readings whose rotations agree best with the robot's, which takes no tool and no base.
+    """The readings whose rotations agree best with the robot's, which needs neither tool nor base.
 
-    Some of each joint unit and direction: small turns are proportional, in whatever unit.
+    Some of each joint unit and direction are kept, since small rotations are proportional in any unit.
     """
     ranked: list[tuple[float, Interpretation]] = []
     for start, direction in product(_plain(robot, pairs), directions):
@@ -248,7 +245,7 @@ def _likeliest(
 
 
 def _plain(robot: Robot, pairs: Pairs) -> list[Interpretation]:
-    """A reading for each unit that joint values may have, positions in the unit that suits the robot's size."""
+    """A reading for each possible unit of joint values, with positions in the unit of the robot's size."""
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
     points = robot.forward(robot.sample(50, 0), robot.target_names[0])[:, :3, 3]
     reach, size = (float(np.median(np.linalg.norm(xyz, axis=1))) for xyz in (points, pairs.positions))
@@ -264,7 +261,7 @@ def _plain(robot: Robot, pairs: Pairs) -> list[Interpretation]:
 
 
 def _single_twists(robot: Robot, pairs: Pairs, usual: Sequence[Interpretation]) -> Iterator[Iterable[Interpretation]]:
-    """Readings with one twist of a kind after the other."""
+    """Readings with one twist, kind by kind."""
     names, n = robot.joint_names, len(robot.joint_names)
     coupled = []
     for sign, word in ((1.0, "plus"), (-1.0, "minus")) if n >= 3 else ():

@@ -1,4 +1,4 @@
-"""A robot matched to a controller: what was found, what it is worth, and the files."""
+"""A robot matched to a controller: the fit, its claim, and its files."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from calib.matching.pairs import Pairs
 from calib.matching.readings import PlacedInterpretation
 
 FILES = {"dh": "dh.csv", "mdh": "mdh.csv", "xacro": "origins.xacro", "ur-kinematics": "default_kinematics.yaml"}
-"""What is written next to the URDF, by the format."""
+"""File beside the URDF for each format."""
 _WIDTH = 118
-_OF_DIGITS = 2.0  # claim over what rounding does to a printed position, up to which it is of its size
+_OF_DIGITS = 2.0  # ratio of the claim to the rounding of a printed position up to which they are of one size
 
 
 @dataclass(frozen=True)
@@ -28,14 +28,14 @@ class Match:
     """A robot matched to a controller.
 
     Attributes:
-        fit: Joint origins, and base or tool where these were found.
+        fit: Joint origins, and base or tool if fitted.
         candidate: Meaning of the columns.
         pairs: The file.
         agreement: Agreement of robot and pairs.
-        left_out: Names of pairs that are of another program, and how far they are off [m].
+        left_out: Names of pairs from another program, with their misses [m].
         places: Places of base and tool, in words.
-        remarks: Contradictions to the file's header or to what the user stated.
-        terms: Joint terms with which the controller would agree better, and what these leave; None if not tried.
+        remarks: Contradictions to the file's header or to the user's statements.
+        terms: Joint terms with which the controller agrees better, and the agreement with them; None if not tried.
     """
 
     fit: JudgedFit
@@ -58,7 +58,7 @@ class Match:
 
     @property
     def conclusion(self) -> str:
-        """The answer in a sentence or two."""
+        """The result in a sentence or two."""
         agreed = self.agreement
         if not agreed.to_the_digits:
             return (
@@ -122,14 +122,11 @@ class Match:
         )
 
     def save(self, folder: Path | str, *, force: bool = False) -> list[str]:
-        """Write the result folder of the fit, and the robot in the formats that controllers and ROS hold.
+        """Write the result folder of the fit, and the robot in formats for controllers and ROS.
 
         Args:
             folder: Folder to write.
-            force: Whether files are replaced that this program did not write.
-
-        Returns:
-            The names of the robot's files.
+            force: Whether to replace files that this program did not write.
         """
         save(self.fit, folder, force=force or (self.grade != "FAIL"))
         files = {Path(folder) / "match.json": (json.dumps(self.to_dict(), indent=1) + "\n").encode()}

@@ -1,4 +1,4 @@
-"""The fit behind a match: joint origins, and base or tool where they are not known, with rounding as the only noise."""
+"""The fit behind a match: joint origins, and unknown base or tool, with rounding as the only noise."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from calib.matching.pairs import Pairs
 from calib.matching.readings import PlacedInterpretation
 from calib.matching.unexplained import explanation
 
-_CONTROLLER = "controller"  # the instrument that stands for it
+_CONTROLLER = "controller"  # name of its instrument
 
 
 @dataclass(frozen=True, eq=False)
 class TwinFit:
-    """One reading of pairs, fitted.
+    """A reading of pairs with its fit.
 
     Attributes:
         robot: Nominal.
         pairs, candidate: The pairs, and the meaning of their columns.
-        tool, base: As the fit knows them; None where it finds them, (4, 4) [m].
-        kept: Mask of the pairs that are used.
+        tool, base: Known poses, (4, 4) [m]; None if the fit determines them.
+        kept: Indices of the pairs in the fit.
         seed: Seed of the draws of rounding.
     """
 
@@ -61,11 +61,11 @@ class TwinFit:
 
     @cached_property
     def agreement(self) -> Agreement:
-        """Agreement that the fit reaches."""
+        """Agreement of the fit with the pairs."""
         return agreement(self.fit, _CONTROLLER, self._data[1], self.seed)
 
     def explanation(self) -> tuple[str, Agreement]:
-        """Return the joint terms that the controller knows, in words, and what that leaves."""
+        """Return the joint terms of the controller, in words, and the agreement with them."""
         data, rounding = self._data
         return explanation(self.fit, self._fit, data.joints, _CONTROLLER, rounding, self.seed)
 
@@ -73,7 +73,7 @@ class TwinFit:
         return calibrate(self._model(), replace(self._data[0], joints=joints), None, Settings(terms=None))
 
     def found_place(self, place: str) -> FloatArray:
-        """Return where a fit that did not know them has the target of this name, or the base, (4, 4) [m]."""
+        """Return the fitted pose of the target of this name, or of the base, (4, 4) [m]."""
         fit = self.fit
         mechanism = fit.robot.mechanism
         target = next((each for each in mechanism.targets if each.name == place), None)
@@ -83,9 +83,9 @@ class TwinFit:
         return np.asarray(fit.robot.forward(np.zeros(len(fit.robot.joint_names)), base))
 
     def _model(self) -> Robot:
-        """The nominal robot with all joint origins free, and base and tool known, or where the alignment has them.
+        """The nominal robot with all joint origins free, and known or aligned base and tool.
 
-        Fixed joints behind the last that moves are a part of the tool, and stay.
+        Fixed joints behind the last moving joint are a part of the tool, and stay.
         """
         robot, aligned, tool, base = self.robot, self.candidate.aligned, self.tool, self.base
         description, name = robot.description, robot.target_names[0]
@@ -111,7 +111,7 @@ class TwinFit:
         return model.fix([p.name for p in model.parameters if p.name.rpartition(".")[0] in behind])
 
     def _measurements(self, model: Robot) -> tuple[Measurements, FloatArray]:
-        """The pairs that are kept, with the covariance of rounding, and what each rounded number does, (n, 6, k)."""
+        """The kept pairs with the covariance of rounding, and the effect of each rounded number, (n, 6, k)."""
         reading, pairs = self.candidate.reading, self.pairs
         kept = np.array(self.kept)
         joints, positions, rotations = (array[kept] for array in reading.select_pairs(pairs))

@@ -1,4 +1,4 @@
-"""Errors of joints that a controller computes with in addition to joint origins, found from the residuals of a fit.
+"""Joint errors that a controller has in addition to joint origins, from the residuals of a fit.
 
 Each hypothesis moves joints, dq = phi(q) c, and so the whitened rows by G c:
 
@@ -9,11 +9,11 @@ Each hypothesis moves joints, dq = phi(q) c, and so the whitened rows by G c:
 
 J are the rows of the fit; joint origins may change again, by J d, with each hypothesis. The hypothesis with the least
 information criterion (n log sum of squares + c log n) is added, as long as it halves the sum of squares, and until
-rounding explains the rest. Then the fit is repeated with joints moved by the errors found, because origins that had
-absorbed these errors are far off.
+rounding explains the rest. Then the fit is repeated with corrected joint values, because origins that had absorbed
+these errors are far off.
 
-When it fails. Errors that move no joint are not found. Some hypotheses look alike at these pairs: gravity at a joint
-with a level axis is a harmonic of that joint.
+When it fails. Errors that move no joint are not found. Some hypotheses are equivalent at these pairs: gravity at a
+joint with a level axis is a harmonic of that joint.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
 from calib.matching.agreement import Agreement, agreement
 
-_MOST = 4  # hypotheses that are added
-_HALVED = 0.5  # part of the sum of squares that may remain after one is added
-_ROUNDS = 2  # fits with the errors found
+_MOST = 4  # largest number of hypotheses
+_HALVED = 0.5  # largest part of the sum of squares that remains after another hypothesis
+_ROUNDS = 2  # fits with the joint errors
 _WAVES = (1, 2, 3, 4, 5, 6)
-_SEEN = 1e-6  # least part of a column that joint origins cannot absorb; less counts as nothing
+_SEEN = 1e-6  # least part of a column that joint origins cannot absorb; less counts as zero
 
 
 def explanation(
@@ -81,7 +81,7 @@ def _rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
 
 
 def hypotheses(robot: Robot, q: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the possible errors of each joint at joint values q (n_pairs, n_joints): in words, and phi of `q.shape`."""
+    """Yield the possible errors of each joint at joint values q (n_pairs, n_joints): words, and phi of `q.shape`."""
     names = robot.joint_names
     rises = np.stack([robot.jacobian(q, link)[:, 2] for link in _links(robot)], axis=2)  # rises of the origins of links
     for j, joint in enumerate(names):

@@ -1,4 +1,4 @@
-"""Delta printers whose carriages slide on towers, in the words of three firmwares."""
+"""Delta printers with carriages on towers, for three firmwares."""
 
 COMMENTS = {"klipper": "#", "marlin": ";", "duet": ";"}
-"""The firmwares, and how comments in their settings begin."""
+"""The firmwares, and the mark of comments in their settings."""

@@ -1,4 +1,4 @@
-"""The formats of three firmwares, as `calib export` knows them; `calib.printers.formats` writes them."""
+"""The formats of three firmwares for `calib export`; `calib.printers.formats` writes them."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
-"""Settings of delta printers: Klipper's `printer.cfg` with what its probe measured; `M665`, `M666` of Marlin and Duet.
+"""Settings of delta printers: Klipper's `printer.cfg` with its probe's readings; `M665`, `M666` of Marlin and Duet.
 
-Klipper keeps in `[delta_calibrate]` how far the motors had come down from the switches, in steps ("stable positions"),
-where the nozzle was at a known height (`height3`, `height3_pos`), and at both ends of a printed object that a caliper
-measured (`distance3`, `distance3_pos1`, `distance3_pos2`). What its command SAVE_CONFIG wrote, behind `#*#`, counts
-before the rest.
+Klipper keeps in `[delta_calibrate]` the travel of the motors from the switches, in steps ("stable positions"), with the
+nozzle at a known height (`height3`, `height3_pos`), and at both ends of a printed object measured by a caliper
+(`distance3`, `distance3_pos1`, `distance3_pos2`). Entries of its command SAVE_CONFIG, after `#*#`, replace earlier
+ones.
 
-Endstop k is how high the nozzle is at the centre when the switch of tower k trips; Klipper writes it as
-`position_endstop`. In RepRapFirmware (Duet) it is H + e_k, with e_k of M666. Marlin comes down from its switches by
-e_k < 0, and has a probe's offset, Z of M851, in H: there it is H - Z - e_k.
+Endstop k is the height of the nozzle at the centre when the switch of tower k trips; Klipper writes it as
+`position_endstop`. In RepRapFirmware (Duet) it is H + e_k, with e_k of M666. Marlin moves down from its switches by
+e_k < 0, and includes a probe's offset, Z of M851, in H: there it is H - Z - e_k.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _HEIGHT = re.compile(r"(manual_)?height(\d+)$")
 _DISTANCE = re.compile(r"distance(\d+)$")
 _NUMBER = r"[-+]?[\d.]+"
 _WORD = re.compile(rf"\s*([A-Z])\s*({_NUMBER}(?::{_NUMBER})*)(?=\s|[A-Z]|$)")
-_AROUND = 15 * _DEG  # largest angle of a tower from its third of the circle
-_TRIM = 5.0  # largest trim of a rod [mm]; Marlin 1.1 had in B the radius of its calibration
+_AROUND = 15 * _DEG  # largest deviation of a tower's angle from its third of the circle
+_TRIM = 5.0  # largest trim of a rod [mm]; in Marlin 1.1, B was the radius of calibration
 
 
 def read_klipper(path: Path | str) -> PrinterFile:
@@ -42,7 +42,7 @@ def read_klipper(path: Path | str) -> PrinterFile:
 
     Raises:
         DataError: The message names file and line: no delta, something missing, positions that do not fit the steps, or
-            a number that is far off from what all others say.
+            a number far from the prediction of all others.
     """
     cfg = _Klipper(path)
     if ("printer", "kinematics") not in cfg.entries:
@@ -164,10 +164,10 @@ class _Klipper:
 
 
 def read_m665(path: Path | str, firmware: str) -> PrinterFile:
-    """Read the lines M665 and M666 of a file of `marlin` or `duet`, and of Marlin M851.
+    """Read the lines M665 and M666 of a file of `marlin` or `duet`, and M851 of Marlin.
 
     Raises:
-        DataError: A line is missing, or says what the firmware or the model does not know.
+        DataError: A line is missing, or has a value that the firmware or the model does not allow.
     """
     _require_own_words(path)
     words = _settings(path)
@@ -199,7 +199,7 @@ def read_m665(path: Path | str, firmware: str) -> PrinterFile:
 
 
 def _require_printer(path: Path | str, geometry: DeltaGeometry) -> None:
-    """Raise `DataError` where towers are not around the centre, or switches trip below the bed."""
+    """Raise `DataError` if towers are not around the centre, or switches trip below the bed."""
     for tower, angle, expected in zip(TOWERS, geometry.angles, tower_angles(geometry.angles[2]), strict=True):
         if abs(math.remainder(angle - expected, math.tau)) > _AROUND:
             raise DataError(
@@ -215,7 +215,7 @@ def _require_printer(path: Path | str, geometry: DeltaGeometry) -> None:
 
 
 def _require_own_words(path: Path | str) -> None:
-    """Raise `DataError` for settings of another firmware, with the lines that say the same."""
+    """Raise `DataError` for settings of another firmware, with the equivalent lines."""
     text = read_text(path, "a file with M665 and M666", DataError)
     if re.search(r"^\s*arm_solution\s+rotary_delta", text, re.MULTILINE):
         raise _rotary_delta(path)
@@ -238,7 +238,7 @@ def _require_own_words(path: Path | str) -> None:
 
 
 def _settings(path: Path | str) -> dict[str, dict[str, tuple[float, ...]]]:
-    """The numbers of M665, M666 and M851 by their letters, as they are in the last of several lines."""
+    """The numbers of M665, M666 and M851 by their letters; the last of several lines counts."""
     words: dict[str, dict[str, tuple[float, ...]]] = {"M665": {}, "M666": {}, "M851": {}}
     for number, line in enumerate(read_text(path, "a file with M665 and M666", DataError).split("\n"), 1):
         code = line.split(";")[0].upper()
@@ -262,7 +262,7 @@ def _settings(path: Path | str) -> dict[str, dict[str, tuple[float, ...]]]:
 
 
 def _require_marlin(path: Path | str, rods: tuple[float, ...], trims: Sequence[float], ends: Sequence[float]) -> None:
-    """Raise `DataError` where Marlin would not take these numbers [mm]."""
+    """Raise `DataError` for numbers that Marlin does not allow [mm]."""
     if len(rods) != 1:
         raise DataError(f"{path}: M665 L has {len(rods)} rods; Marlin has one length, and A, B, C to add to it")
     for key, trim in zip("ABC", trims, strict=True):
@@ -277,7 +277,7 @@ def _require_marlin(path: Path | str, rods: tuple[float, ...], trims: Sequence[f
 
 
 def _require_duet(path: Path | str, rods: tuple[float, ...], ends: Mapping[str, tuple[float, ...]]) -> None:
-    """Raise `DataError` where RepRapFirmware would not take these numbers, or the model has no place for them."""
+    """Raise `DataError` for numbers that RepRapFirmware or the model does not allow."""
     if len(rods) not in (1, 3):
         raise DataError(f"{path}: M665 L has {len(rods)} rods; give one length, or three with ':'")
     for key in "AB":
@@ -292,8 +292,8 @@ def read_printer(path: Path | str, firmware: str) -> PrinterFile:
     """Read a printer's settings of `klipper`, `marlin` or `duet`; see `read_klipper` and `read_m665`.
 
     Raises:
-        DataError: As these.
-        InputError: Arms that reach nothing.
+        DataError: As there.
+        InputError: Arms that are too short.
     """
     try:
         return read_klipper(path) if firmware == "klipper" else read_m665(path, firmware)
@@ -303,7 +303,7 @@ def read_printer(path: Path | str, firmware: str) -> PrinterFile:
 
 
 def printer_table(printer: PrinterFile) -> str:
-    """Return its rows as a file of measurements, for printers with distances and for those without."""
+    """Return its rows as a file of measurements; `2` marks columns of a distance's second place."""
     columns: list[tuple[str, list[object]]] = [("pose", [row.name for row in printer.rows])]
     for copy, suffix in enumerate(("", "2")):
         for k, tower in enumerate(TOWERS):

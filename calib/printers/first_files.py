@@ -52,7 +52,7 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
 
 
 def _saved_errors(printer: PrinterFile) -> str:
-    """Return what the settings in the file leave on its rows."""
+    """Return the errors of the file's settings on its rows, in words."""
     errors, parts = residuals(printer.geometry, printer.rows), []
     for noun, n_places in (("heights", 1), ("distances", 2)):
         of_kind = errors[[len(row.places) == n_places for row in printer.rows]]

@@ -1,6 +1,6 @@
 """Settings of delta printers, as lines to paste: Klipper's sections, `M665` and `M666` of Marlin and Duet.
 
-What each means is in `calib.printers.files` and `calib.printers.linear_delta`.
+Their meaning is in `calib.printers.files` and `calib.printers.linear_delta`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, is_linear
 
 
 def geometry_of(robot: Robot) -> DeltaGeometry:
-    """Return a printer's numbers as they are now.
+    """Return a printer's present geometry.
 
     Raises:
         InputError: The robot is no linear delta.

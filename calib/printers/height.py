@@ -1,8 +1,8 @@
-"""Heights: how far a target is above a plane, as a probe, a dial gauge or a distance sensor along its normal reads it.
+"""Heights of a target above a plane, read by a probe, a dial gauge or a distance sensor along the normal.
 
     h = z of p_ab,      a: the plane z = 0 of its frame; b: the target
 
-When it fails. Heights alone do not tell where in the plane the target is, nor how it is turned about the normal.
+When it fails. Heights alone determine neither the place of the target in the plane, nor its rotation about the normal.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ class HeightSection(InstrumentSection):
     """A probe over a plane.
 
     Attributes:
-        target: Target whose height it reads; the instrument's own name if left out.
-        plane: Its frame; the plane z = 0 of the measurement frame if left out.
+        target: The target; default: the instrument's own name.
+        plane: Frame of the plane z = 0; default: the measurement frame.
         sigma: Its noise [m].
     """
 
@@ -32,14 +32,14 @@ class HeightSection(InstrumentSection):
 
 @dataclass(frozen=True)
 class Height(Relation):
-    """Heights of one target over a plane: one row."""
+    """Heights of a target over a plane: one row."""
 
     section = HeightSection
     parts = (Part("height", ("height",), "length", plural="heights"),)
 
     @classmethod
     def from_section(cls, name: str, section: HeightSection) -> Height:
-        """Return the instrument that an entry of a robot description means."""
+        """Return the instrument of an entry in a robot description."""
         own = () if section.plane is None else (section.plane.place(f"{name}_plane"),)
         return cls(name, section.target or name, own, noise=Noise((PartNoise.from_sigma(section.sigma, 1),)))
 

@@ -1,17 +1,18 @@
-"""Linear deltas: printers whose nozzle hangs on three arms from carriages on vertical towers, as firmwares know them.
+"""Linear deltas: printers whose nozzle hangs on three arms from carriages on vertical towers, as firmwares define them.
 
-Tower k stands at radius R and angle alpha_k about the centre, and its carriage is E_k - q_k above the bed when it has
-come down by q_k from its switch. Its arm, of length L_k, ends in the nozzle (what the platform and the carriages hold
-apart is in R). A firmware says not E_k but how high the nozzle is at the centre when the switch trips:
+Tower k stands at radius R and angle alpha_k about the centre, and its carriage is E_k - q_k above the bed after moving
+down by q_k from its switch. Its arm, of length L_k, ends in the nozzle (offsets of platform and carriages are in R). A
+firmware states the height of the nozzle at the centre when the switch trips instead of E_k:
 
     E_k = endstop_k + sqrt(L_k^2 - R^2)
 
-The parametrisation `linear_delta` has what firmwares have: R, the angles of a and b (c is where it is: turning all
-towers moves nothing that a probe sees), three arms, three endstops. Origins follow:
+The parametrisation `linear_delta` has the firmwares' numbers: R, the angles of a and b (c is fixed, since turning all
+towers together changes no probed height), three arms, three endstops. Origins follow:
 
     tower_k:  (R cos alpha_k, R sin alpha_k, E_k), turned by alpha_k about z        arm_k_end:  (0, 0, -L_k)
 
-Expected errors: probing hardly tells arms and angles, drawings do (`ARM`, `ANGLE`); R and endstops it tells.
+Expected errors: probing hardly determines arms and angles, so these are from drawings (`ARM`, `ANGLE`); it determines R
+and endstops.
 
 A distance between two places is measured after both were printed. Then the robot is there twice, `tower_a_2` and so on,
 with the same parameters, and the distance is that of the two nozzles.
@@ -40,12 +41,12 @@ from calib.core.robots.urdf.writing import robot_text
 
 TOWERS = ("a", "b", "c")
 ANGLES = (math.radians(210), math.radians(330), math.radians(90))
-"""Where the towers of a printer are as designed [rad]."""
+"""Designed angles of the towers [rad]."""
 NAME = "linear_delta"
 ARM, ANGLE = 0.3e-3, math.radians(0.3)
-"""How far an arm [m] and a tower's angle [rad] may be off."""
+"""Expected errors of an arm [m] and of a tower's angle [rad]."""
 RADIUS, ENDSTOP = 2e-3, 10e-3
-"""How far the radius [m] and endstops [m] may be off."""
+"""Expected errors of the radius [m] and of endstops [m]."""
 HEIGHT, DISTANCE = 0.05e-3, 0.1e-3
 """Noise of a probed height and of a distance [m]."""
 
@@ -75,19 +76,16 @@ class DeltaGeometry:
 
     @property
     def carriages(self) -> tuple[float, ...]:
-        """E, where carriages are at their switches [m]."""
+        """E, heights of the carriages at their switches [m]."""
         return tuple(
             end + math.sqrt(arm**2 - self.radius**2) for end, arm in zip(self.endstops, self.arms, strict=True)
         )
 
     def nozzle(self, down: FloatArray) -> FloatArray:
-        """Return where the nozzle is, (n, 3) [m]: where the three arms meet, the lower of two points.
+        """Return the nozzle's position, (n, 3) [m]: the lower intersection of the three arms; NaN without one.
 
         Args:
-            down: Distances that the carriages have come down, (n, 3) [m].
-
-        Returns:
-            NaN where they do not meet.
+            down: Travel of the carriages, (n, 3) [m].
         """
         towers = np.array([(self.radius * math.cos(a), self.radius * math.sin(a)) for a in self.angles])
         points = np.dstack([np.broadcast_to(towers, (len(down), 3, 2)), np.array(self.carriages) - down])
@@ -109,7 +107,7 @@ class DeltaGeometry:
 
 
 def tower_angles(angle_c: float) -> tuple[float, float, float]:
-    """Return where towers are [rad] that are a third of a circle apart, if the third is at this angle [rad]."""
+    """Return tower angles [rad] a third of a circle apart, with the third at `angle_c` [rad]."""
     a, b, _ = ((angle + (angle_c - ANGLES[2])) % math.tau for angle in ANGLES)
     return a, b, angle_c
 
@@ -143,7 +141,7 @@ class LinearDelta:
         )
 
     def geometry(self, values: FloatArray) -> DeltaGeometry:
-        """Return the firmware's numbers of parameter values (9,) [m, rad]."""
+        """Return the firmware's geometry for parameter values (9,) [m, rad]."""
         v = [float(value) for value in values]
         return DeltaGeometry(v[0], (v[1], v[2], self._angle_c), (v[3], v[4], v[5]), (v[6], v[7], v[8]))
 
@@ -180,7 +178,7 @@ class LinearDelta:
 
 
 def is_linear_delta(description: Description) -> bool:
-    """Return whether a description is of a robot with this parametrisation."""
+    """Return whether a description has this parametrisation."""
     return description.parametrisation == NAME
 
 
@@ -217,7 +215,7 @@ def linear_delta_urdf(plan: Plan, title: str) -> str:
 
 
 def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int = 0) -> str:
-    """Return the text of its description; with no more rows than it has parameters, arms are held."""
+    """Return the text of its description; arms are held if there are no more rows than parameters."""
     twice = "platform_2" in plan.links
     sigma = f"{millimetres(DISTANCE):g} mm"
     caliper = f"  caliper: {{kind: distance, target: nozzle, end: {{frame: platform_2}}, sigma: {sigma}}}\n"

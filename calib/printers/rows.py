@@ -1,7 +1,7 @@
-"""Measured rows of a delta printer, checks of them, and the geometry that is expected before they are used.
+"""Measured rows of a delta printer, their checks, and the geometry expected before they are used.
 
-A probe has one offset, so a single height with another offset is mistyped. If positions fit no rod or radius, the steps
-of the motors are other ones than stated. Any other row is checked against all other rows (`left_out_errors`).
+A probe has one offset, so a single height with another offset is mistyped. If positions fit no rod or radius, the
+stated steps of the motors are wrong. Any other row is checked against all other rows (`left_out_errors`).
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from calib.printers.linear_delta import (
 )
 
 _MM = 1 / PER_SI["length"]["mm"]
-_FITS = 2e-3  # largest distance between rows and saved settings that belong together [m]
+_FITS = 2e-3  # largest error of rows with the right steps and the saved settings [m]
 _FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0)
-_FAR, _TIMES = 0.5e-3, 6.0  # a row is far off beyond this error [m], and beyond this multiple of the median
-_ALIKE = 0.02  # largest relative difference of arms that are alike
+_FAR, _TIMES = 0.5e-3, 6.0  # a row is far off above this error [m], and above this multiple of the median
+_ALIKE = 0.02  # largest relative difference of equal arms
 _STEP = 1e-6  # step of central differences [m or rad]
 
 
@@ -43,8 +43,7 @@ class PrinterReading:
     """A measured number: the height of a place, or the distance of two.
 
     Attributes:
-        name: Name in the file.
-        line: Line in the file.
+        name, line: Name and line in the file.
         value: Measured value [m].
         places: Travel of the three carriages down to the place, (3,) [m]: one place, or two for a distance.
     """
@@ -57,13 +56,7 @@ class PrinterReading:
 
 @dataclass(frozen=True)
 class PrinterFile:
-    """A printer with the settings of its firmware.
-
-    Attributes:
-        path: The file.
-        geometry: Geometry in the file.
-        rows: Measured rows, heights first.
-    """
+    """A printer's settings: file, geometry, and measured rows, heights first."""
 
     path: str
     geometry: DeltaGeometry
@@ -75,19 +68,18 @@ def _are_alike(arms: tuple[float, ...]) -> bool:
 
 
 def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGeometry:
-    """Return the geometry that is expected of a printer before its rows are used.
+    """Return the geometry expected of a printer before its rows are used.
 
-    The firmware's numbers come from these rows, so they are not what is expected before. Expected are angles as
-    designed, a radius rounded to the millimetre, and equal endstops. Where distances were measured, all arms have the
-    mean length, rounded to the millimetre. Without rows, and for arms that no distance has changed, the file's numbers
-    are used.
+    The firmware's numbers come from these rows, so they are no prior. Expected are angles as designed, a radius rounded
+    to the millimetre, and equal endstops. If distances were measured, all arms have the mean length, rounded to the
+    millimetre. Without rows, and for arms that no distance has changed, the file's numbers are used.
 
     Args:
         printer: The printer.
-        arm: Length of the arms as designed or measured [m], if stated.
+        arm: Designed or measured length of the arms [m], or None.
 
     Raises:
-        DataError: The file's arms are not alike, and none is stated.
+        DataError: The file's arms are not equal, and none is stated.
     """
     file = printer.geometry
     if arm is None and not _are_alike(file.arms):
@@ -117,7 +109,7 @@ def residuals(geometry: DeltaGeometry, rows: tuple[PrinterReading, ...]) -> np.n
 
 
 def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> None:
-    """Raise `DataError` if the positions of the file fit with other microsteps than the stated ones."""
+    """Raise `DataError` if the positions of the file fit with other microsteps than stated."""
 
     def median_error(factors: tuple[float, ...]) -> float:
         a, b, c = factors
@@ -151,7 +143,7 @@ def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> No
 
 
 def require_plausible(printer: PrinterFile) -> None:
-    """Raise `DataError` for a row that is far off from the prediction of all others."""
+    """Raise `DataError` for a row far from the prediction of all others."""
     probed = [row for row in printer.rows if row.name.startswith("height")]
     values = [row.value for row in probed]
     for row in probed:
@@ -181,18 +173,18 @@ def require_plausible(printer: PrinterFile) -> None:
 
 
 def left_out_errors(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the error of each row against the prediction of the others, and its chance; None if not determined.
+    """Return the error of each row against the prediction of the others, and its probability; None if undetermined.
 
-    Saved settings cannot serve as prediction: a firmware made them from all rows, including a mistyped one. So each row
-    is left out in turn. Nine numbers are found from the others and the priors of `calib.printers.linear_delta`, by one
-    step from the saved settings (rows are almost linear within a millimetre). The error over its standard deviation is
+    Saved settings cannot predict: a firmware made them from all rows, including a mistyped one. So each row is left out
+    in turn. Nine numbers are estimated from the others and the priors of `calib.printers.linear_delta`, by one step
+    from the saved settings (rows are almost linear within a millimetre). The error over its standard deviation is
     Student's t, with the degrees of freedom of the other rows.
 
     Args:
         printer: The printer; all of its rows must be reachable.
 
     Returns:
-        (n_rows,) [m], and (n_rows,) chances. None if rows are too few, or arms are not alike.
+        (n_rows,) [m], and (n_rows,) probabilities. None if rows are too few, or arms are not equal.
 
     Reference: cook1982.
     """

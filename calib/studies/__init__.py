@@ -1,1 +1,1 @@
-"""Many calibrations of one robot: what to expect of the next one."""
+"""Many calibrations of one robot: the statistics to expect of the next calibration."""

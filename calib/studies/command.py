@@ -1,4 +1,4 @@
-"""`calib study`: many calibrations, and how far their statistics can be trusted."""
+"""`calib study`: many calibrations, and the reliability of their statistics."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def command(
 
 
 def _truth(text: str | None, robot: Robot) -> Robot | Literal["priors"] | None:
-    """The robot that is measured, as `calib.study` takes it."""
+    """The measured robot, in the form of `calib.study`."""
     if text is None:
         return None
     if text == "priors":

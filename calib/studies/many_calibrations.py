@@ -1,14 +1,14 @@
-"""Many calibrations of one robot: fits that start from where the first one ended.
+"""Many calibrations of one robot: fits that start near the minimum of the first.
 
 Draws differ in their readings. One draw is calibrated in full, from the nominal robot. Every other draw starts one
 linear step away from the minimum of the first. The step follows from the linear model of that minimum (J, T and the
-priors' rows, `calib.core.numerics.statistics`) and the draw's own residuals. Then the fit goes on as every fit does,
-with the same solver, noise, offsets, robust losses and rules of convergence. Curvature beyond the linear model widens
-the intervals as in the first fit.
+priors' rows, `calib.core.numerics.statistics`) and the draw's own residuals. Then the fit continues as usual, with the
+same solver, noise, offsets, robust losses and rules of convergence. Curvature beyond the linear model widens the
+intervals as in the first fit.
 
-When it fails. Where noise is not stated and parameters have priors, a full fit and a fit from the linear step agree on
-the noise to one percent only. Where visits differ (a touch moves the robot until it touches; poses are drawn again), or
-a loop opens after the step, a draw starts at the minimum of the first one.
+When it fails. If noise is not stated and parameters have priors, a full fit and a fit from the linear step agree on
+the noise to one percent only. If visits differ (a touch moves the robot until contact; poses are drawn again), or a
+loop opens after the step, a draw starts at the minimum of the first.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ class DrawEstimate:
         std: Their standard deviations, (n_free,).
         half_width: Half their 95 % intervals, (n_free,).
         coverage_factor: Half a 95 % interval, in standard deviations.
-        sigma: Noise found of each group of rows, (n_groups,) [SI].
-        chi_square: Sum of squares of the residuals in units of the stated noise, where all of it is stated.
+        sigma: Estimated noise of each group of rows, (n_groups,) [SI].
+        chi_square: Sum of squares of the residuals in units of the stated noise, if all of it is stated.
         freedom: Degrees of freedom.
-        names_outliers: Whether some reading lies further off than noise explains.
-        open: Why the fit did not converge; empty where it did.
+        names_outliers: Whether some reading is further off than noise explains.
+        open: Reason why the fit did not converge; empty if it did.
     """
 
     values: FloatArray
@@ -63,12 +63,7 @@ class DrawEstimate:
 
 @dataclass(frozen=True, eq=False)
 class RepeatedCalibration(ReadOnlyArrays):
-    """Calibration of one robot from one draw of data after another.
-
-    Attributes:
-        first: A finished fit of one draw.
-        settings: Settings of the fit.
-    """
+    """Calibration of one robot from one draw of data after another; `first` is a finished fit of one draw."""
 
     first: Fit
     settings: Settings
@@ -89,13 +84,10 @@ class RepeatedCalibration(ReadOnlyArrays):
         )
 
     def estimate(self, drawn: DrawnData) -> DrawEstimate:
-        """Calibrate from other readings.
-
-        Args:
-            drawn: Readings of the same visits, or of others.
+        """Calibrate from readings of the same visits, or of others.
 
         Raises:
-            CalibrationError: A loop opens, the noise cannot be found, or no degrees of freedom are left.
+            CalibrationError: A loop opens, the noise cannot be estimated, or no degrees of freedom are left.
         """
         first, data = self.first, drawn.data
         if not np.array_equal(data.joints, first.identification.data.joints):
@@ -147,7 +139,7 @@ class RepeatedCalibration(ReadOnlyArrays):
 
 
 def _same_looks(data: Measurements, other: Measurements) -> bool:
-    """Whether the instruments looked at the same things at the same visits."""
+    """Whether the instruments had the same targets at the same visits."""
     return all(
         np.array_equal(getattr(data.readings[name], key), getattr(readings, key))
         for name, readings in other.readings.items()

@@ -1,19 +1,18 @@
-"""Monte Carlo: many calibrations of one robot on simulated measurements, and what they say about its statistics.
+"""Monte Carlo: many calibrations of one robot on simulated measurements, and the check of its statistics.
 
-In each draw a true robot is measured at the same poses with new noise, and the nominal robot calibrated from that. Over
-many draws the estimates scatter by what the fit claims (`std`), around the truth (no bias), 95 % intervals hold it in
-95 of 100 draws, and chi-square is what the stated noise says: as far as the problem is linear, the noise is what is
-assumed, and the model can be the truth. Where one of these fails is what a study finds out.
+In each draw a true robot is measured at the same poses with new noise, and the nominal robot is calibrated from that.
+Ideally, estimates scatter over the draws by the claimed `std`, around the truth (no bias), 95 % intervals contain it in
+95 of 100 draws, and chi-square agrees with the stated noise. This needs a nearly linear problem, the assumed noise, and
+a model that contains the truth. A study shows where one of these fails.
 
-Or nothing is simulated, and the poses of real measurements are drawn again (`calib.studies.study_data`).
+Alternatively, nothing is simulated, and the poses of real measurements are resampled (`calib.studies.study_data`).
 
-Every draw has its own seed, spawned from the study's (`numpy.random.SeedSequence`), so that the numbers depend neither
-on how many workers share the draws nor on how they are dealt out. Draws are sent to the workers in chunks, each a fit
-that starts from the first one (`calib.studies.many_calibrations`). A chunk whose worker is lost is sent again
-(`calib.core.base.workers`).
+Every draw has its own seed, spawned from the study's (`numpy.random.SeedSequence`), so that the numbers do not depend
+on the number of workers or the distribution of draws. Workers get draws in chunks, each a fit that starts from the
+first (`calib.studies.many_calibrations`). A chunk whose worker is lost is sent again (`calib.core.base.workers`).
 
-When it fails. A draw that ends without an answer, or not converged, is counted and left out of every average. A study
-simulates its inputs: errors that are not in the truth or the noise are not in its figures.
+When it fails. A draw without an answer, or not converged, is counted and left out of every average. A study simulates
+its inputs: errors that are neither in the truth nor in the noise are not in its figures.
 
 Reference: jcgm101.
 """
@@ -64,11 +63,11 @@ class _Setting:
     Attributes:
         source: Source of the data of a draw.
         settings: Settings of the fit.
-        repeated: Calibrates like the first time.
+        repeated: Calibration of further draws.
         prediction_joints: Joint values of poses to predict, (n, n_actuated) [m or rad].
         prediction_passive: Passive joints there, (n, n_passive) [m or rad].
-        compiled: Whether there is enough to do that loading compiled code is worth it.
-        seed: Seed of the whole study; draws have those spawned from it.
+        compiled: Whether the work is large enough to load compiled code.
+        seed: Seed of the whole study, from which those of draws are spawned.
     """
 
     source: SimulatedDraws | ResampledDraws
@@ -81,12 +80,12 @@ class _Setting:
 
     @property
     def first(self) -> Fit:
-        """The fit that all others start from."""
+        """The fit from which all others start."""
         return self.repeated.first
 
     @property
     def states_noise(self) -> bool:
-        """Whether chi-square means something; not where a pose is drawn twice, which scatters less than noise does."""
+        """Whether chi-square is meaningful: not for resampled poses, whose repeats scatter less than noise does."""
         return self.first.chi_square is not None and isinstance(self.source, SimulatedDraws)
 
 
@@ -108,25 +107,24 @@ def study(
     """Calibrate a robot many times from simulated measurements, or from real ones drawn with replacement.
 
     Args:
-        robot: The nominal robot, as every fit starts from it.
-        poses: Poses to measure: poses with names, or joint values alone, (n, n_actuated) [m or rad]; of measurements,
-            what was read at each.
-        truth: The robot that is measured; `robot` itself if not given; `priors` for one whose parameters are drawn anew
-            from the priors each time.
-        resample: Simulate nothing: in each draw, as many poses of the measurements `poses` as there are, with
-            replacement (`calib.studies.study_data` says what that tells). The truth is the fit of all.
-        sigma: Standard deviation of measured positions per axis [m], in place of what the description states.
-        noise: Function of exact measurements and a generator that returns the readings of a draw; normal noise as
-            stated if not given. It must be in a module, so that other processes find it.
+        robot: The nominal robot, from which every fit starts.
+        poses: Poses to measure: poses with names, or joint values alone, (n, n_actuated) [m or rad]; for measurements,
+            with the same readings at each.
+        truth: The measured robot; default: `robot`; `priors`: a robot with parameters drawn from the priors each time.
+        resample: Simulate nothing: each draw has as many poses of the measurements `poses` as there are, with
+            replacement (for its meaning see `calib.studies.study_data`). The truth is the fit of all.
+        sigma: Standard deviation of measured positions per axis [m]; default: the description's.
+        noise: Function from exact measurements and a generator to the readings of a draw; default: normal noise as
+            stated. It must be in a module, so that other processes find it.
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
-        elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad]; none if not given.
+        elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad]; default: none.
         seed: Seed of the whole study.
         executor: Executor of the draws; as in `calib.fit`.
-        progress: Called with the number of draws done and of all draws, in the order of work.
+        progress: Called with the number of finished draws and of all draws.
 
     Raises:
-        InputError: A number of draws or processes that makes no sense, unstated noise, nothing to resample.
-        NotConvergedError: The first draw did not converge, or none gave an answer.
+        InputError: An unusable number of draws or processes, unstated noise, nothing to resample.
+        NotConvergedError: The first draw did not converge, or no draw gave an answer.
         CalibrationError: As `calib.fit`, for the first draw.
     """
     robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
@@ -145,7 +143,7 @@ def study(
         )
         setting = _prepare(robot, source, settings, elsewhere, shared, draws)
         if setting.compiled and workers is not None:
-            _chunk(setting, range(1))  # compiles what they then load, instead of each by itself
+            _chunk(setting, range(1))  # compiles once, so that workers only load the result
         for some, why in results_in_order(partial(_chunk, setting), chunks, workers):
             done.append(some)
             failures += why
@@ -157,7 +155,7 @@ def study(
 
 
 def _measurements_to_resample(poses: object, truth: object, noise: object) -> Measurements:
-    """The measurements to resample; `InputError` where that makes no sense."""
+    """The measurements to resample, or `InputError`."""
     if truth is not None or noise is not None:
         raise InputError("resample: simulates nothing, so truth and noise have no effect; leave them out")
     if not isinstance(poses, Measurements):
@@ -174,7 +172,7 @@ def _prepare(
     seed: np.random.SeedSequence,
     draws: int,
 ) -> _Setting:
-    """Do the calibration that all others start from."""
+    """The setting, with the calibration from which all others start."""
     q = np.zeros((0, len(robot.joint_names))) if elsewhere is None else joint_vector(robot, elsewhere)
     near = robot.assemble(q).passive
     data = source if isinstance(source, Measurements) else source.draw(_seed_of_draw(seed, 0)).data
@@ -195,13 +193,13 @@ def _prepare(
 
 
 def _seed_of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
-    """Return the seed of a draw: that of `seed.spawn`, without all those before it."""
+    """The seed of a draw: that of `seed.spawn`, without those before it."""
     return np.random.SeedSequence(seed.entropy, spawn_key=(number,))
 
 
 @one_blas_thread
 def _chunk(setting: _Setting, numbers: range) -> tuple[Draws, list[str]]:
-    """The draws of these numbers, and why some of them gave no answer."""
+    """The draws of these numbers, and the reasons of those without an answer."""
     draws, failures = list[Draws](), list[str]()
     with compile_kinematics() if setting.compiled else nullcontext():
         for number in numbers:
@@ -218,7 +216,7 @@ def _chunk(setting: _Setting, numbers: range) -> tuple[Draws, list[str]]:
 
 
 def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
-    """One draw that gave an answer."""
+    """A draw with an answer."""
     first = setting.first
     true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
     errors = half_width = np.zeros((0, len(truth.target_names), 3))
@@ -246,7 +244,7 @@ def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
 
 
 def _draw_without_answer(setting: _Setting) -> Draws:
-    """One draw that gave no answer."""
+    """A draw without an answer: NaN."""
     first = setting.first
     n_free, at_targets = len(first.unknowns), (len(setting.prediction_joints), len(first.nominal.target_names), 3)
     shapes = ((n_free,),) * 4 + ((len(first.noise),),) + ((),) * 3 + (at_targets,) * 2

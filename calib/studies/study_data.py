@@ -1,19 +1,20 @@
-"""Data of each draw of a study: simulated measurements, or real measurements whose poses are drawn again.
+"""Data of each draw of a study: simulated measurements, or resampled poses of real measurements.
 
 Simulated. A true robot is measured at the same poses, with new noise in each draw.
 
 Resampled (the bootstrap of poses). Each draw takes as many poses as were measured, at random with replacement. A pose
-brings all its visits and their readings; a pose that is drawn twice counts as two. Nothing is assumed of the noise, not
-even that it is the same everywhere. The scatter over the draws estimates how far the parameters would scatter if other
-poses of the same kind had been measured. It contains the noise, and errors that the model leaves out as far as they
-differ from pose to pose. For many poses, the covariance over the draws is the sandwich H^-1 (sum over poses of g g^T)
-H^-1, with g the gradient of a pose's part of the cost.
+brings all its visits and their readings; a repeated pose counts as two. Nothing is assumed of the noise, not even that
+it is the same everywhere. The scatter over the draws estimates the scatter of the parameters over other sets of poses
+of the same kind. It contains the noise, and errors of the model that differ from pose to pose. For many poses, the
+covariance over the draws is the sandwich H^-1 (sum over poses of g g^T) H^-1, with g the gradient of a pose's part of
+the cost.
 
-When that is wrong. An error that all poses share (an instrument's scale, a joint term left out that acts everywhere the
-same way) is in every draw, and shows in none. A draw holds about 63 % of the poses, so that with few poses for the
+When it fails. An error common to all poses (an instrument's scale, a missing joint term with the same effect
+everywhere) is in every draw, and does not show. A draw holds about 63 % of the poses, so that with few poses for the
 parameters the scatter is too large, and some draws determine nothing. Poses that were chosen by an observability index
-are no random sample: the draws are worse sets of poses, and scatter more. A parameter that a prior holds scatters less
-than its standard deviation says, because the prior is the same in each draw.
+are no random
+sample: the draws are worse sets of poses, and scatter more. A parameter with a strong prior scatters less than its
+standard deviation, because the prior is the same in each draw.
 
 Reference: efron1979, white1980.
 """
@@ -37,17 +38,17 @@ from calib.core.rows.simulate import noisy_readings, simulate, unstated_noise
 from calib.core.rows.unknowns import Unknowns
 
 Noise = Callable[[Measurements, np.random.Generator], Measurements]
-"""Takes exact measurements, and returns them with noise."""
+"""Function from exact measurements to measurements with noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnData:
-    """Data that one draw calibrates from.
+    """Data of one draw.
 
     Attributes:
-        truth: The robot that was measured.
+        truth: The measured robot.
         data: The measurements.
-        passive: Passive joints of a similar robot at the visits, (n, n_passive) [m or rad]; None where not known.
+        passive: Passive joints of a similar robot at the visits, (n, n_passive) [m or rad]; None if unknown.
     """
 
     truth: Robot
@@ -60,12 +61,12 @@ class SimulatedDraws:
     """Simulated measurements of a true robot.
 
     Attributes:
-        truth: The robot that is measured.
+        truth: The measured robot.
         data: Measurements of this robot without noise.
         drawn: Matrix D, (n_parameters, n) [m or rad]: a draw adds D z to the true values, with z standard normal.
-        noise: Function that adds noise to `data`; None: the noise that the description states.
-        sigma: Noise of positions in place of what is stated [m], or None.
-        passive: Passive joints of the truth where it is measured, (n, n_passive) [m or rad].
+        noise: Function that adds noise to `data`; None: the noise of the description.
+        sigma: Noise of positions in place of the description's [m], or None.
+        passive: Passive joints of the truth at the visits, (n, n_passive) [m or rad].
     """
 
     truth: Robot
@@ -77,7 +78,7 @@ class SimulatedDraws:
 
     @property
     def changes_visits(self) -> bool:
-        """Whether visits differ between draws, as they do where something is touched: the noise is in the joints."""
+        """Whether visits differ between draws, as for touches, whose noise is in the joints."""
         return any(instrument.touches for instrument in self.truth.instruments)
 
     def draw(self, seed: np.random.SeedSequence) -> DrawnData:
@@ -115,7 +116,7 @@ class ResampledDraws:
         chosen = np.random.default_rng(seed).integers(len(groups), size=len(groups))
         visits = [(turn, k) for turn, group in enumerate(chosen) for k in groups[group]]
         index = np.array([k for _, k in visits], dtype=np.intp)
-        names = tuple(f"{turn}: {self.data.names[k]}" for turn, k in visits)  # a pose that is drawn twice is two poses
+        names = tuple(f"{turn}: {self.data.names[k]}" for turn, k in visits)  # a repeated pose is two poses
         return DrawnData(self.truth, replace(self.data.subset(index), names=names), self.passive[index])
 
 
@@ -131,9 +132,9 @@ def simulated_draws(
     Args:
         robot: The nominal robot.
         poses: Poses to measure, as `Poses` or (n, n_actuated) [m or rad].
-        truth: The robot that is measured; `priors`: drawn anew from the priors of `robot` each time; None: `robot`.
-        sigma: Noise of positions in place of what is stated [m].
-        noise: Function that adds noise to exact measurements; None: the noise that the description states.
+        truth: The measured robot; `priors`: drawn from the priors of `robot` each time; None: `robot`.
+        sigma: Noise of positions in place of the description's [m].
+        noise: Function that adds noise to exact measurements; None: the noise of the description.
 
     Raises:
         InputError: The truth has other joints, there are no priors to draw it from, or the noise is not stated.

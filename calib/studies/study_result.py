@@ -15,28 +15,28 @@ from calib.core.base.parameter import Parameter
 from calib.core.base.units import millimetres
 from calib.core.base.words import as_data, count_noun, data_frame, listing, plain_text, text_table
 
-_TAIL = 0.05  # chance of both tails of chi-square together
-_SURE = 4.0  # standard deviations beyond which a difference is no chance
+_TAIL = 0.05  # probability of both tails of chi-square together
+_SURE = 4.0  # standard deviations above which a difference is no chance
 _SCREEN = 25  # most parameters whose table fits on a screen of 40 lines
-_SHOWN = 10  # parameters in the table where there are more
+_SHOWN = 10  # parameters in the table if there are more
 _WIDTH = 110  # characters
 
 
 @dataclass(frozen=True, eq=False)
 class Draws(ReadOnlyArrays):
-    """Results of draws, a row for each; NaN throughout where a draw gave no answer.
+    """Results of draws, a row for each; all NaN for a draw without an answer.
 
     Attributes:
-        truth: True values of the free parameters, NaN where the truth has no such parameter, (n, n_free) [m or rad].
-        values: Values found, (n, n_free).
-        std: Their standard deviations as claimed, (n, n_free).
-        half_width: Half the 95 % intervals as claimed, (n, n_free).
-        sigma: Noise found of each group of rows, (n, n_groups) [SI].
+        truth: True values of the free parameters, (n, n_free) [m or rad]; NaN if the truth has no such parameter.
+        values: Estimates, (n, n_free).
+        std: Their claimed standard deviations, (n, n_free).
+        half_width: Half the claimed 95 % intervals, (n, n_free).
+        sigma: Estimated noise of each group of rows, (n, n_groups) [SI].
         chi_square: Sum of squares of the residuals, in units of the stated noise, (n,).
         freedom: Degrees of freedom, (n,).
-        names_outliers: 1 where the fit named an outlier, else 0, (n,).
-        errors: Predicted minus true positions at poses that were not measured, (n, n_poses, n_targets, 3) [m].
-        error_half_width: Half their 95 % intervals as claimed, (n, n_poses, n_targets, 3) [m].
+        names_outliers: 1 if the fit named an outlier, else 0, (n,).
+        errors: Predicted minus true positions at unmeasured poses, (n, n_poses, n_targets, 3) [m].
+        error_half_width: Half their claimed 95 % intervals, (n, n_poses, n_targets, 3) [m].
     """
 
     truth: FloatArray
@@ -55,20 +55,20 @@ class Draws(ReadOnlyArrays):
 
     @staticmethod
     def join(parts: Sequence[Draws]) -> Draws:
-        """Put the draws of several parts one after another."""
+        """Return the draws of several parts in one."""
         return Draws(
             **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Draws)}
         )
 
     @property
     def has_answer(self) -> BoolArray:
-        """Mask of the draws that gave an answer, (n,)."""
+        """Mask of the draws with an answer, (n,)."""
         return np.isfinite(self.values[:, 0])
 
 
 @dataclass(frozen=True)
 class ParameterStudy:
-    """One free parameter over all draws.
+    """A free parameter over all draws.
 
     Attributes:
         name: Its name.
@@ -76,8 +76,8 @@ class ParameterStudy:
         bias: Mean of value minus truth.
         bias_std: Standard deviation of that mean.
         spread: Standard deviation of value minus truth.
-        claimed: Root mean square of the standard deviations that the fits claimed.
-        coverage: Part of the draws whose 95 % interval holds the truth.
+        claimed: Root mean square of the claimed standard deviations.
+        coverage: Part of the draws whose 95 % interval contains the truth.
     """
 
     name: str
@@ -102,11 +102,11 @@ class Study(ReadOnlyArrays):
         free: The free parameters.
         groups: Names of the groups of rows, in the order of `draws.sigma`.
         draws: Results of the draws.
-        failures: Reasons why draws gave no answer, one for each such draw.
+        failures: Reasons of the draws without an answer.
         n_poses: Number of measured poses.
-        seed: Seed of everything random.
+        seed: Seed of all random numbers.
         seconds: Duration of the whole computation.
-        resampled: Whether poses of real measurements were drawn again; else everything is simulated.
+        resampled: Whether poses of real measurements were resampled; else everything is simulated.
     """
 
     robot: str
@@ -130,13 +130,13 @@ class Study(ReadOnlyArrays):
 
     @cached_property
     def answered(self) -> Draws:
-        """The draws that gave an answer."""
+        """The draws with an answer."""
         kept = self.draws.has_answer
         return Draws(**{field.name: getattr(self.draws, field.name)[kept] for field in fields(Draws)})
 
     @property
     def parameters(self) -> tuple[ParameterStudy, ...]:
-        """Every free parameter over all draws that gave an answer."""
+        """Every free parameter over all draws with an answer."""
         draws, n = self.answered, len(self.answered)
         error = draws.values - draws.truth
         spread = np.std(error, axis=0, ddof=1) if n > 1 else np.full(len(self.free), np.nan)
@@ -151,7 +151,7 @@ class Study(ReadOnlyArrays):
 
     @property
     def position_coverage(self) -> FloatArray:
-        """Part of the draws whose 95 % interval holds the truth at unmeasured poses, (n_poses, n_targets, 3)."""
+        """Part of the draws whose 95 % interval contains the truth at unmeasured poses, (n_poses, n_targets, 3)."""
         return np.mean(np.abs(self.answered.errors) <= self.answered.error_half_width, axis=0)
 
     @property
@@ -162,12 +162,12 @@ class Study(ReadOnlyArrays):
 
     @property
     def chi_square(self) -> float:
-        """Mean of chi-square over its degrees of freedom: 1 where the noise is as stated; NaN where none is stated."""
+        """Mean of chi-square over its degrees of freedom: 1 if the noise is as stated; NaN if none is stated."""
         return float(np.mean(self.answered.chi_square / self.answered.freedom))
 
     @property
     def chi_square_refused(self) -> float:
-        """Part of the draws that a test of chi-square at 5 % rejects; NaN where no noise is stated."""
+        """Part of the draws that a test of chi-square at 5 % rejects; NaN if no noise is stated."""
         value, freedom = self.answered.chi_square, self.answered.freedom
         tail = np.minimum(scipy.special.chdtr(freedom, value), scipy.special.chdtrc(freedom, value))
         return float(np.mean(np.where(np.isfinite(value), tail < _TAIL / 2, np.nan)))
@@ -235,7 +235,7 @@ class Study(ReadOnlyArrays):
         return lines
 
     def to_dataframe(self) -> Any:
-        """Return a pandas table of the free parameters over all draws; pandas missing is an `InputError`."""
+        """Return a pandas table of the free parameters over all draws; `InputError` without pandas."""
         return data_frame([parameter.row() for parameter in self.parameters])
 
     def to_dict(self) -> dict[str, object]:

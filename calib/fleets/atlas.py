@@ -4,6 +4,7 @@
 (files of `ur_calibration`): mean and spread of the joint origins, and the uncertainty of the mean. The stock URDF from
 the maker's published Denavit-Hartenberg parameters is beside it. The first lines of a file state the number of robots.
 """
+
 from __future__ import annotations
 
 from pathlib import Path

@@ -5,6 +5,7 @@ tracker's line starts at the description's `sight`. It has the width of a beam, 
 inside shapes. A shape that hides a line at nearly all poses is at the end of the line; it does not count, and is named
 in a remark.
 """
+
 from __future__ import annotations
 
 from collections.abc import Iterator

@@ -292,7 +292,7 @@ def read_printer(path: Path | str, firmware: str) -> PrinterFile:
     """Read a printer's settings of `klipper`, `marlin` or `duet`; see `read_klipper` and `read_m665`.
 
     Raises:
-        DataError: As there.
+        DataError: See these functions.
         InputError: Arms that are too short.
     """
     try:

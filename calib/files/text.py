@@ -1,4 +1,4 @@
-"""Text of other programs as lines of a table of this program, each where it stands in the file."""
+"""Tables of other programs, rewritten as lines of this program's tables, each line at its place in the file."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ _UNITS = {
     "feet": "ft",
 }
 SEEN = 40
-"""Lines among which a header is."""
+"""Number of lines in which a header is searched."""
 _AXES = ["x", "y", "z"]
 _TRIPLES = (_AXES, ["rx", "ry", "rz"], ["tx", "ty", "tz"])
 
 
 def cells_of(line: str) -> list[str]:
-    """Return the cells of a line: parted by tabs, semicolons, commas, or else blanks."""
+    """Return the cells of a line, separated by tabs, semicolons, commas, or else blanks."""
     separator = next((mark for mark in "\t;," if mark in line), None)
     cells = line.split(separator) if separator else re.findall(r'"[^"]*"|\S+', line)
     return [cell.strip().strip('"') for cell in cells]
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a number, with point or comma."""
+    """Return whether a cell is a number, with point or comma."""
     return bool(_NUMBER.fullmatch(cell))
 
 
 def unit_above(lines: Sequence[str]) -> str | None:
-    """Return the unit of length that the lines above a table name."""
+    """Return the unit of length in the lines above a table, or None."""
     words = _UNITS | {f"units: {unit}": unit for unit in ("mm", "m")}
     return next((unit for line in lines for word, unit in words.items() if word in line.casefold()), None)
 
@@ -49,7 +49,7 @@ def _numbers(cells: Sequence[str]) -> int:
 
 
 def _join_cells(cells: Sequence[str]) -> str:
-    """A line of a table: with semicolons where cells have commas."""
+    """A line of a table, with semicolons if cells contain commas."""
     mark = ";" if any("," in cell for cell in cells) else ","
     return mark.join(cells)
 
@@ -61,12 +61,12 @@ def _comment(line: str) -> str | None:
 
 
 def _first_row(lines: Sequence[str]) -> int | None:
-    """The first line that is no comment and not empty."""
+    """Index of the first line that is neither a comment nor empty."""
     return next((k for k, line in enumerate(lines) if line.strip() and _comment(line) is None), None)
 
 
 def _header_in_comment(file: SomeFile) -> tuple[int, list[str]] | None:
-    """The comment that names the columns, and its cells."""
+    """The comment with the names of the columns, and its cells."""
     lines = file.first_lines
     row = _first_row(lines)
     if row is None or not _numbers(cells_of(lines[row])) or len(cells_of(lines[row])) < 2:
@@ -85,14 +85,14 @@ def _header_in_comment(file: SomeFile) -> tuple[int, list[str]] | None:
 
 
 def has_header_in_comment(file: SomeFile) -> bool:
-    """Whether the last comment above the numbers names their columns."""
+    """Return whether the last comment above the numbers names their columns."""
     return _header_in_comment(file) is not None
 
 
 def commented_header_lines(file: SomeFile) -> list[str]:
-    """Return the lines with that comment as their header; columns without a name are called after their place."""
+    """Return the lines with that comment as header; columns without a name get their number."""
     lines, known = file.lines, _header_in_comment(file)
-    assert known is not None  # or another format would have been found
+    assert known is not None  # else another format would have matched
     header, names = known
     width = len(cells_of(lines[_first_row(lines) or 0]))
     names = [*names, *(f"column_{k + 1}" for k in range(len(names), width))]
@@ -118,7 +118,7 @@ def commented_header_lines(file: SomeFile) -> list[str]:
 
 
 def has_no_names(file: SomeFile) -> bool:
-    """Whether lines have numbers alone, two or more; or three or more beside texts in the same places."""
+    """Return whether every line has two or more numbers alone, or three or more with texts in the same places."""
     lines = [cells_of(line) for line in file.first_lines[:-1] or file.first_lines if line.strip()]
     lines = [cells for cells in lines if not cells[0].startswith(_MARKS)]
     places = [is_number(cell) for cell in lines[0]] if lines else []
@@ -129,7 +129,7 @@ def has_no_names(file: SomeFile) -> bool:
 
 
 def has_no_known_names(file: SomeFile) -> bool:
-    """Whether such lines are parted by blanks, or have texts too, so that no other reader knows them."""
+    """Return whether such lines have blanks between cells, or texts, so that no other reader takes them."""
     row = _first_row(file.first_lines)
     if row is None or not has_no_names(file):
         return False
@@ -138,7 +138,7 @@ def has_no_known_names(file: SomeFile) -> bool:
 
 
 def _blank_header(file: SomeFile) -> int | None:
-    """The line of names above numbers, both parted by blanks; rows may begin with a name."""
+    """Index of the line of names above numbers, both separated by blanks; rows may begin with a name."""
     k = _first_row(file.first_lines)
     rows = [] if k is None else [line for line in file.first_lines[k:-1] or file.first_lines[k:] if line.strip()][:SEEN]
     if len(rows) < 2 or any(re.search("[,;\t]", row) for row in rows):
@@ -149,7 +149,7 @@ def _blank_header(file: SomeFile) -> int | None:
 
 
 def is_parted_by_blanks(file: SomeFile) -> bool:
-    """Whether names and the numbers below are parted by blanks."""
+    """Return whether names and the numbers below are separated by blanks."""
     return _blank_header(file) is not None
 
 
@@ -166,13 +166,13 @@ def numbered_lines(file: SomeFile) -> list[str]:
 
 
 def _axes_line(file: SomeFile) -> int | None:
-    """The line of X, Y, Z (or RX, RY, RZ, TX, TY, TZ) whose names stand in the line above."""
+    """Index of the line of X, Y, Z (or RX, RY, RZ, TX, TY, TZ) below a line of names."""
     lines = [cells_of(line) for line in file.first_lines[:SEEN]]
     for k in range(1, len(lines)):
         letters, above = [_letter(cell) for cell in lines[k]], lines[k - 1]
         starts = {j for j in range(len(letters) - 2) if letters[j : j + 3] in _TRIPLES}
         named = {j for j, (cell, letter) in enumerate(zip(above, letters, strict=False)) if cell and letter}
-        first = {j for j in starts if letters[j] != "tx" or j - 3 not in starts}  # behind the angles of the same name
+        first = {j for j in starts if letters[j] != "tx" or j - 3 not in starts}  # after the angles of the same name
         if first and first == named:
             return k
     return None
@@ -184,7 +184,7 @@ def _letter(cell: str) -> str:
 
 
 def has_names_above(file: SomeFile) -> bool:
-    """Whether a line has names above the first letter of each X, Y, Z."""
+    """Return whether a line has names above the first letter of each X, Y, Z."""
     return _axes_line(file) is not None
 
 
@@ -195,7 +195,7 @@ def named_above_lines(file: SomeFile) -> list[str]:
         DataError: A second table follows.
     """
     lines, k = file.lines, _axes_line(file)
-    assert k is not None  # or another format would have been found
+    assert k is not None  # else another format would have matched
     for j in range(k + 1, len(lines)):
         if lines[j][:1].isalpha() and any(axis in map(_letter, cells_of(lines[j])) for axis in ("x", "tx")):
             raise DataError(f"{file.path}, line {j + 1}: a second table begins; keep one of them in the file")
@@ -213,7 +213,7 @@ def named_above_lines(file: SomeFile) -> list[str]:
 
 
 def _with_header(lines: Sequence[str], first: int, header: Sequence[str]) -> list[str]:
-    """Lines whose rows begin at `first`; those above are comments, the last of them the header."""
+    """Lines with rows from `first` on; lines above become comments, the last of them the header."""
     width, rows = len(header), list[str]()
     for line in lines[first:]:
         cells = cells_of(line)
@@ -226,7 +226,7 @@ def motive_lines(file: SomeFile) -> list[str]:
     """Return the lines of an export of Motive with one header: NAME_x [mm], NAME_qx, ...
 
     Raises:
-        DataError: It has no rows of names and of what they measure, or angles in place of quaternions.
+        DataError: Rows of names and of measured quantities are missing, or there are angles in place of quaternions.
     """
     lines = file.lines
     first = cells_of(lines[0])
@@ -265,14 +265,14 @@ def _u95_header(file: SomeFile) -> tuple[int, list[str]] | None:
 
 
 def has_expanded_uncertainty(file: SomeFile) -> bool:
-    """Whether a header has U95."""
+    """Return whether a header has U95."""
     return _u95_header(file) is not None
 
 
 def expanded_uncertainty_lines(file: SomeFile) -> list[str]:
-    """Return the lines with U95 of each axis: that of a point is that of each of its coordinates."""
+    """Return the lines with U95 of each axis; a point's U95 is used for each coordinate."""
     lines, known = file.lines, _u95_header(file)
-    assert known is not None  # or another format would have been found
+    assert known is not None  # else another format would have matched
     header, names = known
     single = next((j for j, name in enumerate(names) if (m := _U95.fullmatch(name)) and not m[1]), None)
 

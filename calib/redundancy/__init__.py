@@ -1,1 +1,1 @@
-"""Machines that are their own instrument: kinds of measurement, joint terms, and origins under the names of trades."""
+"""Machines that are their own instrument: kinds of measurement, joint terms, and origins in the names of trades."""

@@ -1,12 +1,12 @@
-"""Mounts that point: their errors under the names of the trade.
+"""Telescope and antenna mounts: their pointing errors in the names of the trade.
 
-Joints `azimuth` (about -z: as compasses count), `altitude` (about -y) and the fixed `collimation`, along whose x axis
-the target looks; x to the north, z up. With the readings of the encoders minus the truth,
+Joints `azimuth` (about -z, as compasses count), `altitude` (about -y) and the fixed `collimation`, whose x axis is the
+target's line of sight; x to the north, z up. With the readings of the encoders minus the truth,
 
     dA = -IA - CA sec E - NPAE tan E - AN sin A tan E - AW cos A tan E
     dE =  IE - AN cos A + AW sin A - TF cos E
 
-IA, IE: index errors; CA: collimation; NPAE: axes that are not perpendicular; AN, AW: tilt of the azimuth axis to north
+IA, IE: index errors; CA: collimation; NPAE: non-perpendicularity of the axes; AN, AW: tilt of the azimuth axis to north
 and west. TF, flexure of the tube, is the joint term `tube_flexure` of the altitude.
 """
 
@@ -35,13 +35,13 @@ COMPONENTS = (
 
 
 def altaz(origins: Mapping[str, Origin]) -> NamedOrigins:
-    """Return the parametrisation of a mount that points."""
+    """Return the parametrisation of a mount."""
     return NamedOrigins(COMPONENTS, origins)
 
 
 @dataclass(frozen=True)
 class TubeFlexure(JointTerm):
-    """TF: the tube sags, and looks at E + TF cos E (TF < 0) where the encoder of the altitude says E."""
+    """TF: the tube sags, and points at E + TF cos E (TF < 0) at a reading E of the altitude's encoder."""
 
     cause = "load (compliance)"
     in_auto = False
@@ -50,7 +50,7 @@ class TubeFlexure(JointTerm):
 
     @classmethod
     def from_section(cls, joint: Joint, section: TermSection, sigma: float | None) -> TubeFlexure:
-        """Return the term that an entry of a robot description means."""
+        """Return the term of an entry in a robot description."""
         return cls(joint.name, (Parameter("TF", joint.dimension, 0.0, sigma or 1e-3, _UNIT),))
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:

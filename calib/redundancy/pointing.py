@@ -1,7 +1,7 @@
-"""Pointing: directions in which a target's x axis looked, measured by stars or a plate solver.
+"""Pointing: directions of a target's x axis, measured by stars or a plate solver.
 
-Let d be the unit vector of the azimuth and altitude that were read, turned from the measurement frame into the axes of
-the target (x forward, y to the left, z up). Residuals are angles on the sky, so that the zenith is not singular:
+Let d be the unit vector of the measured azimuth and altitude, turned from the measurement frame into the axes of the
+target (x forward, y to the left, z up). Residuals are angles on the sky, so that the zenith is not singular:
 
     left = atan2(d_y, d_x)      up = atan2(d_z, hypot(d_x, d_y))
 
@@ -23,7 +23,7 @@ from calib.core.instruments.relation import Relation
 
 
 class PointingSection(InstrumentSection):
-    """Its target points along x; azimuths count from x of the measurement frame, by way of -y on a `compass`."""
+    """Its target points along x; azimuths count from x of the measurement frame, towards -y for a `compass`."""
 
     target: str | None = None
     azimuth: Literal["compass", "counterclockwise"] = "compass"
@@ -32,7 +32,7 @@ class PointingSection(InstrumentSection):
 
 @dataclass(frozen=True)
 class Pointing(Relation):
-    """Directions that a target looked in: two rows, across and up."""
+    """Directions of a target: two rows, across and up."""
 
     section = PointingSection
     parts = (Part("pointing", ("left", "up"), "angle", plural="directions"),)
@@ -41,7 +41,7 @@ class Pointing(Relation):
 
     @classmethod
     def from_section(cls, name: str, section: PointingSection) -> Pointing:
-        """Return the instrument of an entry of a robot description."""
+        """Return the instrument of an entry in a robot description."""
         sense = -1.0 if section.azimuth == "compass" else 1.0
         return cls(name, section.target or name, noise=Noise((PartNoise.from_sigma(section.sigma, 2),)), sense=sense)
 
@@ -55,7 +55,7 @@ class Pointing(Relation):
         return np.column_stack([np.mod(self.sense * np.arctan2(y, x), 2 * np.pi), np.arctan2(z, np.hypot(x, y))])
 
     def misses(self, view: View, unknowns: FloatArray, readings: Readings) -> FloatArray:
-        """Return the angles to the left and up from the x axis to the direction that was read, (n, 2) [rad]."""
+        """Return the angles to the left and up from the x axis to the measured direction, (n, 2) [rad]."""
         azimuth, altitude = self.sense * readings.values[:, 0], readings.values[:, 1]
         level = np.cos(altitude)
         there = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(altitude)])

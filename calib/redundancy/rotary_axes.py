@@ -1,8 +1,8 @@
-"""Rotary axes of a machining centre: where each axis of rotation is, under the names of ISO 230-1, and as a table.
+"""Rotary axes of a machining centre: the position of each axis of rotation in the names of ISO 230-1, and as a table.
 
-Joints `a`, `b` and `c` turn about x, y and z at their zeros. Each may lie off along both other axes, and be tilted
-about them: EX0C and EY0C, EA0C and EB0C of the axis C, and so on. What is measured are centres of balls on the table,
-which a probe in the spindle finds at several angles (`touch`, a socket that moves with the table).
+Joints `a`, `b` and `c` turn about x, y and z at their zeros. Each may be displaced along both other axes, and tilted
+about them: EX0C and EY0C, EA0C and EB0C for axis C, and so on. The measurements are centres of balls on the table,
+found by a probe in the spindle at several angles (`touch`, a socket that moves with the table).
 
 The table has a point of each axis and its direction, in machine coordinates, all other axes at zero. The controller's
 manual has its names of these numbers (rotation centres, vectors of the kinematics).
@@ -26,14 +26,14 @@ from calib.core.robots.robot import Robot
 NAME = "rotary_axes"
 _LINEAR: tuple[Component, ...] = ("x", "y", "z")
 _ROTARY: tuple[Component, ...] = ("rx", "ry", "rz")
-_OFF, _TILT = 0.5e-3, 1e-3  # expected [m], [rad]
+_OFF, _TILT = 0.5e-3, 1e-3  # expected errors [m], [rad]
 
 
 def rotary_axes(origins: Mapping[str, Origin]) -> NamedOrigins:
-    """Return the parametrisation of the rotary axes that a machine has.
+    """Return the parametrisation of a machine's rotary axes.
 
     Raises:
-        DescriptionError: It has none.
+        DescriptionError: The machine has no rotary axis.
     """
     joints = [(k, name) for k, name in enumerate("abc") if name in origins]
     if not joints:

@@ -1,1 +1,1 @@
-"""URDF as text: read, edited, and made of Denavit-Hartenberg parameters or of the lengths of a loop."""
+"""URDF as text: read, edited, and made from Denavit-Hartenberg parameters or from the lengths of a loop."""

@@ -1,14 +1,14 @@
-"""The chain of a URDF that is the arm, if the link that carries the measured point is not named.
+"""The arm's chain in a URDF, if the link with the measured point is not named.
 
-The arm is the chain with the most motors, without the fingers of a gripper. Where several are as long, the first in the
-file is taken. Fingers are known by structure first: two or more joints on one link whose longest two reach about
-as far, and all reach less than a third of the way from the arm's first joint to there. (In the robots that Pinocchio's
-example-robot-data has, hands reach up to a quarter of that way, the arms of a torso more than twice as far.) A gripper
-of which one joint alone moves looks like a last axis; there names decide: the last joint and its link are both called
-finger, gripper or the like, and the joint before is not.
+The arm is the chain with the most motors, without the fingers of a gripper; of equally long chains, the first in the
+file. Fingers are first recognised by structure: two or more joints on one link whose longest two have about the same
+reach, all shorter than a third of the way from the arm's first joint to there. (In the robots of Pinocchio's
+example-robot-data, hands reach up to a quarter of that way, the arms of a torso more than twice as far.) A gripper with
+one moving joint looks like a last axis; there names decide: the last joint and its link are both called finger, gripper
+or the like, and the joint before is not.
 
 When it fails. A tool changer with two short tools that have motors looks like a gripper, and of two legs and an arm
-with as many joints the first in the file is taken. What was left out is always said, and `calib init --target`
+with as many joints the first in the file is taken. Omitted joints are always reported, and `calib init --target`
 overrules.
 """
 
@@ -35,12 +35,12 @@ class ArmChain:
 
     Attributes:
         target: Link at its end.
-        base: Link that its first moving joint stands on.
-        joints: Its moving joints, without those that follow others.
-        fingers: Moving joints that hang on its end and were taken for those of a gripper.
-        branches: The robot's other moving joints, if the chain was chosen by the program.
-        still: Joints on the way whose limits nobody has stated, taken for fixed ones.
-        others: If the chain was chosen, other links at which it could end, likely ones first.
+        base: Link that carries its first moving joint.
+        joints: Its moving joints, without mimic joints.
+        fingers: Moving joints at its end that were taken for a gripper's.
+        branches: The robot's other moving joints, if the program chose the chain.
+        still: Joints of the chain without stated limits, taken as fixed.
+        others: If the program chose the chain, other possible end links, likely ones first.
     """
 
     target: str
@@ -53,7 +53,7 @@ class ArmChain:
 
     @property
     def remark(self) -> str:
-        """A sentence on the chosen tool link, joints left out, and how to choose another; empty without a choice."""
+        """A sentence on the chosen tool link, omitted joints, and how to choose another; empty without a choice."""
         reasons = (
             (self.fingers, "taken for a gripper"),
             (self.branches, "not on the way to it"),
@@ -76,13 +76,13 @@ class ArmChain:
 
 
 def arm_chain(urdf: UrdfText, target: str | None = None) -> ArmChain:
-    """Return the chain to a link, or if none is given, to the end of the arm.
+    """Return the chain to a link, by default to the end of the arm.
 
     Args:
-        target: Link that carries the measured point.
+        target: Link with the measured point.
 
     Raises:
-        DescriptionError: There is no such link, or no joint moves it, or one of a type that is not supported.
+        DescriptionError: There is no such link, or no joint moves it, or a joint of an unsupported type does.
     """
     tree = _Tree(urdf)
     if target is not None:
@@ -99,7 +99,7 @@ class _Tree:
         body: For each link, the name of the moving joint that carries it; empty for the root's body.
         carried: Link that each joint carries.
         distance: Length of the way to each link [m].
-        furthest: Length of the longest way that leads over each link [m].
+        furthest: Length of the longest way over each link [m].
     """
 
     def __init__(self, urdf: UrdfText) -> None:
@@ -141,7 +141,7 @@ class _Tree:
         return ArmChain(target, moving[0].parent, names, still=still)
 
     def arm(self) -> ArmChain:
-        """The chain to the end of the arm, and the joints that it leaves out."""
+        """The chain to the end of the arm, and the omitted joints."""
         cut = self._hands() | self._single_jaws()
         bodies = [
             body
@@ -155,7 +155,7 @@ class _Tree:
         fingers = [joint for joint in left if self.body[chain.target] in self._joints_before(self.body[joint.parent])]
         tips = [joint.child for joint in fingers if not self._joints_on(joint.name)]
         others = [*(link for link in ends[1:] if _motors(self.way[link])), *tips]
-        if not others:  # the end's own links, and those before it
+        if not others:  # links of the end's own body, and those before it
             others = [link for link in reversed(self.urdf.links) if self.body[link] == self.body[chain.target]]
             others += [joint.child for joint in reversed(self.way[chain.target]) if _motors(self.way[joint.child])]
         return replace(
@@ -166,15 +166,15 @@ class _Tree:
         )
 
     def _joints_on(self, body: str) -> list[UrdfJoint]:
-        """Moving joints that stand on a body."""
+        """Moving joints on a body."""
         return [joint for joint in _moving(self.urdf.joints) if self.body[joint.parent] == body]
 
     def _joints_before(self, body: str) -> set[str]:
-        """Moving joints on the way to a body, its own with them."""
+        """Moving joints on the way to a body, including its own."""
         return {joint.name for joint in _moving(self.way[self.carried[body]])} if body else set()
 
     def _hands(self) -> set[str]:
-        """Joints at which fingers begin, by structure."""
+        """First joints of fingers, by structure."""
         fingers: set[str] = set()
         for body in set(self.body.values()) - {""}:
             joints = self._joints_on(body)
@@ -184,7 +184,7 @@ class _Tree:
         return fingers
 
     def _single_jaws(self) -> set[str]:
-        """Last joints, with nothing on their links, that their names alone say to be a gripper's."""
+        """Last joints without further links that belong to a gripper by their names."""
         parents = {joint.parent for joint in self.urdf.joints}
         chains = [_moving(self.way[link]) for link in self.urdf.links if link not in parents]
         return {
@@ -208,14 +208,14 @@ class _Tree:
         return (beyond or ends)[-1]
 
     def _is_stiff_finger(self, link: str) -> bool:
-        """Whether a link is called a finger, or hangs on a fixed joint that was to follow another one."""
+        """Whether a link is called a finger, or is on a fixed joint with a mimic."""
         return bool(_FINGER.search(link)) or any(j.mimic and j.type in HELD_TYPES for j in self.way[link])
 
     def _reach(self, joint: UrdfJoint) -> float:
         return self.furthest[joint.child] - self.distance[joint.parent]
 
     def _arm_length(self, joints: list[UrdfJoint]) -> float:
-        """Way from the first moving joint to where these hang."""
+        """Length of the way from the first moving joint to the nearest of these joints."""
         first = _moving(self.way[joints[0].parent])[0]
         return min(self.distance[joint.parent] for joint in joints) - self.distance[first.child]
 

@@ -22,7 +22,7 @@ turn beta about y, which is zero in other rows, gives the axis its direction. Bo
 has no singularity there.
 
 When it fails. It never fails for a chain of rigid links. But if calibration moves axes across the limit
-`NEARLY_PARALLEL`, the table has another form than the nominal one.
+`NEARLY_PARALLEL`, the table has another form than the nominal table.
 
 References: Denavit 1955; Hayati 1985.
 """
@@ -62,7 +62,7 @@ class DhRow:
         kind: Kind of the joint: q adds to theta, to d, or to nothing.
         theta, d, a, alpha, beta: Numbers of the module docstring, at q = 0 [rad], [m].
         sign: 1, or -1 for a joint with q in the other direction.
-        lower, upper: Limits of q [rad or m]; infinite where there are none.
+        lower, upper: Limits of q [rad or m]; infinite without limits.
     """
 
     name: str
@@ -166,7 +166,7 @@ def _origin(convention: Convention, rest: pin.SE3, row: DhRow) -> tuple[pin.SE3,
 
 
 def _slide_origin(origin: pin.SE3, rest: pin.SE3) -> tuple[pin.SE3, pin.SE3]:
-    """The origin of a revolute joint; if it is far away, it is moved along the axis to the height of the joint before.
+    """The origin of a revolute joint; a far origin is moved along the axis to the height of the joint before.
 
     In tables with nearly parallel axes (calibrated robots of Universal Robots) d is hundreds of metres in one row, and
     as much back in the next. An origin may be anywhere on its axis: the next row moves back, and no pose changes.

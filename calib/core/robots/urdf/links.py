@@ -1,6 +1,6 @@
-"""Masses and shapes of a URDF's links: for simulators; the calibration does not need them.
+"""Masses and shapes of a URDF's links, for simulators and pictures; the calibration does not need them.
 
-Only reads. Prefixes that a file does not declare are accepted, as most programs accept them.
+Undeclared XML prefixes are accepted, as in most programs.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class Inertial:
 
 @dataclass(frozen=True, eq=False)
 class LinkShape:
-    """One visual or collision geometry.
+    """A visual or collision geometry.
 
     Attributes:
         kind: `box`, `cylinder`, `sphere` or `mesh`.
-        placement: In the link frame.
+        placement: Pose in the link frame.
         size: Box: edge lengths; cylinder: radius, length; sphere: radius; mesh: scale [m, or factors].
         file: Mesh file name as written, else "".
         colour: Red, green, blue, opacity, or None.
@@ -59,7 +59,7 @@ class LinkShape:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A link's inertial (None where the file has none), visuals and collisions; which kinds of visuals are unknown."""
+    """A link's inertial (None if the file has none), visuals and collisions, and unknown kinds of visuals."""
 
     inertial: Inertial | None
     visuals: tuple[LinkShape, ...]
@@ -169,10 +169,9 @@ def _numbers(text: str, count: int, where: str) -> tuple[float, ...]:
 
 
 def possible_inertia(inertia: FloatArray) -> FloatArray:
-    """Return the nearest inertia that a body can have: positive moments, none above the sum of the two others.
+    """Return the nearest physically possible inertia: positive moments, none above the sum of the other two.
 
-    Args:
-        inertia: About the centre of mass, (3, 3) [kg m^2], symmetric.
+    `inertia` is about the centre of mass, (3, 3) [kg m^2], symmetric.
     """
     moments, axes = linalg.eigh(inertia)
     fixed = np.maximum(moments, max(1e-6 * float(moments[2]), 1e-12))
@@ -186,7 +185,7 @@ def possible_inertia(inertia: FloatArray) -> FloatArray:
 
 
 def find_mesh(filename: str, urdf_path: str) -> Path | None:
-    """Return where a mesh lies, or None: relative to the URDF, or a package:// path below a folder above it.
+    """Return the path of a mesh, or None: relative to the URDF, or a package:// path below a folder above it.
 
     Folders of ROS_PACKAGE_PATH and `share` of AMENT_PREFIX_PATH are searched as well.
     """
@@ -203,10 +202,10 @@ def find_mesh(filename: str, urdf_path: str) -> Path | None:
 
 
 def may_read_mesh(filename: str, mesh: Path, urdf_path: str) -> bool:
-    """Return whether a mesh file may be read under its name in the URDF, which may come from anybody.
+    """Return whether a mesh file may be read under its name in the URDF, which is untrusted.
 
-    By `..` a name may leave the URDF's folder for the one above it, where `meshes` stands beside `urdf`; for the ROS
-    package that the URDF is in; and for the folders of ROS.
+    With `..`, a name may lead from the URDF's folder only to the folder above, which often has `meshes` beside `urdf`;
+    to the URDF's ROS package; and to the folders of ROS.
     """
     if ".." not in re.split(r"[/\\]", filename):
         return True

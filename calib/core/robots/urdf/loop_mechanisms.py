@@ -1,14 +1,14 @@
-"""Mechanisms with loops, put together from a few lengths: planar ones, deltas and Stewart platforms.
+"""Mechanisms with loops, made from a few lengths: planar ones, deltas and Stewart platforms.
 
 Every mechanism here is exact, and has no joint that spins without moving anything, since no closure could hold it:
 
 * Planar ones turn about z and are cut at a hinge; the closure holds x and y.
-* The platform of a delta or a Stewart robot hangs on six joints without motors (x, y, z, rx, ry, rz) that only name
-  where it is. Each leg ends in a point of the platform (type 3d). A leg stands on a universal joint, two hinges that
-  cross, and so has no spin about itself. Six legs: 6 + 12 passive joints, 18 equations.
-* A parallelogram of the delta is its two rods, each of them a leg. So the platform tilts where rods differ.
+* The platform of a delta or a Stewart robot hangs on six joints without motors (x, y, z, rx, ry, rz) that only state
+  its pose. Each leg ends in a point of the platform (type 3d). A leg is on a universal joint, two crossed hinges, and
+  so has no spin about itself. Six legs: 6 + 12 passive joints, 18 equations.
+* A parallelogram of the delta is its two rods, each of them a leg. So the platform tilts if rods differ.
 
-Home is computed from the lengths; lengths from which nothing can be assembled are an error.
+Home is computed from the lengths; lengths that cannot be assembled are an error.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from calib.core.robots.urdf.writing import joint_text
 BASE = "base"
 _HERE: Triple = (0.0, 0.0, 0.0)
 _ROUND = (-2 * math.pi, 2 * math.pi)
-_DELTA = (-0.6, 1.2)  # where all three arms of a usual delta reach the platform [rad]
+_DELTA = (-0.6, 1.2)  # range in which all three arms of a usual delta reach the platform [rad]
 Lengths = Mapping[str, float]
 
 
@@ -44,7 +44,7 @@ class Plan:
         home: Value of every moving joint [m or rad].
         loops: Pairs of links that coincide.
         targets: Link and point on it [m], by name.
-        free: Joint origin, its components.
+        free: Joint origins with their free components.
     """
 
     axes: str
@@ -57,19 +57,19 @@ class Plan:
     free: list[tuple[str, str]] = field(default_factory=list)
 
     def add_fixed_joint(self, name: str, parent: str, child: str, xyz: Iterable[float], free: str) -> None:
-        """A joint that only holds a place."""
+        """Add a fixed joint whose origin components `free` can be calibrated."""
         self._add(name, "fixed", parent, child, xyz)
         self.free.append((name, free))
 
     def place(self, name: str, parent: str, child: str, xyz: Iterable[float], turned: float = 0.0) -> None:
-        """A joint that only holds a place that no component of it alone makes free."""
+        """Add a fixed joint without free components."""
         self._add(name, "fixed", parent, child, xyz, turned)
 
     def hinge(
         self, name: str, parent: str, child: str, home: float, xyz: Iterable[float] = _HERE, *, axis: str = "0 0 1",
         turned: float = 0.0, motor: bool = False, limits: tuple[float, float] = _ROUND,
     ) -> None:  # fmt: skip
-        """A joint that turns; its origin is turned about z by `turned` [rad]; without a motor it has no limits."""
+        """Add a revolute joint with its origin turned about z by `turned` [rad]; without a motor it has no limits."""
         self._add(
             name, "revolute" if motor else "continuous", parent, child, xyz, turned, axis, limits if motor else None
         )
@@ -78,7 +78,7 @@ class Plan:
     def slider(
         self, name: str, parent: str, child: str, home: float, axis: str, limits: tuple[float, float], *, motor: bool
     ) -> None:
-        """A joint that slides, between limits [m]."""
+        """Add a sliding joint between limits [m]."""
         self._add(name, "prismatic", parent, child, _HERE, 0.0, axis, limits)
         self._moving(name, home, motor)
 
@@ -97,7 +97,7 @@ class Plan:
 
 
 def four_bar(length: Lengths) -> Plan:
-    """A crank with a motor, a coupler, a rocker; home in the middle of what the crank can do.
+    """A crank with a motor, a coupler, a rocker; home is in the middle of the crank's range.
 
     Raises:
         InputError: The lengths do not close.
@@ -231,7 +231,7 @@ def _direction(degrees: float) -> FloatArray:
 
 
 def _two_links(to: FloatArray, first: float, second: float, side: int) -> tuple[float, float]:
-    """Angle of the first link and the bend to the second, to reach `to` (2,) [m], elbow to the left for side 1."""
+    """Angle of the first link and bend to the second that reach `to` (2,) [m], elbow to the left for side 1."""
     far = math.hypot(*to)
     if not abs(first - second) < far < first + second:
         shown = [f"{millimetres(length):.9g} mm" for length in (first, second, far)]
@@ -244,7 +244,7 @@ def _two_links(to: FloatArray, first: float, second: float, side: int) -> tuple[
 def _planar_arm(
     plan: Plan, arm: str, foot: FloatArray, tip: FloatArray, links: tuple[float, float], side: int
 ) -> float:
-    """Motor, elbow and tip of an arm of two links; returns which way its end points at home [rad]."""
+    """Add motor, elbow and tip of an arm of two links; return the direction of its end at home [rad]."""
     start, bend = _two_links(tip - foot, *links, side)
     plan.hinge(
         f"{arm}_motor", BASE, f"{arm}_proximal", start, (*foot, 0), motor=True, limits=(start - 0.6, start + 0.6)
@@ -256,7 +256,7 @@ def _planar_arm(
 
 
 def _platform(plan: Plan, z: float, reach: float) -> None:
-    """Six joints without motors that say where the platform is."""
+    """Add six joints without motors that state the pose of the platform."""
     parent = BASE
     for axis, name, home in (("1 0 0", "x", 0.0), ("0 1 0", "y", 0.0), ("0 0 1", "z", z)):
         plan.slider(f"platform_{name}", parent, f"platform_at_{name}", home, axis, (-reach, reach), motor=False)
@@ -268,6 +268,6 @@ def _platform(plan: Plan, z: float, reach: float) -> None:
 
 
 def _anchor(plan: Plan, leg: str, xyz: FloatArray) -> None:
-    """The point of the platform in which a leg ends."""
+    """Add the point of the platform at the end of a leg."""
     plan.add_fixed_joint(f"{leg}_anchor", "platform", f"{leg}_place", xyz, "x, y, z")
     plan.loops.append((f"{leg}_place", f"{leg}_tip"))

@@ -1,24 +1,24 @@
 """MuJoCo's format (MJCF) read as a URDF, for `urdf: robot.xml`.
 
-MuJoCo reads the file, with its includes, defaults and units; what it makes of it is written as a URDF that means the
-same. With p a joint's place in its body and q0 its value in the file (`ref`):
+MuJoCo reads the file, with its includes, defaults and units; its model is written as an equivalent URDF. With p a
+joint's place in its body and q0 its value in the file (`ref`):
 
     body        a link of its name in the body's frame
     joint       T_parent_joint = T_parent_body Trans(p) Motion(-q0): its value is MuJoCo's own (qpos); then Trans(-p) to
                 the body. Several joints of a body follow each other, with links of their own between them
-    ball joint  three hinges about x, y and z, in a row; of a rod that one point ties to others, two across it
+    ball joint  three hinges about x, y and z, in a row; for a rod tied to others at one point, two across it
     site        a link that is fixed to its body
     connect, weld (equality)
-                a loop that stays cut open: two links, one fixed to each body, that coincide
+                a loop that stays cut open: two coinciding links, one fixed to each body
     joint (equality)
                 `mimic`, about the values in the file
 
-Directions of a loop. A `connect` names three; a planar loop holds two of them. In the frame of its first body, no joint
-moves the two points apart along the third one, n: all rows n^T (J_a - J_b), at configurations drawn around that of the
-file, are zero. The links of a loop have n as their z axis, so that x and y are what the loop holds.
+Directions of a loop. A `connect` has three; a planar loop holds two of them. In the frame of its first body, no joint
+moves the two points apart along the third direction n: all rows n^T (J_a - J_b), at configurations drawn around the
+file's, are zero. The links of a loop have n as their z axis, so that the loop holds x and y.
 
-When it fails. Free joints hold their bodies where the file has them. Ties by tendons, and joints that follow others by
-a polynomial, are errors: URDF has none. Of shapes, boxes, spheres, cylinders and mesh files are kept.
+When it fails. Free joints are fixed at the file's pose. Ties by tendons, and joints that follow others by a polynomial,
+are errors: URDF has none. Of shapes, boxes, spheres, cylinders and mesh files are kept.
 
 Reference: todorov2012.
 """
@@ -51,10 +51,10 @@ from calib.core.robots.urdf.writing import (
     visual_element,
 )
 
-_DRAWN = 12  # configurations at which directions of a loop are looked at
-_SPREAD = 0.3  # largest distance from those of the file [m, rad]
-_MOVES = 1e-7  # singular value over the largest, from which a direction moves
-_SHOWN_GROUPS = 3  # of shapes: MuJoCo draws groups 0, 1 and 2
+_DRAWN = 12  # configurations for the directions of a loop
+_SPREAD = 0.3  # standard deviation from the file's configuration [m, rad]
+_MOVES = 1e-7  # singular value over the largest above which joints move along a direction
+_SHOWN_GROUPS = 3  # number of shape groups: MuJoCo draws groups 0, 1 and 2
 _NOT_HELD = "a URDF cannot hold it; take it out of the file, or its joints if the arm does not need them"
 _MESHES = (".stl", ".obj", ".dae", ".ply")
 
@@ -80,11 +80,11 @@ class MjcfRobot:
 
     Attributes:
         source: The URDF.
-        motors: Joints with an actuator, in the order of these.
-        loops: Cut open in the URDF.
+        motors: Joints with an actuator, in the order of the actuators.
+        loops: Loops, cut open in the URDF.
         springs: Joints with a spring and no actuator.
         home: Value of each joint in the file [m or rad].
-        remarks: Features that the URDF does not hold.
+        remarks: Features that the URDF does not have.
     """
 
     source: bytes
@@ -100,13 +100,13 @@ class _Motion(ReadOnlyArrays):
     """A joint of one degree of freedom.
 
     Attributes:
-        name: In the URDF.
-        kind: As URDF calls it.
-        axis: In the body, (3,).
+        name: Name in the URDF.
+        kind: Type in the URDF.
+        axis: Axis in the body, (3,).
         before, after: From the body's frame to the joint's place before it, and back after it, (3,) [m].
-        value: In the file [m or rad].
-        limits: Lowest and highest value, if there are any.
-        number: In the model; none of a part of a ball joint.
+        value: Value in the file [m or rad].
+        limits: Lowest and highest value, or None.
+        number: Index in the model; None for a part of a ball joint.
     """
 
     name: str
@@ -120,7 +120,7 @@ class _Motion(ReadOnlyArrays):
 
 
 def outermost(source: bytes) -> str:
-    """Return the tag of a file's outermost element: `mujoco` of MJCF, `sdf` of SDF; nothing of what is no XML."""
+    """Return the tag of a file's outermost element, such as `mujoco` of MJCF or `sdf`; empty if it is no XML."""
     try:
         for _, element in ElementTree.iterparse(io.BytesIO(source), events=("start",)):
             return element.tag
@@ -130,13 +130,10 @@ def outermost(source: bytes) -> str:
 
 
 def read_mjcf(path: Path | str) -> MjcfRobot:
-    """Read an MJCF file by MuJoCo.
-
-    Args:
-        path: Path of the file; what it includes lies where it says.
+    """Read an MJCF file, with its includes, by MuJoCo.
 
     Raises:
-        UrdfError: MuJoCo is not installed, or cannot read the file; or URDF has no words for what is in it.
+        UrdfError: MuJoCo is not installed, or cannot read the file; or URDF has no equivalent for its content.
     """
     try:
         import mujoco
@@ -146,8 +143,8 @@ def read_mjcf(path: Path | str) -> MjcfRobot:
             " URDF"
         ) from None
     try:
-        spec = mujoco.MjSpec.from_file(str(Path(path).resolve()))  # meshes are looked for from the working folder
-        with warnings.catch_warnings(action="ignore"):  # of what it computes of soft bodies
+        spec = mujoco.MjSpec.from_file(str(Path(path).resolve()))  # mesh paths are relative to the working folder
+        with warnings.catch_warnings(action="ignore"):  # on soft bodies
             model = spec.compile()
     except (ValueError, OSError) as error:
         raise UrdfError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None
@@ -210,7 +207,7 @@ class _MjcfReader:
             self._add_fixed_joint(parent, name, place, body)
 
     def _motions(self, joint: int) -> Iterator[_Motion]:
-        """Elementary motions of a joint: none of a free one."""
+        """Elementary motions of a joint; none for a free joint."""
         model, types = self.model, self.mujoco.mjtJoint
         kind, name = int(model.jnt_type[joint]), self._name("JOINT", joint)
         about, nowhere = np.array(model.jnt_pos[joint]), np.zeros(3)
@@ -260,7 +257,7 @@ class _MjcfReader:
         return points[0] / length if length > 0 else None
 
     def _moving(self, motion: _Motion, parent: str, child: str, place: pin.SE3) -> None:
-        """Add a joint whose value is MuJoCo's."""
+        """Add a joint with MuJoCo's joint value."""
         if motion.kind == "prismatic":
             place = place * pin.SE3(np.eye(3), -motion.value * motion.axis)
         elif motion.value:
@@ -275,7 +272,7 @@ class _MjcfReader:
         self._link(child, body)
 
     def _link(self, name: str, body: int | None) -> None:
-        """Add a link; with mass and shapes where it is that of a body."""
+        """Add a link; with mass and shapes if it is a body's."""
         self.links[name] = link = SubElement(self.root, "link", name=name)
         if body is None:
             return
@@ -348,7 +345,7 @@ class _MjcfReader:
         if not whole:
             turn, count = self._loop_axes(bodies, [place.translation for place in places])
             axes = axes[:count]
-            places = [pin.SE3(turn, place.translation) for place in places]  # of the second, its point alone counts
+            places = [pin.SE3(turn, place.translation) for place in places]  # the second's rotation is irrelevant
         links = []
         for letter, body, place in zip("ab", bodies, places, strict=True):
             link = self._new(f"{name}_{letter}", self.links)
@@ -357,7 +354,7 @@ class _MjcfReader:
         return MjcfLoop((links[0], links[1]), "6d" if whole else "3d", axes)
 
     def _bodies_of_tie(self, number: int) -> tuple[list[int], list[pin.SE3]]:
-        """The two bodies of a tie, and where it holds each."""
+        """The two bodies of a tie, and its place in each."""
         model = self.model
         ids = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
         data, straight = np.array(model.eq_data[number]), np.array([1.0, 0.0, 0.0, 0.0])
@@ -368,7 +365,7 @@ class _MjcfReader:
         return ids, [_se3(data[0:3], straight), _se3(data[3:6], straight)]
 
     def _loop_axes(self, bodies: list[int], points: list[FloatArray]) -> tuple[FloatArray, int]:
-        """Axes of a loop in its first body, (3, 3), those that its joints move along before the others; how many do."""
+        """Axes of a loop in its first body, (3, 3), those along which joints move first, and the number of these."""
         mujoco, model = self.mujoco, self.model
         data, random = mujoco.MjData(model), np.random.default_rng(0)
         columns = []

@@ -27,28 +27,28 @@ HELD_TYPES = ("fixed", *UNSUPPORTED_TYPES)
 NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _TAG = re.compile(rb"""<[^\s/>"']+(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 MOST_LINKS = 300
-"""More would fill the memory: Pinocchio's data grow with the third power."""
+"""Largest number of links: Pinocchio's data grow with the third power."""
 _LARGEST = 1e9  # largest number of origins and mimic joints [m or rad]: squares and products stay finite
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh", "origin", "mass", "inertia")
 _NO_NUMBERS = ("name", "filename")
-_SPACE = " \t\r\n"  # XML's; str.split() would also take the no-break space, which other programs refuse
+_SPACE = " \t\r\n"  # XML's; str.split() would also accept the no-break space, which other programs refuse
 
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """One `<joint>` of the file.
+    """A `<joint>` of the file.
 
     Attributes:
         name, type, parent, child: As in the file.
         xyz: Origin translation, parent link to joint [m].
         rpy: Origin rotation, fixed-axis roll, pitch, yaw [rad].
         axis: Unit axis in the joint frame.
-        lower, upper: Limits [rad or m]; infinite where the file gives none.
-        unstated: Whether its `<limit>` has neither, which URDF takes for 0 to 0, or is 0 to 0: programs write that
-            for limits that nobody has stated.
+        lower, upper: Limits [rad or m]; infinite if the file has none.
+        unstated: Whether its `<limit>` has neither number, which URDF takes as 0 to 0, or is 0 to 0, which programs
+            write for unknown limits.
         mimic: Name of the joint it follows, multiplier and offset, or None.
-        tag_span: Bytes of the joint's start tag; None if the joint comes out of an XML entity.
-        origin_span: Bytes of the `<origin>` tag, or None where the file has none.
+        tag_span: Bytes of the joint's start tag; None if the joint comes from an XML entity.
+        origin_span: Bytes of the `<origin>` tag, or None if the file has none.
     """
 
     name: str
@@ -67,7 +67,7 @@ class UrdfJoint:
 
     @property
     def moves(self) -> bool:
-        """Whether the joint has a value of its own, or follows another one, and a range to move in."""
+        """Whether the joint has a value, its own or by a mimic, and a range to move in."""
         if self.type in HELD_TYPES:
             return False
         return self.mimic is not None or not self.unstated
@@ -127,7 +127,7 @@ class UrdfReader:
             raise UrdfError(f"{self.path}: its character encoding cannot be read ({error}); save it as UTF-8") from None
 
     def _span(self) -> Span | None:
-        """Bytes of the tag at hand; None where an XML entity stands for it."""
+        """Bytes of the present tag; None if it comes from an XML entity."""
         match = _TAG.match(self.source, self._parser.CurrentByteIndex)
         return match.span() if match else None
 
@@ -159,7 +159,7 @@ class UrdfReader:
         self._stack.append(tag)
 
     def _check_finite(self, tag: str, attributes: dict[str, str]) -> None:
-        """Refuse shapes and masses that no program can draw or move; what else they say is not used here."""
+        """Refuse shapes and masses with numbers that no program can use."""
         for key, text in attributes.items():
             for part in () if key in _NO_NUMBERS else text.split():
                 try:
@@ -205,7 +205,7 @@ class UrdfReader:
             joint["origin_span"] = self._span()
             joint["xyz"] = self._triple(attributes.get("xyz", "0 0 0"), f"{where}, xyz")
             joint["rpy"] = self._triple(attributes.get("rpy", "0 0 0"), f"{where}, rpy")
-            if joint["origin_span"] is None:  # inside an entity: there is no place in the file to write to
+            if joint["origin_span"] is None:  # inside an entity, which has no place in the file
                 joint["tag_span"] = None
         elif tag == "axis":
             joint["axis"] = self._axis(attributes, where, joint["type"] in MOVING_TYPES)
@@ -217,7 +217,7 @@ class UrdfReader:
                     f"{self.path}, {where}: the lower limit {lower:g} is above the upper one {upper:g};"
                     " correct the <limit>"
                 )
-            joint["lower"] = -math.inf if lower < -_LARGEST else lower  # such numbers are written for "none"
+            joint["lower"] = -math.inf if lower < -_LARGEST else lower  # programs write such numbers for "none"
             joint["upper"] = math.inf if upper > _LARGEST else upper
             if lower == upper == 0.0 and joint["type"] in MOVING_TYPES:
                 joint |= {"lower": -math.inf, "upper": math.inf, "unstated": True}

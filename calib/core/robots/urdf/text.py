@@ -1,12 +1,12 @@
-"""The URDF as text: write new joint origins into the file and touch nothing else.
+"""The URDF as text: new joint origins are written into the file, and nothing else changes.
 
-A URDF writer would reorder elements, drop what it does not know and round numbers again. Here the file is kept as
-bytes, and an edit replaces only the numbers that changed, inside the `xyz` or `rpy` attribute of a joint's `<origin>`.
-Where nothing changes the bytes are identical: comments, order, spelling of numbers, line ends, encoding, all of it.
+A URDF writer would reorder elements, drop unknown ones and round numbers again. Here the file is kept as bytes, and an
+edit replaces only the changed numbers, inside the `xyz` or `rpy` attribute of a joint's `<origin>`. Everything else
+keeps its bytes: comments, order, spelling of numbers, line ends, encoding.
 
-Angles of an edited rotation are recovered with Pinocchio's `matrixToRpy`, which is exact to 1e-15 also near
-pitch = +-90 degrees, and written as the shortest decimal that reads back to the same number. Every edited file is read
-back, and must then have the requested origins.
+Angles of an edited rotation come from Pinocchio's `matrixToRpy`, which is exact to 1e-15 even near pitch = +-90
+degrees, and are written as the shortest decimals that read back to the same numbers. Every edited file is read back,
+and must then have the requested origins.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class UrdfText:
         joints: Joints in file order.
         root_span: Bytes of the `<robot>` start tag.
         end: Byte at which `</robot>` starts.
-        mjcf: Motors and loops where the file is MuJoCo's or Gazebo's.
+        mjcf: Motors and loops, if the file is MuJoCo's or Gazebo's.
     """
 
     source: bytes
@@ -86,7 +86,7 @@ class UrdfText:
 
     @property
     def joints_from_root(self) -> list[UrdfJoint]:
-        """Joints so that parents come first, otherwise in file order."""
+        """Joints with parents first, otherwise in file order."""
         children: dict[str, list[UrdfJoint]] = {link: [] for link in self.links}
         for joint in self.joints:
             children[joint.parent].append(joint)
@@ -99,7 +99,7 @@ class UrdfText:
         return order
 
     def limits(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits, (n,) each [m or rad]; infinite where the URDF has none."""
+        """Return lower and upper limits, (n,) each [m or rad]; infinite if the URDF has none."""
         known = {joint.name: (joint.lower, joint.upper) for joint in self.joints}
         lower, upper = np.array([known.get(name, (-math.inf, math.inf)) for name in names]).reshape(-1, 2).T
         return lower, upper
@@ -110,7 +110,7 @@ class UrdfText:
         Numbers that do not change keep their spelling; a missing `<origin>` or attribute is added only if needed.
 
         Raises:
-            UrdfError: Unknown joint, a number that is not finite, or an origin that the file has no place for.
+            UrdfError: Unknown joint, a number that is not finite, or an origin that the file cannot hold.
         """
         by_name = {joint.name: joint for joint in self.joints}
         edits: list[Edit] = []
@@ -136,7 +136,7 @@ class UrdfText:
             )
         if joint.origin_span is None:
             end = joint.tag_span[1]
-            blank = _BLANK.match(self.source, end)  # the line end and indent of what follows
+            blank = _BLANK.match(self.source, end)  # the following line end and indent
             attributes = " ".join(f'{key}="{readers_by_word(value)}"' for key, value in changes.items())
             return [(end, end, (blank.group() if blank else b"") + f"<origin {attributes}/>".encode())]
         return _attribute_edits(self.source, joint.origin_span, changes)
@@ -152,15 +152,15 @@ class UrdfText:
 
 
 def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> UrdfText:
-    """Read and check a URDF file; a xacro file (`.xacro`), which is expanded first; MuJoCo's format (MJCF); or a
-    calibration of Universal Robots (YAML).
+    """Read and check a URDF file; a xacro file (`.xacro`), which is expanded first; MuJoCo's format (MJCF); Gazebo's
+    (SDF); or a calibration of Universal Robots (YAML).
 
     Args:
         arguments: Arguments of a xacro file, by name.
 
     Raises:
-        UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree; or it is a xacro
-            or MJCF file that cannot be turned into a URDF.
+        UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree; or it is a file of
+            another format that cannot be turned into a URDF.
     """
     source = read_bytes(path, "the path of a URDF", UrdfError)
     if arguments and Path(path).suffix != ".xacro":
@@ -176,7 +176,7 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
 
 
 def require_supported(joints: Iterable[UrdfJoint], where: str) -> None:
-    """Raise `DescriptionError` for a floating or planar joint: it moves, and no joint value says where it is.
+    """Raise `DescriptionError` for a floating or planar joint, whose motion no joint value states.
 
     Args:
         joints: Joints between the frames of the instruments.
@@ -203,7 +203,7 @@ def apply_edits(source: bytes, edits: list[Edit]) -> bytes:
 
 
 def _attribute_edits(source: bytes, span: Span, changes: Mapping[str, Triple]) -> list[Edit]:
-    """Edits that give the tag at `span` new numbers in the named attributes."""
+    """Edits that set new numbers in the named attributes of the tag at `span`."""
     start, end = span
     tag = source[start:end]
     attributes = {match.group(1): match for match in _ATTRIBUTE.finditer(tag)}
@@ -220,10 +220,10 @@ def _attribute_edits(source: bytes, span: Span, changes: Mapping[str, Triple]) -
 
 
 def _respell(old: bytes, values: Triple) -> bytes:
-    """Replace the numbers in `old` that changed, keeping the others as they were spelled."""
+    """Replace the changed numbers in `old`, and keep the spelling of the others."""
     text = old.decode("ascii", errors="replace")
     numbers = list(NUMBER.finditer(text))
-    if len(numbers) != 3 or "&" in text:  # spelled with character references: write it plainly
+    if len(numbers) != 3 or "&" in text:  # character references: write plain numbers
         return readers_by_word(values).encode()
     for match, value in reversed(list(zip(numbers, values, strict=True))):
         if float(match.group()) != value:

@@ -1,12 +1,12 @@
-"""Universal Robots' calibration: the YAML that `ur_calibration` writes, and `default_kinematics.yaml`, as a URDF.
+"""Universal Robots' calibration (the YAML of `ur_calibration`, and `default_kinematics.yaml`) as a URDF.
 
 Its key `kinematics` has six joint origins, from `base_link_inertia` on. The URDF has the names of `ur_description`, and
 its fixed frames: `base` (half a turn from `base_link`), `flange` and `tool0`.
 
-The axes of shoulder and elbow are parallel, so that their origins may lie metres away along them, and single numbers
-cannot be compared with those of the type. Positions are compared instead, at a few hundred poses, with the base placed
-as well as possible. A robot differs from its type by 1 to 9 mm RMS; one lost sign makes more than ten times as much. A
-lost sign is named if the robot with the other sign is of a known type.
+The axes of shoulder and elbow are parallel, so their origins may be metres away along them, and single numbers cannot
+be compared with the type's. Instead, positions are compared at a few hundred poses, with the best base. A robot differs
+from its type by 1 to 9 mm RMS; one lost sign makes more than ten times as much. A lost sign is named if the robot with
+the other sign is of a known type.
 
 References: ur_dh.
 """
@@ -47,7 +47,7 @@ TYPES = {
     "ur30": (0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543),
 }
 """The maker's d1, a2, a3, d4, d5, d6 of each type [m]."""
-_FAR = 0.03  # RMS distance from a type, too large for a calibrated robot of this type [m]
+_FAR = 0.03  # RMS distance from a type above which a robot is not of the type [m]
 _TOOL = np.array([0.0, 0.0, 0.1])  # compared point in the last joint's frame [m]
 _POSES = 200
 
@@ -88,7 +88,7 @@ def _nominal_points(model: str) -> FloatArray:
 
 
 def _distance(p: FloatArray, q: FloatArray) -> float:
-    """RMS distance between two robots' points (n, 3) [m], with the base of one placed as well as possible."""
+    """RMS distance between two robots' points (n, 3) [m], with the best base of the first."""
     rotation, shift = best_transform(p, q)
     return float(np.sqrt(np.mean(np.sum((p @ rotation.T + shift - q) ** 2, axis=1))))
 
@@ -102,7 +102,7 @@ def nearest_type(origins: FloatArray) -> tuple[str, float]:
 
 
 def is_ur_kinematics(content: object) -> bool:
-    """Whether the content of a YAML file is a calibration of Universal Robots."""
+    """Return whether the content of a YAML file is a calibration of Universal Robots."""
     return isinstance(content, dict) and isinstance(content.get("kinematics"), dict) and "urdf" not in content
 
 
@@ -129,7 +129,7 @@ def _number(kinematics: Mapping[str, Any], link: str, key: str, path: Path | str
 
 
 def _require_sound(origins: FloatArray, path: Path | str) -> None:
-    """Raise `UrdfError` if the robot is of no known type, but would be with one other sign."""
+    """Raise `UrdfError` if the robot is of no known type, but would be with another sign of some number."""
     away = nearest_type(origins)[1]
     if away < _FAR:
         return

@@ -1,4 +1,4 @@
-"""New URDFs, by all that make one: as text from tables and lengths, as elements from files of other formats."""
+"""Writing of new URDFs: as text from tables and lengths, as elements from files of other formats."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def quote_attribute(text: str) -> str:
-    """Return a text as the value of an attribute, with its quotes; `xml.sax.saxutils` would import a web client."""
+    """Return a text as a quoted attribute value; `xml.sax.saxutils` would import a web client."""
     escaped = html.escape(text)
     for letter in "\n\r\t":
         escaped = escaped.replace(letter, f"&#{ord(letter)};")
@@ -25,13 +25,7 @@ def quote_attribute(text: str) -> str:
 
 
 def robot_text(name: str, note: str, links: Sequence[str], joints: Sequence[str]) -> str:
-    """Return a new URDF.
-
-    Args:
-        note: A comment at its head.
-        links: Names of links.
-        joints: Joints of `joint_text`.
-    """
+    """Return a new URDF from names of links and joints of `joint_text`; `note` is a comment at its head."""
     body = "".join([*(f"  <link name={quote_attribute(link)}/>\n" for link in links), *joints])
     return f'<?xml version="1.0"?>\n<!-- {note} -->\n<robot name={quote_attribute(name)}>\n{body}</robot>\n'
 
@@ -48,11 +42,11 @@ def joint_text(
     """Return the element of a joint of a new URDF.
 
     Args:
-        kind: As URDF calls it.
+        kind: Type in URDF.
         links: Parent and child.
         xyz, rpy: Its origin [m], [rad].
-        axis: Three numbers; empty if it does not move.
-        limits: Lowest and highest value [m or rad], if there are any.
+        axis: Three numbers; empty for a fixed joint.
+        limits: Lowest and highest value [m or rad], or None.
     """
     parent, child = map(quote_attribute, links)
     lines = [
@@ -105,7 +99,7 @@ def joint_element(
 
 
 def inertial_element(link: Element, origin: pin.SE3, mass: str, moments: Mapping[str, str]) -> None:
-    """Add mass [kg] and moments of inertia [kg m^2] to a link; moments that are not given are 0."""
+    """Add mass [kg] and moments of inertia [kg m^2] to a link; missing moments are 0."""
     element = SubElement(link, "inertial")
     SubElement(element, "origin", origin_of(origin))
     SubElement(element, "mass", value=mass)
@@ -130,7 +124,7 @@ def number_attribute(values: Iterable[float]) -> str:
 
 
 def perpendicular_axes(axis: FloatArray) -> FloatArray:
-    """Return two unit vectors across one (3,), and each other, (2, 3)."""
+    """Return two unit vectors perpendicular to `axis` (3,) and each other, (2, 3)."""
     second = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     second /= np.linalg.norm(second)
     return np.array([second, np.cross(axis, second)])

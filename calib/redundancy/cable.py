@@ -4,10 +4,10 @@
 
 with the length L of the cable at angle 0, the radius R of the spool at angle 0, the growth g of the radius with every
 turn, and n lines from spool to target (2 if the target has a pulley). The robot is the target itself: its joints x, y,
-z are its position, measured by a camera or a probe. A fit finds what its controller needs: anchors, lengths, spools.
+z are its position, measured by a camera or a probe. A fit determines anchors, lengths and spools for the controller.
 
-When it fails. Anchors in one plane with all positions of the target are not determined, and neither is an unknown
-length together with an unknown anchor if the target hardly moves.
+When it fails. Anchors in a common plane with all positions of the target are not determined, nor is an unknown length
+together with an unknown anchor if the target hardly moves.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class CableSection(InstrumentSection):
     """A cable. Its lengths [m] are known, expected as `{value, sigma}`, or `unknown`.
 
     Attributes:
-        target: Target at the end of the cable; the instrument's own name if left out.
+        target: Target at the end of the cable; default: the instrument's own name.
         anchor: Point at which the cable leaves for the target.
-        length: Length from the anchor to the target where the motor is at 0.
-        spool: Radius of the spool where the motor is at 0.
+        length: Length from the anchor to the target at motor angle 0.
+        spool: Radius of the spool at motor angle 0.
         growth: Growth of the radius with every turn of the spool.
         gear: Turns of the spool per turn of the motor.
         lines: Number of lines between anchor and target.
@@ -60,7 +60,7 @@ class Cable(Relation):
 
     @classmethod
     def from_section(cls, name: str, section: CableSection) -> Cable:
-        """Return the instrument of an entry of a robot description."""
+        """Return the instrument of an entry in a robot description."""
         lengths = (section.length, section.spool, section.growth)
         away = float(np.linalg.norm(section.anchor.xyz))  # first value of an unknown length
         unknowns = section.length.parameters(f"{name}.length", away)
@@ -77,7 +77,7 @@ class Cable(Relation):
         """Return the angle of the motor, (n, 1) [rad]."""
         length, radius, growth = self._numbers(unknowns)
         out = self.lines * (np.linalg.norm(view.translation, axis=1) - length)
-        per_turn = growth / (2 * np.pi)  # the root of out = R phi + per_turn phi^2 / 2 that exists without growth, too
+        per_turn = growth / (2 * np.pi)  # the root of out = R phi + per_turn phi^2 / 2 that exists for zero growth, too
         phi = 2 * out / (radius + np.sqrt(radius**2 + 2 * per_turn * out))
         return phi[:, None] / self.gear
 

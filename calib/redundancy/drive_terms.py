@@ -1,14 +1,14 @@
-"""Errors of a drive that a second encoder behind it shows: play with memory, and what gives way in proportion.
+"""Errors of a drive that a second encoder behind it shows: play with memory, and yielding in proportion to a load.
 
-Play of width 2 r is a stop operator, s in [-1, 1], which says on which side of its play a joint rests:
+Play of width 2 r is a stop operator, s in [-1, 1], the side of its play on which a joint rests:
 
     s = clip(s_before + (q - q_before) / r, -1, 1)         dq = c s,       c = -r for ideal play
 
-It follows from the order of commands, or is stated, columns `play_<joint>` (`play_<joint>_1`, ... of several). Several
-r, each with its c, make any hysteresis that depends on the path alone and not on time (Prandtl and Ishlinskii). Where
-every motion is longer than 2 r, that is backlash by the direction of approach.
+s follows from the order of commands, or is stated in columns `play_<joint>` (`play_<joint>_1`, ... for several r).
+Several r, each with its c, make any hysteresis that depends on the path alone and not on time (Prandtl and Ishlinskii).
+If every motion is longer than 2 r, that is backlash by the direction of approach.
 
-When it fails. s of the first rows is not known: 0, until the joint has moved by 2 r one way.
+When it fails. s of the first rows is unknown: 0, until the joint has moved by 2 r in one direction.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from calib.core.base.sections import Quantity
 from calib.core.base.units import quantity
 from calib.core.robots.terms.term import Context, Joint, JointTerm, TermSection, coefficient
 
-_SIZE = {"angle": 1e-3, "length": 1e-4}  # expected, of a coefficient [rad], [m]
+_SIZE = {"angle": 1e-3, "length": 1e-4}  # expected size of a coefficient [rad], [m]
 
 
 class PlaySection(TermSection):
-    """A joint's play; `travel` is r, half of the motion that takes the joint through it: one or several."""
+    """A joint's play; `travel` is r, half of the motion through the play: one or several."""
 
     travel: Quantity | list[Quantity]
 
@@ -49,7 +49,7 @@ class Play(JointTerm):
 
     @classmethod
     def from_section(cls, joint: Joint, section: PlaySection, sigma: float | None) -> Play:
-        """Return the term that an entry of a robot description means."""
+        """Return the term of an entry in a robot description."""
         given = section.travel if isinstance(section.travel, list) else [section.travel]
         travel = tuple(quantity(each, joint.dimension, "travel", ValueError) for each in given)
         if not travel or min(travel) <= 0:
@@ -74,21 +74,21 @@ class Play(JointTerm):
 
 
 def stop_states(way: FloatArray) -> FloatArray:
-    """Return s of the stop operator of commands (n,) in parts of r, (n,)."""
+    """Return s of the stop operator for commands (n,) in units of r, (n,)."""
     steps = [b - a for a, b in pairwise(way.tolist())]
     states = list(accumulate(steps, lambda s, step: min(1.0, max(-1.0, s + step)), initial=0.0))
     return np.array(states[: len(way)])
 
 
 class InProportionSection(TermSection):
-    """A joint that gives way in proportion to a `column` of the file: a torque, force or current, as pure numbers."""
+    """A joint that yields in proportion to a `column` of the file: a torque, force or current, as pure numbers."""
 
     column: str = Field(min_length=1)
 
 
 @dataclass(frozen=True)
 class InProportion(JointTerm):
-    """dq = c x, with x of a column of the file: a drive that winds up under the torque or current that it states."""
+    """dq = c x, with x a column of the file: a drive that winds up under the stated torque or current."""
 
     section = InProportionSection
     cause = "load (compliance)"
@@ -100,7 +100,7 @@ class InProportion(JointTerm):
 
     @classmethod
     def from_section(cls, joint: Joint, section: InProportionSection, sigma: float | None) -> InProportion:
-        """Return the term that an entry of a robot description means."""
+        """Return the term of an entry in a robot description."""
         name, size = f"{joint.name}.per_{section.column}", sigma or _SIZE[joint.dimension]
         return cls(joint.name, (coefficient(name, joint.dimension, size),), section.column)
 

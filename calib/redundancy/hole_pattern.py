@@ -1,12 +1,12 @@
-"""Patterns of holes or pins with a known pitch: the target stands in one of them, and nothing is read but the joints.
+"""Patterns of holes or pins with a known pitch: the target is in a hole, and only the joints are read.
 
-With p = p_ab, the target seen from hole 0/0 of the pattern, whose x and y axes run along rows of holes, and pitch d,
+With p = p_ab, the target in the frame of hole 0/0, whose x and y axes run along rows of holes, and pitch d,
 
-    (p_x - i d, p_y - j d, p_z)         i / j: the hole, which a file states, or the nearest one where it says `?`
+    (p_x - i d, p_y - j d, p_z)         i / j: the hole as stated in the file, or the nearest hole for `?`
 
-The nearest hole is looked for again with every estimate; to begin with, with the pattern where stated holes show it.
+The nearest hole is found again at every estimate; the first estimate places the pattern by the stated holes.
 
-When it fails. Errors of half a pitch: the nearest hole is the wrong one, which `check_holes` tells. Without three
+When it fails. Errors of half a pitch: the nearest hole is the wrong one, which `check_holes` reports. Without three
 stated holes the pattern must be known to half a pitch.
 """
 
@@ -33,7 +33,7 @@ _HOLE, _NEAREST = re.compile(r"(\d+)\s*[/;:, ]\s*(\d+)"), "?"
 
 
 class HolePatternSection(InstrumentSection):
-    """Where hole 0/0 is, from hole to hole [m], how many along x and y, how well the target stands in one [m]."""
+    """Place of hole 0/0, distance of holes [m], numbers of holes along x and y, noise of the target in a hole [m]."""
 
     target: str | None = None
     pattern: RelatedSection
@@ -44,7 +44,7 @@ class HolePatternSection(InstrumentSection):
 
 @dataclass(frozen=True)
 class HolePattern(Relation):
-    """Holes of one pattern: details of a reading are i, j, and 1 where these are stated or 0 where not."""
+    """Holes of a pattern; details of a reading are i, j, and 1 if these are stated, else 0."""
 
     section = HolePatternSection
     parts = (Part("hole", ("x", "y", "z"), "length", plural="positions in holes"),)
@@ -54,7 +54,7 @@ class HolePattern(Relation):
 
     @classmethod
     def from_section(cls, name: str, section: HolePatternSection) -> HolePattern:
-        """Return the instrument that an entry of a robot description means."""
+        """Return the instrument of an entry in a robot description."""
         own, size = (section.pattern.place(f"{name}_pattern"),), section.pitch
         noise, unknowns = Noise((PartNoise.from_sigma(section.sigma, 3),)), size.parameters(f"{name}.pitch")
         return cls(name, section.target or name, own, size, section.holes, noise=noise, unknowns=unknowns)
@@ -62,7 +62,7 @@ class HolePattern(Relation):
     def parse_texts(
         self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
     ) -> tuple[Sequence[bool], IntArray, FloatArray]:
-        """Say in which hole each row is, as `3/5`, or `?` for the nearest; an empty cell is no reading."""
+        """Read the hole of each row, as `3/5`, or `?` for the nearest; an empty cell is no reading."""
         details = np.zeros((len(where), 3))
         for k, text in enumerate(texts[self.name]):
             hole = _HOLE.fullmatch(text)
@@ -85,12 +85,12 @@ class HolePattern(Relation):
         return np.zeros(len(i), dtype=np.intp), np.column_stack([i, j, 1 + 0 * i]).astype(float)
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return how far the target is from its hole, (n, 3) [m]."""
+        """Return the position of the target relative to its hole, (n, 3) [m]."""
         hole = np.append(unknowns, self.pitch.value)[0] * self._holes(view, unknowns, details)
         return view.translation - np.column_stack([hole, np.zeros(len(hole))])
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Return how far the target is from its hole; derivatives stay with one hole."""
+        """Return the position of the target relative to its hole; derivatives are at a fixed hole."""
         details = np.column_stack([self._holes(view, unknowns, readings.details), np.ones(len(readings))])
         return super().compare(view, unknowns, replace(readings, details=details))
 
@@ -101,14 +101,14 @@ class HolePattern(Relation):
         return np.where(details[:, 2:] > 0, details[:, :2], inside)
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
-        """Return where the stated holes show the pattern, where they are enough."""
+        """Return first values of the pattern's place, from the stated holes if three or more, else from all."""
         stated = np.flatnonzero(scene.readings.details[:, 2] > 0)
         chosen = stated if len(stated) > 2 else np.arange(len(scene.readings))
         return super().first_values(replace(scene, readings=scene.readings.subset(chosen), links=scene.links[chosen]))
 
 
 def check_holes(fit: Fit) -> Iterator[Reason]:
-    """Refuse rows whose nearest hole is not clearly the nearest."""
+    """Yield a reason against rows whose nearest hole is ambiguous."""
     for board in (board for board in fit.identification.instruments if isinstance(board, HolePattern)):
         readings, off = fit.identification.data.readings.get(board.name), fit.identification.after.get(board.name)
         if readings is not None and off is not None:

@@ -1,12 +1,12 @@
-"""Sightings: points that a sensor on any link sees in its own axes, each on any link or in the world.
+"""Sightings: points on any link or in the world, seen by a sensor on any link in its own axes.
 
     p_ab = (x, y, z),      a: the sensor, which is the target; b: the point
 
-Such as a ball at rest that a scanner or a depth camera on the hand sees; taxels of a skin, whose places in it are the
-readings, that a finger of the same robot touches.
+Examples: a fixed ball seen by a scanner or a depth camera on the hand; taxels of a skin, whose places in it are the
+readings, touched by a finger of the same robot.
 
-When it fails. A hand that never turns about some axis does not tell sensor and point apart along it: their heights, on
-a robot that turns about the vertical alone.
+When it fails. If the hand never turns about some axis, the components of sensor and point along it cannot be separated:
+their heights, on a robot that turns about the vertical alone.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class SightingSection(InstrumentSection):
     """A sensor that sees points in three dimensions.
 
     Attributes:
-        target: The sensor; the instrument's own name if left out.
-        points: The points that it sees, by name.
+        target: The sensor; default: the instrument's own name.
+        points: The observed points, by name.
         sigma: Noise of each coordinate [m]: one number, or three.
     """
 
@@ -46,7 +46,7 @@ class Sighting(Relation):
 
     @classmethod
     def from_section(cls, name: str, section: SightingSection) -> Sighting:
-        """Return the instrument that an entry of a robot description means."""
+        """Return the instrument of an entry in a robot description."""
         own = tuple(point.place(key) for key, point in section.points.items())
         return cls(name, section.target or name, own, noise=Noise((PartNoise.from_sigma(section.sigma, 3),)))
 

@@ -1,11 +1,11 @@
-"""Reading a URDF: links, joints, and where in the file's bytes each joint origin stands.
+"""Reading a URDF: links, joints, and the place of each joint origin in the file's bytes.
 
-The XML parser (expat) walks through the bytes and reports the byte offset of every tag; that is what `urdf_text` needs
-to change a number without touching anything else. Elements and attributes that this program does not use (visuals,
-transmissions, gazebo and xacro leftovers, comments) are skipped here and stay in the file.
+The XML parser (expat) reports the byte offset of every tag; `calib.core.robots.urdf.text` needs it to change a number
+and nothing else. Unused elements and attributes (visuals, transmissions, gazebo and xacro leftovers, comments) are
+skipped here and stay in the file.
 
-What is refused, with a message that says what to do: files that are not one tree, names given twice, numbers that are
-not three plain decimals (xacro expressions, commas), two `<origin>` in one joint (which of them counts?).
+Errors, each with its remedy: files that are not one tree, repeated names, numbers that are not three plain decimals
+(xacro expressions, commas), two `<origin>` in one joint.
 """
 
 from __future__ import annotations

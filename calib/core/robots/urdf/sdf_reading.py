@@ -3,15 +3,15 @@
 With the poses of links, joints and frames resolved in the model (`relative_to`, `attached_to`):
 
     link        a link of its name in its frame
-    joint       T_parent_joint; then T_joint_child, by a link of its own between them where that is not the identity
-    axis        in the joint's frame; in the model's before SDF 1.5, or where `use_parent_model_frame` says so
+    joint       T_parent_joint; then T_joint_child, by a link between them unless that is the identity
+    axis        in the joint's frame; in the model's before SDF 1.5, or with `use_parent_model_frame`
     mimic       with its reference value in the offset
     a link that is the child of two joints
-                a loop, cut open at the later one: two links that coincide, z along its axis. It holds x and y if all
+                a loop, cut open at the later joint: two coinciding links, z along its axis. It holds x and y if all
                 other joints of the loop turn about parallel axes, or slide across them; else x, y and z
     plugin      the joints that it names (`joint_name`) have motors; without any, all have
 
-When it fails. Included and nested models, and joints that URDF has no word for, are errors that say so.
+When it fails. Included and nested models, and joints without an equivalent in URDF, are errors.
 
 Reference: sdformat.
 """
@@ -32,19 +32,16 @@ from calib.core.robots.urdf.mjcf_reading import MjcfLoop, MjcfRobot
 from calib.core.robots.urdf.writing import document, inertial_element, joint_element, perpendicular_axes, visual_element
 
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
-_ENDLESS = 1e10  # limits of SDF beyond which there are none [m or rad]
+_ENDLESS = 1e10  # SDF limits above this count as none [m or rad]
 _PARALLEL = 1e-6
 _MODEL = "__model__"
 
 
 def read_sdf(source: bytes, path: str) -> MjcfRobot:
-    """Read the first model of an SDF file.
-
-    Args:
-        source: Its bytes.
+    """Read the first model of an SDF file from its bytes.
 
     Raises:
-        UrdfError: It is not valid, or URDF has no words for what is in it.
+        UrdfError: The file is not valid, or URDF has no equivalent for its content.
     """
     try:
         root = ElementTree.fromstring(source)
@@ -108,7 +105,7 @@ class _SdfReader:
         return numbers
 
     def _pose(self, owner: Element) -> pin.SE3:
-        """The pose written in an element, in what it is relative to."""
+        """The pose written in an element, in its reference frame."""
         element = owner.find("pose")
         text = "" if element is None else (element.text or "").strip()
         if element is None or not text:
@@ -122,7 +119,7 @@ class _SdfReader:
         return pin.SE3(pin.rpy.rpyToMatrix(angles), numbers[:3])
 
     def _place(self, name: str, waiting: tuple[str, ...] = ()) -> pin.SE3:
-        """A link, a joint or a frame in the model."""
+        """The pose of a link, a joint or a frame in the model."""
         if name in (_MODEL, "world"):
             return pin.SE3.Identity()
         if name not in self.named or name in waiting:
@@ -143,7 +140,7 @@ class _SdfReader:
         return self.known[name]
 
     def _end(self, joint: Element, tag: str) -> str:
-        """The link at an end of a joint, which may name a frame."""
+        """The link at an end of a joint; the file may name a frame."""
         name = self._text(joint, tag)
         for _ in self.named:
             element = self.named.get(name)
@@ -155,7 +152,7 @@ class _SdfReader:
         return name
 
     def _axis(self, joint: Element) -> FloatArray:
-        """Its axis in its own frame, (3,)."""
+        """The joint's axis in its own frame, (3,)."""
         axis = joint.find("axis")
         xyz = None if axis is None else axis.find("xyz")
         if axis is None or xyz is None:
@@ -208,7 +205,7 @@ class _SdfReader:
             SubElement(element, "mimic", joint=led_by, multiplier=repr(factor), offset=repr(offset - factor * about))
 
     def _loop(self, joint: Element) -> MjcfLoop:
-        """Two links of a joint that the tree has no place for."""
+        """The two links of a joint that closes a loop."""
         name, place, kind = joint.get("name", ""), self._place(joint.get("name", "")), joint.get("type", "")
         ends = self._end(joint, "parent"), self._end(joint, "child")
         axes: tuple[str, ...] = ("x", "y", "z", "rx", "ry", "rz")

@@ -1,16 +1,16 @@
-"""Expansion of untrusted xacro files: in a process of its own, with little time and memory, which reads few files.
+"""Expansion of untrusted xacro files, in a separate process with little time and memory that reads few files.
 
-Expressions of xacro are Python, and may compute for ever (`${9**9**9}`), read what they like (`xacro.load_yaml`) and
-say it in an error. So the child process has no variables of the environment but those that say where packages are, it
-ends after some seconds, and opens only files of the package that the xacro file is in, of packages that are installed,
-and of Python. An error is reported by its kind and place; no message quotes what a file holds.
+Expressions of xacro are Python, and may compute for ever (`${9**9**9}`), read any file (`xacro.load_yaml`) and quote it
+in an error. So the child process only has the environment variables of package folders, it ends after some seconds, and
+opens only files of the xacro file's package, of installed packages, and of Python. An error is reported by its kind and
+place; no message quotes the content of a file.
 
 The package is the folder around the file that has a `package.xml`; without one, the folder above the file's own.
-`$(find NAME)` is the package around the file of that name, one that lies beside it, or one in the folders of ROS:
+`$(find NAME)` is the package around the file of that name, one beside it, or one in the folders of ROS:
 `ROS_PACKAGE_PATH`, and `share` of `AMENT_PREFIX_PATH`. No ROS is needed.
 
-When it fails. This is no prison: expressions can do what Python can. It keeps mistakes short, and what others may not
-read out of messages and robots.
+When it fails. This is no sandbox: expressions can do what Python can. It limits mistakes, and keeps private content out
+of messages and robots.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MEMORY = 2**31  # bytes
 _PACKAGES = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "ROS_PACKAGE_PATH", "ROS_DISTRO")
 _SYSTEM = ("PATH", "LD_LIBRARY_PATH", "SYSTEMROOT", "VIRTUAL_ENV")
 _MISSING, _FAILED = 3, 4
-_DEEP = 4  # folders below one of ROS_PACKAGE_PATH, or beside a package, in which packages are looked for
+_DEEP = 4  # depth to which packages are searched below ROS_PACKAGE_PATH, or beside a package
 _NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
 _FORBIDDEN = ("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "socket.")
 _IDENTIFIER = re.compile(r"[A-Za-z]\w{0,60}")
@@ -42,7 +42,7 @@ _EMPTY = re.compile(r"<xacro:arg\s+name=\"([A-Za-z]\w*)\"\s+default=\"\"")
 
 
 def expand(path: Path | str, arguments: Mapping[str, str]) -> bytes:
-    """Return the URDF that a xacro file stands for, by the package xacro, which not everybody has.
+    """Return the URDF of a xacro file, expanded by the optional package xacro.
 
     Args:
         arguments: Values of its arguments by name.
@@ -82,7 +82,7 @@ def _main(path: str, *given: str) -> int:
     packages = _Packages(Path(path))
     substitution_args._eval_find = packages.find
     sys.addaudithook(_guard(packages))
-    os.environ.clear()  # no expression reads it from here on
+    os.environ.clear()  # so that expressions cannot read it
     values = dict(argument.split(":=", 1) for argument in given)
     try:
         text: bytes = _process(xacro, path, values).toprettyxml(indent="  ", encoding="utf-8")
@@ -97,7 +97,7 @@ def _process(xacro: Any, path: str, values: dict[str, str]) -> Any:
     """The expanded document.
 
     Raises:
-        _OutsideError: Arguments have no value: all of them are named.
+        _OutsideError: Arguments without a value; it names all of them.
         Exception: Others, of xacro.
     """
     lacking: dict[str, str] = {}
@@ -113,7 +113,7 @@ def _process(xacro: Any, path: str, values: dict[str, str]) -> Any:
                 if missing is not None:
                     raise _OutsideError(_without_file(path, str(missing.filename), values)) from None
                 raise
-            lacking[name] = name  # to see what else is missing
+            lacking[name] = name  # to find further missing arguments
             continue
         if lacking:
             raise _OutsideError(_without_value(lacking))
@@ -125,7 +125,7 @@ def _without_value(names: Mapping[str, str]) -> str:
 
 
 def _without_file(path: str, missing: str, values: Mapping[str, str]) -> str:
-    """Advice on a missing file: often its name contains an argument that was not given."""
+    """Advice on a missing file, whose name often contains a missing argument."""
     text = Path(path).read_text(encoding="utf-8", errors="replace")
     empty = [name for name in dict.fromkeys(_EMPTY.findall(text)) if not values.get(name)]
     given = f"; these arguments are empty: {', '.join(empty)}; give them: --xacro {empty[0]}:=VALUE" if empty else ""
@@ -142,7 +142,7 @@ def _causes(error: BaseException) -> list[BaseException]:
 
 
 def _kind(error: BaseException) -> str:
-    """The kind of an error, with the one name that may be quoted: no text of a file or of another package."""
+    """The kind of an error, with at most a name that may be quoted: no text of a file or of another package."""
     causes = _causes(error)
     outside = next((cause for cause in causes if isinstance(cause, _OutsideError)), None)
     if outside is not None:
@@ -163,7 +163,7 @@ def _kind(error: BaseException) -> str:
 
 
 class _OutsideError(Exception):
-    """An expression uses a name that is not its own, or that has no value."""
+    """An expression leaves its bounds, or uses a name without a value."""
 
 
 class _Packages:
@@ -205,7 +205,7 @@ class _Packages:
 
 
 def _folders_in_variable(name: str) -> list[str]:
-    """Folders that a variable of the environment lists."""
+    """Folders in an environment variable."""
     return [entry for entry in os.environ.get(name, "").split(os.pathsep) if entry]
 
 

@@ -95,7 +95,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
         "Where the joints were",
         "Each pair of joints within its limits or, without near ones, its measured range. Empty: not measured.",
         tuple(panels),
-        190,
+        170,
     )
 
 

@@ -291,7 +291,7 @@ class SolvedModel(ReadOnlyArrays):
         return 0.5 * (moved.T @ moved - seen.T @ seen)
 
     def freedom(self, families: IntArray) -> float:
-        """Return how many coefficients of some families the rows decide."""
+        """Return how many coefficients of some families (k,) the rows decide."""
         return float(np.sum((1.0 - self._unseen_part)[np.isin(self.model.family[self.seen], families)]))
 
     @property

@@ -1,7 +1,7 @@
 """The noise found from residuals: scales of groups, sizes of families, offsets that readings share.
 
-All of it follows from the linear model around an evaluation (`calib.core.numerics.variance_components`), of a few rows
-that have the products of all (`Problem.compressed`) where these are enough.
+All of it follows from the linear model around an evaluation (`calib.core.numerics.variance_components`), where possible
+from a few rows with the same products as all rows (`Problem.compressed`).
 """
 
 from __future__ import annotations
@@ -41,9 +41,7 @@ def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     """Find offsets that the readings of an instrument at a pose share, over the scale of their group, (n_offsets,).
 
     Args:
-        problem: The problem.
-        evaluation: An evaluation near the minimum.
-        groups: Scales to start from, (n_groups,).
+        problem, evaluation, groups: As in `scales_found`.
     """
     whitening = problem.whitening
     tried = problem.offset_ratios > 0 if np.any(problem.offset_ratios) else whitening.tells_offsets
@@ -57,14 +55,13 @@ def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
 
 
 def left_out_rms(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-    """Return the root mean square error of readings of poses left out in turn, (n_groups,).
+    """Return the root mean square error of readings of poses left out in turn, over the stated noise, (n_groups,).
 
-    By the linear model around the evaluation, in units of what is stated. Every pose counts the same, however many
+    It comes from the linear model around an evaluation at the minimum. Every pose counts the same, however many
     readings it has.
 
     Args:
-        problem: The problem.
-        evaluation: An evaluation at the minimum.
+        problem, evaluation: The problem and the evaluation.
         groups: Scale of the noise of each group, (n_groups,).
     """
     layout, rows = problem.whitening.layout, problem.rows(evaluation, groups)

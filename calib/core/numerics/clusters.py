@@ -5,8 +5,7 @@ moves its solution, in the coordinates of T, by U^T e for errors e. Errors that 
 variance f^2, scatter it by f^2 U^T U. Where the rows of a block (the readings of a pose, the poses of a region) share
 errors, it scatters by the sum over blocks of U_b^T V_b U_b, with V_b the covariance of the errors of a block. V_b need
 not be known: the residuals of each block are one draw of its errors. The solution follows them a little, so that for
-independent
-errors cov r_b = f^2 (1 - H_b), H_b = U_b U_b^T. With
+independent errors cov r_b = f^2 (1 - H_b), H_b = U_b U_b^T. With
 
     g_b = U_b^T (1 - H_b)^(-1/2) r_b          core = sum over blocks of g_b g_b^T
 

@@ -14,9 +14,8 @@ What S does along the path is known at no further cost, for any residuals r: a s
     S s_j = (J_j+1 - J_j)^T r
 
 The curvature is needed where the step leads, not where it starts: at the start r is mostly what this very step takes
-away. So r is taken as the linear model leaves it, r + J f. With G = R^T R (`calib.core.numerics.linear_point`) and
-z = R d, the cost
-is
+away. So r is taken as the linear model leaves it, r + J f. With G = R^T R (`calib.core.numerics.linear_point`) and z =
+R d, the cost is
 
     |r + J d|^2 + d^T S d = |r|^2 + 2 (R^-T J^T r)^T z + z^T (1 + K) z      K = R^-T S R^-1
 

@@ -4,7 +4,7 @@ Where the place of the measurement frame, or of a tool on its link, is unknown, 
 all positions as one body, or the tool on its link, from that place. So a nominal robot is compared with a calibrated
 one without such common motion. Let x be the positions of its targets over a set of poses, b and w a shift and a turn of
 all of them about their centroid c, t a shift of a tool on its link (and u a turn of it, where that is unknown too), and
-L the robot's characteristic length, the motion m = (b, L w, t, L u) of the nominal robot is the one that makes
+L the robot's characteristic length. The motion m = (b, L w, t, L u) of the nominal robot makes
 
     mean over poses and targets of  |x_calibrated - x(m)|^2  (+ L^2 |turn between them|^2 where u is unknown)
 
@@ -152,7 +152,7 @@ class CommonMotion(ReadOnlyArrays):
         return self.columns(*target_poses(self.robot, self.robot.assemble(self.joints)))
 
     def following(self, jacobian: FloatArray) -> FloatArray:
-        """dz/d(parameters of the other), (k, n_parameters), from J and turns, (n, n_targets, 6, n_parameters)."""
+        """Return dz/d(parameters of `onto`), (k, n_parameters), from J with turns (n, n_targets, 6, n_parameters)."""
         return self._best_motion(self._slope, jacobian)
 
     def columns(self, positions: FloatArray, rotations: FloatArray) -> FloatArray:

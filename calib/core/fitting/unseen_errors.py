@@ -65,7 +65,7 @@ def accuracy(fit: Fit) -> Accuracy:
 
 
 def predicted_accuracy(fit: Fit) -> Accuracy | None:
-    """Return the predicted error at poses like those used, by the module docstring; None where no pose can be predicted."""
+    """Return the predicted error at poses like those used by the module docstring; None if none can be predicted."""
     predicted = leave_one_out_errors(fit)
     if predicted is None:
         return None

@@ -41,7 +41,7 @@ def load_result(folder: Path | str, robot: Robot | None = None, *, failed_too: b
     Args:
         folder: The folder.
         robot: The nominal robot that gets the values of the result; the one in the folder if not given.
-        failed_too: Whether to load a result that failed and was not forced, to look at it.
+        failed_too: Whether to load a result that failed and was not forced.
 
     Raises:
         DataError: The folder holds no result, or a damaged one, or one of another robot.
@@ -88,7 +88,7 @@ def read_content(folder: Path | str) -> dict[str, Any]:
 
 
 def forced_lines(folder: Path | str) -> list[str]:
-    """Return the lines that an exported file must have about its result: none, unless the result failed."""
+    """Return the lines for an exported file about its result: none, unless the result failed."""
     verdict = read_content(folder)["verdict"]
     if verdict["grade"] != "FAIL":
         return []

@@ -110,7 +110,7 @@ class EarlierResult(LoadedResult):
 
     @property
     def fit(self) -> JudgedFit:
-        """None of this version.
+        """Raise `DataError`: this version has no fit.
 
         Raises:
             DataError: Always.

@@ -1,4 +1,4 @@
-"""Positions: where a point is in the measurement frame, by a tracker, a measuring arm, or a photogrammetric system."""
+"""Positions of a point in the measurement frame, by a tracker, a measuring arm, or a photogrammetric system."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Position(FrameInstrument):
     """Positions of one target in the measurement frame: three rows.
 
     Attributes:
-        together: Name of the group whose noise is its own; empty: it shares none.
+        together: Name of a group that shares its noise; empty for none.
     """
 
     section = PositionSection
@@ -45,7 +45,7 @@ class Position(FrameInstrument):
 
     @property
     def group(self) -> str:
-        """Its own, or the one that it shares."""
+        """Its own name, or its shared group."""
         return self.together or self.name
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
@@ -53,7 +53,7 @@ class Position(FrameInstrument):
         return view.translation
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Return p_ab minus the positions read; only dp moves it."""
+        """Return p_ab minus the positions read, which only dp moves."""
         n = len(readings)
         by_twist = np.zeros((n, 3, 6))
         by_twist[:, :, :3] = np.eye(3)

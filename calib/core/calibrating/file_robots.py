@@ -51,7 +51,6 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
     Fits without joint terms are done at once; other robots are found at first use.
 
     Args:
-        fit: The fit.
         settings: Its options.
         executor: Executor of the fits of other starts and of folds, as in `calib.core.calibrating.calibrate.calibrate`.
     """
@@ -89,8 +88,6 @@ def _refit(
     """Fit another robot to the measurements of a fit, with the same options.
 
     Args:
-        fit: The fit.
-        robot: The robot.
         settings: Options of the fit.
         workers: Workers for the fits of other starts and of folds.
         signs: Sign of each joint value, (n_actuated,).

@@ -49,7 +49,6 @@ def advice_after_fit(
     """Return the meaning of the grade, and the next step.
 
     Args:
-        fit: The fit.
         robot, data: ROBOT and DATA, as typed.
         out: Folder of the result.
         typed: Options from `options_as_typed`.

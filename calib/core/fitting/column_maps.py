@@ -122,7 +122,6 @@ class ColumnMap:
         The line includes what the description already says of a column.
 
         Args:
-            robot: The robot.
             units: Units of the file's columns, by name.
         """
         known = {

@@ -25,8 +25,6 @@ class ErrorSet(ReadOnlyArrays):
     """Predicted minus read at one set of visits.
 
     Attributes:
-        data: The measurements.
-        instruments: Their instruments.
         before, after: Errors before and after calibration of each instrument, by name, (n, n_rows) [SI]; NaN where a
             component was not read.
         singular_value: Each visit's distance to a singularity of the loops; infinite without loops, (n_visits,).

@@ -36,7 +36,6 @@ class Estimate:
     """One parameter: numbers in `unit`, and in m or rad where their name ends in `_si`.
 
     Attributes:
-        name: Its name.
         unit: Unit of tables.
         nominal_si: Value before calibration [m or rad].
         value_si: Calibrated value.
@@ -198,7 +197,6 @@ def estimates(
     """Return the estimates of all parameters.
 
     Args:
-        parameters: All parameters.
         values: Their values, (n_parameters,) [m or rad].
         free: Mask of the free parameters, (n_parameters,).
         statistics: Uncertainty of the free parameters.

@@ -248,7 +248,6 @@ def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tupl
     own. With few poses in a small part of joint space such a place can absorb errors of the robot.
 
     Args:
-        robot: The robot.
         data: Measurements to fit.
         later: Others, or None.
     """

@@ -68,7 +68,6 @@ class NoiseEstimate:
     """Noise of one group of rows.
 
     Attributes:
-        group: The group.
         sigma: Found standard deviation of one component, typically [SI].
         stated: Stated standard deviation [SI], or None.
         freedom: Degrees of freedom of `sigma`.

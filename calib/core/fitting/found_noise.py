@@ -18,7 +18,6 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     """Find the scales of the groups `noise_found`, and factors on the sigmas of families, from the residuals.
 
     Args:
-        problem: The problem.
         evaluation: An evaluation near the minimum.
         groups: Scales to start from, (n_groups,).
 

@@ -120,7 +120,6 @@ def tied_joints(robot: Robot, joints: FloatArray) -> list[tuple[tuple[str, ...],
     direction that no pose shows; joints that share such directions are a group.
 
     Args:
-        robot: The robot.
         joints: Joints of all poses, (n_poses, n_actuated) [m, rad].
     """
     reach = np.ptp(joints, axis=0)
@@ -143,7 +142,6 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
     """Return the determination, or raise an error if data and priors together leave a free parameter open.
 
     Args:
-        problem: The problem.
         evaluation: The point of its linear model.
         alone: Whether to examine the free parameters alone.
 

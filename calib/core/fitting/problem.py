@@ -78,7 +78,6 @@ class Problem(ReadOnlyArrays):
 
     Attributes:
         robot: Nominal robot.
-        data: Measurements.
         sigma: Noise of positions per axis, if it replaces the stated one [m].
         columns: Columns Phi of the joint terms, at the nominal parameters.
         passive: Passive joints at similar parameters, from which loops are closed, (n, n_passive) [m or rad].
@@ -116,7 +115,6 @@ class Problem(ReadOnlyArrays):
 
         Args:
             robot: Nominal robot.
-            data: Measurements.
             sigma: Noise of positions per axis, if it replaces the stated one [m].
             near: Passive joints of the visits under similar parameters, if they are known, (n, n_passive) [m or rad].
             whitening: Whitening of the same readings with the same instruments and sigma, if it exists already.
@@ -217,7 +215,6 @@ class Problem(ReadOnlyArrays):
         """Return the whitened rows.
 
         Args:
-            evaluation: An evaluation.
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: Parameters of the columns; the free ones if not given.
         """
@@ -322,7 +319,6 @@ class Problem(ReadOnlyArrays):
         """Minimise over some parameters; the others stay as in `start`.
 
         Args:
-            start: Start.
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: The parameters that may move; the free ones if not given.
             tolerance: See `calib.core.numerics.least_squares`.

@@ -50,7 +50,6 @@ def joint_scales(robot: Robot, data: Measurements, at: ColumnMap | None = None) 
 
     Args:
         robot: The nominal robot.
-        data: Its measurements.
         at: Likely map of the columns, from which the fit starts; the plain one if not given.
     """
     names = robot.joint_names

@@ -103,7 +103,6 @@ def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, Floa
     """Return the result of `place` from another robot placed by the same readings; None if it moves otherwise.
 
     Args:
-        problem: The problem.
         other: The other robot, base and targets placed.
         residuals: Residuals of the other robot, (n_readings, n_rows) [SI] by instrument.
     """
@@ -169,7 +168,6 @@ def solve_from(
     """Solve with the stated noise or find it; from several starts and with a robust loss, if requested.
 
     Args:
-        problem: The problem.
         placed: Evaluation at the start.
         settings: Options of the fit.
         workers: Workers for the other starts; this process if not given.
@@ -276,7 +274,6 @@ def release_contradicted_noise(
     """Let the noise be found for groups whose statement the linear model contradicts; also return starting scales.
 
     Args:
-        problem: The problem.
         evaluation: The point of the linear model.
         groups: Scales to keep where nothing is contradicted, (n_groups,).
     """

@@ -84,7 +84,6 @@ def explore(
     """Fit again from n - 1 perturbed starts.
 
     Args:
-        problem: The problem.
         placed: Robot at the first start.
         first: End of the first start.
         groups: Scale of the noise of each group, (n_groups,).

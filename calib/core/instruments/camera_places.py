@@ -60,7 +60,6 @@ def guesses(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list
     """Return guesses at the places of camera and body, best first.
 
     Args:
-        sightings: The sightings.
         now: The present places.
         known: Whether each of them is known.
     """
@@ -149,7 +148,6 @@ def refine_places(
     """Return places after least squares over the unknown ones; far-off sightings count less.
 
     Args:
-        sightings: The sightings.
         places: Places to start from.
         known: Whether each of them is known.
         steps: Largest number of steps.

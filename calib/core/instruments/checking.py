@@ -28,7 +28,6 @@ def check_kind(
     """Raise `ComputationError` where an instrument breaks the contract of its kind.
 
     Args:
-        instrument: The instrument.
         seen: n views in which it reads something; for a `JointInstrument`, values of the joint (n,) [m or rad].
         unknowns: Its unknown numbers, (n_unknowns,); nominal if not given.
         details: Details of readings, (n, n_details); none if not given.

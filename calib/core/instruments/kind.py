@@ -94,7 +94,6 @@ def placed(name: str, section: PlaceSection | PosedSection, unknown: tuple[Compo
     """Return a place of this name as the description states it.
 
     Args:
-        name: Its name.
         section: Its entry in the description.
         unknown: Components that the measurements must find; if not given, those that the section calls unknown.
     """
@@ -255,7 +254,6 @@ class Instrument(ABC):
         """Return the instrument of an entry of a robot description.
 
         Args:
-            name: Its name.
             section: The entry.
 
         Raises:

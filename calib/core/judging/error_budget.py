@@ -118,7 +118,6 @@ def error_budget(fit: Fit, causes_by_parameter: Sequence[str] | None = None) -> 
     """Return the error budget of the validation readings of a fit, or of all readings without validation.
 
     Args:
-        fit: The fit.
         causes_by_parameter: The cause of each parameter, (n_parameters,); `causes_of` if not given.
 
     Raises:

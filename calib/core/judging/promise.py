@@ -115,7 +115,6 @@ class Change:
 
     Attributes:
         name: The parameter, or `zero of JOINT`.
-        dimension: Its dimension.
         value: Its change [m or rad]; NaN where nothing was read.
         std: Standard deviation of `value` [m or rad].
         z: Ratio of `value` to `std`.
@@ -143,7 +142,6 @@ class PossibleChanges:
 
     Attributes:
         name: The parameter, or `zero of JOINT`.
-        dimension: Its dimension.
         index: Index among the free parameters, or among the actuated joints.
         is_joint: Whether `index` counts actuated joints.
         scale: Unit of the change [m or rad].

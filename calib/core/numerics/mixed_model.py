@@ -102,7 +102,6 @@ class MixedModel(ReadOnlyArrays):
         """Rotate rows, and replace their columns by components.
 
         Args:
-            rows: The rows.
             least: Length of a component of a family of the expected size, below which it is dropped.
         """
         numbers = [*range(int(np.max(rows.family, initial=-1)) + 1), KNOWN, FLAT]

@@ -53,7 +53,6 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: 
     """Return the model solved with the sizes of the largest posterior density.
 
     Args:
-        model: The model.
         start: Logarithms of the sizes to begin with, (n_sizes,); by the module docstring if not given.
         absent: Families to leave out, (n_families,): the logarithms of their sizes are -inf; none if not given.
     """

@@ -21,7 +21,6 @@ class Difference:
     """One parameter in the results.
 
     Attributes:
-        name: Its name.
         rows: Its row in `result.json` of each result, in its unit; None without such a parameter.
         p_values: Chance of so large a difference to the first result, for each of the others, corrected for the number
             of tests of all pairs; NaN where there is no test.

@@ -26,7 +26,6 @@ def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
     """Return a fit as text.
 
     Args:
-        fit: The fit.
         width: Width of the text, in characters.
         verbose: All reasons, tables and remarks; otherwise at most 40 lines: the verdict, the errors before and after,
             and the parameters that changed most.

@@ -39,7 +39,6 @@ def load_result(folder: Path | str, robot: Robot | None = None, *, failed_too: b
     """Load a result folder of `calib fit --out`, or of `save`.
 
     Args:
-        folder: The folder.
         robot: The nominal robot that gets the values of the result; the one in the folder if not given.
         failed_too: Whether to load a result that failed and was not forced.
 

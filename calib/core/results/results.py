@@ -65,7 +65,6 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
     again.
 
     Args:
-        fit: The fit.
         folder: Folder to write; files of other names in it stay.
         force: Whether to export a failed fit, with a remark in its files, and to replace files of other programs.
         pages: Further files for people, name -> content.

@@ -59,7 +59,6 @@ def saved_bytes(
     """Return the content of `fit.npz`.
 
     Args:
-        fit: The fit.
         content: Content of `result.json`.
         nominal: Files of the nominal robot, by name.
         files: The robots of the fit's files.

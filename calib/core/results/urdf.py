@@ -29,7 +29,6 @@ def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
     """Return the URDF with the origins of the robot's values.
 
     Args:
-        robot: The robot.
         provenance: Lines of a comment behind the `<robot>` tag, which also names the nominal file and every parameter
             that differs from nominal; None for no comment.
     """

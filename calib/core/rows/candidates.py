@@ -105,7 +105,6 @@ def rows_of_poses(
     Unstated noise is assumed (`calib.core.rows.whitening.ASSUMED`).
 
     Args:
-        robot: The robot.
         configurations: The poses.
         sigma: Noise of positions per axis instead of the stated one [m], or None.
         unknowns: The parameters of the columns; the free ones if not given.
@@ -199,7 +198,6 @@ def build_candidates(
     """Assemble candidates and compute their rows, the robot linearised at its present values.
 
     Args:
-        robot: The robot.
         poses: The candidates.
         sigma: Noise of positions per axis instead of the stated one [m], or None.
         skip_unreachable: Leave out poses that cannot be assembled or are next to a singularity of the loops.
@@ -250,7 +248,6 @@ def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[F
 
     Args:
         robot: The robot, linearised at its present values.
-        poses: The poses.
         sigma: Noise of positions per axis instead of the stated one [m], or None.
 
     Returns:

@@ -69,7 +69,6 @@ def determination(columns: FloatArray, parameters: Sequence[Parameter], free: Bo
 
     Args:
         columns: d(coordinates)/d(parameters), not scaled, (n_rows, n_parameters) [m per m or rad].
-        parameters: All parameters.
         free: Mask of the parameters that are not held, (n_parameters,).
     """
     unit, lengths = unit_columns(columns)

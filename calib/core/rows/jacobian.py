@@ -53,7 +53,6 @@ def linearise(
     """Return positions of all targets and their derivative by every parameter, at the robot's current values.
 
     Args:
-        robot: The robot.
         configurations: Assembled poses, from `robot.assemble`.
         turns: Whether to include the derivative of the targets' orientations.
         joints: Whether to include derivatives by the actuated joints.
@@ -82,7 +81,6 @@ def origin_jacobian(
     """Return positions of all targets and their derivative by the right-perturbation twist of every origin.
 
     Args:
-        mechanism: The mechanism.
         configurations: Assembled poses.
         twists: Combinations (6 n_joints, k) to take the derivative along instead.
         turns: Whether dw follows dp.
@@ -143,9 +141,7 @@ def relative_motion(
     """Return d[dp; dw]/d(origin twists) of frames b seen from frames a, loops closed.
 
     Args:
-        mechanism: The mechanism.
         swept: Kinematics of the poses.
-        pairs: The frames.
         twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
         angular: Whether to include dw.
         out: Array for the result, if there is one.
@@ -174,7 +170,6 @@ def passive_motion(
     """Return d(q_j)/d(origin twists) of one joint coordinate that the loops determine, (n, 1, k).
 
     Args:
-        mechanism: The mechanism.
         swept: Kinematics of the poses.
         coordinate: d(q_j)/d(passive joints), (n_passive,); all zero for a joint that the user commands.
         twists: Combinations to take the derivative along, (6 n_joints, k).
@@ -215,10 +210,8 @@ def _fill_motion(
     """Fill `result` (n, n_rows, k) with dx/dxi of the module docstring along origin twists.
 
     Args:
-        mechanism: The mechanism.
         swept: Kinematics of the poses.
         mapping: From V_b - V_a to x, (n, n_rows, 6).
-        along: The twists.
         direct: Further derivative of x by the passive joints, (n_rows, n_passive).
         result: Array to fill.
     """

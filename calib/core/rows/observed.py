@@ -38,7 +38,6 @@ class Observed:
     """Readings of one instrument compared with predicted ones.
 
     Attributes:
-        robot: The robot.
         residuals: Predicted minus read, (n, n_rows) [SI]; NaN where a component was not read.
         derivative: Derivative of the residuals by the parameters that are no coefficients of joint terms, then by the
             driven joints if requested, (n, n_rows, k + n_driven); (n, n_rows, 0) without derivatives.

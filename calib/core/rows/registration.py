@@ -37,8 +37,6 @@ def register(robot: Robot, data: Measurements, *, rough_beyond: float = np.inf) 
     points.
 
     Args:
-        robot: The robot.
-        data: Its measurements.
         rough_beyond: As in `calib.core.numerics.placement.place` [m].
 
     Raises:
@@ -66,7 +64,6 @@ def registration(
 
     Args:
         robot: The robot; what the measurements leave open stays near its current values.
-        data: Measurements.
         frame_known: Whether the measurement frame counts as known, against the description.
         targets_known: Whether targets that the description calls known count as known.
 

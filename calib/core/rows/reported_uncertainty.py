@@ -35,8 +35,6 @@ class ReportedUncertainty(ReadOnlyArrays):
     """A calibrated robot, and the uncertainty of its positions.
 
     Attributes:
-        robot: The robot.
-        uncertainty: Uncertainty of its parameters.
         motion: Common motion of all positions, which is subtracted; None in the measurement frame.
     """
 
@@ -50,8 +48,6 @@ class ReportedUncertainty(ReadOnlyArrays):
         """Return the uncertainty of a calibrated robot's positions, as reported.
 
         Args:
-            robot: The robot.
-            uncertainty: Uncertainty of its parameters.
             joints: Commands of its calibration, (n, n_actuated) [m or rad].
         """
         loose = replace(UnknownPlaces.from_robot(robot), points=(), frames=())

@@ -157,7 +157,6 @@ def touching_configurations(
     """Move the robot to contact; see the module docstring.
 
     Args:
-        robot: The robot.
         poses: Poses to start from; poses without a touch stay, or follow a touch that repeats the same pose.
         touches: Planned touches of each touching instrument, with the distance of each miss.
         off: Errors of the joints beside their commands, (n, n_actuated) [m or rad]; zero if not given.

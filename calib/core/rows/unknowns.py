@@ -19,7 +19,6 @@ class Unknowns(ReadOnlyArrays):
     """Parameters that may change, and their scales.
 
     Attributes:
-        names: Names.
         index: Indices among all parameters, (n,).
         scales: Sigma of each, (n,) [SI].
         expected: Means of the priors: nominal values, or those of a fleet, (n,) [SI].

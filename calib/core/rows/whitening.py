@@ -94,7 +94,6 @@ class Whitening:
 
         Args:
             name: The instrument.
-            array: The array.
             chosen: Numbers of the readings, (n,); all if not given.
             in_place: Whether the array may be overwritten.
         """

@@ -128,7 +128,6 @@ def candidates(robot: Robot, data: Measurements) -> tuple[CandidateTerm, ...]:
 
     Args:
         robot: The robot with its described terms.
-        data: Its measurements.
     """
     kinds = [_candidate(name, robot, data) for name in TERMS if _is_tried_by_auto(name)]
     uncounted = uncounted_turns(robot, data.joints)

@@ -88,8 +88,6 @@ class KindModel:
     """Rows of kinds of joint errors around a fit.
 
     Args:
-        fit: The fit.
-        kinds: The kinds.
         scales: Sigma of its free parameters, (n_free,) [SI], so that families of the fit keep their sizes; if not
             given, they are families of this model, too.
 

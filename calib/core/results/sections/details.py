@@ -19,7 +19,6 @@ def details(fit: Fit, *, brief: bool = False) -> list[str]:
     """Return details that the tables do not show, one line each.
 
     Args:
-        fit: The fit.
         brief: Whether to leave out the sections of a page: found noise, residuals, determination, and the uncertainty
             of positions.
     """

@@ -255,11 +255,7 @@ def sigma_in_metres(sigma_mm: float, *, zero: bool = False) -> float:
 
 
 def failure_lines(output: Output, result: str | None, out: str) -> list[str]:
-    """Return the lines for a file made from a failed result that was forced, and print a note.
-
-    Raises:
-        DataError: The folder holds no result.
-    """
+    """Return lines for a file made from a forced failed result, and print a note; `DataError` without a result."""
     lines = forced_lines(result) if result else []
     if lines:
         output.note(f"note: the fit in {result} failed; {out} says so inside")

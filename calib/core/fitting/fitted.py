@@ -403,11 +403,7 @@ class Fit(ReadOnlyArrays, HintedObject):
         return self.reported_uncertainty.predict(data.joints, data.conditions, self.validation.passive, turns=False)
 
     def whitened_residuals_and_rows(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
-        """Return whitened residuals before calibration (n_rows,), and the rows after it, by the noise as found.
-
-        Args:
-            errors: Errors of unused or left-out visits.
-        """
+        """Return whitened residuals before (n_rows,) and rows after calibration, by the found noise, at new visits."""
         data = errors.data
         before, after, whitening, factors = self._whitened(errors)
         configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)

@@ -37,11 +37,7 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
 
 
 def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-    """Find offsets that the readings of an instrument at a pose share, over the scale of their group, (n_offsets,).
-
-    Args:
-        problem, evaluation, groups: As in `scales_found`.
-    """
+    """Find offsets that readings of an instrument at a pose share, over the scale of their group, (n_offsets,)."""
     whitening = problem.whitening
     tried = problem.offset_ratios > 0 if np.any(problem.offset_ratios) else whitening.tells_offsets
     if not np.any(tried):

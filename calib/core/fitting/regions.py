@@ -68,12 +68,7 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
 
 
 def scatter_without_blocks(rows: Rows, statistics: Statistics, block: IntArray) -> tuple[float, float]:
-    """Return the motion of parameters without blocks of visits, over its expectation from noise, and its chance.
-
-    Args:
-        rows, statistics: As in `disagreeing`.
-        block: Block of each visit, (n_visits,).
-    """
+    """Return the motion of parameters without blocks (n_visits,) of visits, over that from noise, and its chance."""
     layout, factors = rows.layout, statistics.factors
     factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
     of_row = block[layout.visit[layout.reading]]

@@ -178,11 +178,7 @@ class Board(Section):
 
 
 def validate_board(content: object, where: str) -> Board:
-    """Return the board from the content of a file or of an option; `where` names it in messages.
-
-    Raises:
-        DescriptionError: A key is missing, unknown or has a wrong value.
-    """
+    """Return the board from the content of a file or an option; `where` names it in a `DescriptionError`."""
     if not isinstance(content, dict):
         raise DescriptionError(f"{where}: is not a mapping of keys to values such as kind, columns, rows, square")
     kind = content.get("kind")

@@ -115,11 +115,7 @@ class Distance(Relation):
 
 
 def distances(vectors: FloatArray, what: str) -> tuple[FloatArray, FloatArray]:
-    """Return lengths (n,) and directions (n, 3) of vectors (n, 3) [m]; `what` names the target in the message.
-
-    Raises:
-        ComputationError: A vector has no length.
-    """
+    """Return lengths (n,) and directions (n, 3) of vectors (n, 3) [m]; a zero one raises `ComputationError`."""
     length = np.linalg.norm(vectors, axis=1)
     if np.any(length < _NOTHING):
         raise ComputationError(

@@ -56,11 +56,7 @@ class JointReadingSection(InstrumentSection):
         return self
 
     def number(self, key: str) -> float | None:
-        """Return a key's quantity [m or rad]; None where it is left out.
-
-        Raises:
-            ValueError: It has another dimension.
-        """
+        """Return a key's quantity [m or rad], or None; another dimension raises `ValueError`."""
         value = getattr(self, key)
         return None if value is None else quantity(value, self.dimension, key, ValueError)
 

@@ -281,7 +281,7 @@ class Instrument(ABC):
         return tuple(k for k, part in enumerate(self.parts) for _ in part.axes)
 
     @property
-    def reads_positions(self) -> bool:
+        """True if positions along three axes are all that it reads."""
         """Whether it reads positions along three axes and nothing else."""
         return len(self.parts) == 1 and self.parts[0].is_position and len(self.columns()) == 3
 
@@ -381,12 +381,7 @@ class FrameInstrument(Instrument, ABC):
         return ((base, self.target),)
 
     def point_seen(self, view: View, details: FloatArray) -> FloatArray:
-        """Return the observed point, seen from a, (n, 3) [m]: by default the target.
-
-        Args:
-            view: The frames.
-            details: Details of `Readings`, (n, n_details).
-        """
+        """Return the observed point, seen from a, (n, 3) [m], for details (n, n_details): by default the target."""
         return view.translation
 
     def sights(self, count: int, generator: np.random.Generator) -> View | None:

@@ -179,11 +179,7 @@ class Pixel(FrameInstrument):
         return _points_in_camera(view, self.body(details))
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
-        """Return guesses at the places of camera and target.
-
-        Raises:
-            DataError: In every guess, observed points would lie behind the camera.
-        """
+        """Return guesses at camera and target; `DataError` if observed points lie behind the camera in all."""
         result: list[dict[str, FloatArray]] = []
         for number in np.unique(scene.readings.pairs):
             names = scene.pairs[number]

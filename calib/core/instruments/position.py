@@ -28,11 +28,7 @@ class PositionSection(InstrumentSection):
 
 @dataclass(frozen=True)
 class Position(FrameInstrument):
-    """Positions of one target in the measurement frame: three rows.
-
-    Attributes:
-        together: Name of a group that shares its noise; empty for none.
-    """
+    """Positions of one target: three rows. Instruments of the same group, `together`, share their noise."""
 
     section = PositionSection
     parts = (POSITION,)

@@ -47,11 +47,7 @@ def rotation_columns(name: str, form: Form) -> tuple[Column, ...]:
 
 
 def read_rotations(name: str, form: Form, numbers: FloatArray) -> FloatArray:
-    """Return rotation vectors (n, 3) [rad] of numbers (n, k) in this form; NaN where some are missing.
-
-    Raises:
-        DataError: Numbers that are no rotation.
-    """
+    """Return rotation vectors (n, 3) [rad] of numbers (n, k), NaN where missing; `DataError` for no rotation."""
     vectors = np.full((len(numbers), 3), np.nan)
     complete = np.isfinite(numbers).all(axis=1)
     if np.any(complete):
@@ -102,12 +98,7 @@ def other_rotations(form: Form, vectors: FloatArray) -> Iterator[tuple[str, Floa
 
 
 def rotation_errors(rotations: FloatArray, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the rows r of the module docstring (n, 3) [rad], and their derivative by dw (n, 3, 3).
-
-    Args:
-        rotations: R_ab, (n, 3, 3).
-        vectors: Measured rotation vectors, (n, 3) [rad].
-    """
+    """Return r of the module docstring (n, 3) [rad] and its derivative by dw (n, 3, 3), from R_ab and R."""
     if len(vectors) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3, 3))
     turned = (

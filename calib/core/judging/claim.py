@@ -85,12 +85,7 @@ class Benefit(Enum):
 
 @dataclass(frozen=True)
 class ErrorElsewhere:
-    """Expected error of a robot at other poses than those measured.
-
-    Attributes:
-        rms, limit95: Root mean square and 95 % limit of the error [m].
-        times: Ratio to the error at the poses measured.
-    """
+    """Expected error at other poses [m]: `rms`, 95 % limit, and `times`, its ratio to that at the measured poses."""
 
     rms: float
     limit95: float
@@ -209,11 +204,7 @@ class Claim:
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> Self:
-        """Return the claim of an entry of `result.json`; values of unused poses that are not stored are NaN.
-
-        Raises:
-            KeyError, TypeError, ValueError: The entry is not one of `to_dict`.
-        """
+        """Return the claim of an entry of `result.json`, NaN where not stored; KeyError, TypeError, ValueError if bad."""
         dimension: Dimension = entry["dimension"]
         scale, is_position = error_scale(dimension), bool(entry["is_position"])
 

@@ -45,12 +45,7 @@ def copied_visits(robot: Robot, data: Measurements) -> IntArray:
 
 
 def _chance_of_same(robot: Robot, data: Measurements, pairs: list[tuple[int, int]]) -> float:
-    """Return the chance that a repeat has the same readings; 0 without numerical readings.
-
-    Args:
-        robot, data: The robot and its measurements.
-        pairs: Visits to one pose whose readings differ.
-    """
+    """Return the chance that a repeat has the same readings, by differing repeats `pairs`; 0 without numbers."""
     chances = []
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)

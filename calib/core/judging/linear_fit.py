@@ -88,11 +88,7 @@ class LinearFit:
         return float(np.sum(self.rows.residuals**2))
 
     def visible(self, column: FloatArray) -> float:
-        """Return the least size of an effect that the residuals show; infinite if they never do.
-
-        Args:
-            column: Change of the whitened rows by an effect of 1, (n_rows, 1).
-        """
+        """Return the least effect of a column (n_rows, 1) that the residuals show; infinite if they never do."""
         size = float(np.linalg.norm(column))
         if size == 0.0:
             return float("inf")

@@ -67,11 +67,7 @@ class Promise:
 
     @staticmethod
     def from_calibration(calibrated: Fit | Promise | HasPromise) -> Promise:
-        """Return the promise of a fit or a loaded result.
-
-        Raises:
-            InputError: The argument is neither, such as a robot alone, or the path of a result's folder.
-        """
+        """Return the promise of a fit or a loaded result, or raise `InputError` for anything else, such as a path."""
         if isinstance(calibrated, Promise):
             return calibrated
         if isinstance(calibrated, Fit):

@@ -184,11 +184,7 @@ class Verdict(HintedObject):
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> Self:
-        """Return the verdict of an entry of `result.json`; without the claim where an earlier version wrote it.
-
-        Raises:
-            KeyError, TypeError, ValueError: The entry is not one of `to_dict`.
-        """
+        """Return the verdict of an entry of `result.json`; KeyError, TypeError or ValueError if it is damaged."""
         known = {code.value: code for code in Code}
         reasons = []
         for text, name, grade in zip(entry["reasons"], entry["codes"], entry["grades"], strict=True):

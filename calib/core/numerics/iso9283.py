@@ -47,12 +47,7 @@ _DRAWS = 1500
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure with its 95 % interval.
-
-    Attributes:
-        value: As the standard computes it [m or rad].
-        low95, high95: Limits of the 95 % interval for infinitely many cycles [m or rad].
-    """
+    """A figure of the standard, with its 95 % limits for infinitely many cycles [m or rad]."""
 
     value: float
     low95: float

@@ -36,11 +36,7 @@ _QR_ITERATIONS = {"driver": "ev"}
 
 
 def eigh(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return eigenvalues, ascending, (..., n) and eigenvectors in columns, (..., n, n), of symmetric matrices.
-
-    Args:
-        matrix: (..., n, n); the lower triangle counts.
-    """
+    """Return eigenvalues, ascending, (..., n) and eigenvectors in columns, of symmetric matrices (..., n, n)."""
     return _first_or_second(np.linalg.eigh, lambda part: scipy.linalg.eigh(part, **_QR_ITERATIONS), matrix)
 
 

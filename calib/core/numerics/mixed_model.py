@@ -99,11 +99,7 @@ class MixedModel(ReadOnlyArrays):
 
     @staticmethod
     def from_rows(rows: MixedRows, least: float = 0.0) -> MixedModel:
-        """Rotate rows, and replace their columns by components.
-
-        Args:
-            least: Length of a component of a family of the expected size, below which it is dropped.
-        """
+        """Rotate rows, and replace their columns by components; those of families shorter than `least` are dropped."""
         numbers = [*range(int(np.max(rows.family, initial=-1)) + 1), KNOWN, FLAT]
         members = [np.flatnonzero(rows.family == number) for number in numbers]
         parts = tuple(

@@ -136,11 +136,7 @@ def task_index(position_errors: FloatArray) -> TaskIndex:
 
 @dataclass(frozen=True, eq=False)
 class Information(ReadOnlyArrays):
-    """Information of stacked rows about the parameters.
-
-    Attributes:
-        factor: The triangular factor R of the rows, (n_parameters, n_parameters) or fewer rows.
-    """
+    """Information of stacked rows by their triangular `factor` R, (n_parameters, n_parameters) or fewer rows."""
 
     factor: FloatArray
 

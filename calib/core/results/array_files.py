@@ -28,11 +28,7 @@ def array_file(content: object) -> bytes:
 
 
 def read_array_file(file: bytes) -> Any:
-    """Return the content that `array_file` wrote; sequences as lists.
-
-    Raises:
-        ValueError: The file is damaged, or another one.
-    """
+    """Return the content that `array_file` wrote, sequences as lists, or raise `ValueError` if it is damaged."""
     try:
         with np.load(io.BytesIO(file), allow_pickle=False) as entries:
             content = json.loads(entries[_CONTENT].tobytes())

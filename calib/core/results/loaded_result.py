@@ -111,11 +111,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
 
     @property
     def verdict(self) -> Verdict:
-        """PASS, CHECK or FAIL, with reasons, as in the fit.
-
-        Raises:
-            DataError: The folder does not hold it.
-        """
+        """PASS, CHECK or FAIL, with reasons, as in the fit; `DataError` if the folder does not hold it."""
         try:
             return Verdict.from_dict(self.content["verdict"])
         except (KeyError, TypeError, ValueError):

@@ -76,11 +76,7 @@ def load_result(folder: Path | str, robot: Robot | None = None, *, failed_too: b
 
 
 def read_content(folder: Path | str) -> dict[str, Any]:
-    """Return the content of `result.json` in a folder, as the fit wrote it.
-
-    Raises:
-        DataError: The folder holds no result, or a damaged one.
-    """
+    """Return the content of `result.json` in a folder, or raise `DataError` if it holds no result."""
     saved = read_saved(folder)
     content: dict[str, Any] = version_1.read_content(folder) if saved is None else saved["content"]
     return content

@@ -79,11 +79,7 @@ def saved_bytes(
 
 
 def read_saved(folder: Path | str) -> dict[str, Any] | None:
-    """Return the content of `fit.npz` of a result folder, as data; None where there is none.
-
-    Raises:
-        DataError: It is damaged, or of a later version; or a file of the nominal robot was changed.
-    """
+    """Return the content of `fit.npz` as data; None without it. Damage or another version raises `DataError`."""
     path = Path(folder) / SAVED
     if not path.is_file():
         return None

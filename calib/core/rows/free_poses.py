@@ -14,11 +14,7 @@ from calib.core.rows.candidates import rows_of_measured
 
 
 def free_poses(robot: Robot, poses: Poses) -> tuple[Poses, tuple[str, ...]]:
-    """Return the poses without collisions or hidden targets, and notes on the others and on missing checks.
-
-    Raises:
-        DataError: No pose is free.
-    """
+    """Return the free poses, and notes on blocked ones and missing checks, or raise `DataError` if none is free."""
     check = check_poses(robot, poses.joints)
     if not check.n_blocked:
         return poses, check.notes

@@ -40,11 +40,7 @@ class Calibrated(Protocol):
 
 
 def known_robot(calibrated: RobotLike | Calibrated | KnownRobot) -> KnownRobot:
-    """Return a known robot; a robot alone has values but no uncertainty.
-
-    Raises:
-        InputError: `calibrated` is none of the three.
-    """
+    """Return a known robot, or raise `InputError`; a robot alone has values but no uncertainty."""
     if isinstance(calibrated, KnownRobot):
         return calibrated
     if isinstance(calibrated, Calibrated):

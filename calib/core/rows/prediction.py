@@ -141,12 +141,7 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class RootMeanSquare:
-    """A root mean square distance over a set of poses.
-
-    Attributes:
-        value: The distance, infinite where not known [m].
-        low95, high95: Its 95 % interval [m].
-    """
+    """A root mean square distance over a set of poses, infinite where not known, and its 95 % interval [m]."""
 
     value: float
     low95: float
@@ -331,12 +326,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         return np.arange(n_lasting + n_changing) < n_lasting
 
     def counting(self, robot: Robot, counts: BoolArray) -> BoolArray:
-        """Return a mask of the uncertain quantities that count, (n_uncertain,).
-
-        Args:
-            robot: The calibrated robot.
-            counts: Mask of the free parameters that count, (n_free,).
-        """
+        """Return a mask of the uncertain quantities that count, (n_uncertain,), from that of free ones, (n_free,)."""
         return np.append(counts, np.ones(len(self._undecided_names(robot)) + self._n_errors(robot), dtype=bool))
 
     def covariance_of(self, robot: Robot) -> FloatArray:

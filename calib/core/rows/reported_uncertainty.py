@@ -32,11 +32,7 @@ OWN_FRAME = "in the robot's own base frame, because no instrument stands at a kn
 
 @dataclass(frozen=True, eq=False)
 class ReportedUncertainty(ReadOnlyArrays):
-    """A calibrated robot, and the uncertainty of its positions.
-
-    Attributes:
-        motion: Common motion of all positions, which is subtracted; None in the measurement frame.
-    """
+    """A calibrated robot, its uncertainty, and the common motion to subtract; None in the measurement frame."""
 
     robot: Robot
     uncertainty: ParameterUncertainty
@@ -45,11 +41,7 @@ class ReportedUncertainty(ReadOnlyArrays):
     @staticmethod
     @one_blas_thread
     def from_robot(robot: Robot, uncertainty: ParameterUncertainty, joints: FloatArray) -> ReportedUncertainty:
-        """Return the uncertainty of a calibrated robot's positions, as reported.
-
-        Args:
-            joints: Commands of its calibration, (n, n_actuated) [m or rad].
-        """
+        """Return the reported uncertainty of a robot calibrated at commands `joints`, (n, n_actuated) [m or rad]."""
         loose = replace(UnknownPlaces.from_robot(robot), points=(), frames=())
         if not loose.base:
             return ReportedUncertainty(robot, uncertainty, None)

@@ -52,12 +52,7 @@ class CandidateTerm:
         return any(p.family for term in self.terms_in(robot) for p in term.parameters)
 
     def scaled_sections(self, robot: Robot, factors: Mapping[str, float]) -> tuple[TermSection, ...]:
-        """Return the entries for some joints, with sigmas multiplied by a factor of each joint.
-
-        Args:
-            robot: A robot that has these terms.
-            factors: Factors of each joint.
-        """
+        """Return the entries for some joints, in a robot with these terms, with sigmas times a factor of each joint."""
         terms = self.terms_in(robot)
         sigma = {t.joint: float(factors[t.joint] * t.parameters[0].sigma_si) for t in terms if t.joint in factors}
         resized: list[TermSection] = []

@@ -38,12 +38,7 @@ _LITTLE = 0.01  # part of the largest variance of readings by undecided terms; s
 
 @dataclass(frozen=True)
 class TermFamily:
-    """Coefficients with a common size.
-
-    Attributes:
-        term: Kind of term.
-        joint: Joint; empty for those of all joints.
-    """
+    """Coefficients with a common size: their kind of term and their joint, empty for those of all joints."""
 
     term: str
     joint: str = ""

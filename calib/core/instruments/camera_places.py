@@ -2,9 +2,11 @@
 
 The camera is fixed to one link by C, the body to another by M, and the robot gives the poses L_i between the links, so
 that point X is seen at C^-1 L_i M X. C and M may both be unknown. Guesses come from
+
 1. poses of single views (`calib.core.instruments.camera`) and the hand-eye problem (`calib.core.instruments.hand_eye`):
    from a few views at a time, chosen at random, since some poses are the wrong one of several solutions;
 2. all points at once: with M as it is, or turned like a cube, C is a resection.
+
 Each guess is then improved by least squares over C and M together, in rays (pixels without distortion), and the best
 few are returned; with them, C alone with M as it is, since another camera may have shown M already. The random choice
 has a fixed seed, so that results repeat.

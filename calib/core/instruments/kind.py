@@ -281,8 +281,8 @@ class Instrument(ABC):
         return tuple(k for k, part in enumerate(self.parts) for _ in part.axes)
 
     @property
+    def reads_positions(self) -> bool:
         """True if positions along three axes are all that it reads."""
-        """Whether it reads positions along three axes and nothing else."""
         return len(self.parts) == 1 and self.parts[0].is_position and len(self.columns()) == 3
 
     def places(self) -> tuple[Place, ...]:
@@ -392,7 +392,9 @@ class FrameInstrument(Instrument, ABC):
         Args:
             count: Number of views.
             generator: Generator of random numbers.
-            Of frame b seen from frame a; a rotation of NaN: any.
+
+        Returns:
+            Views of frame b seen from frame a; a rotation of NaN: any.
         """
         return None
 

@@ -204,7 +204,7 @@ class Claim:
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> Self:
-        """Return the claim of an entry of result.json, NaN where not stored; damage is a KeyError, TypeError or ValueError."""
+        """Return the claim of a `result.json` entry, NaN where not stored; KeyError, TypeError, ValueError if damaged."""
         dimension: Dimension = entry["dimension"]
         scale, is_position = error_scale(dimension), bool(entry["is_position"])
 

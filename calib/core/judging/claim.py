@@ -204,7 +204,7 @@ class Claim:
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> Self:
-        """Return the claim of a `result.json` entry, NaN where not stored; KeyError, TypeError, ValueError if damaged."""
+        """Return the claim of a `result.json` entry, NaN where not stored; KeyError, TypeError, ValueError if bad."""
         dimension: Dimension = entry["dimension"]
         scale, is_position = error_scale(dimension), bool(entry["is_position"])
 

@@ -118,7 +118,7 @@ def _products(rows: FloatArray) -> FloatArray:
 
 
 def blocks_of_equal_length(block: IntArray) -> Iterator[IntArray]:
-    """Yield rows of blocks of equal length, some blocks at once, (n_blocks, n_rows_of_each); block -1 is none."""
+    """Yield rows of blocks of equal length, some blocks at once, (n_blocks, n_rows_of_each), without block -1."""
     order: IntArray | None = None
     if np.any(block[1:] < block[:-1]) or np.any(block[:1] < 0):
         order = np.argsort(block, kind="stable")

@@ -36,7 +36,7 @@ _QR_ITERATIONS = {"driver": "ev"}
 
 
 def eigh(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return eigenvalues, ascending, (..., n) and eigenvectors in columns, of symmetric matrices (..., n, n)."""
+    """Return eigenvalues, ascending, (..., n) and eigenvectors in columns, from the lower triangles of (..., n, n)."""
     return _first_or_second(np.linalg.eigh, lambda part: scipy.linalg.eigh(part, **_QR_ITERATIONS), matrix)
 
 

@@ -9,7 +9,7 @@ With singular values s1 >= ... >= sn of the identification Jacobian (n kept colu
     O5 = 1 / (1/s1 + ... + 1/sn)             Sun and Hollerbach 2008
 
 Only the order that O1 gives does not depend on the units of the parameters (a change of units multiplies every O1 by
-the same number); the others are meaningful on scaled columns. None of them answers a user's question. That does the
+the same number); the others are meaningful on scaled columns. None of them is a length that a user needs. That is the
 
     task index: root mean square over poses of the predicted distance between true and predicted position,
 

@@ -156,7 +156,7 @@ class CommonMotion(ReadOnlyArrays):
         return self._best_motion(self._slope, jacobian)
 
     def columns(self, positions: FloatArray, rotations: FloatArray) -> FloatArray:
-        """Return A V, the motion of positions (n, n_targets, 3) and turns of targets with z, (n, n_targets, 6, k)."""
+        """Return A V, the motion of targets with z, (n, n_targets, 6, k), at their positions (n, n_targets, 3) [m]."""
         (n, n_targets, _), length, loose = positions.shape, self.robot.mechanism.length, self.loose
         columns = np.zeros((n, n_targets, 6, loose.n_motions))
         if loose.base:

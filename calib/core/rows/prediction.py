@@ -374,7 +374,7 @@ class ParameterUncertainty(ReadOnlyArrays):
     def linearise_in_parts(
         self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None, *, turns: bool = True
     ) -> Iterator[tuple[slice, UncertaintyJacobian]]:
-        """Yield the indices of some poses, and the result of `linearise` for these; see `linearise`."""
+        """Yield the indices of some poses, and their linearisation; see `linearise`."""
         for start in range(0, len(q), CHUNK):
             some = slice(start, start + CHUNK)
             seed = None if near is None else near[some]

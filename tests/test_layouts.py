@@ -88,7 +88,8 @@ def test_units_in_both_places_are_no_row_of_units(read):
     ("text", "said"),
     [
         (f"note\nPoint,J1,J2,X\n{ROWS}Point,J1,J2,X\n{ROWS}", "lines 2 and 5 both look like the header"),
-        (f"// a program\n{ROWS}", "line 2: numbers where the header should be; write a line with the names"),
+        ("P1,10.5,20,1793.127\n3,x,,\n4,y,,\n", "line 1: numbers where the header should be; write a line with the"),
+        (f"// a program\n{ROWS}", "rows without names of columns, .*: write a line with the names"),
     ],
 )
 def test_what_could_be_read_in_two_ways_is_refused(read, text, said):

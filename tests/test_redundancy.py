@@ -30,7 +30,9 @@ from calib.core.rows.jacobian import linearise
 from calib.exporting.joint_tables import joint_tables, lost_by_tables
 from calib.extend import check_kind, check_term
 from calib.redundancy.rotary_axes import FORMATS
+from viz.error_charts import error_charts
 from viz.result_charts import joint_shares
+from viz.scene import scene_of_fit
 
 ARM = "urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\npriors: false\nbase: {frame: l0}\n"
 TRUE = {"j3.ry": -0.02, "j4.rx": 0.01, "j5.ry": 0.015, "j3.z": 0.602}
@@ -461,6 +463,14 @@ def test_a_machine_whose_joints_have_no_parameters_passes_and_has_no_chart_of_jo
     fit = calib.fit(data.robot, data)
     assert fit.verdict.grade == "PASS"  # a scale of all lengths shows in none of them, spools included
     assert joint_shares(fit) is None
+
+
+def test_errors_of_a_mount_that_turns_about_one_place_are_not_drawn_over_places(tmp_path):
+    for case, drawn_over_places in ((pointed, False), (sighted, True)):
+        data = case(tmp_path)[2](np.random.default_rng(1))
+        fit = calib.fit(data.robot, data)
+        charts = [chart.name for chart in error_charts(fit, scene_of_fit(fit))]
+        assert any("planes" in name for name in charts) == drawn_over_places
 
 
 @pytest.mark.skipif(not (SHARED / "hangprinter_cable").is_dir(), reason="the cables are not here")

@@ -8,7 +8,7 @@ from six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
 
 import calib
 from calib.core.data.measurements import directions_of_motion
-from calib.core.judging import findings
+from calib.core.judging import findings, residual_patterns
 from calib.core.judging.blind_spots import not_covered
 from calib.core.judging.effect_kinds import Family, Kind, Pattern, describe
 from calib.core.judging.effects import ORDERS, wave_orders
@@ -121,7 +121,9 @@ def test_a_joint_that_slipped_while_measuring_is_found(arm):
     assert "joint j3 changes in the course of" in describe(patterns[0], arm.mechanism.dimensions)
 
 
-def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm):
+@pytest.mark.parametrize("rows_kept", [10, 1000], ids=["many rows", "few rows"])
+def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm, monkeypatch, rows_kept):
+    monkeypatch.setattr(residual_patterns, "KEPT", rows_kept)
     q = joints(80)
     fit = fitted(arm, q + 2e-4 * np.eye(6)[1] * np.sin(7 * q[:, 1:2]))
     result = next(p for p in fit.patterns if (p.kind, p.detail) == ("wave", "7 cycles a turn"))

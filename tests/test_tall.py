@@ -16,7 +16,7 @@ def matrix():
 
 @pytest.mark.parametrize("rows_kept", [0, 50], ids=["multiplied where it is looked at", "kept"])
 def test_a_span_is_the_product_of_its_factors_and_what_stands_beside_it(matrix, rows_kept, monkeypatch):
-    monkeypatch.setattr(tall_matrices, "_KEPT", rows_kept)
+    monkeypatch.setattr(tall_matrices, "KEPT", rows_kept)
     rng = np.random.default_rng(2)
     root, more = rng.standard_normal((4, 3)), rng.standard_normal((50, 2))
     whole = np.hstack([matrix @ root, more])

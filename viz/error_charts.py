@@ -24,6 +24,7 @@ _MEANS = 12  # places along a joint at which residuals are averaged
 _CELLS = 9  # along the longer side of a plane
 _FLAT = 0.05  # extent of places across a plane, of their extent in it, up to which they are a surface
 _ALONG_AN_AXIS = 0.999  # cosine: the surface is then one of the three planes
+_AT_REST = 1e-3  # mm
 _PAIRED = 6  # joints whose ranges are drawn in pairs; of more, neighbours only
 
 
@@ -57,7 +58,8 @@ def error_charts(fit: Fit, scene: ViewerScene) -> tuple[Chart, ...]:
         of_part = _Part(rows, np.arange(first, first + len(rows)), scene.joints, tolerance(fit))
         first += len(rows)
         if len(rows):
-            charts += [of_part.distribution(), of_part.order(), of_part.planes(), of_part.joint_charts()]
+            planes = [of_part.planes()] if of_part.moves() else []
+            charts += [of_part.distribution(), of_part.order(), *planes, of_part.joint_charts()]
     return tuple(charts)
 
 
@@ -93,7 +95,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
         "Where the joints were",
         "Each pair of joints within its limits or, without near ones, its measured range. Empty: not measured.",
         tuple(panels),
-        190,
+        170,
     )
 
 
@@ -160,6 +162,11 @@ class _Part:
             (panel(x, axis("smaller [%]", ends=[0, 103]), layers),),
             600,
         )
+
+    def moves(self) -> bool:
+        """Whether the places of the errors differ: a mount that points turns about one place."""
+        places = _MM * self._rows.anchors[np.isfinite(self._rows.anchors).all(axis=1)]
+        return bool(len(places)) and float(np.ptp(places, axis=0).max()) > _AT_REST
 
     def planes(self) -> Chart:
         """Errors after calibration on three planes, with the mean of each cell."""

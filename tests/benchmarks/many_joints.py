@@ -6,8 +6,8 @@ The chain is simulated: origins that are off, a once-a-turn error of each joint,
 0.1 mm. What it prints is one row of a table: time of the fit without terms, with terms, of the verdict; most memory.
 """
 
+import argparse
 import resource
-import sys
 import tempfile
 import time
 from dataclasses import replace
@@ -63,7 +63,7 @@ def measured(robot, n_poses, rng):
     return replace(calib.simulate(true, q + off, SIGMA, 1), joints=q)
 
 
-def main(n=20, n_poses=400):
+def main(n, n_poses):
     """Print the row."""
     robot = chain(n, np.random.default_rng(7))
     data = measured(robot, n_poses, np.random.default_rng(3))
@@ -84,4 +84,8 @@ def main(n=20, n_poses=400):
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("joints", type=int, nargs="?", default=20)
+    parser.add_argument("poses", type=int, nargs="?", default=400)
+    given = parser.parse_args()
+    main(given.joints, given.poses)

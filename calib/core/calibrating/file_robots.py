@@ -194,7 +194,7 @@ def with_zeros(nominal: Robot) -> Robot:
 def file_robot(fit: Fit) -> FileRobot:
     """Return the robot of a fit for files that hold everything of it.
 
-    If only places were free, it is the nominal robot, and never withheld.
+    If only places were free, it is the nominal robot, and counts as no worse than that.
     """
     reached = accuracy(fit)
     why = "" if np.all(fit.unknowns.placement) else why_withheld(reached)

@@ -36,9 +36,8 @@ BELIEVED = 0.5
 """Weight of a robust loss from which a reading counts."""
 AT_END = 0.55
 """Part of all residuals that looks like a change in the course of the measurement, up to which a claim holds at its
-end.
-
-A linear growth is sqrt(3) times as large there as on average, so that the whole is 1.25 times as large at sqrt(0.3)."""
+end. A linear growth is sqrt(3) times as large there as on average, so that the whole is 1.25 times as large at
+sqrt(0.3)."""
 AFTER = 0.3
 """Part of all residuals that certainly changes in that course, up to which a claim holds afterwards, for half as long
 as the measurement took. A linear growth has seven times its mean square there, so that the whole is 1.25 times as large

@@ -1,15 +1,15 @@
-"""Calibration: a fit, judged, and fitted again where the judgement asks for it.
+"""Calibration: a fit, its verdict, and further fits that the verdict requires.
 
-Order of work: (1) joint terms, if requested, as large as readings show (`calib.core.fitting.terms.term_sizes`); what a
-section of the description says, such as that on a fleet, is left out where the readings contradict it; (2) the fit
-(`calib.core.fitting.fit`), which is that of step 1 where no term was added; (3) outliers left out and all done again,
-if asked for; (4) poses left out in turn for cross-validation, if requested; also where noise is so far above its
-statement that nothing else can prove the result.
+Order of work: (1) joint terms, if requested, as large as readings show (`calib.core.fitting.terms.term_sizes`); a
+section of the description, such as that on a fleet, is left out where the readings contradict it; (2) the fit
+(`calib.core.fitting.fit`), which is that of step 1 where no term was added; (3) if requested, outliers left out and all
+done again; (4) poses left out in turn for cross-validation, if requested, or where noise is so far above its statement
+that nothing else can prove the result.
 
-Outliers that are to be left out are found with a robust loss, so that they cannot hide behind each other. A reading
-goes by itself where the others of its visit agree, and its visit as a whole where they are off together
-(`calib.core.fitting.outliers`). After each fit the rest is judged again, up to five times: what a gross error hid may
-show then. Both results stay: that of all readings, and that without outliers.
+Outliers to leave out are found with a robust loss, so that they cannot hide behind each other. A single reading is left
+out where the others of its visit agree, and a whole visit where they are off together (`calib.core.fitting.outliers`).
+The rest is tested again after each fit, up to five times, because a gross error may have hidden others. Both results
+are kept: that of all readings, and that without outliers.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.terms import parse_terms
 
 PROVING = 5
-"""Folds if none are requested, and only poses left out can prove the result."""
-_OF_ONE_FIT = 3  # steps that are reported: base and targets placed, the minimum found, the result judged
+"""Folds if none are requested, and only left-out poses can prove the result."""
+_OF_ONE_FIT = 3  # steps that are reported: base and targets placed, the minimum found, the verdict reached
 _EXCLUSION_ROUNDS = 5
 
 
@@ -62,13 +62,13 @@ def calibrate(
     Args:
         robot: The nominal robot.
         data: Measurements to identify with.
-        validation: Measurements to judge the result with, or None.
+        validation: Measurements to validate the result with, or None.
         settings: Options of the fit.
         executor: Executor of the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
-        progress: Told after each step how many are done, and of how many that are known by then. Steps are: base and
-            targets placed, the minimum found, its uncertainty and errors known; the sizes of terms, with a fit of its
-            own; each further start; each fold; each fit without outliers.
+        progress: Function that is called after each step with the number of finished and of known steps. Steps are:
+            base and targets placed, the minimum found, its uncertainty and errors known; the sizes of terms, with their
+            own fit; each further start; each fold; each fit without outliers.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -136,7 +136,7 @@ def _run_steps(
 def _with_terms(
     robot: Robot, data: Measurements, validation: Measurements | None, settings: Settings, steps: Steps
 ) -> tuple[Robot, TermChoice | None, Minimum | None, WarmStart | None]:
-    """The robot with the requested joint terms; its minimum, or what is left to its fit, if known."""
+    """The robot with the requested joint terms; and its minimum, or start values for its fit, if known."""
     described, terms, nearby = robot.description.terms, settings.terms, None
     if terms is None:
         return robot, None, None, None
@@ -170,8 +170,8 @@ def _without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Me
 
     Args:
         first: The fit of all readings.
-        robust: Fits all readings with a robust loss.
-        again: Fits some of the readings with the same options.
+        robust: Function that fits all readings with a robust loss.
+        again: Function that fits some of the readings with the same options.
     """
     data = first.identification.data
     layout = first.rows.layout

@@ -1,16 +1,15 @@
-"""The robots that files of a fit get: for each kind of file the best that it can hold
+"""The robots of a fit's files: for each kind of file the best that it can hold
 (`calib.core.robots.accuracy_of_files`).
 
-A file that loses joint terms gets the robot that the same measurements give without them: fitted again, from
-the nominal robot, to the same visits (without those that were left out as outliers), with the same noise, loss, starts
-and folds. So its origins carry what they can of what the terms explain, and its covariance counts the rest as noise.
+A file that loses joint terms gets the robot that the same measurements give without them: fitted again, from the
+nominal robot, to the same visits (without excluded outliers), with the same noise, loss, starts and folds. So its
+origins take up as much as they can of the terms' effects, and its covariance counts the rest as noise. The others are:
+the nominal robot with joint zeros alone, base and targets placed with them; and the robot with nominal origins behind
+the last axis.
 
-So do the others: the nominal robot with joint zeros alone, base and targets placed with them; and the robot with all
-that lies behind the last axis as it is nominally.
-
-Withheld is a robot whose fit did not converge, or one that is worse than the nominal robot, base and targets placed
-alone, at the poses that judge it (`calib.core.fitting.unseen_errors`). A larger root mean square error is enough,
-beyond chance or not: the nominal robot is there already and costs nothing, so that chance speaks against the new one.
+A robot is withheld if its fit did not converge, or if it is worse than the nominal robot, with only base and targets
+placed, at the poses of `calib.core.fitting.unseen_errors`. A larger root mean square error is enough, beyond chance or
+not: the nominal robot exists already and costs nothing, so that the doubt is against the new one.
 """
 
 from __future__ import annotations
@@ -42,18 +41,17 @@ from calib.core.robots.terms.one_coefficient import Zero
 from calib.core.robots.terms.term import Joint, TermSection
 
 _NOTHING = 1e-12  # joint zero, or squared motion of joints, that counts as none [m or rad]
-_SAME = 1.0 + 1e-6  # times the error of the nominal robot, and `COMPUTED`: where rounding would decide
+_SAME = 1.0 + 1e-6  # factor on the nominal robot's error, with `COMPUTED`, within which rounding would decide
 
 
 @one_blas_thread
 def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = None) -> JudgedFit:
-    """Return a fit that knows the robots which files of it get.
+    """Return a fit with the robots of its files.
 
-    Fits without joint terms are done at once; what else a file may need is found at first use.
+    Fits without joint terms are done at once; other robots are found at first use.
 
     Args:
-        fit: The fit.
-        settings: How it was done.
+        settings: Its options.
         executor: Executor of the fits of other starts and of folds, as in `calib.core.calibrating.calibrate.calibrate`.
     """
     started, reduced = time.perf_counter(), dict[Holds, Fit]()
@@ -70,9 +68,9 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
 
 
 def start_of(fit: Fit, holds: Holds) -> Robot:
-    """Return the robot that a fit began with, without the joint terms that such files lose.
+    """Return the nominal robot of a fit, without the joint terms that such files lose.
 
-    The nominal one, where its values belong to these terms, as those of an earlier result.
+    Values that belong to these terms, as those of an earlier result, become nominal again.
     """
     robot = without_terms(fit.nominal, holds)
     return robot.with_nominal_values() if lost_by(fit.nominal, holds) else robot
@@ -87,15 +85,13 @@ def _refit(
     *,
     intervals: bool = True,
 ) -> Fit:
-    """Fit another robot to the measurements of a fit, in the same way.
+    """Fit another robot to the measurements of a fit, with the same options.
 
     Args:
-        fit: The fit.
-        robot: The robot.
-        settings: How the fit was done.
+        settings: Options of the fit.
         workers: Workers for the fits of other starts and of folds.
-        signs: With which sign joints count, (n_actuated,).
-        intervals: Whether anybody reads its intervals.
+        signs: Sign of each joint value, (n_actuated,).
+        intervals: Whether its intervals are used.
     """
     data, validation = fit.identification.data, None if fit.validation is None else fit.validation.data
     nearby = WarmStart.from_fit(fit) if intervals else WarmStart.without_intervals(robot, fit)
@@ -112,12 +108,7 @@ def _refit(
 
 
 class FitFiles(Mapping[Holds, FileRobot]):
-    """The robots that files of a fit get, each found at first use; those that there are.
-
-    Args:
-        fit: The fit.
-        settings: How it was done.
-    """
+    """The existing robots of a fit's files, each found at first use."""
 
     def __init__(self, fit: Fit, settings: Settings) -> None:
         self._fit, self._settings = fit, settings
@@ -157,7 +148,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
         return _refit(self._fit, robot, replace(self._settings, starts=1), signs=signs, intervals=False)
 
     def _to_last_axis(self) -> FileRobot | None:
-        """The robot with what lies behind the last axis as it is nominally."""
+        """The robot with nominal origins behind the last axis."""
         start = start_of(self._fit, Holds.ORIGINS)
         behind = behind_last_axis(start)
         nominal = {
@@ -188,7 +179,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
 
 
 def with_zeros(nominal: Robot) -> Robot:
-    """Return a robot of which a fit may change the joints' zeros, base, targets and instruments, and nothing else."""
+    """Return a robot of which a fit may change only the joints' zeros, base, targets and instruments."""
     origins = nominal.parameters[: nominal.n_origin_parameters]
     terms = []
     for name in nominal.joint_names:
@@ -201,9 +192,9 @@ def with_zeros(nominal: Robot) -> Robot:
 
 
 def file_robot(fit: Fit) -> FileRobot:
-    """Return the robot of a fit for files that hold all of this.
+    """Return the robot of a fit for files that hold everything of it.
 
-    If only places were sought, it is the nominal robot, and no worse than that.
+    If only places were free, it is the nominal robot, and counts as no worse than that.
     """
     reached = accuracy(fit)
     why = "" if np.all(fit.unknowns.placement) else why_withheld(reached)
@@ -213,7 +204,7 @@ def file_robot(fit: Fit) -> FileRobot:
 
 
 def why_withheld(reached: Accuracy) -> str:
-    """Return why a robot so accurate is not to be used in place of the nominal one; nothing if it may be."""
+    """Return why a robot of this accuracy must not replace the nominal one; empty if it may."""
     if reached.rms <= _SAME * reached.before + COMPUTED:
         return ""
     return (
@@ -223,7 +214,7 @@ def why_withheld(reached: Accuracy) -> str:
 
 
 def behind_last_axis(robot: Robot) -> frozenset[str]:
-    """Return the names of the joint origins between the last joint with a motor and the first target that one moves."""
+    """Return the names of the joint origins between the last joint with a motor and the first target that it moves."""
     target = (*robot.mechanism.moved_targets, robot.mechanism.targets[0])[0]
     parent = {joint.child: joint for joint in robot.urdf.joints}
     link, names = robot.description.targets[target.name].frame, set[str]()

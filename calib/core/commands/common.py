@@ -38,11 +38,11 @@ SIGMA_HELP = (
     "Noise of one position reading: one standard deviation along each axis [mm]. Default: as the description states"
     " it. The description also has the noise of other instruments"
 )
-"""What --sigma-mm means, in every command that takes it."""
+"""Help on --sigma-mm in every command."""
 FORCED = "Also replace files that this program did not write, or that this command reads."
-"""What --force does, in every command."""
+"""Help on --force in every command."""
 _REMARKS = 5
-_LINE_EVERY = 60.0  # [s] between lines on how far long work is, where no terminal shows it
+_LINE_EVERY = 60.0  # [s] between lines on the progress of long work without a terminal
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Output:
     Attributes:
         quiet: Print nothing but errors.
         json_target: File for JSON, `-` for standard output (then nothing else goes there), or None.
-        force: Whether files may be replaced that this program did not write, or that the command reads.
+        force: Whether to replace files of other programs, or that the command reads.
     """
 
     quiet: bool
@@ -75,14 +75,14 @@ class Output:
             click.secho(visible(text), err=True, fg="red")
 
     def remarks(self, remarks: Sequence[str]) -> None:
-        """Print remarks on single poses to standard error, the first few of them."""
+        """Print the first few remarks on single poses to standard error."""
         for remark in remarks[:_REMARKS]:
             self.note(f"note: {remark}")
         if len(remarks) > _REMARKS:
             self.note(f"note: and {len(remarks) - _REMARKS} more")
 
     def json(self, content: object) -> None:
-        """Write JSON if requested; null for numbers that are not known."""
+        """Write JSON if requested; null for unknown numbers."""
         if self.json_target is None:
             return
         text = json.dumps(as_data(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
@@ -96,12 +96,12 @@ class Output:
         write_file(path, content, comment=comment, force=self.force)
 
     def check(self, *files: str | None, folders: Sequence[str | None] = (), names: Sequence[str] = ()) -> None:
-        """Raise `InputError` now if something could not be written later. All that is read has been read by then.
+        """Raise `InputError` before any work if an output could not be written; call it after all input was read.
 
         Args:
             files: Files to write, other than that of --json.
             folders: Folders to write.
-            names: Their content, as far as it is known.
+            names: Known names of their files.
         """
         targets = [file for file in (*files, self.json_target) if file not in (None, "-")]
         for file in targets:
@@ -117,7 +117,7 @@ class Output:
 
     @contextmanager
     def working(self, what: str) -> Iterator[Progress]:
-        """Show a spinner on a terminal during long work; yields a function that takes the progress.
+        """Show a spinner on a terminal during long work; yields a function for the progress.
 
         Where standard error is a file, it gets a line a minute.
         """
@@ -133,7 +133,7 @@ class Output:
 
 
 def _line_now_and_then(what: str) -> Progress:
-    """Return what tells standard error how far the work is, once in a while."""
+    """Return a function that prints the progress to standard error, at most once in `_LINE_EVERY`."""
     last = time.monotonic()
 
     def tell(done: int, total: int) -> None:
@@ -151,11 +151,11 @@ def shared_options(
     """Give a command --quiet, --debug, --force (and --json), pass it an `output: Output`, and errors a single line.
 
     Args:
-        json_output: Whether the command prints a table, and so takes --json FILE.
+        json_output: Whether the command takes --json FILE.
         forced: Effect of --force.
 
     Returns:
-        A decorator. The command that it makes raises `OneLineError` for every error, but with --debug the error itself.
+        A decorator. Its command raises `OneLineError` for every error, but with --debug the error itself.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
@@ -211,24 +211,19 @@ class _ToStandardError(logging.Handler):
     """Prints warnings of the library as notes, one line each."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print it."""
+        """Print the warning."""
         click.echo(f"note: {visible(record.getMessage())}", err=True)
 
 
 def _tell_warnings(quiet: bool) -> None:
-    """Print warnings of the library to standard error, unless nothing but errors is to be printed."""
+    """Print warnings of the library to standard error, unless `quiet`."""
     log = logging.getLogger("calib")
     log.handlers = [logging.NullHandler() if quiet else _ToStandardError(logging.WARNING)]
     log.propagate = False
 
 
 def jobs_option(shared: str, default: int = 1) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return the option --jobs.
-
-    Args:
-        shared: The work that they share.
-        default: How many of them, if not given.
-    """
+    """Return the option --jobs, for processes that share some work."""
     return click.option(
         "-j",
         "--jobs",
@@ -240,7 +235,7 @@ def jobs_option(shared: str, default: int = 1) -> Callable[[Callable[..., None]]
 
 
 def values_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Give a command --parameters and --result: with which values ROBOT is taken (`with_values`)."""
+    """Give a command --parameters and --result, the sources of ROBOT's values (`with_values`)."""
     help_text = "Parameter values (CSV parameter,value,unit); nominal if not given."
     with_result = click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
     return click.option("--parameters", metavar="FILE", help=help_text)(with_result(function))
@@ -253,23 +248,14 @@ def loss_option(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def sigma_in_metres(sigma_mm: float, *, zero: bool = False) -> float:
-    """Return the --sigma-mm option in m; one that cannot be is an `InputError`.
-
-    Args:
-        sigma_mm: As given.
-        zero: Whether no noise at all is an answer.
-    """
+    """Return the --sigma-mm option in m, or raise `InputError` if it is not possible; `zero` allows no noise."""
     if not (0 <= sigma_mm < 1e6 and (zero or sigma_mm > 0)):
         raise InputError(f"--sigma-mm {sigma_mm:g}: must be {'zero or ' if zero else ''}a positive number")
     return quantity(f"{sigma_mm!r} mm", "length", "--sigma-mm")
 
 
 def failure_lines(output: Output, result: str | None, out: str) -> list[str]:
-    """Return what a file made from the result folder must say if that fit failed and was forced, and print a note.
-
-    Raises:
-        DataError: The folder holds no result.
-    """
+    """Return lines for a file made from a forced failed result, and print a note; `DataError` without a result."""
     lines = forced_lines(result) if result else []
     if lines:
         output.note(f"note: the fit in {result} failed; {out} says so inside")
@@ -277,7 +263,7 @@ def failure_lines(output: Output, result: str | None, out: str) -> list[str]:
 
 
 def load_robot(path: str, output: Output) -> Robot:
-    """Load ROBOT; print a note on what the arm of a plain URDF leaves out."""
+    """Load ROBOT; print a note on parts of a plain URDF that the arm leaves out."""
     robot = load(path)
     remark = first_description(robot.urdf, robot.path)[1] if robot.path == robot.urdf.path else ""
     if remark:
@@ -286,12 +272,12 @@ def load_robot(path: str, output: Output) -> Robot:
 
 
 def folder_of_values(robot: str, parameters: str | None, result: str | None) -> str | None:
-    """Return the result folder whose values count: that of --result, or ROBOT where it is one."""
+    """Return the result folder that gives the values: that of --result, or ROBOT where it is one."""
     return robot if result is None and parameters is None and Path(robot).is_dir() else result
 
 
 def result_folder(robot: str, result: str | None) -> str:
-    """Return the result folder of a command that needs one: --result, or ROBOT; neither is an `InputError`."""
+    """Return the result folder of a command that needs one, --result or ROBOT, or raise `InputError`."""
     folder = folder_of_values(robot, None, result)
     if folder is None:
         raise InputError(f"{robot}: is not a result folder; give that as ROBOT, or with --result DIR")
@@ -313,7 +299,7 @@ def with_values(robot: Robot, parameters: str | None, result: str | None) -> Rob
 
 
 def different_poses(poses: Poses) -> Poses:
-    """Return each pose once, as it was visited first, with all that is to be read there in that setup."""
+    """Return each pose once, in the order of first visits, with all its planned readings in that setup."""
     numbers = poses.pose_numbers
     if poses.n_poses == len(poses):
         return poses
@@ -335,9 +321,9 @@ def _each_once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Read
 
 
 def place_by_files(robot: Robot, *files: Poses | None) -> Robot:
-    """Place a base or targets that are not known beforehand, by the first file with measured positions, if any.
+    """Place an unknown base or unknown targets by the first file with measured positions, if any.
 
-    Where the targets are decides what poses can tell about them.
+    The information of poses depends on the place of the targets.
     """
     if not any(parameter.placement for parameter in robot.parameters):
         return robot

@@ -1,6 +1,6 @@
 """Sources of robots other than URDFs: the plug-ins of capabilities and other packages for `calib init`.
 
-An entry of the group `calib.first_descriptions` is a `FirstFiles`, called like its option.
+An entry of the group `calib.first_descriptions` is a `FirstFiles`, named like its option.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from calib.core.commands.common import Output
 
 @dataclass(frozen=True)
 class FirstFiles:
-    """The option for files of one kind, and what it does.
+    """The option for files of one kind, and its effect.
 
     Attributes:
-        help: Of the option.
+        help: Help on the option.
         target: Message where a target is named, such as `a printer has its nozzle`.
-        write: Writes description, URDF and measurements: the file, the texts of `--length`, the description to write.
+        write: Function that writes description, URDF and measurements: the file, the texts of `--length`, the
+            description to write.
         lengths: Text on `--length` for such files; empty: they take none.
     """
 

@@ -30,7 +30,7 @@ from calib.core.results.results import RESULT_FILES
 from calib.core.robots.loading import with_model
 from calib.core.robots.robot import Robot
 
-_FOLDER = "out/robot"  # in what is proposed next, if no folder was given
+_FOLDER = "out/robot"  # in the proposed next step, if the user named no folder
 
 
 @click.command("fit")
@@ -180,13 +180,13 @@ def command(
 
 
 def _result_lines(folder: Path) -> str:
-    """Place of the result, and its files that people open first."""
+    """Place of the result, and the names of its most important files."""
     names = ("report.html", "viewer.html", "calibrated.urdf", "result.json")
     return f"Written to {folder}: {', '.join(name for name in names if (folder / name).exists())} and others"
 
 
 def _folds(text: str) -> int | Literal["setups"]:
-    """The number of folds that was typed, or `setups`."""
+    """The number of folds, or `setups`, from a typed text."""
     if text == "setups":
         return "setups"
     try:
@@ -196,12 +196,12 @@ def _folds(text: str) -> int | Literal["setups"]:
 
 
 def _names(text: str | None) -> tuple[str, ...]:
-    """The names in a list that was typed."""
+    """The names in a typed list."""
     return () if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def _priors(text: str | None) -> dict[str, str]:
-    """The prior of each name in a list that was typed; a bare number could be in mm or in m."""
+    """The prior of each name in a typed list; a bare number could be in mm or in m."""
     priors = {}
     for entry in _names(text):
         name, equals, value = (part.strip() for part in entry.rpartition("="))

@@ -187,7 +187,7 @@ def command(
 
 
 def _arguments(given: Sequence[str]) -> dict[str, str]:
-    """Arguments of a xacro file as its own command takes them."""
+    """Arguments of a xacro file in the form of its own command."""
     wrong = next((text for text in given if not text.partition(":=")[0].isidentifier() or ":=" not in text), None)
     if wrong is not None:
         raise InputError(f"--xacro {wrong}: is not an argument; write it as prefix:=ur5e_")
@@ -195,7 +195,7 @@ def _arguments(given: Sequence[str]) -> dict[str, str]:
 
 
 def _empty_sheet(robot: Robot, measure: Measure) -> str:
-    """The header of the measurements of a robot, with what to know while they are taken above it."""
+    """The header of a robot's measurements, below comments for the person who measures."""
     columns = ["pose", *(header(name, robot.mechanism.dimensions[name]) for name in robot.joint_names)]
     for instrument in () if measure.read_apart else robot.instruments:
         columns += [
@@ -206,7 +206,7 @@ def _empty_sheet(robot: Robot, measure: Measure) -> str:
 
 
 def _load_unwritten(urdf: UrdfText, description: str) -> Robot:
-    """The robot of a description that is not written yet; only a loaded one knows its columns and where it reaches."""
+    """The robot of a description that is not written yet, whose columns and reach are then known."""
     return build(validate_description(parse_yaml(description, urdf.path), urdf.path), urdf, urdf.path)
 
 

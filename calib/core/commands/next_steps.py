@@ -19,13 +19,13 @@ _MEANINGS = {
 }
 _NOT_AGAIN = ("--out", "--json", "--force", "--quiet", "--verbose", "--debug")
 NOISE = ("--sigma-mm",)
-"""Options that mean the same in all commands that know a noise."""
+"""Options with the same meaning in all commands that know a noise."""
 
 
 def options_as_typed() -> dict[str, tuple[str, ...]]:
-    """Return the options of the running command that were typed, with their values, by their long name.
+    """Return the typed options of the running command, with their values, by their long name.
 
-    Without those that say where to write and how much to print.
+    Options on output are left out.
     """
     context = click.get_current_context()
     typed: dict[str, tuple[str, ...]] = {}
@@ -39,21 +39,19 @@ def options_as_typed() -> dict[str, tuple[str, ...]]:
 
 
 def words_of(typed: Mapping[str, Sequence[str]], names: Sequence[str]) -> list[str]:
-    """Return the words of those of these options that were typed."""
+    """Return the words of the typed options among these."""
     return [word for name in names if name in typed for word in (name, *typed[name])]
 
 
 def advice_after_fit(
     fit: Fit, robot: str, data: Sequence[str], out: str, typed: Mapping[str, Sequence[str]], *, written: bool = True
 ) -> str:
-    """Return what the grade means, and what to do next.
+    """Return the meaning of the grade, and the next step.
 
     Args:
-        fit: The fit.
-        robot: ROBOT, as it was typed.
-        data: DATA, as it was typed.
+        robot, data: ROBOT and DATA, as typed.
         out: Folder of the result.
-        typed: Options, as `options_as_typed` has them.
+        typed: Options from `options_as_typed`.
         written: Whether the result was written; if not, `out` is a proposal.
     """
     grade, step = judge(fit).grade, next_step(fit)

@@ -22,7 +22,7 @@ from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
 
 _FURTHER = 1.05
-"""Ratio of errors expected at these poses to those at poses like those measured, from which both are reported."""
+"""Ratio of expected errors at these poses to those at poses like the measured ones, from which both are reported."""
 
 
 @click.command("predict")
@@ -77,7 +77,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
 
 
 def _expected_error(claim: Claim | None, known: float) -> tuple[dict[str, float] | None, str]:
-    """How far off the tool is where positions are known to so many metres, as data and in words; None if unknown."""
+    """Expected error of the tool where positions are known to `known` [m], as data and in words; None if unknown."""
     if claim is None or not np.isfinite(claim.at_measured_poses.limit95 + claim.rms):
         return None, ""
     here, scale = claim.error_at(known), error_scale("length")

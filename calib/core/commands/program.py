@@ -29,15 +29,13 @@ class OneLineError(click.ClickException):
 
 
 def _usage(error: click.UsageError, path: str) -> str:
-    """The error of a command line in one line; with what to write in place of an option or a command of other packages.
+    """The error of a command line in one line, with a hint for an option or a command of another package.
 
-    Args:
-        error: The error.
-        path: The command with the program's name, such as `calib fit`.
+    `path` is the command with the program's name, such as `calib fit`.
     """
     typed = error.option_name if isinstance(error, click.NoSuchOption) else getattr(error, "command_name", "")
     hint = (hint_for(typed, path) or hint_for(typed, "the command line")) if typed else ""
-    if hint:  # in place of names that are spelt alike
+    if hint:  # in place of similar names
         return f"no {'option' if typed.startswith('-') else 'command'} '{typed}'{hint}"
     message = _one_line(error.format_message())
     if message.startswith("Got unexpected extra argument"):
@@ -51,7 +49,7 @@ def _usage(error: click.UsageError, path: str) -> str:
 def run_program(group: click.Group) -> None:
     """Run a command line; every error is one line on standard error and an exit code."""
     gc.set_threshold(_COLLECTED_AFTER)
-    atexit.register(gc.freeze)  # the system takes all memory back: nothing is looked through for that
+    atexit.register(gc.freeze)  # the system takes all memory back: nothing is searched for that
     try:
         result = group.main(prog_name=group.name, standalone_mode=False)
         sys.exit(result if isinstance(result, int) else 0)

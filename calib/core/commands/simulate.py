@@ -106,7 +106,7 @@ def _camera(robot: Robot) -> Pixel:
 
 
 def _require_noise(robot: Robot, sigma: float | None, photographing: Pixel | None) -> None:
-    """Raise `InputError` if the noise of an instrument is not stated; photographs have a noise of their own."""
+    """Raise `InputError` if the noise of an instrument is not stated; photographs have their own noise."""
     exempt = {photographing.name} if photographing else set()
     unstated = [] if sigma == 0 else [name for name in unstated_noise(robot, sigma) if name not in exempt]
     if not unstated:

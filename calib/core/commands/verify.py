@@ -94,7 +94,7 @@ def command(
 
 
 def _plan(promise: Promise, data: tuple[str, ...], change: str | None, same_setup: bool, output: Output) -> None:
-    """Say which changes measurements at the poses of a file would show."""
+    """Print the changes that measurements at the poses of a file would show."""
     if len(data) > 1:
         raise InputError(f"--plan: {len(data)} files; give one with joint values")
     poses = read_poses(data[0], promise.robot)

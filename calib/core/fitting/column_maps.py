@@ -2,10 +2,10 @@
 
 Every joint value is an affine map of one column of the file, q = a x + b. Mistakes may be in the order of the columns
 (any order), the sign, the zero (quarter turns) and the scale (any factor from 0.4 to 2.5, and units). There may be
-several mistakes, and to correct one of three need not reduce the error. So all orders, all patterns of signs, and any
+several mistakes, and correcting one of three need not reduce the error. So all orders, all patterns of signs, and any
 two other changes are tried. From the best few, the joints are changed one by one, as long as this halves the error.
-Maps are compared by a lower bound of the error that needs no iteration: where the base is unknown, its rotation may be
-any matrix, so that base and target follow from one linear system.
+Maps are compared by a lower bound of the error that needs no iteration: an unknown rotation of the base may be any
+matrix, so that base and target follow from one linear system.
 
 When it fails. The poses of robots with loops are expensive to close. For these robots, only single mistakes are tried
 (an order, a zero or a scale), and one or two signs. A map that takes joints beyond their limits is left out. Scales are
@@ -42,11 +42,11 @@ USUAL_FACTORS: dict[str, dict[float, str]] = {
     "length": {1e-3: "mm read as m", 1e3: "m read as mm", 25.4: "inches read as mm", 0.0254: "inches read as m"},
 }
 """Usual causes of a wrong scale, by the dimension of the joint and the factor that corrects the column."""
-_STEP = 0.06  # from one scale to the next that is tried
+_STEP = 0.06  # relative step between tried scales
 _USUAL = 2e-3  # relative difference of a factor from a usual one
 _FACTORS = tuple((1.0 + _STEP) ** k for k in range(-16, 17) if k)
 _ALL_SIGNS = 8  # motors up to which every pattern of signs and every two changes are tried
-_ALL_ORDERS = 5040  # number of orders up to which all are tried; of more, those of two or three columns
+_ALL_ORDERS = 5040  # number of orders up to which all are tried; else those of two or three columns
 _BEAM = 6  # best maps that are changed further
 _ROUNDS = 4
 _HALVED = 0.5
@@ -71,16 +71,16 @@ class ColumnMap:
 
     @classmethod
     def plain(cls, n: int) -> ColumnMap:
-        """Return the map of a file in which nothing is wrong."""
+        """Return the map of a file without mistakes."""
         return cls(tuple(range(n)), (1.0,) * n, (0,) * n)
 
     def joints(self, x: FloatArray) -> FloatArray:
-        """Return joint values of the robot where the file has x, (n_poses, n_actuated) each."""
+        """Return joint values of the robot for the file's values x, (n_poses, n_actuated) each."""
         return x[:, self.columns] * np.array(self.factors) + np.array(self.quarters) * (np.pi / 2)
 
     @property
     def changes(self) -> int:
-        """Number of wrong signs, zeros and scales, plus the number of columns in the wrong place less one."""
+        """Number of wrong signs, zeros and scales, plus the number of misplaced columns minus 1."""
         moved = sum(k != column for k, column in enumerate(self.columns))
         of_joints = sum((f < 0) + (abs(f) != 1) + (z != 0) for f, z in zip(self.factors, self.quarters, strict=True))
         return of_joints + max(moved - 1, 0)
@@ -91,12 +91,7 @@ class ColumnMap:
         return any(abs(factor) != 1 for factor in self.factors)
 
     def words(self, robot: Robot, std: Sequence[float] = ()) -> str:
-        """Return the mistakes in words.
-
-        Args:
-            robot: The robot.
-            std: Standard deviations of the factors, where these are known.
-        """
+        """Return the mistakes in words; `std` are standard deviations of the factors, where these are known."""
         names, turned = robot.joint_names, []
         moved = [k for k, column in enumerate(self.columns) if k != column]
         parts = [_order_in_words([names[k] for k in moved], [names[self.columns[k]] for k in moved])] * bool(moved)
@@ -122,12 +117,11 @@ class ColumnMap:
         return " and ".join(parts)
 
     def description_line(self, robot: Robot, units: Mapping[str, str | None]) -> str:
-        """Return the line of the robot's description that corrects what is wrong: `columns: {elbow: "-elbow [deg]"}`.
+        """Return the line of the robot's description that corrects the mistakes: `columns: {elbow: "-elbow [deg]"}`.
 
         The line includes what the description already says of a column.
 
         Args:
-            robot: The robot.
             units: Units of the file's columns, by name.
         """
         known = {
@@ -157,7 +151,7 @@ def _usual(factor: float, size: float, dimension: str) -> str:
 
 
 def _order_in_words(names: Sequence[str], columns: Sequence[str]) -> str:
-    """Say that the values of joints stand in the columns of others."""
+    """A clause on joint values in the columns of others."""
     if len(names) == 2:
         return f"the columns of {joints_named(*names, separator=' and ')} were swapped"
     where = ", ".join(f"{name} in that of {column}" for name, column in zip(names, columns, strict=True))
@@ -165,12 +159,7 @@ def _order_in_words(names: Sequence[str], columns: Sequence[str]) -> str:
 
 
 def likely_maps(robot: Robot, data: Measurements) -> list[ColumnMap]:
-    """Return the likeliest mistakes in columns of joint values.
-
-    Args:
-        robot: The nominal robot.
-        data: A few measurements that do not fit it.
-    """
+    """Return the likeliest mistakes in columns of joint values, from a few measurements that the robot misfits."""
     return list(_maps_with_loops(robot, data) if robot.mechanism.loops else _search_maps(robot, data))
 
 
@@ -241,7 +230,7 @@ def _maps_with_loops(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
 
 
 def _search_maps(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
-    """The best maps of the search; of equally good maps, those with fewer changes come first."""
+    """The best maps of the search, those with fewer changes first among equally good ones."""
     n = len(robot.joint_names)
     plain = ColumnMap.plain(n)
     turning = _turning(robot) & _zero_matters(robot, data, plain)
@@ -270,7 +259,7 @@ def _search_maps(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
 
 
 def _zero_matters(robot: Robot, data: Measurements, plain: ColumnMap) -> BoolArray:
-    """Whether a quarter turn of each joint's zero changes the bound, or an unknown base or target absorbs it."""
+    """Whether a quarter turn of each joint's zero changes the bound; an unknown base or target may absorb it."""
     quarters = [ColumnMap(plain.columns, plain.factors, _replace_entry(plain.quarters, j, 1)) for j in plain.columns]
     miss, *others = _bounds(robot, data, [plain, *quarters]).values()
     return np.array([abs(other - miss) > _SAME * miss for other in others])
@@ -296,8 +285,8 @@ def _is_mirrored(robot: Robot, data: Measurements, at: ColumnMap) -> bool:
 def _systems(robot: Robot, data: Measurements, maps: Sequence[ColumnMap]) -> FloatArray:
     """The linear system of each map, (n_maps, 3 n_poses, n_unknowns + 1), with the right side as last column.
 
-    If the base is unknown, its unknowns are the nine entries of a matrix in place of its rotation, and a translation.
-    If the target is unknown, its unknowns are its position in its link.
+    An unknown base has twelve unknowns: nine entries of a matrix instead of its rotation, and a translation. An unknown
+    target has its position in its link.
     """
     section = robot.description.targets[robot.target_names[0]]
     T = robot.forward(np.concatenate([at.joints(data.joints) for at in maps]), section.frame)

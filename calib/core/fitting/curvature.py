@@ -1,33 +1,33 @@
 """Errors of parameters by the curvature of readings along directions that only priors hold.
 
-Along a direction that readings do not see, an origin and the base turned against each other, say, the values that read
-the same lie on a curve. The linear model follows its tangent. Readings know a parameter to micrometres at one place of
-the curve; another place, a standard deviation of a prior away, has another value of it, off by the products of such
+Along a direction that readings do not see (an origin and the base turned against each other, say), the values with the
+same readings lie on a curve. The linear model follows its tangent. Readings determine a parameter to micrometres at one
+place of the curve. At another place, a standard deviation of a prior away, its value differs by the products of such
 errors: 3 mrad of 1 mm are 3 um.
 
 Let the error of the scaled parameters be d = sum of x_i t_i with x_i ~ N(0, 1) in the linear model, t_i the columns of
 T V (`calib.core.numerics.statistics`), V the eigenvectors of the share S of the priors. Whitened readings then change
 by J d + c, c = 1/2 sum of x_i x_j H t_i t_j with H their second derivative, and the parameters follow by a Gauss-Newton
-step back onto what was read:
+step back to the readings:
 
     e = -T T^T J^T c = 1/2 sum of x_i x_j b_ij,          E e^2 = 1/2 sum of b_ij^2 + 1/4 (sum of b_ii)^2
 
-for each parameter. J^T H t_i is the difference of two products of Jacobians. Only pairs count of which priors hold at
-least one (a share above 0.1): what readings decide is known so well that its square is nothing. Nor do coefficients of
-families count, whose size is found: of hundreds, each is uncertain by some hundredths of a milliradian. As E e^2
-depends on the distribution of d alone, the columns t_i of the others are replaced by as few as have the same one: by
-the root of their covariance, once for those that priors hold and once for the rest.
+for each parameter. J^T H t_i is the difference of two products of Jacobians. Only pairs count in which priors hold at
+least one direction (a share above 0.1): the square of a direction that readings decide is negligible. Coefficients of
+families, whose size is found, do not count either: each of hundreds is uncertain by some hundredths of a milliradian.
+As E e^2 depends only on the distribution of d, the other columns t_i are replaced by the fewest with the same
+distribution, the root of their covariance, once for those that priors hold and once for the rest.
 
-Of very many poses, some tell e: values on the curve read the same at each pose, so that the step back is the same, too.
-T and the span t_i are those of all poses; the step back is that of N / n times the squares of n of the N poses, spread
-over all that each instrument looks at. Of 1000 and 5000 poses of a six-axis arm, 250 give half widths that are the same
-to 2e-7.
+Of very many poses, a part determines e: values on the curve read the same at each pose, so that the step back is the
+same, too. T and the span t_i are those of all poses; the step back is that of N / n times the squares of n of the N
+poses, spread over all pairs of frames of each instrument. With 1000 and 5000 poses of a six-axis arm, 250 give the same
+half widths to 2e-7.
 
 E e^2 widens the intervals of single parameters, on both sides. It is no part of the covariance: positions do not change
 along the curve, and their covariance is that of the linear model around the solution.
 
-When it fails. It is the second order. Where angles are open by a tenth of a radian the third counts, too; then the
-verdict says so. Along directions in which a loop opens nothing is known, and nothing is added.
+When it fails. It is the second order. Where angles are undetermined by a tenth of a radian the third counts, too; then
+the verdict says so. Along directions in which a loop opens nothing is known, and nothing is added.
 """
 
 from __future__ import annotations
@@ -45,16 +45,15 @@ from calib.core.rows.rows import Rows
 
 _HELD = 0.1  # share of the priors in a direction above which its square counts
 _STEP = 0.1  # step of a difference of Jacobians, in standard deviations
-_POSES = 250  # poses of each look that tell the step back
+_POSES = 250  # poses of each pair of frames that determine the step back
 
 
 def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, groups: FloatArray) -> FloatArray:
     """Return E e^2 of the module docstring, (n_free,) [m^2, rad^2].
 
     Args:
-        problem: The problem.
         final: The evaluation at the minimum.
-        rows: Whitened rows there.
+        rows: Whitened rows at the minimum.
         groups: Scale of the noise of each group, (n_groups,).
     """
     root, own = rows.posterior_information.root, problem.unknowns.family < 0
@@ -85,7 +84,7 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
 
 
 def _problem_at_some_poses(problem: Problem, final: Evaluation) -> tuple[Problem, Evaluation, float]:
-    """Return the problem at some of very many poses, its evaluation, and how many times as many there are."""
+    """Return the problem at some of very many poses, its evaluation, and the ratio of all poses to these."""
     data = problem.data
     visits = np.unique(np.concatenate([_evenly_spread(readings) for readings in data.readings.values()]))
     if len(visits) == len(data):
@@ -96,7 +95,7 @@ def _problem_at_some_poses(problem: Problem, final: Evaluation) -> tuple[Problem
 
 
 def _evenly_spread(readings: Readings) -> IntArray:
-    """Return visits (n,) of readings: at most so many of each pair that they look along, evenly spread."""
+    """Return visits (n,) of readings: for each pair of frames at most `_POSES`, evenly spread."""
     of_pairs = [np.unique(readings.visits[readings.pairs == pair]) for pair in np.unique(readings.pairs)]
     return np.concatenate([visits[:: -(-len(visits) // _POSES)] for visits in of_pairs])
 

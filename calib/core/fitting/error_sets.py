@@ -22,11 +22,9 @@ STATES = ("before", "after")
 
 @dataclass(frozen=True, eq=False)
 class ErrorSet(ReadOnlyArrays):
-    """Predicted minus read, of one set of visits.
+    """Predicted minus read at one set of visits.
 
     Attributes:
-        data: The measurements.
-        instruments: Their instruments.
         before, after: Errors before and after calibration of each instrument, by name, (n, n_rows) [SI]; NaN where a
             component was not read.
         singular_value: Each visit's distance to a singularity of the loops; infinite without loops, (n_visits,).
@@ -42,7 +40,7 @@ class ErrorSet(ReadOnlyArrays):
     passive: FloatArray | None = None
 
     def parts(self) -> list[tuple[Instrument, Part, IntArray]]:
-        """Return every part of every instrument that read anything, with its rows, (n_rows,)."""
+        """Return every part of every instrument with readings, and its rows, (n_rows,)."""
         parts = []
         for instrument in self.instruments:
             for k, part in enumerate(instrument.parts):
@@ -57,7 +55,7 @@ class ErrorSet(ReadOnlyArrays):
             state: `before` or `after`.
             part: Name of the part; the positions if not given.
             single: Whether every reading counts by itself; else those that repeat one pose are averaged, which leaves
-                what the model is off there.
+                the error of the model.
         """
         pieces = []
         for instrument, measured, rows in self.parts():
@@ -84,7 +82,7 @@ class ErrorSet(ReadOnlyArrays):
 
     @property
     def main_part(self) -> Part:
-        """The part that tables of all are about: positions, or the first part where none were measured."""
+        """The part of summary tables: positions, or the first part where none were measured."""
         parts = [part for _, part, _ in self.parts()]
         return next((part for part in parts if part.is_position), parts[0])
 
@@ -117,10 +115,10 @@ class Folds:
     Attributes:
         count: Number of folds.
         seed: Seed of the random choice.
-        errors: In the order of the data.
+        errors: Errors in the order of the data.
         rms: Root mean square distance after calibration of each fold [m], (count,).
         converged: Whether all fits converged.
-        setups: Of each fold its setup, as the description counts them, (count,); empty where poses were dealt.
+        setups: Setup of each fold, as the description counts them, (count,); empty for random folds.
     """
 
     count: int
@@ -191,12 +189,12 @@ class Errors(dict[str, dict[str, dict[str, object]]]):
 
 
 class Residuals(ReadAsArray, dict[str, FloatArray]):
-    """Residuals by instrument; of a single one, as an array: `np.std(fit.residuals)`, `fit.residuals[:10]`."""
+    """Residuals by instrument; of a single one also an array: `np.std(fit.residuals)`, `fit.residuals[:10]`."""
 
     __len__ = dict.__len__
 
     def __getitem__(self, key: Any) -> Any:
-        """Return the residuals of an instrument by its name; with a single one, also what its array has there."""
+        """Return the residuals of an instrument by its name; with a single one, also an entry of its array."""
         return dict.__getitem__(self, key) if isinstance(key, str) else super().__getitem__(key)
 
     def __missing__(self, key: object) -> NoReturn:

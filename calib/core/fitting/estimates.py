@@ -22,12 +22,7 @@ NUMBERS = ("nominal", "value", "std", "low95", "high95")
 
 @dataclass(frozen=True)
 class HalfWidth:
-    """Half the 95 % interval of a free parameter, computed at first use.
-
-    Attributes:
-        statistics: Uncertainty of the free parameters.
-        place: Its place among them.
-    """
+    """Half the 95 % interval of a free parameter, `place` among them, computed at first use."""
 
     statistics: Statistics
     place: int
@@ -41,15 +36,14 @@ class Estimate:
     """One parameter: numbers in `unit`, and in m or rad where their name ends in `_si`.
 
     Attributes:
-        name: Its name.
         unit: Unit of tables.
-        nominal_si: Value before [m or rad].
-        value_si: Value found.
+        nominal_si: Value before calibration [m or rad].
+        value_si: Calibrated value.
         std_si: Standard deviation; NaN where it was held.
         half95_si: Half the 95 % interval; NaN where it was held.
-        status: `identified`, `partly`, `prior`, `placed`, or `held`.
-        family: Name of the coefficients that it belongs to, if their common size is found.
-        per_si: How many of `unit` make one SI unit.
+        status: `identified`, `partly`, `prior`, `weak`, `placed`, or `held`.
+        family: Name of the family of its coefficients, if their common size is found.
+        per_si: Number of `unit` in one SI unit.
     """
 
     name: str
@@ -64,12 +58,12 @@ class Estimate:
 
     @property
     def nominal(self) -> float:
-        """Value before, in `unit`."""
+        """Value before calibration, in `unit`."""
         return self.nominal_si * self.per_si
 
     @property
     def value(self) -> float:
-        """Value found, in `unit`."""
+        """Calibrated value, in `unit`."""
         return self.value_si * self.per_si
 
     @property
@@ -194,7 +188,7 @@ class Covariance(ReadOnlyArrays):
 
 
 class Correlation(Covariance):
-    """Correlation of the free parameters, by name: numbers between -1 and 1 in place of the products."""
+    """Correlation of the free parameters, by name: numbers between -1 and 1 instead of the products."""
 
 
 def estimates(
@@ -203,10 +197,9 @@ def estimates(
     """Return the estimates of all parameters.
 
     Args:
-        parameters: All parameters.
         values: Their values, (n_parameters,) [m or rad].
-        free: Which were free, (n_parameters,).
-        statistics: Uncertainty of the free ones.
+        free: Mask of the free parameters, (n_parameters,).
+        statistics: Uncertainty of the free parameters.
     """
     uncertainty = enumerate(zip(statistics.std, statistics.data_share, strict=True))
     result = {}

@@ -7,15 +7,15 @@ Minimise, over u = (p - p_nominal) / s,
 with r the residuals of all readings of a visit and V the covariance of their noise (`calib.core.rows.rows`), by
 `calib.core.numerics.least_squares`.
 
-Order of work: (1) close every pose at nominal, or name those that cannot be; (2) where measurement frames or targets
-are not known, they are placed alone, near where they are expected if a sigma says so: this is the honest state
-`before`; (3) all free parameters together, with unstated noise, from several starts if requested
-(`calib.core.fitting.solving`); (4) with a robust loss, again with weights (`calib.core.fitting.robust`); (5) rank,
-statistics and error tables at the solution, places that only validation poses show placed by these. What is done around
-one fit (joint terms chosen, outliers left out, poses left out in turn) is said in `calib.core.calibrating.calibrate`.
+Order of work: (1) close every pose at nominal, or name those that cannot be; (2) place unknown measurement frames or
+targets alone, near their expected places if a sigma says so: this is the honest state `before`; (3) fit all free
+parameters together, with unstated noise, from several starts if requested (`calib.core.fitting.solving`); (4) with a
+robust loss, fit again with weights (`calib.core.fitting.robust`); (5) compute rank, statistics and error tables at the
+solution, and place what only validation poses show. `calib.core.calibrating.calibrate` describes the work around one
+fit (choice of joint terms, outliers, cross-validation).
 
-When it fails. Fewer coordinates than unknowns, or columns that the poses cannot tell apart and no prior holds, is a
-`NotIdentifiableError` that names the parameters. A fit that did not converge comes back, and says so.
+When it fails. Fewer coordinates than unknowns, or columns that the poses cannot distinguish and no prior holds, raise a
+`NotIdentifiableError` that names the parameters. A fit that did not converge is returned, and says so.
 """
 
 from __future__ import annotations
@@ -50,18 +50,16 @@ from calib.core.rows.whitening import Whitening
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Start values from a fit for other fits of its visits, or of a part of them: places, second order, and how loops
-    close.
+    """Start values from a fit for other fits of its visits, or of a part of them.
 
     Attributes:
         names: Parameters, (n,).
-        beyond_linear: The attribute of `Statistics`, of these; 0 where no intervals are requested, None where it is not
-            known.
+        beyond_linear: The attribute of `Statistics`, of these; 0 where no intervals are requested, None if unknown.
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
         placed: The nominal robot with base and targets placed, and residuals of these visits, (n_readings, n_rows) [SI]
             by instrument.
-        whitening: Whitening of the readings, where these are the same, too; it takes as much memory as they do.
+        whitening: Whitening of the same readings, if they are kept; it takes as much memory as they do.
     """
 
     names: tuple[str, ...] = ()
@@ -73,7 +71,7 @@ class WarmStart:
 
     @staticmethod
     def from_fit(fit: Fit) -> WarmStart:
-        """Return the start values that this fit leaves."""
+        """Return the start values from this fit."""
         known, seen = (fit.free_names, fit.statistics.beyond_linear), fit.identification
         return WarmStart(*known, seen.data.joints, fit.configurations.passive, (fit.placed, seen.before))
 
@@ -85,7 +83,7 @@ class WarmStart:
         return replace(WarmStart() if fit is None else WarmStart.from_fit(fit), names=names, beyond_linear=nothing)
 
     def second_order(self, names: Sequence[str]) -> BeyondLinear | None:
-        """Return `beyond_linear` of some parameters; None where it is not known of all of them."""
+        """Return `beyond_linear` of some parameters; None if it is unknown for any of them."""
         place, known = {name: k for k, name in enumerate(self.names)}, self.beyond_linear
         if known is None or not place.keys() >= set(names):
             return None
@@ -107,9 +105,9 @@ class Minimum:
 
     Attributes:
         robot: The nominal robot.
-        validation_only: Free parameters of places that the measurements do not show, and validation does.
-        start: With base and targets placed.
-        determined: Determination by the measurements there.
+        validation_only: Free parameters of places that only validation shows.
+        start: Evaluation with base and targets placed.
+        determined: Determination by the measurements at the start.
         solved: The minimum.
     """
 
@@ -132,12 +130,12 @@ def fit_data(
     """Fit a robot to measurements, once.
 
     Args:
-        robot: The nominal robot, with the joint terms that it shall have.
-        settings: How; outliers, folds and the choice of terms are the caller's.
+        robot: The nominal robot, with its joint terms.
+        settings: Options; the caller treats outliers, folds and the choice of terms.
         data: Measurements to identify with.
-        validation: Measurements to judge the result with, or None.
+        validation: Measurements to validate the result with, or None.
         workers: Workers for fits from other starts; this process if not given.
-        steps: Told of each step that is done; of nothing if not given.
+        steps: Progress of the steps, if given.
         nearby: Start values from another fit of these visits.
 
     Raises:
@@ -227,12 +225,7 @@ def fit_at(
 
 
 def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements], Fit]:
-    """Return a function that fits a part of the measurements of a fit and predicts the rest; from one start.
-
-    Args:
-        fit: The fit of all of them.
-        settings: Its options.
-    """
+    """Return a function that fits a part of the measurements of a fit and predicts the rest, from one start."""
     nearby = replace(
         WarmStart.without_intervals(fit.nominal, fit), placed=None
     )  # a part places base and targets elsewhere
@@ -240,7 +233,7 @@ def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measu
 
 
 def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
-    """O1 to O5 of the scaled Jacobian of readings in SI units, as measured: of metres, where only positions are."""
+    """O1 to O5 of the scaled Jacobian of readings in SI units, unweighted: in metres, where only positions are read."""
     units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
     own = problem.unknowns.select(problem.unknowns.family < 0)  # priors decide which rows of families count
     factor = problem.compressed(final, units, own).jacobian
@@ -248,15 +241,13 @@ def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, 
 
 
 def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tuple[str, ...]:
-    """Return the free parameters of places that readings of `validation_only` look at, or from, and those of `data` do
-    not.
+    """Return the free parameters of places that the readings of `later` depend on, and those of `data` do not.
 
-    Such as a tool or a tracker put up anew for the validation. Where they are says nothing about the robot, so they are
-    placed by the later readings alone, before and after calibration: what is left is what the robot itself is off.
-    Few poses of a small part of joint space let such a place take up errors of the robot.
+    Examples are a tool or a tracker mounted anew for the validation. Such a place carries no information about the
+    robot, so the later readings alone place it, before and after calibration: the errors that remain are the robot's
+    own. With few poses in a small part of joint space such a place can absorb errors of the robot.
 
     Args:
-        robot: The robot.
         data: Measurements to fit.
         later: Others, or None.
     """
@@ -268,11 +259,11 @@ def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tupl
 
 
 def place_from_data(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robot:
-    """Return a robot with these places where some measurements alone show them, all else as it is.
+    """Return a robot with some places determined by measurements alone, and all other parameters unchanged.
 
     Args:
-        later: Measurements that show them.
-        robot: The robot, before or after calibration; of the places, the free ones are placed.
+        later: Measurements that show the places.
+        robot: The robot, before or after calibration; only free parameters of the places change.
         names: Parameters of the places.
 
     Raises:
@@ -285,7 +276,7 @@ def place_from_data(later: Measurements, robot: Robot, names: tuple[str, ...]) -
 
 
 def _origins(robot: Robot, data: Measurements) -> set[str]:
-    """Names of the origins at both ends of all that was read."""
+    """Names of the origins at both ends of all readings."""
     names, origins = ("", *robot.mechanism.origin_names), set[str]()
     for name, readings in data.readings.items():
         pairs = robot.pairs(robot.instrument(name))
@@ -299,12 +290,12 @@ def errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
 
     Args:
         placed: The robot before calibration.
-        calibrated: The robot after it.
+        calibrated: The robot after calibration.
         data: The visits.
 
     Raises:
-        UnreachablePoseError: The robot before cannot be assembled at a visit.
-        ComputationError: The robot after it cannot.
+        UnreachablePoseError: The robot before calibration cannot be assembled at a visit.
+        ComputationError: The robot after calibration cannot be assembled.
     """
     before, closed = _errors_of(placed, data)
     try:

@@ -1,4 +1,4 @@
-"""A finished fit: its results, and what follows from them alone. `calib.core.judging` judges it."""
+"""A finished fit: its results, and quantities that follow from them alone. `calib.core.judging` gives its verdict."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
 COMPUTED = 1e-7
-"""Noise below this [SI], and below a hundredth of what was stated, is what priors leave of data without noise."""
+"""Noise below this [SI] and below a hundredth of the statement is the effect of priors on data without noise."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class Convergence:
     """End of the iteration.
 
     Attributes:
-        converged: Whether the solver met a stopping rule, robust weights stand, and no step is left.
-        message: The rule that ended it; or the residuals, where these decide.
+        converged: Whether the weights of a robust loss have settled, and `step_left` is small enough.
+        message: The rule that ended it; or the step left, where this decides.
         step_left: Largest Gauss-Newton step left, over the standard deviation of its parameter.
-        parameter: That parameter.
+        parameter: The parameter of that step.
         has_settled_weights: Whether the weights of a robust loss have settled; True without one.
         receding_parameters: Parameters whose best values recede, the farthest first: the data do not determine them.
     """
@@ -68,10 +68,9 @@ class NoiseEstimate:
     """Noise of one group of rows.
 
     Attributes:
-        group: The group.
-        sigma: Typical standard deviation of one component, as found [SI].
-        stated: The same as stated [SI], or None.
-        freedom: Degrees of freedom that it was found with.
+        sigma: Found standard deviation of one component, typically [SI].
+        stated: Stated standard deviation [SI], or None.
+        freedom: Degrees of freedom of `sigma`.
     """
 
     group: Group
@@ -86,30 +85,30 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     Attributes:
         nominal: The robot as described.
-        placed: The robot `before`: nominal, with base and targets placed where these are not known.
+        placed: The robot `before`: nominal, with unknown base and targets placed.
         robot: The calibrated robot.
         identification: Errors on the visits that were used.
         validation: Errors on visits that were not used, if there were any.
         configurations: The assembled visits of `identification`, at the solution.
         unknowns: The free parameters.
-        statistics: Their uncertainty.
+        statistics: Uncertainty of the free parameters.
         determination: Ranks of poses and priors at `placed`, as in `calib check`.
         observability: O1 to O5 on scaled columns.
         rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
-        whitening: Their whitening.
+        whitening: Whitening of the rows.
         scales: Assumed scales of the noise.
         seconds: Duration of the whole computation.
         convergence: How the iteration ended.
         loss: Robust loss.
         weights: Weight of each reading, (n_readings,); 1 without a robust loss.
-        sigma_given: Noise of positions that replaced what the description states [m], or None.
+        sigma_given: Noise of positions that replaced the stated one [m], or None.
         starts: Ends of perturbed starts, if requested.
         folds: Cross-validation, if requested.
         excluded: Outliers that were left out, as they were in `with_all`.
         with_all: The fit of all visits, where outliers were left out of this one.
-        terms: Which joint terms were requested, if any were, and what choosing them found.
-        reduced: Fits of the same measurements without the joint terms that a kind of file cannot hold, by kind; None
-            if no files were requested.
+        terms: Requested joint terms, if any, and the result of choosing them.
+        reduced: Fits of the same measurements without the joint terms that a kind of file cannot hold, by kind; None if
+            no files were requested.
         seed: Seed of every random choice.
         placed_later: Parameters of places that only the validation poses show, and therefore placed.
         requested_options: Further options of the fit.
@@ -200,7 +199,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @cached_property
     def regions(self) -> Regions | None:
-        """Regions that do not agree on the parameters, if there are any."""
+        """Regions that disagree on the parameters; None if they agree."""
         if self.computed:
             return None
         depths = self.robot.mechanism.depths
@@ -209,7 +208,7 @@ class Fit(ReadOnlyArrays, HintedObject):
     def contains(self, number: Uncertainty) -> Contributions:
         """Return the contributions that a measure of uncertainty of this fit contains.
 
-        Whether positions are reported in another frame, these say themselves.
+        The uncertainty of positions adds its own contribution if it is reported in another frame.
         """
         has: dict[Contribution, Callable[[], object]] = {
             Contribution.OFFSETS: lambda: np.any(self.scales.ratios),
@@ -240,15 +239,15 @@ class Fit(ReadOnlyArrays, HintedObject):
     def rms(self) -> float:
         """Root mean square error after calibration [m; rad or px where no positions are measured].
 
-        At poses that were not used, if there are any: those of the validation, else those left out in turn. With
-        neither, at the poses that were used, where it is smaller than elsewhere. `errors` has them all.
+        It is the error at unused poses, if there are any: those of the validation, else those of cross-validation. With
+        neither it is the error at the used poses, which is smaller than elsewhere. `errors` has them all.
         """
         folds = None if self.folds is None else self.folds.errors
         return (self.validation or folds or self.identification).rms("after")
 
     @property
     def errors(self) -> dict[str, dict[str, dict[str, object]]]:
-        """Errors `before` and `after` of `identification`, `validation`, `cross_validation`, as far as there are these.
+        """Errors `before` and `after` of `identification`, `validation` and `cross_validation`, as far as these exist.
 
         In mm for positions, as in `result.json`: `errors["validation"]["after"]["rms"]`.
         """
@@ -268,7 +267,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @cached_property
     def noise(self) -> tuple[NoiseEstimate, ...]:
-        """Noise of each group of rows, as found and as stated."""
+        """Noise of each group of rows, found and stated."""
         factors, totals = self.statistics.factors, self.whitening.totals(self.scales)
         return tuple(
             NoiseEstimate(
@@ -287,12 +286,12 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @property
     def sigma(self) -> float:
-        """Noise of one measured position per axis, as found [m]; of the first kind of rows where none are [SI]."""
+        """Found noise of one measured position per axis [m]; of the first kind of rows without positions [SI]."""
         return self.first_noise.sigma
 
     @property
     def sigma_stated(self) -> float | None:
-        """The same as stated, or None."""
+        """Stated noise of the rows of `sigma`, or None."""
         return self.first_noise.stated
 
     @property
@@ -308,7 +307,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @property
     def chi_square(self) -> ChiSquare | None:
-        """The stated noise against the residuals; None where some of it was not stated."""
+        """The stated noise against the residuals; None where some noise was not stated."""
         if not all(group.stated for group in self.whitening.groups):
             return None
         factors = self.statistics.factors
@@ -338,7 +337,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
         Args:
             poses: Poses, with their conditions; or actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
-            context: Other conditions under which they are commanded; joint terms may depend on it.
+            context: Conditions that replace those of the poses; joint terms may depend on them.
 
         Raises:
             DataError: Joint values of the wrong shape, or not finite.
@@ -370,9 +369,9 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @property
     def joint_error(self) -> float:
-        """Error of each joint that residuals show in addition to noise, another one at each pose.
+        """Error of each joint that residuals show in addition to noise, independent at each pose.
 
-        In rad, of a joint that slides in characteristic lengths; 0 where there is none.
+        In rad, for sliding joints in characteristic lengths; 0 where there is none.
         """
         return self.unexplained.joint_error
 
@@ -384,31 +383,27 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @property
     def undecided(self) -> UndecidedTerms | None:
-        """Joint terms that the robot may have, too; None if none were left undecided."""
+        """Joint terms that the data do not exclude, and the robot lacks; None without any."""
         if self.terms is not None and self.terms.automatic:
             return self.terms.undecided
         return self.unexplained.terms
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
-        """Predicted positions of the visits that were used, with their covariance as reported."""
+        """Predicted positions of the used visits, with their covariance as reported."""
         data = self.identification.data
         return self.reported_uncertainty.predict(data.joints, data.conditions, self.identification.passive, turns=False)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
-        """Predicted positions of the visits that were not used, with their covariance as reported."""
+        """Predicted positions of the validation visits, with their covariance as reported; None without them."""
         if self.validation is None:
             return None
         data = self.validation.data
         return self.reported_uncertainty.predict(data.joints, data.conditions, self.validation.passive, turns=False)
 
     def whitened_residuals_and_rows(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
-        """Return whitened residuals before calibration (n_rows,), and the rows after it, by the noise as found.
-
-        Args:
-            errors: Errors of visits that were not used, or that were left out in turn.
-        """
+        """Return whitened residuals before (n_rows,) and rows after calibration, by the found noise, at new visits."""
         data = errors.data
         before, after, whitening, factors = self._whitened(errors)
         configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
@@ -421,7 +416,7 @@ class Fit(ReadOnlyArrays, HintedObject):
         return self._whitened(errors)[:2]
 
     def _whitened(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray, Whitening, FloatArray]:
-        """Residuals before and after (n_rows,), what whitened them, and scales of the groups (n_groups,)."""
+        """Residuals before and after (n_rows,), their whitening, and scales of the groups (n_groups,)."""
         whitening = Whitening(self.robot, errors.data, self.sigma_given)
         known = {
             (estimate.group.name, estimate.group.part.name, estimate.group.stated): estimate for estimate in self.noise
@@ -437,7 +432,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @cached_property
     def validation_rows(self) -> Rows | None:
-        """Whitened rows of the visits that were not used; None without them."""
+        """Whitened rows of the validation visits; None without them."""
         return None if self.validation is None else self.whitened_residuals_and_rows(self.validation)[1]
 
     @cached_property

@@ -1,7 +1,7 @@
 """The noise found from residuals: scales of groups, sizes of families, offsets that readings share.
 
-All of it follows from the linear model around an evaluation (`calib.core.numerics.variance_components`), of a few rows
-that have the products of all (`Problem.compressed`) where these are enough.
+All of it follows from the linear model around an evaluation (`calib.core.numerics.variance_components`), where possible
+from a few rows with the same products as all rows (`Problem.compressed`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     """Find the scales of the groups `noise_found`, and factors on the sigmas of families, from the residuals.
 
     Args:
-        problem: The problem.
         evaluation: An evaluation near the minimum.
         groups: Scales to start from, (n_groups,).
 
@@ -38,13 +37,7 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
 
 
 def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-    """Find offsets that the readings of an instrument at a pose share, over the scale of their group, (n_offsets,).
-
-    Args:
-        problem: The problem.
-        evaluation: An evaluation near the minimum.
-        groups: Scales to start from, (n_groups,).
-    """
+    """Find offsets that readings of an instrument at a pose share, over the scale of their group, (n_offsets,)."""
     whitening = problem.whitening
     tried = problem.offset_ratios > 0 if np.any(problem.offset_ratios) else whitening.tells_offsets
     if not np.any(tried):
@@ -57,14 +50,13 @@ def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
 
 
 def left_out_rms(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-    """Return the root mean square error of readings of poses left out in turn, (n_groups,).
+    """Return the root mean square error of readings of poses left out in turn, over the stated noise, (n_groups,).
 
-    By the linear model around the evaluation, in units of what is stated. Every pose counts the same, however many
+    It comes from the linear model around an evaluation at the minimum. Every pose counts the same, however many
     readings it has.
 
     Args:
-        problem: The problem.
-        evaluation: An evaluation at the minimum.
+        problem, evaluation: The problem and the evaluation.
         groups: Scale of the noise of each group, (n_groups,).
     """
     layout, rows = problem.whitening.layout, problem.rows(evaluation, groups)

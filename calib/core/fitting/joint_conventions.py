@@ -15,9 +15,9 @@ _ROUND = 1e-3  # beyond the ends of a turn, values that were rounded [rad]
 
 
 def uncounted_turns(robot: Robot, joints: FloatArray) -> list[str]:
-    """Return the joints that turn without end whose values (n_poses, n_actuated) fill one turn, and leave none.
+    """Return the endless joints whose values (n_poses, n_actuated) fill one turn and stay within it.
 
-    Values that are wrapped look so: how often the joint had turned is then not known.
+    Such values may be wrapped: the number of whole turns is then unknown.
     """
     endless = {joint.name for joint in robot.urdf.joints if joint.type == "continuous"}
     turn, within = 2.0 * np.pi, np.zeros(joints.shape[1], dtype=bool)
@@ -28,12 +28,7 @@ def uncounted_turns(robot: Robot, joints: FloatArray) -> list[str]:
 
 
 def may_be_wrapped(joints: Sequence[str], wrong: Sequence[str]) -> str:
-    """Return the problem and its remedy, where the values of some joints may be wrapped.
-
-    Args:
-        joints: The joints.
-        wrong: Terms that follow them and count turns.
-    """
+    """Return the problem and its remedy, where values of `joints` may be wrapped and `wrong` terms count turns."""
     return (
         f"all values of {joints_named(*joints)} lie within one turn, and the URDF"
         f" states no limits. If these values were wrapped, {listing(wrong)} cannot be right. Give values that count"
@@ -43,7 +38,7 @@ def may_be_wrapped(joints: Sequence[str], wrong: Sequence[str]) -> str:
 
 
 def wrapped_terms(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
-    """Return the problem with joint terms that count turns, where joint values (n_poses, n_actuated) may not."""
+    """Return the problem with joint terms that count turns, where joint values (n_poses, n_actuated) may be wrapped."""
     uncounted = uncounted_turns(robot, joints)
     followed = [
         (term.driving_joint(robot.joint_names), term.parameters[0].name) for term in robot.terms if term.counts_turns

@@ -1,18 +1,17 @@
 """Likely mistakes in measurements that no robot fits.
 
-Each usual mistake is undone in turn, and the nominal robot compared.
+Each usual mistake is undone in turn, and the nominal robot compared:
+columns of joint values in another order; joints counted the other way, from a zero that is a quarter or half of a turn
+off, or on another scale, several at once (`calib.core.fitting.column_maps`); values mapped to a range such as -100 to
+100; joint values up to five rows above or below their measurements; degrees read as radians or radians read as degrees;
+positions in another unit, which their size shows; axes of the measurement frame mirrored, or in another order. Readings
+of exactly 0, 0, 0 are left out before, and named with the rest. A rigid fit places unknown base and targets. A mistake
+is named if undoing it brings the nominal robot much closer to the data, and to within a part of their spread. Columns
+that are copies of each other are named without a trial.
 
-Tried are: columns of joint values in another order; joints counted the other way, from a zero that is a quarter or half
-of a turn off, or on another scale, several at once (`calib.core.fitting.column_maps`); values mapped to a range such as
--100 to 100; joint values up to five rows above or below their measurements; angles that are degrees read as radians or
-radians read as degrees; positions in another unit, which their size tells; axes of the measurement frame mirrored, or
-in another order. Readings of exactly 0, 0, 0 are left out before, and named with the rest. Base and targets are placed
-by a rigid fit where they are not known. What brings the nominal robot much closer to the data than they stand, and to
-within a part of what was measured, is named. Columns that are copies of each other are named without a trial.
-
-When it fails. Mistakes of two kinds at once are not found. A robot whose base or tool is given wrong, and not called
-unknown, is far off whatever is tried; the verdict looks for that first. Only instruments that measure points are
-looked at; where there are none, photographs of a board (`calib.core.fitting.photographed_points`).
+When it fails. Mistakes of two kinds at once are not found. A robot with a wrong base or tool that the description calls
+known is always far off; the verdict looks for that first. Only instruments that measure points are examined; without
+them, photographs of a board (`calib.core.fitting.photographed_points`).
 """
 
 from __future__ import annotations
@@ -36,11 +35,11 @@ from calib.core.fitting.scaled_joints import joint_scales
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
 
-_CLOSER = 0.2  # miss of the nominal robot with the mistake undone, over that with the data as they are
+_CLOSER = 0.2  # miss of the nominal robot with the mistake undone, over that with the data unchanged
 _NEAR = 0.2  # the same over the spread of the measured positions
 _HALF = 0.5  # noise of a fit with other scales of joints, over that without
 _AS_GOOD = 1.5  # miss over that of the best, up to which another mistake explains the data as well
-_POSES = 20  # poses that are enough to see a gross mistake
+_POSES = 20  # poses that suffice to show a gross mistake
 _GLANCE = 4  # one in so many of these shows whether the loops close at all
 _FEW = 3  # rows that may agree by chance, or that a shift must leave
 _SHIFTS = 5
@@ -49,7 +48,7 @@ _NO_SIZE = 1e-6  # reach over the size of the measured space: the target is desc
 _ANOTHER_UNIT = 0.1  # change of all lengths that is more than a robot's own errors
 _READ = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _WRITTEN = dict(_READ, inches=0.0254, feet=0.3048, cm=1e-2) | {"tenths of an inch": 2.54e-3}
-"""Units that positions may have been written in, and that they may have been read as [m]."""
+"""Units in which positions may be read, and written [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +58,8 @@ class Trial:
     Attributes:
         words: The mistake.
         data: Some of the measurements without it.
-        changes: How many joints it takes; 0 where it is one mistake.
-        column_map: Its map of the columns of joint values.
+        changes: Number of changes of joints; 0 for a single mistake.
+        column_map: The map of columns that undoes it.
     """
 
     words: str
@@ -71,13 +70,13 @@ class Trial:
 
 @one_blas_thread
 def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, gross: bool = True) -> str:
-    """Return the mistake that explains the measurements in words; empty where none does.
+    """Return the mistake that explains the measurements, in words; empty where none does.
 
     Args:
         robot: The nominal robot.
         data: Measurements that do not fit it.
-        noise: Noise that a fit to them finds, per axis [m]; infinite where there is none.
-        gross: Whether nothing fits; if not, only the scales of joints are looked at.
+        noise: Noise of a fit to them, per axis [m]; infinite without a fit.
+        gross: Whether nothing fits; if not, only the scales of joints are examined.
     """
     copied = equal_columns(data, robot)
     if copied:
@@ -104,14 +103,7 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
 def _nominal_fits(
     robot: Robot, data: Measurements, sound: Measurements, zeros: IntArray
 ) -> tuple[str, ColumnMap | None]:
-    """Say without which mistake the nominal robot fits; if there is none, with which scales it comes nearest.
-
-    Args:
-        robot: The nominal robot.
-        data: The measurements.
-        sound: Visits without readings of zero.
-        zeros: Visits that are.
-    """
+    """The mistake without which the nominal robot fits; if there is none, the scales with which it comes nearest."""
     now = min(_misses(robot, [_some_visits(data) if len(zeros) == 0 else data])[0], 1.0)
     where = listing([data.labels[k] for k in zeros])
     empty = f"{count_noun(len(zeros), 'reading')} of exactly 0, 0, 0 ({where}) were empty"
@@ -150,7 +142,7 @@ def _nominal_fits(
 
 
 def _file_units(data: Measurements) -> dict[str, str | None]:
-    """Units of the file's columns, by name; nothing of measurements that were never in one file."""
+    """Units of the file's columns, by name; empty for measurements that were never in one file."""
     try:
         table = read_table(data.path)
     except CalibrationError:
@@ -165,7 +157,7 @@ def _some_visits(data: Measurements) -> Measurements:
 def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> list[float]:
     """Root mean square errors of the nominal robot over the spread of the positions; all loops are closed at once.
 
-    Where they are larger than `most`, they may be a little too small, but not smaller than that.
+    Values larger than `most` may be a little too small, but stay larger than it.
     """
     result = np.full(len(changed), np.inf)
     glances = [data.joints[::_GLANCE] for data in changed]
@@ -190,12 +182,12 @@ def _closed_poses(robot: Robot, joints: list[FloatArray]) -> list[tuple[BoolArra
 
 
 def _closes(ok: BoolArray) -> bool:
-    """Whether so many poses close that it is worth to look for ways to the others."""
+    """Whether enough poses close to look for paths to the others."""
     return bool(2 * np.sum(ok) >= len(ok))
 
 
 def _miss_of(robot: Robot, data: Measurements, ok: BoolArray, passive: FloatArray, most: float) -> float:
-    """Error of the robot, placed where that is needed, by which of its poses close, and how."""
+    """Error of the robot, with unknown places determined, from the mask of closed poses and their passive joints."""
     if not _closes(ok):
         return float("inf")
     points = data.points(robot)
@@ -227,7 +219,7 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
     yield from ((Trial(words, with_points(robot, data, size * points))) for words, size in _units(robot, data))
     for order, sign in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         words = _axes_in_words(order, sign)
-        if robot.description.base.pose == "unknown":  # all reflections of an unknown frame are one
+        if robot.description.base.pose == "unknown":  # all reflections of an unknown frame are equal
             if order != (0, 1, 2) or sign != (1.0, 1.0, -1.0):
                 continue
             words = "the measurement frame is left-handed (an axis with the wrong sign, or two axes swapped)"
@@ -248,7 +240,7 @@ def _shifted_trials(measured: Measurements) -> Iterator[Trial]:
 
 
 def _rescaled_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
-    """Joint values that are parts of the joints' ranges: numbers of a file, whatever unit they were read as."""
+    """Joint values that are parts of the joints' ranges: numbers of a file, in whatever unit they were read."""
     lower, upper = robot.urdf.limits(robot.joint_names)
     if not np.all(np.isfinite(upper - lower)):
         return
@@ -300,12 +292,7 @@ def _axes_in_words(order: tuple[int, ...], sign: tuple[float, ...]) -> str:
 
 
 def zero_visits(data: Measurements, robot: Robot) -> IntArray:
-    """Return the visits (n,) with a reading that begins with 0, 0, 0, as many programs write where they saw nothing.
-
-    Args:
-        data: The measurements.
-        robot: Knows which of its instruments read numbers at all: a touch does not.
-    """
+    """Return the visits (n,) with a reading that begins with 0, 0, 0, as many programs write without a measurement."""
     numbers = [readings for name, readings in data.readings.items() if robot.instrument(name).columns()]
     three = [readings for readings in numbers if readings.values.shape[1] >= 3]
     visits = [readings.visits[np.all(readings.values[:, :3] == 0.0, axis=1)] for readings in three]
@@ -325,12 +312,7 @@ def zeros_in_words(data: Measurements, robot: Robot) -> str:
 
 
 def equal_columns(data: Measurements, robot: Robot) -> list[tuple[str, str]]:
-    """Return pairs of measured columns that vary and yet are the same wherever both were read.
-
-    Args:
-        data: The measurements.
-        robot: Knows the columns of its instruments.
-    """
+    """Return pairs of measured columns that vary and yet are equal in every row."""
     columns = {}
     for name, readings in data.readings.items():
         for column, numbers in robot.instrument(name).cells(readings.values).items():

@@ -1,12 +1,11 @@
 """Validation poses that were read from elsewhere: a frame that moved, and the error of the robot without that motion.
 
 Where one rigid motion explains most of the errors at validation poses that are far apart, the tracker, the base or its
-frame stands elsewhere than when the robot was calibrated. Where it stands says nothing about the robot. So the frames
-from which these poses were read are placed anew by them, before and after calibration: what is left is what the robot
-itself is off.
+frame moved after the calibration. Its place says nothing about the robot. So these poses place their frames anew,
+before and after calibration: the errors that remain are the robot's own.
 
-When it fails. A base that is called known is not placed. Errors of the robot that look like a motion of its frame are
-taken for one, where they are most of all errors; the verdict says that a frame moved.
+When it fails. A base that the description calls known is not placed. Errors of the robot that look like a motion of its
+frame count as one, where they are most of all errors; the verdict says that a frame moved.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from calib.core.fitting.fitted import Fit
 from calib.core.numerics.rigid import best_transform
 
 FEW_POSES = 6
-"""Validation poses from which a rigid motion explains errors only if there is one."""
+"""Fewest validation poses for which a good rigid fit of their errors shows a real motion."""
 CLOSE = 0.3
-"""Spread of validation points, over that of the points used, up to which errors of the robot move them as one."""
+"""Spread of validation points, over that of the used points, up to which errors of the robot look like one motion."""
 EXPLAINED = 0.3
-"""Errors on validation poses that a rigid motion of the frame leaves, over all of them, if it explains them."""
+"""Largest part of the errors on validation poses that remains after a rigid motion that explains them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +35,10 @@ class MovedFrame:
     """Motion of the frame of the validation poses.
 
     Attributes:
-        shift: How far, at the centre of their points [m].
-        angle: By which angle [rad].
+        shift: Distance at the centre of their points [m].
+        angle: Angle of the turn [rad].
         rms_after: Root mean square error that the motion leaves [m].
-        errors: At these poses, with their frame placed anew; None where it cannot be placed.
+        errors: Errors at these poses, with their frame placed anew; None where it cannot be placed.
     """
 
     shift: float
@@ -50,7 +49,7 @@ class MovedFrame:
 
 @memoize
 def moved_frame(fit: Fit) -> MovedFrame | None:
-    """Return how the frame of the validation poses moved; None where it did not."""
+    """Return the motion of the frame of the validation poses; None where it did not move."""
     if fit.validation is None or len(fit.validation.data) < FEW_POSES or fit.computed or _from_one_file(fit):
         return None
     measured, errors = _points(fit.validation)
@@ -71,13 +70,13 @@ def moved_frame(fit: Fit) -> MovedFrame | None:
 
 
 def validation_errors(fit: Fit) -> ErrorSet | None:
-    """Return the errors at the validation poses that judge the robot: with their frame placed anew where it moved."""
+    """Return the errors at the validation poses for the verdict: with their frame placed anew where it moved."""
     moved = moved_frame(fit)
     return fit.validation if moved is None or moved.errors is None else moved.errors
 
 
 def _errors_when_replaced(fit: Fit) -> ErrorSet | None:
-    """Errors at the validation poses, with the frames that they were read from placed by them."""
+    """Errors at the validation poses, which place the frames that they were read from."""
     assert fit.validation is not None
     robot, data = fit.robot, fit.validation.data
     origins = ("", *robot.mechanism.origin_names)

@@ -1,9 +1,9 @@
-"""Outliers of a fit by name: which reading of which instrument at which visit, and how far off.
+"""Outliers of a fit: reading, instrument, visit, and size.
 
-An outlier stands alone where the other readings of its visit agree with the fit: a corner that was found on a
-reflection, one target of several. Where more than half of the readings of a visit are further off than one good
-reading in a hundred, they are off together: a wrong image, a wrong pose of the robot, a board that was moved. Where a
-visit has only one reading, the two cases are the same.
+An outlier is alone where the other readings of its visit agree with the fit: a corner that was found on a reflection,
+one target of several. Where more than half of the readings of a visit are further off than one good reading in a
+hundred, they are off together: a wrong image, a wrong pose of the robot, a board that was moved. With one reading per
+visit, the two cases are the same.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ class Outlier:
         pose: Index of the visit in its set.
         reading: Index of the reading among all of its set.
         target: Name of the instrument; for positions, this is the name of the target.
-        detail: Thing that the instrument looked at, such as a corner of a board; empty where it has only one.
+        detail: Observed thing, such as a corner of a board; empty where the instrument observes only one.
         n_together: Number of readings of this visit, if they are off together; 0 if this one is off alone.
         label: File, line and pose name.
         distance: Distance between prediction and reading in the first part [SI].
         size: Errors of all parts in words.
         studentised: Studentised error T over its scale, see `calib.core.numerics.losses`.
         leverage: See `calib.core.numerics.losses`.
-        p_value: Chance that as many good readings contain one that is so far off.
+        p_value: Chance of at least one such error among as many good readings.
     """
 
     pose: int
@@ -105,7 +105,7 @@ def _n_far_off(studentised: StudentisedErrors, layout: Layout) -> IntArray:
 
 
 def outliers_in_words(outliers: Sequence[Outlier]) -> list[str]:
-    """Return each outlier in words; a visit that is off as a whole is one text."""
+    """Return each outlier in words; a visit whose readings are off together is one text."""
     words: dict[object, str] = {}
     for number, outlier in enumerate(outliers):
         if outlier.n_together:
@@ -117,12 +117,7 @@ def outliers_in_words(outliers: Sequence[Outlier]) -> list[str]:
 
 
 def readings_of_outliers(outliers: Sequence[Outlier], layout: Layout) -> dict[str, IntArray]:
-    """Return indices of the outliers' readings by instrument, (n,): the reading alone, or all readings of its visit.
-
-    Args:
-        outliers: The outliers.
-        layout: Layout of the rows of the fit.
-    """
+    """Return indices of the outliers' readings by instrument, (n,): the reading alone, or all readings of its visit."""
     visits = [outlier.pose for outlier in outliers if outlier.n_together]
     gone = np.isin(np.arange(layout.n_readings), [outlier.reading for outlier in outliers])
     gone |= np.isin(layout.visit, visits)

@@ -1,10 +1,10 @@
-"""Photographs of a board as positions of one point, for what looks at positions alone.
+"""Photographs of a board as positions of a point, for code that uses positions alone.
 
-The board's pose in the camera follows from each photograph by itself, whatever the joints are. So a robot with a camera
-is one whose target, the board's origin, is measured in a frame of unknown place on the link that carries the camera.
+Each photograph gives the board's pose in the camera, whatever the joints are. So a robot with a camera is like a robot
+whose target, the board's origin, is measured in a frame of unknown place on the link that carries the camera.
 
-When it fails. The depth of a small board is seen badly, and a pose may be one of two that look alike. Such positions
-tell signs, quarter turns and orders, but are not good enough to calibrate with.
+When it fails. The depth of a small board is uncertain, and its pose may be one of two that look alike. Such positions
+show signs, quarter turns and orders, but are not good enough for a calibration.
 """
 
 from __future__ import annotations

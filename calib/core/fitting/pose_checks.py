@@ -1,7 +1,7 @@
-"""Checks before a fit whether measurements can determine a robot at all, in terms of the measurements.
+"""Checks before a fit that measurements can determine a robot at all, in terms of the measurements.
 
-Checked are the numbers themselves, that they are enough for the unknowns, that positions do not lie on one line where
-the base is unknown, and that data and priors together determine every free parameter (`calib.core.rows.determination`).
+They cover the numbers themselves, their count against the unknowns, positions on one line with an unknown base, and the
+rank of data and priors together (`calib.core.rows.determination`).
 """
 
 from __future__ import annotations
@@ -22,29 +22,20 @@ from calib.core.rows.determination import Determination, determination
 from calib.core.rows.unknowns import Unknowns
 
 _STILL = 1e-6  # range of a joint below which it never moved [m, rad]
-_TIED = 0.02  # entry of the projector onto directions that no pose shows, from which joints take part in one
-_ALONE = 1e-3  # part of the widest spread of poses in joint space that a direction must have to count
+_TIED = 0.02  # entry of the projector onto directions that no pose shows, from which joints are tied
+_ALONE = 1e-3  # least spread of poses along a direction of joint space, over the widest one
 _LINE = 1e-3  # width over length below which positions lie on one line
 
 
 def keeps_limits(data: Measurements, final: Evaluation) -> bool:
-    """Return whether passive joints keep their limits at the end of a fit, which may pass them on its way.
-
-    Args:
-        data: The measurements.
-        final: The end.
-    """
+    """Return whether passive joints keep their limits at the end of a fit; they may exceed them on its way."""
     configurations = final.configurations
     closed = close(final.robot, data.joints, configurations.passive, configurations.term_columns)
     return bool(np.all(closed.ok))
 
 
 def check_measurements(robot: Robot, data: Measurements) -> None:
-    """Check numbers and their number before anything is computed.
-
-    Args:
-        robot: The robot.
-        data: Its measurements.
+    """Check the numbers of measurements, and how many there are, before anything is computed.
 
     Raises:
         DataError: Values that are not finite, nothing to identify, or too few poses.
@@ -91,13 +82,13 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
 
 
 def first_unstated_visit(condition: Condition, data: Measurements) -> int | None:
-    """Return the first visit of which a condition is not known, where others state it."""
+    """Return the first visit without a condition that other visits state."""
     empty = np.flatnonzero(np.isnan(data.context.get(condition.column, np.zeros(0))))
     return int(empty[0]) if len(empty) else None
 
 
 def _refuse_one_line(robot: Robot, data: Measurements) -> None:
-    """Raise `DataError` where the positions of all targets lie on one line: they leave the measurement frame open."""
+    """Raise `DataError` where the positions of all targets lie on one line, which leaves the measurement frame open."""
     by_target = data.points(robot)
     points = by_target.reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
@@ -118,18 +109,17 @@ def _refuse_one_line(robot: Robot, data: Measurements) -> None:
 
 
 def unmoved_joints(robot: Robot, joints: FloatArray) -> list[str]:
-    """Return the actuated joints that stay where they are in all poses (n_poses, n_actuated)."""
+    """Return the actuated joints with the same value at all poses (n_poses, n_actuated)."""
     return [name for name, reach in zip(robot.joint_names, np.ptp(joints, axis=0), strict=True) if reach < _STILL]
 
 
 def tied_joints(robot: Robot, joints: FloatArray) -> list[tuple[tuple[str, ...], int]]:
-    """Return groups of actuated joints that moved only together, and along how many directions each group moved.
+    """Return groups of actuated joints that moved only together, and the number of directions of each group.
 
     The joints (each by its range) span fewer directions than there are joints. A joint is tied if it takes part in a
     direction that no pose shows; joints that share such directions are a group.
 
     Args:
-        robot: The robot.
         joints: Joints of all poses, (n_poses, n_actuated) [m, rad].
     """
     reach = np.ptp(joints, axis=0)
@@ -149,12 +139,11 @@ def tied_joints(robot: Robot, joints: FloatArray) -> list[tuple[tuple[str, ...],
 
 
 def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: bool = False) -> Determination:
-    """Return the determination; an error unless data and priors together determine every free parameter.
+    """Return the determination, or raise an error if data and priors together leave a free parameter open.
 
     Args:
-        problem: The problem.
-        evaluation: Where it is looked at.
-        alone: Whether to look at the free parameters alone.
+        evaluation: The point of its linear model.
+        alone: Whether to examine the free parameters alone.
 
     Raises:
         NotIdentifiableError: The message names the parameters, and joints that never moved.
@@ -182,7 +171,7 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
 
 
 def _columns(problem: Problem, evaluation: Evaluation, index: IntArray) -> FloatArray:
-    """Return a few rows that have the products of the derivative by parameters (n,), whitened and not scaled."""
+    """Return a few rows with the same products as the derivative by parameters (n,), whitened and not scaled."""
     unknowns = Unknowns.from_robot(problem.robot, np.isin(np.arange(len(problem.robot.parameters)), index))
     return problem.compressed(evaluation, problem.whitening.start(), unknowns).jacobian / unknowns.scales
 

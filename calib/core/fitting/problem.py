@@ -1,8 +1,8 @@
 """The least-squares problem of a fit: whitened rows as functions of the scaled parameters.
 
-The unknowns are u = (p - p_expected) / s. The scale s of a parameter is its sigma; p_expected is the value that its
-prior expects, which is nominal unless a fleet of robots says otherwise. The rows are those of `calib.core.rows.rows`,
-times the root of the weight that a robust loss gives their reading (`calib.core.fitting.robust`), and the priors' rows:
+The unknowns are u = (p - p_expected) / s. The scale s of a parameter is its sigma; p_expected is the mean of its prior,
+which is nominal unless a fleet of robots gives another. The rows are those of `calib.core.rows.rows`, times the root of
+the weight of their reading by a robust loss (`calib.core.fitting.robust`), and the priors' rows:
 
     u       for a parameter with a prior of its own
     P u     for parameters with correlated priors (`calib.core.numerics.prior`)
@@ -40,7 +40,7 @@ from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
 _LEAST_FREEDOM = 0.1  # least degrees of freedom per row, where priors hold more parameters than there are rows
-_TRIALS = 2  # points that the solver compares before it goes on
+_TRIALS = 2  # points that the solver compares before it moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Evaluation:
 
     Attributes:
         robot: The robot with these values.
-        configurations: Configurations of this robot at the visits.
+        configurations: Its configurations at the visits.
         readings: Readings of each instrument, by name.
         products: Cache of `Problem.products`: scales of the unknowns, and the products for these scales.
         factors: Cache of `Problem.compressed`: unknowns, and the triangular factor of each group's rows for them.
@@ -74,18 +74,17 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False)
 class Problem(ReadOnlyArrays):
-    """Rows of a fit as functions of the parameters. `from_data` sets it up, `with_offset_ratios` and `replace` make
-    changed ones.
+    """Rows of a fit as functions of the parameters, from `from_data`.
 
     Attributes:
         robot: Nominal robot.
-        data: Measurements.
-        sigma: Noise of positions per axis, if it replaces what the description states [m].
+        sigma: Noise of positions per axis, if it replaces the stated one [m].
         columns: Columns Phi of the joint terms, at the nominal parameters.
         passive: Passive joints at similar parameters, from which loops are closed, (n, n_passive) [m or rad].
         whitening: Whitening by the stated noise.
         unknowns: The free parameters, with the sizes of families found so far.
-        noise_found: Groups whose noise is found from the residuals, (n_groups,): at first those without stated noise.
+        noise_found: Mask of the groups whose noise is found from the residuals, (n_groups,); at first those without
+            stated noise.
         offset_ratios: Standard deviations of offsets over the scales of their groups, (n_offsets,); all 0 without
             offsets.
         weighing: Whitening for offsets with these ratios; None without offsets.
@@ -112,12 +111,11 @@ class Problem(ReadOnlyArrays):
         near: FloatArray | None = None,
         whitening: Whitening | None = None,
     ) -> Problem:
-        """Close every visit and whiten what was read there.
+        """Close every visit and whiten its readings.
 
         Args:
             robot: Nominal robot.
-            data: Measurements.
-            sigma: Noise of positions per axis, if it replaces what the description states [m].
+            sigma: Noise of positions per axis, if it replaces the stated one [m].
             near: Passive joints of the visits under similar parameters, if they are known, (n, n_passive) [m or rad].
             whitening: Whitening of the same readings with the same instruments and sigma, if it exists already.
 
@@ -131,10 +129,10 @@ class Problem(ReadOnlyArrays):
         )
 
     def with_readings(self, data: Measurements, passive: FloatArray) -> Problem:
-        """Return the problem of other readings of the same visits; no pose is closed again from home.
+        """Return the problem of other readings at the same visits, joint values and conditions.
 
         Args:
-            data: The readings; joint values and conditions as before.
+            data: The readings.
             passive: Passive joints near the solution of that problem, (n, n_passive) [m or rad].
         """
         if self.whitening.applies_to(data):
@@ -154,14 +152,14 @@ class Problem(ReadOnlyArrays):
 
     @property
     def has_unstated_noise(self) -> BoolArray:
-        """Groups whose noise is not stated, (n_groups,)."""
+        """Mask of the groups whose noise is not stated, (n_groups,)."""
         return _has_unstated_noise(self.whitening)
 
     def contradicted_groups(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
-        """Return which groups have a stated noise that the scales found contradict, (n_groups,).
+        """Return a mask of the groups whose found scale contradicts their stated noise, (n_groups,).
 
         Args:
-            scales: Scales found; 1 is the stated noise, (n_groups,).
+            scales: Found scales; 1 is the stated noise, (n_groups,).
             efficiency: Efficiency of the estimate of the scales, relative to least squares.
         """
         counts = self.whitening.layout.counts
@@ -185,7 +183,7 @@ class Problem(ReadOnlyArrays):
         """Evaluate a robot on the data.
 
         Args:
-            robot: With any parameter values.
+            robot: The robot, with any parameter values.
             near: Evaluation at similar values, from which the loops close quickly.
 
         Raises:
@@ -217,9 +215,8 @@ class Problem(ReadOnlyArrays):
         """Return the whitened rows.
 
         Args:
-            evaluation: An evaluation.
             groups: Scale of the noise of each group, (n_groups,).
-            unknowns: Parameters that count; the free ones if not given.
+            unknowns: Parameters of the columns; the free ones if not given.
         """
         chosen = self.unknowns if unknowns is None else unknowns
         rows = self.plain_rows(evaluation, groups, chosen)
@@ -228,22 +225,14 @@ class Problem(ReadOnlyArrays):
         return rows.whiten_shared(self.weighing)
 
     def plain_rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
-        """Return the rows, (n_rows, n_unknowns), without whitening for shared errors.
-
-        Args:
-            evaluation, groups, unknowns: Arguments of `rows`.
-        """
+        """Return the rows, (n_rows, n_unknowns), without whitening for shared errors; arguments as in `rows`."""
         chosen = self.unknowns if unknowns is None else unknowns
         jacobian = self.derivative(evaluation, groups, chosen)
         deviations = chosen.deviations(evaluation.robot.values)
         return Rows(self.residuals(evaluation, groups), jacobian, chosen.prior, deviations, self.whitening.layout)
 
     def residuals(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-        """Return the residuals of all rows, without whitening for shared errors, (n_rows,).
-
-        Args:
-            evaluation, groups: Arguments of `rows`.
-        """
+        """Return the residuals of all rows, without whitening for shared errors, (n_rows,); arguments as in `rows`."""
         return self.whitening.flatten(evaluation.residuals) / self.whitening.row_scale(groups)
 
     def derivative(
@@ -272,8 +261,8 @@ class Problem(ReadOnlyArrays):
 
         Args:
             evaluation, groups: Arguments of `rows`.
-            unknowns: Some parameters.
-            rows: The derivative of the rows by these, (n_rows, n_unknowns), if it was computed before.
+            unknowns: Parameters of the columns.
+            rows: The derivative of the rows by these, (n_rows, n_unknowns), if it is known.
         """
         if not any(known.has(unknowns) for known, _ in evaluation.factors):
             evaluation.factors[:] = [(unknowns, self._factors(evaluation, groups, unknowns, rows))]
@@ -303,12 +292,11 @@ class Problem(ReadOnlyArrays):
     def products(self, evaluation: Evaluation, groups: FloatArray, rows: FloatArray | None = None) -> Products:
         """Return J^T J and J^T r of the rows for the free parameters, whitened by the stated noise.
 
-        They are computed once for an evaluation, and serve all scales of noise and sizes of families tried there.
+        They are computed once for an evaluation, and serve all tried scales of noise and sizes of families.
 
         Args:
-            evaluation: An evaluation.
-            groups: Scale of the noise of each group, (n_groups,).
-            rows: The derivative of the rows, (n_rows, n_free), if it was computed before.
+            evaluation, groups: Arguments of `rows`.
+            rows: The derivative of the rows, (n_rows, n_free), if it is known.
         """
         scales = self.unknowns.scales
         if not evaluation.products:
@@ -328,17 +316,16 @@ class Problem(ReadOnlyArrays):
         tolerance: float = TOLERANCE,
         weights: FloatArray | None = None,
     ) -> tuple[Evaluation, LeastSquaresSolution]:
-        """Minimise over some parameters, the others staying as in `start`.
+        """Minimise over some parameters; the others stay as in `start`.
 
         Args:
-            start: Start.
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: The parameters that may move; the free ones if not given.
             tolerance: See `calib.core.numerics.least_squares`.
             weights: Weight of each reading, (n_readings,).
 
         Returns:
-            The evaluation at the end, and the solver's result. Its Jacobian is left empty; `rows` gives it.
+            The evaluation at the end, and the solver's result without its Jacobian, which `rows` gives.
         """
         way = _SolverRows(self, start, groups, self.unknowns if unknowns is None else unknowns, weights)
         solution = minimise(way.residuals, way.jacobian, way.begin, tolerance=tolerance)
@@ -347,13 +334,6 @@ class Problem(ReadOnlyArrays):
 
 class _SolverRows:
     """Residuals and Jacobian at the points that the solver tries; each point is evaluated once.
-
-    Args:
-        problem: The problem.
-        start: Evaluation at which the solver begins.
-        groups: Scale of the noise of each group, (n_groups,).
-        unknowns: The parameters that move.
-        weights: Weight of each reading, (n_readings,); None if all are 1.
 
     Attributes:
         begin: u at the start, (n_unknowns,).

@@ -1,13 +1,13 @@
 """Differences of parameters from region to region: boxes of joint space, and setups, left out in turn.
 
-A model that leaves something out is pulled one way here and another way there. The fit of all poses then stands between
-them, and the scatter of single poses does not show it: `calib.core.numerics.clusters` compares what parameters move by
-with what noise explains. Where chance hardly explains it, everything that is made of the covariance is widened by as
-much: intervals of parameters, and how well predicted positions are known. Where chance does not explain it at all, the
+An error that the model leaves out pulls parameters differently in each region. The fit of all poses is a compromise,
+and the scatter of single poses does not show it: `calib.core.numerics.clusters` compares the motion of parameters with
+its expectation from noise. Where chance hardly explains it, all uncertainty from the covariance is widened by as much:
+intervals of parameters, and the uncertainty of predicted positions. Where chance does not explain it at all, the
 verdict says so.
 
-When it fails. What is off in the same way everywhere moves nothing. Of a fit in twenty that leaves nothing out,
-intervals are a little wider than they need to be.
+When it fails. An error that is equal everywhere moves nothing. One in twenty fits without such an error gets intervals
+that are a little too wide.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Regions:
     """Changes of parameters where regions are left out in turn.
 
     Attributes:
-        dependence: Region on which the parameters depend, in words.
-        ratio: How many times as much as noise explains they move.
+        dependence: Quantity on which the parameters depend, in words.
+        ratio: Motion of the parameters over its expectation from noise.
         is_significant: Whether chance does not explain it.
     """
 
@@ -47,7 +47,7 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
     """Return the regions by which parameters disagree most; None where they agree as well as noise lets them.
 
     Args:
-        data: The visits that were used.
+        data: The used visits.
         depths: `Mechanism.depths` of the robot, (n_actuated,).
         rows: Whitened rows at the solution, with the weights of a robust loss.
         statistics: Statistics of the parameters.
@@ -68,13 +68,7 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
 
 
 def scatter_without_blocks(rows: Rows, statistics: Statistics, block: IntArray) -> tuple[float, float]:
-    """Return how many times as much as noise explains parameters move without blocks of visits, and the chance of that.
-
-    Args:
-        rows: Whitened rows at the solution, with the weights of a robust loss.
-        statistics: Statistics of the parameters.
-        block: Block of each visit, (n_visits,).
-    """
+    """Return the motion of parameters without blocks (n_visits,) of visits, over that from noise, and its chance."""
     layout, factors = rows.layout, statistics.factors
     factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
     of_row = block[layout.visit[layout.reading]]

@@ -1,16 +1,16 @@
-"""Fitting with a robust loss: least squares again and again, with weights from the residuals before.
+"""Fitting with a robust loss: repeated least squares, with weights from the previous residuals.
 
 Given weights, the problem is the one of `calib.core.fitting.problem`; given its solution, `calib.core.numerics.losses`
 gives new weights. The alternation runs on the linear model around the present parameters, where a round costs next to
-nothing, until the weights stand; then the parameters go where the linear model says, and so on until the weights stand
-there too. Last, the true problem is solved with these weights.
+nothing, until the weights settle. Then the parameters move to its solution, and so on until the weights settle there
+too. Last, the true problem is solved with these weights.
 
-Unstated noise is that of the median reading: least squares finds the scales of the groups of rows, and each
-is brought to where the median length of its readings says. So is noise that is stated, where the median reading
-contradicts it (`calib.core.fitting.solving` says why); of a few gross errors the median knows nothing.
+Unstated noise is that of the median reading: least squares finds the scales of the groups of rows, and the median
+length of its readings then sets each. The same holds for stated noise where the median reading contradicts it
+(`calib.core.fitting.solving` says why); a few gross errors do not move the median.
 
-Cauchy and Tukey have several minima. They start from Huber's solution, which on a linear model has one, and keep its
-scale (the MM principle), so that the alternation cannot run away with a shrinking scale.
+Cauchy and Tukey have several minima. They start from Huber's solution, which is unique on a linear model, and keep its
+scale (the MM principle), so that the scale cannot shrink without end.
 
 Reference: maronna2019, chapter 5.
 """
@@ -49,13 +49,13 @@ class RobustSolution:
     """A minimum, and the weights of its rows.
 
     Attributes:
-        problem: As it was solved: with the noise and the sizes of families that were found.
-        evaluation: The parameters there, and what they say of the readings.
+        problem: The solved problem, with the noise and the sizes of families that were found.
+        evaluation: The evaluation at the minimum.
         groups: Scale of the noise of each group, (n_groups,).
         solution: Last report of the solver.
         weights: Weight of each reading, (n_readings,); None without a robust loss.
         factors: Factors on the noise, by the residuals, with a robust loss.
-        has_settled_weights: Whether the weights of a robust loss stand.
+        has_settled_weights: Whether the weights of a robust loss have settled.
         starts: Ends of perturbed starts, if requested.
     """
 
@@ -74,10 +74,10 @@ def solve_robust(solved: RobustSolution, loss: Loss) -> RobustSolution:
 
     Args:
         solved: The least-squares solution.
-        loss: Not `none`.
+        loss: The loss, not `none`.
 
     Raises:
-        NotIdentifiableError: What the loss leaves of the data does not determine the parameters.
+        NotIdentifiableError: The loss rejects too many readings to determine the parameters.
     """
     problem, at, scale = solved.problem, solved.evaluation, float("nan")
     layout = problem.whitening.layout
@@ -116,9 +116,9 @@ def solve_robust(solved: RobustSolution, loss: Loss) -> RobustSolution:
 
 
 def _initial_scales(problem: Problem, rows: Rows, groups: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return scales (n_groups,): the stated ones 1, or as found where the median reading contradicts them; and where.
+    """Return scales (n_groups,): the stated ones 1, or found where the median reading contradicts them.
 
-    The second are the groups whose noise is found, (n_groups,).
+    The second result is a mask of the groups whose noise is found, (n_groups,).
     """
     unstated = problem.has_unstated_noise
     if not problem.noise_weighs or np.all(unstated):
@@ -130,7 +130,7 @@ def _initial_scales(problem: Problem, rows: Rows, groups: FloatArray) -> tuple[F
 
 
 def _levels(rows: Rows) -> FloatArray:
-    """Scale of each group, over what it is assumed to be, by the median length of its readings, (n_groups,)."""
+    """Scale of each group over its assumed scale, by the median length of its readings, (n_groups,)."""
     layout = rows.layout
     levels = np.ones(len(layout.groups))
     for g in range(len(levels)):
@@ -153,7 +153,7 @@ def _median_scales(rows: Rows, groups: FloatArray, noise_found: BoolArray) -> Fl
 def _try_step(
     problem: Problem, at: Evaluation, rows: Rows, step: FloatArray, weights: FloatArray, groups: FloatArray
 ) -> Evaluation | None:
-    """Return where one Gauss-Newton step leads; None if that lowers nothing."""
+    """Return the evaluation after a Gauss-Newton step; None if the step does not lower the cost."""
     reached = problem.evaluate_if_closed(problem.unknowns.robot_at(at.robot, rows.deviations + step), at)
     if reached is None:
         return None
@@ -189,7 +189,7 @@ def _linear_solution(
 
 
 def _step(rows: Rows, weights: FloatArray, sigma: float) -> FloatArray:
-    """Solve the weighted linear problem, priors weighed against this noise."""
+    """Solve the weighted linear problem, with priors weighted against this noise."""
     root = np.sqrt(weights)[rows.layout.reading]
     priors = rows.prior.rows
     stacked = np.vstack([root[:, None] * rows.jacobian, sigma * priors])

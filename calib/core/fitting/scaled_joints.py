@@ -24,9 +24,9 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.one_coefficient import Gain
 
 SCALED = 0.01
-"""Relative error of a scale that no gear, belt or screw has."""
+"""Relative error of a scale beyond that of every gear, belt or screw."""
 SURE = 6.0
-"""Standard deviations of a gain from which it is not chance."""
+"""Standard deviations of a gain beyond which it is not chance."""
 _EXPECTED = 0.3  # sigma of the gains
 
 
@@ -35,9 +35,9 @@ class JointScales:
     """Scales of joints, from a fit with gains.
 
     Attributes:
-        map: The map that corrects joint values; factors of joints whose scale is right are one.
+        map: The map that corrects joint values; factors of joints with a right scale are one.
         std: Standard deviations of the factors, (n_actuated,).
-        noise: Noise found by the fit, per axis [m].
+        noise: Noise of the fit, per axis [m].
     """
 
     map: ColumnMap
@@ -50,7 +50,6 @@ def joint_scales(robot: Robot, data: Measurements, at: ColumnMap | None = None) 
 
     Args:
         robot: The nominal robot.
-        data: Its measurements.
         at: Likely map of the columns, from which the fit starts; the plain one if not given.
     """
     names = robot.joint_names

@@ -1,4 +1,4 @@
-"""The options of a fit, checked where they are chosen."""
+"""The options of a fit, checked when they are set."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from calib.core.numerics.losses import Loss, find_loss
 
 @dataclass(frozen=True)
 class RequestedOptions:
-    """Options of a fit that neither its settings nor its robot hold, and that a repeated fit needs again.
+    """Options of a fit that a repeated fit needs and that neither its settings nor its robot hold.
 
     Attributes:
         fix, free: Names of parameters.
-        prior: How far off parameters are expected to be, by name.
+        prior: Expected errors of parameters, by name.
         validation: The part of the poses that was held out, or the file of other poses; empty for neither.
         folds: As in `Settings`.
     """
@@ -30,7 +30,7 @@ class RequestedOptions:
     folds: int | Literal["setups"] = 0
 
     def options(self) -> dict[str, str]:
-        """Return the options of `calib fit` that ask for it, with their values."""
+        """Return these options of `calib fit` with their values."""
         priors = (f"{name}={''.join(how_far.split())}" for name, how_far in self.prior.items())
         options = {
             "--validate": self.validation,
@@ -44,7 +44,7 @@ class RequestedOptions:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a fit: the arguments of `calib.fit` of these names, which says what each means.
+    """Settings of a fit: arguments of `calib.fit` with the same names and meanings.
 
     Here `sigma` is one number for all readings [m], and `terms` are text.
 

@@ -2,21 +2,20 @@
 
 Where the noise of an instrument is not stated, it is found from the residuals
 (`calib.core.numerics.variance_components`): the solve is repeated until noise changes by less than one percent.
-
 Where an instrument reads several times at a pose, an offset that these readings share is found as well, and the solve
-repeated with rows weighed for it, until offsets change by less than one in twenty. Such weights believe what differs
-within a pose more than what differs between poses. That is right for repeats and wrong where the model of what happens
+repeated with rows weighted for it, until offsets change by less than one in twenty. Such weights trust differences
+within a pose more than differences between poses. That is right for repeats, and wrong where the model of the readings
 within a pose is itself off (the lens of a camera, the points of a board). So they are kept only where they predict
-poses that are left out in turn better: the sum over groups of n log(RMS weighed / RMS plain), n poses each, must be
-below -1. Judges are the readings of other instruments, which the weights are to protect, where there are any. With a
-robust loss no offsets are looked for: a gross error is one, too.
+left-out poses better: the sum over groups of n log(RMS weighted / RMS plain), n poses each, must be
+below -1. The sum counts the readings of other instruments, which the weights are to protect, where there are any. With
+a robust loss no offsets are looked for: a gross error is one, too.
 
-Where priors are to be weighed against noise that is stated, what counts is all that the model leaves out: of a robot
-with gear errors, the noise of a good tracker is the least part. By a statement that residuals contradict, they would
-pull parameters hundreds of sigmas away from where they are expected, and slowly, along bent valleys. So the noise of
-such a group is found as well, where chance explains the residuals in less than one case of a thousand. The linear model
-around the start tells; where what it leaves is its curvature, and the minimum contradicts nothing, the statement holds
-again. (The statement itself is judged by `calib.core.judging.rules_noise`.)
+Where priors are weighed against stated noise, the errors that the model leaves out count too: for a robot with gear
+errors, the noise of a good tracker is the least part. With a statement that residuals contradict, priors would pull
+parameters hundreds of sigmas away from their expected values, and slowly, along bent valleys. So the noise of such a
+group is found as well, where chance explains the residuals in less than one case of a thousand. The linear model around
+the start decides; where its residuals are curvature, and the minimum contradicts nothing, the statement holds again.
+(`calib.core.judging.rules_noise` gives the verdict on the statement itself.)
 """
 
 from __future__ import annotations
@@ -51,12 +50,12 @@ from calib.core.rows.rows import Rows, Scales
 from calib.core.rows.unknowns import Unknowns
 
 _LOOSE = 1e-3  # tolerance of the solver where another solve follows
-_PLACED = 1e-6  # the same for the state before: its errors then hold to a millionth
+_PLACED = 1e-6  # the same for the state `before`: its errors then hold to a millionth
 _NOISE_ROUNDS = 20
 _NOISE_STANDS = 0.01  # relative change of scales below which they are found
 _FAMILIES_STAND = 5.0  # factor of the tolerance for sizes of families
-_RATIOS_STAND = 0.05  # the same of offsets over noise, from 1 on; they change weights and nothing else
-_GAINED = 1.0  # least gain by weights in the log error of poses left out, summed over the poses
+_RATIOS_STAND = 0.05  # the same of offsets over noise, from 1 on; they change only weights
+_GAINED = 1.0  # least gain by weights in the log error of left-out poses, summed over the poses
 _NO_NOISE = (
     "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
     " --sigma-mm)"
@@ -64,8 +63,8 @@ _NO_NOISE = (
 _ALIKE = 1e-12  # difference of residuals of robots that move alike: rounding [SI]
 STEP_LEFT = 0.05
 """Standard deviations that a converged fit may be away from its minimum."""
-_FAR = 0.5  # part of the farthest way left: such parameters are named
-_BLIND = 1e-6  # part of the longest column, in units of what is expected: such a place is not seen
+_FAR = 0.5  # part of the largest remaining step, from which receding parameters are named
+_BLIND = 1e-6  # part of the longest column, in expected units, below which no reading sees a place
 ROUNDING = 1e-8
 """10 nm and 10 nrad: below, rounding decides about a step."""
 
@@ -73,8 +72,8 @@ ROUNDING = 1e-8
 def place(problem: Problem) -> Evaluation:
     """Return the nominal robot, evaluated, with unknown frames and targets placed by registration alone.
 
-    A target that is expected somewhere stays near, as far as the noise of these residuals lets it: the nominal robot's
-    own errors are part of that noise, so that it is found, whatever is stated for the sensor.
+    A target with a prior stays near its expected place as far as the noise of these residuals allows: the nominal
+    robot's own errors are part of that noise, so that it is found, whatever the description states for the sensor.
 
     Raises:
         NotConvergedError: They cannot be placed.
@@ -104,7 +103,6 @@ def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, Floa
     """Return the result of `place` from another robot placed by the same readings; None if it moves otherwise.
 
     Args:
-        problem: The problem.
         other: The other robot, base and targets placed.
         residuals: Residuals of the other robot, (n_readings, n_rows) [SI] by instrument.
     """
@@ -123,10 +121,10 @@ def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, Floa
 
 
 def reset_unseen(problem: Problem, placed: Evaluation) -> Evaluation:
-    """Return a placed robot with places that no reading sees put back to where the description has them.
+    """Return a placed robot with places that no reading sees reset to the description.
 
     The nominal robot's own errors may place a point where its instrument is blind, such as the end of a draw wire in
-    the very plane in which a planar robot moves. A solver would not leave it, and its rank would not be that of the
+    the very plane in which a planar robot moves. A solver would not leave it, and the rank there is not that of the
     solution.
     """
     unknowns, groups = problem.unknowns, problem.whitening.start()
@@ -141,7 +139,7 @@ def reset_unseen(problem: Problem, placed: Evaluation) -> Evaluation:
 
 
 def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-    """Scales of all groups, stated or not, as the residuals of placing are."""
+    """Scales of all groups, stated or not, from the residuals of placing."""
     flat, group = problem.whitening.flatten(evaluation.residuals), problem.whitening.layout.group
     places = problem.unknowns.select(problem.unknowns.placement)
     result = groups.copy()
@@ -170,30 +168,29 @@ def solve_from(
     """Solve with the stated noise or find it; from several starts and with a robust loss, if requested.
 
     Args:
-        problem: The problem.
-        placed: Where to begin.
+        placed: Evaluation at the start.
         settings: Options of the fit.
         workers: Workers for the other starts; this process if not given.
-        progress: Told after each of them.
+        progress: Called after each of them.
 
     Raises:
         NotConvergedError: The noise cannot be found.
     """
-    to_go_on = partial(_solve_with_noise, exact=_LOOSE)  # from where a robust loss begins
+    to_go_on = partial(_solve_with_noise, exact=_LOOSE)  # a start for a robust loss
     solve = _solve_with_offsets if settings.loss == "none" else to_go_on
     solved = solve(problem, placed)
     if settings.starts > 1:
         first, begin = (solved.evaluation, solved.solution), placed.robot
         tried = explore(solved.problem, begin, first, solved.groups, settings.starts, settings.seed, workers, progress)
         best = tried.minima[0]
-        if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
+        if best.solution is not solved.solution:  # the found noise belongs to the other minimum
             solved = solve(problem, problem.evaluate(best.robot))
         solved = replace(solved, starts=tried)
     return solved if settings.loss == "none" else solve_robust(solved, settings.loss)
 
 
 def _solve_with_offsets(problem: Problem, start: Evaluation) -> RobustSolution:
-    """Solve; where readings of an instrument share offsets, find these, and weigh by them where that helps."""
+    """Solve; where readings of an instrument share offsets, find these, and weight by them where that helps."""
     plain = _solve_with_noise(problem, start, TOLERANCE)
     if not np.any(problem.whitening.tells_offsets):
         return plain
@@ -206,7 +203,7 @@ def _solve_with_offsets(problem: Problem, start: Evaluation) -> RobustSolution:
 
 
 def _solve_weighed(plain: RobustSolution) -> RobustSolution | None:
-    """Solve with rows weighed for the offsets that are found; None without any, or where they cannot be found."""
+    """Solve with rows weighted for the offsets that are found; None without any, or where they cannot be found."""
     solved = plain
     for _ in range(_NOISE_ROUNDS):
         try:
@@ -226,9 +223,9 @@ def _solve_weighed(plain: RobustSolution) -> RobustSolution | None:
 
 
 def _solve_with_noise(problem: Problem, start: Evaluation, exact: float) -> RobustSolution:
-    """Solve with the stated noise; find what is not stated of it, and what residuals contradict.
+    """Solve with the stated noise; find unstated noise, and noise that residuals contradict.
 
-    Too few readings to find any noise do not contradict what other robots have confirmed.
+    Too few readings to find any noise do not contradict noise that other robots have confirmed.
     """
     try:
         return _solve_finding_noise(problem, start, exact)
@@ -274,11 +271,10 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> R
 def release_contradicted_noise(
     problem: Problem, evaluation: Evaluation, groups: FloatArray
 ) -> tuple[Problem, FloatArray]:
-    """Have the noise found of groups whose statement the linear model contradicts; also return scales to start from.
+    """Let the noise be found for groups whose statement the linear model contradicts; also return starting scales.
 
     Args:
-        problem: The problem.
-        evaluation: Where its linear model is taken.
+        evaluation: The point of the linear model.
         groups: Scales to keep where nothing is contradicted, (n_groups,).
     """
     all_found = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
@@ -292,7 +288,7 @@ def release_contradicted_noise(
 def uncertainty_at(
     solved: RobustSolution, beyond_linear: BeyondLinear | None = None
 ) -> tuple[Rows, Scales, Statistics]:
-    """Return the rows at a minimum, what is assumed of their noise, and the uncertainty of the parameters.
+    """Return the rows at a minimum, the scales of their noise, and the uncertainty of the parameters.
 
     Args:
         solved: The minimum.
@@ -329,12 +325,11 @@ def uncertainty_at(
 
 
 def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weights: FloatArray | None) -> Scatter:
-    """Return how the readings of each pose scatter together (`calib.core.numerics.clusters`).
+    """Return the common scatter of the readings of each pose (`calib.core.numerics.clusters`).
 
     Args:
-        rows: At the minimum, without the weights of a robust loss.
-        span: U = J T of them, with T of what they, with the slope of a robust loss, and the priors determine,
-            (n_rows, rank).
+        rows: Rows at the minimum, without the weights of a robust loss.
+        span: U = J T of the rows, with T of the rows, times the slope of a robust loss, and the priors, (n_rows, rank).
         factors: Factors on the noise, by the residuals.
         weights: Weight of each reading, (n_readings,); None without a robust loss.
     """
@@ -345,13 +340,13 @@ def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weig
 
 
 def convergence_at(solved: RobustSolution, rows: Rows, std: FloatArray) -> Convergence:
-    """Judge the end of the iteration by the Gauss-Newton step that is left, in standard deviations.
+    """Return the state of convergence by the Gauss-Newton step that is left, in standard deviations.
 
-    That is what counts, whether a stopping rule ended the iteration or its limit of evaluations.
+    Only this step counts, whether a stopping rule ended the iteration or its limit of evaluations.
 
     Args:
         solved: The minimum.
-        rows: The rows there.
+        rows: The rows at the minimum.
         std: Standard deviations of the free parameters, (n_free,) [m, rad].
     """
     weighted = rows if solved.weights is None else rows.with_weights(solved.weights)

@@ -1,10 +1,10 @@
 """Other minima: the same fit again from perturbed starting points.
 
-Least squares finds the minimum in whose valley it starts. The first start has base and targets placed, and all else
-nominal. Each further start moves every free parameter from there by a normal random step of one sigma. Where the loops
-cannot close, the step is halved, up to five times. Two fits have found the same minimum if their predictions differ by
-less than a tenth of their residuals. The first fit that found a minimum is kept, because a later one may describe the
-same robot with an angle that is a turn larger.
+Least squares finds the minimum in whose valley it starts. The first start has base and targets placed, and all other
+parameters nominal. Each further start moves every free parameter from there by a normal random step of one sigma. Where
+the loops cannot close, the step is halved, up to five times. Two fits have found the same minimum if their predictions
+differ by less than a tenth of their residuals. The first of them is kept, because a later one may describe the same
+robot with an angle that is a turn larger.
 
 When it fails. Not finding another minimum is no proof that there is none.
 """
@@ -32,7 +32,7 @@ _ROUNDING = 1e-7  # residuals below this are rounding [m]
 
 @dataclass(frozen=True, eq=False)
 class StartMinimum:
-    """One minimum that starts led to.
+    """A minimum that starts led to.
 
     Attributes:
         robot: The robot at the minimum.
@@ -84,13 +84,12 @@ def explore(
     """Fit again from n - 1 perturbed starts.
 
     Args:
-        problem: The problem.
         placed: Robot at the first start.
         first: End of the first start.
         groups: Scale of the noise of each group, (n_groups,).
         n: Number of starts, the first included.
         seed: Seed of the random steps.
-        executor: Runs the fits; this process if not given.
+        executor: Executor of the fits; this process if not given.
         progress: Called after each start.
     """
     rng = np.random.default_rng(seed)

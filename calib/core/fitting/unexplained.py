@@ -1,36 +1,36 @@
 """Errors of joints that residuals show in addition to noise, and that no parameter describes.
 
-Residuals larger than the noise say that something is left out: gears, play, a bending link. Where the robot will be off
-by it at another pose is not known; how much, is. It is stated as an error of each joint that differs at each pose,
+Residuals larger than the noise show that the model leaves something out: gears, play, a bending link. Its effect at
+another pose is unknown, but its size is known. It is stated as an independent error of each joint at each pose, so that
+a position has it by its lever, in the directions in which joints move it:
 so that a position feels it by its lever, in the directions in which joints move it:
 
     covariance of x(q) = B C B^T + delta^2 sum over joints of (s_j dx/dq_j)(s_j dx/dq_j)^T
 
-with delta in rad, s_j the characteristic length of the robot for a joint that slides and 1 for one that turns. Delta
-is the scatter d of the mixed model of all rows and priors (`calib.core.numerics.mixed_model`): the likeliest one. A
-test of whether anything is left out would leave out what is too small for it, which still makes intervals too narrow.
+with delta in rad, s_j the characteristic length of the robot for a joint that slides and 1 for one that turns. Delta is
+the likeliest scatter d of the mixed model of all rows and priors (`calib.core.numerics.mixed_model`). A significance
+test would ignore small errors, which still make intervals too narrow.
 
-Noise that is stated is 1 in whitened rows, and all that residuals have beyond it is delta. Noise that is not stated is
-found together with delta. What tells one from the other: joints move the tool far in some directions and hardly in
-others, and noise does not know which; readings that repeat a pose share its errors of joints. An error of few joints,
-such as of a coupling, looks more like noise than like an error of all joints. But noise does not follow joint values,
-and such an error does. So where noise is not stated, kinds of joint errors that have few coefficients are in the model
-with sizes of their own (`calib.core.fitting.terms.kind_model`): each as large as is likeliest, if the log likelihood is
-higher with it by odds of 20 to 1 (kass1995), times their number: of many that are not there, one looks as if it were,
-and far from the poses measured it would count for much. The fit has none of them, so its robot is off by all of what
-the rows say about them. That counts, and what they leave open is added. Where `--terms auto` has found the sizes of all
-kinds, these count instead.
+Stated noise is 1 in whitened rows, and all residuals beyond it are delta. Unstated noise is found together with delta.
+They are told apart by geometry: joints move the tool far in some directions and hardly in others, and noise does not;
+readings that repeat a pose share its errors of joints. An error of few joints, such as of a coupling, looks more like
+noise than like an error of all joints. But noise does not follow joint values, and such an error does. So where noise
+is not stated, kinds of joint errors with few coefficients are in the model with their own sizes
+(`calib.core.fitting.terms.kind_model`): each with its likeliest size, if the log likelihood is higher with it by odds
+of 20 to 1 (kass1995), times their number. Otherwise one of many absent kinds looks present by chance, and counts for
+much far from the measured poses. The fit has none of them, so its robot has the whole error that the rows show. That
+error counts, and its uncertainty is added. Where `--terms auto` has found the sizes of all kinds, these count instead.
 
-What rows cannot tell apart counts as delta, because the noise of readings does not move the tool
-(`calib.core.numerics.size_search.scatter_given_noise`). Where noise is known, that is nothing; where all joints move
-all readings alike, as in a gantry, it is most of what residuals have.
+The part that rows cannot tell apart counts as delta, because the noise of readings does not move the tool
+(`calib.core.numerics.size_search.scatter_given_noise`). With known noise that part is zero; where all joints move all
+readings alike, as in a gantry, it is most of the residuals.
+Delta is no part of the covariance of parameters, which is found from the same residuals. Of very many poses, a part
+determines it.
 
-Delta is no part of the covariance of parameters: these are found with residuals as large as they are. Of very many
-poses, some tell it.
-
-When it fails. A stated noise that is too small counts as an error of the joints. What the parameters took up shows in
-no residual: at poses unlike those measured the robot may be further off. Gross errors that a robust loss lets through
-count, too. Of a robot that its parameters describe, noise alone makes delta larger than 0 in about half of all fits.
+When it fails. A stated noise that is too small counts as an error of the joints. Errors that the parameters absorbed
+show in no residual: at poses unlike the measured ones the robot may be further off. Gross errors that a robust loss
+lets through count, too. For a robot that its parameters describe, noise alone makes delta larger than 0 in about half
+of all fits.
 
 Reference: kass1995; patterson1971.
 """
@@ -56,7 +56,7 @@ class UnexplainedErrors:
 
     Attributes:
         joint_error: Delta of the module docstring [rad]; 0 where noise explains the residuals.
-        terms: Kinds of joint errors that the fit does not have, and its residuals show; None if there are none.
+        terms: Kinds of joint errors that the fit lacks, and its residuals show; None if there are none.
     """
 
     joint_error: float = 0.0
@@ -66,9 +66,7 @@ class UnexplainedErrors:
 def unexplained_errors(fit: SolvedProblem, *, sized: bool) -> UnexplainedErrors:
     """Return the errors that the residuals of a fit show in addition to noise.
 
-    Args:
-        fit: The fit.
-        sized: Whether the sizes of all kinds of joint terms were found for it.
+    `sized` says whether the sizes of all kinds of joint terms were found for it.
     """
     groups = fit.whitening.groups
     stated = np.array([group.stated for group in groups])
@@ -96,7 +94,7 @@ def _kinds_of_few_coefficients(fit: SolvedProblem) -> tuple[CandidateTerm, ...]:
 
 
 def _shown(model: KindModel, kinds: tuple[CandidateTerm, ...], at: SolvedModel) -> UndecidedTerms | None:
-    """Kinds that the rows show, as large as is likeliest; None if there are none."""
+    """Kinds that the rows show, with their likeliest sizes; None if there are none."""
     n, least, known = at.model.n_families, least_sizes(at.model), at
     for k in (k for k in np.argsort(at.logs[:n]) if at.logs[k] > least[k]):
         logs = known.logs.copy()

@@ -1,22 +1,21 @@
 """Errors of a calibrated robot at poses that its fit has not seen: one definition for a whole model and for files.
 
-The covariance of the parameters says what noise leaves uncertain. Of a robot without the terms that its joints need, or
-with joint zeros alone, that is the least part: it leaves out what it cannot hold. So what can be relied on is taken
-from errors that were seen, at poses that had no part in the fit. They count both: what the robot leaves out, and that
-its parameters are known only so well. The noise of the readings there counts, too. The poses are
+The covariance of the parameters counts the uncertainty from noise. For a robot without the terms that its joints need,
+or with joint zeros alone, that is the least part. So the stated error comes from errors at poses that had no part in
+the fit. They contain the errors of the model, the uncertainty of its parameters, and the noise of the readings there.
+The poses are
 
 * those of the validation, if there are any (with their frame placed anew where it moved); else
 * those left out in turn (cross-validation), each predicted by the fit of the other folds; else
-* all that were used, each predicted by the fit of all others, by the linear model: with the whitened rows J_k and
-  residuals r_k of a pose, H_k = J_k C J_k^T and C the inverse of what all rows and priors know, the parameters without
+* all used poses, each predicted by the fit of all others, by the linear model: with the whitened rows J_k and residuals
+  r_k of a pose, H_k = J_k C J_k^T and C the inverse of the information of all rows and priors, the parameters without
   it move by
 
       du = C J_k^T (1 - H_k)^-1 r_k
 
-  A pose that decides some direction alone, such as the place of a setup of its own, is not among them: no other pose
-  predicts it. Where the same poses showed which joint terms there are, and how large, these errors are too small. What
-  is expected then, by the model of all terms (`calib.core.fitting.terms.term_sizes`), takes their place, and `limit95`
-  changes in proportion.
+  A pose that alone decides a direction, such as the only pose of a setup, is left out: no other pose predicts it. Where
+  the same poses showed which joint terms there are, and how large, these errors are too small. Then the error expected
+  by the model of all terms (`calib.core.fitting.terms.term_sizes`) replaces them, and `limit95` changes in proportion.
 
 Of the errors at n such poses (of positions: distances between predicted and read, the mean over repeats of a pose) are
 stated
@@ -66,7 +65,7 @@ def accuracy(fit: Fit) -> Accuracy:
 
 
 def predicted_accuracy(fit: Fit) -> Accuracy | None:
-    """Return the predicted error at poses like those used, by the module docstring; None where no pose tells."""
+    """Return the predicted error at poses like those used by the module docstring; None if none can be predicted."""
     predicted = leave_one_out_errors(fit)
     if predicted is None:
         return None
@@ -77,7 +76,7 @@ def predicted_accuracy(fit: Fit) -> Accuracy | None:
 
 
 def accuracy_of_errors(errors: ErrorSet, poses: PoseUse) -> Accuracy:
-    """Return how large errors are, before and after, at which poses."""
+    """Return the size of errors before and after calibration at these poses."""
     part = errors.main_part
     lengths = np.sqrt(np.nansum(errors.errors("after", part.name) ** 2, axis=1))
     rms = errors.rms("after")
@@ -98,7 +97,7 @@ def limit95(lengths: FloatArray) -> float:
 @memoize
 @one_blas_thread
 def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
-    """Return errors of poses that were used, each predicted by the fit of all others; None if that tells of none."""
+    """Return errors of used poses, each predicted by the fit of all others; None if no pose can be predicted."""
     data, rows = fit.identification.data, fit.weighted_rows
     if rows is fit.rows:
         moved, decided = _prediction_shifts(rows)
@@ -116,14 +115,14 @@ def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
 
 @memoize
 def _prediction_shifts(rows: Rows) -> tuple[FloatArray, FloatArray]:
-    """Shifts of poses by `LeftOut.moved`; copies of a fit share them, as they hold the same rows."""
+    """Shifts of poses that are left out in turn; copies of a fit share them, as they hold the same rows."""
     return rows.leave_out_blocks(rows.layout.pose_of_row).shifts_without_block(rows.residuals, alone=_DECIDES)
 
 
 def rms_shift_left_out(fit: Fit) -> float:
-    """Return the root mean square by which predictions of poses that were used move where the pose itself is left out.
+    """Return the root mean square shift of predictions of used poses when the pose itself is left out [SI].
 
-    Of the main part of the readings [SI], over the poses that `leave_one_out_errors` tells of; NaN if there are none.
+    It covers the main part of the readings and the poses of `leave_one_out_errors`; NaN if there are none.
     """
     predicted, whole = leave_one_out_errors(fit), fit.identification
     if predicted is None:

@@ -76,7 +76,6 @@ def cross_validate(
     """Fit once for each fold, without it.
 
     Args:
-        data: All measurements.
         count: Number of folds, 2 or more; or `setups`, each of which is one.
         seed: Seed of the random choice.
         fit: Fits one part and predicts the other; of a module, so that other processes find it.
@@ -130,7 +129,6 @@ def stretches(data: Measurements, count: int) -> list[IntArray]:
     """Cut the measurements into stretches of their order, of about equally many poses.
 
     Args:
-        data: All measurements.
         count: Number of stretches.
 
     Returns:

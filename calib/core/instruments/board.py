@@ -7,7 +7,7 @@ rows, y down the columns as one reads the print, z into the paper. That is OpenC
     charuco       the same, with a marker of a dictionary in every second square
     circles       c0, c1, ...: centres of dots, row by row; every second row is shifted by half a column (asymmetric)
     dots          c0, c1, ...: centres of dots in a square grid, row by row from the corner whose dot is larger than the
-                  others, as it lies at the top left
+                  others, which is the top left
     aruco         m<number>.<corner>: corners 0 to 3 of markers in rows and columns, clockwise from the top left one
     apriltag      the same, with tags of the family 36h11 unless another dictionary is named
 
@@ -134,7 +134,7 @@ class Board(Section):
 
     @property
     def smallest(self) -> float:
-        """Size of the smallest thing that a camera must resolve: a marker, a square, or the distance of dots [m]."""
+        """Smallest feature that a camera must resolve: a marker, a square, or the distance of dots [m]."""
         return self.marker or self.square or self.spacing or 0.0
 
     def marker_at(self, column: int, row: int) -> int:
@@ -178,15 +178,7 @@ class Board(Section):
 
 
 def validate_board(content: object, where: str) -> Board:
-    """Return the board from the content of a file or of an option.
-
-    Args:
-        content: Keys and values.
-        where: For messages.
-
-    Raises:
-        DescriptionError: A key that is missing, unknown or has a wrong value.
-    """
+    """Return the board from the content of a file or an option; `where` names it in a `DescriptionError`."""
     if not isinstance(content, dict):
         raise DescriptionError(f"{where}: is not a mapping of keys to values such as kind, columns, rows, square")
     kind = content.get("kind")
@@ -242,11 +234,7 @@ def read_board(text: str, where: str, folder: Path | None = None) -> Board:
 
 
 def _board_of_kalibr(content: dict[str, Any], where: str) -> dict[str, Any]:
-    """Content of a board from a target file of Kalibr; its tags are counted from the bottom left.
-
-    Raises:
-        DescriptionError: It is of another type, or a key is missing.
-    """
+    """Content of a board from a target file of Kalibr, whose tags are counted from the bottom left."""
     kind, keys = content["target_type"], ("tagCols", "tagRows", "tagSize", "tagSpacing")
     counts = ("targetCols", "targetRows", "rowSpacingMeters")
     if kind == "checkerboard" and all(isinstance(content.get(key), (int, float)) for key in counts):

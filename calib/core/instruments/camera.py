@@ -9,16 +9,14 @@ the image, as OpenCV has it. With m = (x / z, y / z) and r^2 = |m|^2,
 The order of intrinsics is fx fy cx cy k1 k2 p1 p2 k3. Pixels are counted as OpenCV does: the centre of the first one is
 at (0, 0).
 
-A solver may try a camera with a point outside of its view or behind it, where there is no image. So that the solver can
-return, the cosine z / |p| is then replaced by a function that stays positive and keeps falling, and distortion stops
-growing at r^2 = 4 (63 degrees from the axis), since no such polynomial is valid beyond.
+A solver may try a camera with a point outside of its view or behind it, where there is no image. So that it can return,
+the cosine z / |p| is then replaced by a function that stays positive and keeps falling, and distortion stops growing at
+r^2 = 4 (63 degrees from the axis), since no such polynomial is valid beyond.
 
 Poses of a body in the camera follow from a few points in each view, for many views at once (`view_poses`). Each view is
 a least-squares problem in six unknowns: points X_j of the body, seen along rays m_j. Damped Gauss-Newton steps, taken
-for all problems together, start from 24 orientations of the body (those of a cube), at the depth that follows from the
 spread of the rays. Three points allow up to four solutions, and four points in a plane sometimes two. Views with fewer
-than four points are not solved, and users of the poses must expect that some are wrong
-(`calib.core.instruments.camera_places`).
+than four points are not solved, and some of the poses may be wrong (`calib.core.instruments.camera_places`).
 
 From many points in one frame, the pose is found linearly (`resection`): with rows [m]x (P X) = 0 for a matrix P of
 3 x 4 numbers, or of 3 x 3 numbers where the points lie in a plane.
@@ -71,12 +69,12 @@ def project(points: FloatArray, intrinsics: FloatArray) -> tuple[FloatArray, Flo
 
 
 def is_in_front(points: FloatArray) -> BoolArray:
-    """Return which points (n, 3) [m] are in front of a camera at the origin, (n,)."""
+    """Return a mask (n,) of the points (n, 3) [m] in front of a camera at the origin."""
     return points[:, 2] > _GRAZING * np.linalg.norm(points, axis=1)
 
 
 def is_in_lens(points: FloatArray, intrinsics: FloatArray) -> BoolArray:
-    """Return which points (n, 3) [m] are where distorted radii grow outwards; further out, the image folds back."""
+    """Return a mask (n,) of points (n, 3) [m] where distorted radii grow outwards; beyond, the image folds back."""
     k1, k2, k3 = intrinsics[[4, 5, 8]]
     turns = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # r^2 where d(r + k1 r^3 + k2 r^5 + k3 r^7) / dr = 0
     real = turns.real[(np.abs(turns.imag) < 1e-12) & (turns.real > 0)]
@@ -118,7 +116,7 @@ def _distort(plane: FloatArray, numbers: FloatArray) -> tuple[FloatArray, FloatA
     size = np.sum(plane**2, axis=1)
     shrink = np.sqrt(np.minimum(1.0, _WIDEST / np.maximum(size, 1e-300)))
     inside = (shrink == 1.0)[:, None, None]
-    m = plane * shrink[:, None]  # argument of the distortion: m, or on the edge of where the polynomial is valid
+    m = plane * shrink[:, None]  # argument of the distortion: m, or on the edge of the valid range of the polynomial
     x, y = m.T
     r2 = x**2 + y**2
     radial = k1 * r2 + k2 * r2**2 + k3 * r2**3
@@ -158,7 +156,7 @@ def view_poses(points: FloatArray, seen: FloatArray, view: IntArray, n_views: in
     """Return the pose of the body in each view and its error per ray; inf where it was not solved.
 
     Args:
-        points: In the body's frame, (n, 3) [m].
+        points: Points in the body's frame, (n, 3) [m].
         seen: Their rays m, (n, 2).
         view: View of each, (n,).
         n_views: Number of views.
@@ -244,8 +242,8 @@ def _refine_poses(
 def resection(points: FloatArray, seen: FloatArray) -> list[FloatArray]:
     """Return poses of a frame in the camera, (4, 4) [m] each, at which its points (n, 3) lie on rays (n, 2).
 
-    The list is empty for fewer than `LEAST_POINTS` points, or points on a line. There are two poses for six points or
-    more that are not in a plane, else one.
+    The list is empty for fewer than `LEAST_POINTS` points, or points on a line. It has two poses for six or more points
+    that are not in a plane, else one.
     """
     middle = points.mean(axis=0)
     _, size, axes = linalg.svd(points - middle, full_matrices=False)

@@ -1,15 +1,15 @@
-"""First guesses at where a camera and the body that it looks at are fixed.
+"""First guesses at the fixed places of a camera and of the body that it observes.
 
-The camera is fixed to one link by C, the body to another by M, and the robot says how the links lie, L_i, so that point
-X is seen at C^-1 L_i M X. Nothing may be known of C and M. Guesses come from
+The camera is fixed to one link by C, the body to another by M, and the robot gives the poses L_i between the links, so
+that point X is seen at C^-1 L_i M X. C and M may both be unknown. Guesses come from
 
 1. poses of single views (`calib.core.instruments.camera`) and the hand-eye problem (`calib.core.instruments.hand_eye`):
-   from a few views at a time, chosen at random, since some poses are the wrong one of several answers;
-2. all points at once: where M is taken for known, turned as it is or as a cube may be turned, C is a resection.
+   from a few views at a time, chosen at random, since some poses are the wrong one of several solutions;
+2. all points at once: with M as it is, or turned like a cube, C is a resection.
 
 Each guess is then improved by least squares over C and M together, in rays (pixels without distortion), and the best
 few are returned; with them, C alone with M as it is, since another camera may have shown M already. The random choice
-has a fixed seed: one problem has one answer.
+has a fixed seed, so that results repeat.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ Places = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Poses of boards and points in the frame of a camera.
+    """Points of a body seen by a camera.
 
     Attributes:
         links: L_i of each sighting, (n, 4, 4) [m].
         points: X in the body's frame, (n, 3) [m].
         rays: m of `calib.core.instruments.camera`, (n, 2).
-        view: Number of the time at which each was seen, (n,), from 0.
+        view: Number of the view of each, (n,), from 0.
     """
 
     links: FloatArray
@@ -54,7 +54,7 @@ class Sightings:
     view: IntArray
 
     def select(self, chosen: IntArray) -> Sightings:
-        """Return those with these numbers, (n,); views keep their numbers."""
+        """Return the sightings with these numbers, (n,); views keep their numbers."""
         return Sightings(self.links[chosen], self.points[chosen], self.rays[chosen], self.view[chosen])
 
 
@@ -62,9 +62,8 @@ def guesses(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list
     """Return guesses at the places of camera and body, best first.
 
     Args:
-        sightings: The sightings.
-        now: The places as they are.
-        known: Which of them are known.
+        now: The present places.
+        known: Whether each of them is known.
     """
     sample = sightings.select(np.unique(np.linspace(0, len(sightings.view) - 1, _POINTS).astype(np.intp)))
     tried = [now, *_from_views(sightings, now, known), *_from_points(sample, now, known)]
@@ -113,7 +112,7 @@ def _from_views(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> 
 
 
 def _from_points(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
-    """Guesses that take the body's place for known, but for how it is turned."""
+    """Guesses with the body at its present position, in each orientation of a cube."""
     result = []
     for turn in cube_rotations():
         body = now[1].copy()
@@ -134,13 +133,13 @@ def _homogeneous(points: FloatArray) -> FloatArray:
 
 
 def _points_in_camera(sightings: Sightings, places: Places) -> tuple[FloatArray, FloatArray]:
-    """Points in the camera's frame (n, 3), and how the body is turned in it (n, 3, 3)."""
+    """Points in the camera's frame (n, 3), and rotations of the body in it (n, 3, 3)."""
     poses = np.linalg.inv(places[0]) @ sightings.links @ places[1]
     return np.einsum("kab,kb->ka", poses[:, :3], _homogeneous(sightings.points)), poses[:, :3, :3]
 
 
 def _typical(sightings: Sightings, places: Places) -> float:
-    """Median error of the rays: some may be mistaken."""
+    """Median error of the rays, which a few mistakes do not change."""
     errors, _ = plane_errors(_points_in_camera(sightings, places)[0], sightings.rays)
     return float(np.median(np.sum(errors**2, axis=1)))
 
@@ -148,13 +147,12 @@ def _typical(sightings: Sightings, places: Places) -> float:
 def refine_places(
     sightings: Sightings, places: Places, known: tuple[bool, bool] = (False, False), steps: int = _STEPS
 ) -> Places:
-    """Return places near those given, by least squares over those that are not known; far-off sightings count less.
+    """Return places after least squares over the unknown ones; far-off sightings count less.
 
     Args:
-        sightings: What was seen.
-        places: Where to begin.
-        known: Which of them are known.
-        steps: At most so many.
+        places: Places to start from.
+        known: Whether each of them is known.
+        steps: Largest number of steps.
     """
     free = np.repeat(np.logical_not(known), 6)
     scale = max(np.sqrt(_typical(sightings, places)), 1e-6)

@@ -1,8 +1,8 @@
-"""Whether a kind of measurement keeps what it promises: shapes, numbers and derivatives; for the tests of its package.
+"""Checks of a kind of measurement: shapes, numbers and derivatives, for the tests of its package.
 
-A wrong derivative does not stop a fit, which converges all the same, more slowly, but its intervals are wrong. So each
-column is compared with the central difference of the residuals, whose error is of second order in the step h, and of
-order eps / h by rounding.
+A wrong derivative does not stop a fit, which only converges more slowly, but its intervals are wrong. So each column is
+compared with the central difference of the residuals, whose error is of second order in the step h, and of order
+eps / h by rounding.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import ComputationError
 from calib.core.instruments.kind import Comparison, Instrument, JointComparison, Readings, View
 
-_STEP = 1e-6  # m, rad, and of unknown numbers relative to their expected error
-_NEAR = 1e-5  # part of the largest derivative of a row: 1e-16 / 1e-6 of rounding, and what digits of residuals take
+_STEP = 1e-6  # m, rad; for unknown numbers relative to their expected error
+_NEAR = 1e-5  # part of the largest derivative of a row: rounding (1e-16 / 1e-6) and lost digits of residuals
 _TWIST = ("dp_x", "dp_y", "dp_z", "dw_x", "dw_y", "dw_z")
 
 
@@ -25,11 +25,10 @@ def check_kind(
     unknowns: FloatArray | None = None,
     details: FloatArray | None = None,
 ) -> None:
-    """Raise `ComputationError` where an instrument does not keep what its kind promises.
+    """Raise `ComputationError` where an instrument breaks the contract of its kind.
 
     Args:
-        instrument: The instrument.
-        seen: n views in which it reads something; of a `JointInstrument`, values of the joint (n,) [m or rad].
+        seen: n views in which it reads something; for a `JointInstrument`, values of the joint (n,) [m or rad].
         unknowns: Its unknown numbers, (n_unknowns,); nominal if not given.
         details: Details of readings, (n, n_details); none if not given.
 
@@ -108,7 +107,7 @@ def _view_after_step(seen: View | FloatArray, k: int, step: float) -> View | Flo
 
 
 def _require_same(given: FloatArray, found: FloatArray, all_of_it: FloatArray, subject: str, axes: list[str]) -> None:
-    """Raise where derivatives (n, n_rows) differ by more than rounding makes."""
+    """Raise `ComputationError` where derivatives (n, n_rows) differ by more than rounding."""
     off = np.abs(given - found) - _NEAR * max(float(np.max(np.abs(all_of_it), initial=0.0)), 1e-3)
     if np.max(off, initial=0.0) > 0:
         i, row = np.unravel_index(int(np.argmax(off)), off.shape)

@@ -1,13 +1,12 @@
-"""Distances: how far a target is from a fixed point, by a ballbar, a draw wire, or an interferometer that follows it.
+"""Distances of a target from a fixed point, by a ballbar, a draw wire, or an interferometer that follows it.
 
     r = |p_ab| + offset - d            dr = u^T dp,      u = p_ab / |p_ab|
 
 The offset is a constant of the instrument: a dead path, or the zero of a wire. Several instruments of this kind at
-different points make multilateration. Where the fixed point is follows from its distances
-(`calib.core.numerics.rigid`).
+different points make multilateration. The distances determine the fixed point (`calib.core.numerics.rigid`).
 
-When it fails. A distance of nothing has no derivative: the target must not be where the instrument is. A target that
-stays in one plane does not tell on which side of it the fixed point is; the side of the first value is kept.
+When it fails. A zero distance has no derivative: the target must not be at the instrument. A target that stays in one
+plane does not show on which side of it the fixed point is; the side of the first value is kept.
 """
 
 from __future__ import annotations
@@ -85,7 +84,7 @@ class Distance(Relation):
         return np.linalg.norm(view.translation, axis=1)[:, None] + self._offset(unknowns)
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Return what it would read minus what it read; motion along the line of sight moves it."""
+        """Return predicted minus read; motion along the line of sight moves it."""
         length, unit = distances(view.translation, f"instrument '{self.name}': its target '{self.target}'")
         n = len(readings)
         by_twist = np.zeros((n, 1, 6))
@@ -116,15 +115,7 @@ class Distance(Relation):
 
 
 def distances(vectors: FloatArray, what: str) -> tuple[FloatArray, FloatArray]:
-    """Return lengths (n,) and directions (n, 3) of vectors (n, 3) [m].
-
-    Args:
-        vectors: From fixed points to a target.
-        what: Name of the target in the message.
-
-    Raises:
-        ComputationError: One has no length.
-    """
+    """Return lengths (n,) and directions (n, 3) of vectors (n, 3) [m]; a zero one raises `ComputationError`."""
     length = np.linalg.norm(vectors, axis=1)
     if np.any(length < _NOTHING):
         raise ComputationError(

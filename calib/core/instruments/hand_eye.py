@@ -1,7 +1,7 @@
 """The hand-eye problem: first values, in closed form, of two unknown frames on two links.
 
-Frame a is fixed to one link by C, and frame b to another link by M. The robot gives the pose L_i of the second link
-seen from the first one. An instrument sees frame b from frame a as
+Frame a is fixed to one link by C, and frame b to another link by M. The robot gives the pose L_i of the second link in
+the first one. An instrument sees frame b from frame a as
 
     A_i = C^-1 L_i M          or          C A_i = L_i M
 
@@ -35,8 +35,7 @@ def solve_rotations(
     Args:
         links: L_i, (..., n, 3, 3).
         seen: A_i, (..., n, 3, 3).
-        first: C, where it is known, (..., 3, 3).
-        second: M, where it is known, (..., 3, 3).
+        first, second: C and M, where they are known, (..., 3, 3).
     """
     form = np.einsum("...kad,...kbc->...abdc", links, seen).reshape(*links.shape[:-3], 9, 9)
     if first is not None:
@@ -69,7 +68,7 @@ def _times(form: FloatArray, rotation: FloatArray) -> FloatArray:
 
 
 def _best_rotation(form: FloatArray, rotation: FloatArray) -> FloatArray:
-    """The rotation that makes the form largest while the other one is given, (..., 3, 3)."""
+    """The rotation that maximises the form for a given other one, (..., 3, 3)."""
     return nearest_rotation(_times(form, rotation))
 
 

@@ -1,6 +1,6 @@
-"""Readings of a joint: an encoder on a joint that loops decide, or a second one on a joint that has a motor.
+"""Readings of a joint: an encoder on a joint that loops determine, or a second one on a joint with a motor.
 
-One row: the joint's value, plus what the encoder reads where the joint is at zero,
+One row: the joint's value, plus the encoder's reading at the joint's zero,
 
     q_j + zero - reading
 
@@ -56,11 +56,7 @@ class JointReadingSection(InstrumentSection):
         return self
 
     def number(self, key: str) -> float | None:
-        """Return a key's quantity [m or rad]; None where it is left out.
-
-        Raises:
-            ValueError: It has another dimension.
-        """
+        """Return a key's quantity [m or rad], or None; another dimension raises `ValueError`."""
         value = getattr(self, key)
         return None if value is None else quantity(value, self.dimension, key, ValueError)
 
@@ -106,13 +102,13 @@ class JointReading(JointInstrument):
         return (joint + (unknowns[0] if len(unknowns) else self.offset))[:, None]
 
     def compare(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> JointComparison:
-        """Return errors of the joint, and how it and the zero move them."""
+        """Return errors of the joint, and their derivatives by the joint and the zero."""
         n = len(readings)
         residuals = self._nearest_turn(self.predict(joint, unknowns, readings.details) - readings.values)
         return JointComparison(residuals, np.ones((n, 1)), np.ones((n, 1, len(unknowns))))
 
     def first_unknowns(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> FloatArray:
-        """Return the zero that fits the joint as it is: the mean, or on a circle the direction of the mean."""
+        """Return the zero that fits the present joint values: the mean, or on a circle the direction of the mean."""
         seen = np.isfinite(readings.values[:, 0]) & np.isfinite(joint)
         if len(unknowns) == 0 or not np.any(seen):
             return unknowns

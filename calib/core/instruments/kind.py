@@ -1,12 +1,11 @@
 """Base class of a kind of measurement.
 
 An instrument looks from one frame a at another frame b (`FrameInstrument`); a reading is a few numbers about T_ab, b
-seen from a. Or it reads the value of a joint (`JointInstrument`). All that the engine needs of a kind is here: which
-frames it looks at and from, or which joint it reads, which columns of a file it reads, which unknown numbers it brings,
-what it predicts, how a prediction differs from what was read, and how that difference moves with T_ab or the joint, and
-with its unknowns. Kinematics, loops and parameters enter by the chain rule, which is written once
-(`calib.core.rows.observed`), so that a new kind is one small file, here with a line in `calib.core.instruments.kinds`,
-or in another package with an entry point.
+seen from a. Or it reads the value of a joint (`JointInstrument`). A kind defines all that the engine needs: its frames
+or its joint, its columns in a file, its unknown numbers, its prediction, the difference of a prediction and a reading,
+and the derivatives of that difference by T_ab or the joint, and by its unknowns. Kinematics, loops and parameters enter
+by the chain rule, which is written once (`calib.core.rows.observed`), so that a new kind is one small file, here with a
+line in `calib.core.instruments.kinds`, or in another package with an entry point.
 
 Derivatives are by the twist [dp; dw] of b seen from a, in the axes of a:
 
@@ -36,12 +35,12 @@ class Part:
     Attributes:
         name: Such as `position`.
         axes: Names of its rows.
-        dimension: Their dimension.
-        usual: The largest noise that such instruments have [SI]: more is what the model leaves out.
-        largest: Noise beyond which the numbers mean something else, whatever robot they are of [SI].
-        is_position: Whether its rows are the coordinates of the target: where they are read, how accurate a robot is
-            is told in them, and the noise of positions is theirs.
-        is_distance: Whether its row is how far its two frames are apart: pictures show it as a wire.
+        dimension: Dimension of its rows.
+        usual: The largest noise of such instruments [SI]: more comes from the model.
+        largest: Noise beyond which the numbers mean something else, for every robot [SI].
+        is_position: Whether its rows are the coordinates of the target: they then state the accuracy of a robot, and
+            the noise of positions is theirs.
+        is_distance: Whether its row is the distance of its two frames, which pictures show as a wire.
         plural: Name of its readings in a sentence; the name with an s if not given.
     """
 
@@ -62,7 +61,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a measurement file: its name, and what it measures (None: a pure number)."""
+    """A column of a measurement file: its name and dimension (None: a pure number)."""
 
     name: str
     dimension: Dimension | None
@@ -70,15 +69,15 @@ class Column:
 
 @dataclass(frozen=True)
 class Place:
-    """A frame fixed to a link, which an instrument looks from or at.
+    """A frame fixed to a link, from which or at which an instrument looks.
 
     Attributes:
         name: Its name, also of its origin.
-        link: Link or joint frame that it is fixed to.
-        xyz, rpy: Where it is in that link, or with `inverted` where that link is in it [m], [rad].
+        link: Link or joint frame that carries it.
+        xyz, rpy: Pose of the place in that link, or with `inverted` of that link in the place [m], [rad].
         unknown: Components that the measurements must find.
-        sigma, sigma_angle: How far these are expected to be off [m], [rad]; None: the numbers say nothing.
-        inverted: Whether the place is given, and edited, the other way round.
+        sigma, sigma_angle: Expected errors of these [m], [rad]; None: the numbers say nothing.
+        inverted: Whether the pose is that of the link in the place.
     """
 
     name: str
@@ -95,9 +94,8 @@ def placed(name: str, section: PlaceSection | PosedSection, unknown: tuple[Compo
     """Return a place of this name as the description states it.
 
     Args:
-        name: Its name.
         section: Its entry in the description.
-        unknown: Components that the measurements must find; those that the section calls unknown if not given.
+        unknown: Components that the measurements must find; if not given, those that the section calls unknown.
     """
     found = section.unknown if unknown is None else unknown
     return Place(name, section.frame, section.xyz, section.rpy, found, section.sigma, section.sigma_angle)
@@ -105,10 +103,10 @@ def placed(name: str, section: PlaceSection | PosedSection, unknown: tuple[Compo
 
 @dataclass(frozen=True, eq=False)
 class View(ReadOnlyArrays):
-    """Frames and joint values that n readings depend on.
+    """Poses of frame b seen from frame a, for n readings.
 
     Attributes:
-        rotation: R_ab of frame b seen from frame a, (n, 3, 3).
+        rotation: R_ab, (n, 3, 3).
         translation: p_ab, (n, 3) [m].
     """
 
@@ -121,13 +119,13 @@ class Readings(ReadOnlyArrays):
     """Readings of one instrument. Nothing is averaged.
 
     Attributes:
-        visits: To which visit of the robot each reading belongs, (n,).
-        pairs: Number of the pair of frames that it looked at, (n,).
+        visits: Visit of the robot for each reading, (n,).
+        pairs: Number of the pair of frames of each reading, (n,).
         values: The numbers, (n, n_values); NaN where a component was not read.
-        covariance: Their noise where the file states it, (n, n_rows, n_rows) [SI]; None where it does not.
+        covariance: Noise that the file states, (n, n_rows, n_rows) [SI]; None where it does not.
         details: Further numbers of each reading that a kind needs, (n, n_details).
-        labels: File, line and pose name of each, where they stand in another file than the joint values; None: those
-            of its visit.
+        labels: File, line and pose name of each, where they stand in another file than the joint values; None: as its
+            visit.
     """
 
     visits: IntArray
@@ -188,11 +186,11 @@ class Scene:
 
     Attributes:
         readings: Readings of the instrument, n of them.
-        links: Pose of the link of frame b in the link of frame a for each reading, by the robot as it is, (n, 4, 4).
+        links: Pose of the link of frame b in the link of frame a for each reading, by the present robot, (n, 4, 4).
         pairs: Names of the places (a, b) of each pair.
         places: Present pose of each of these places in its link, (4, 4) [m].
         unknown: Components of each place that the measurements must find.
-        unknowns: Unknown numbers of the instrument now, (n_unknowns,).
+        unknowns: Present unknown numbers of the instrument, (n_unknowns,).
     """
 
     readings: Readings
@@ -205,11 +203,11 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """First values of what is unknown.
+    """First values of unknown places and numbers.
 
     Attributes:
-        places: Poses of places in their links, (4, 4) [m]; only unknown components are taken over.
-        unknowns: Unknown numbers of the instrument, (n_unknowns,); None: as they are.
+        places: Poses of places in their links, (4, 4) [m]; only unknown components are used.
+        unknowns: Unknown numbers of the instrument, (n_unknowns,); None: unchanged.
     """
 
     places: Mapping[str, FloatArray]
@@ -228,19 +226,18 @@ class InstrumentSection(Section):
 
 @dataclass(frozen=True)
 class Instrument(ABC):
-    """A kind of measurement, as one instrument of a robot description makes it: what all kinds have.
+    """A kind of measurement, as one instrument of a robot description: the properties of all kinds.
 
     Attributes:
         section: Keys of its entry in a robot description (class attribute).
-        label_column: Text column whose cells say by name which instrument a row is of. Instruments that have the same
-            one may share their columns of numbers; a file may leave it out where they do not. None: there is none
-            (class attribute).
-        touches: Whether a reading has no numbers: to be there is all that it says (class attribute).
-        may_see_nothing: Whether there are poses at which it reads nothing, such as those at which a camera does not see
-            the board; then predictions are NaN (class attribute).
+        label_column: Text column whose cells name the instrument of a row. Instruments with the same label column may
+            share columns of numbers; a file may leave it out where they do not. None: there is none (class attribute).
+        touches: Whether a reading has no numbers, because contact is all that it states (class attribute).
+        may_see_nothing: Whether it reads nothing at some poses, such as those at which a camera does not see the board;
+            then predictions are NaN (class attribute).
         name: Its name in the description, and the beginning of its columns.
         noise: Its stated noise.
-        unknowns: Unknown numbers of its own.
+        unknowns: Its own unknown numbers.
     """
 
     section: ClassVar[type[InstrumentSection]]
@@ -254,24 +251,23 @@ class Instrument(ABC):
     @classmethod
     @abstractmethod
     def from_section(cls, name: str, section: Any) -> Instrument:
-        """Return the instrument that an entry of a robot description means.
+        """Return the instrument of an entry of a robot description.
 
         Args:
-            name: Its name.
             section: The entry.
 
         Raises:
-            ValueError: The entry means none.
+            ValueError: The entry is not valid.
         """
 
     @property
     @abstractmethod
     def parts(self) -> tuple[Part, ...]:
-        """Its rows; most kinds have them as a class attribute."""
+        """Parts of its rows; most kinds have them as a class attribute."""
 
     @property
     def group(self) -> str:
-        """Instruments of one group share the scale of their noise; its own name unless a kind says more."""
+        """Group that shares the scale of its noise; its own name unless a kind overrides this."""
         return self.name
 
     @property
@@ -286,7 +282,7 @@ class Instrument(ABC):
 
     @property
     def reads_positions(self) -> bool:
-        """Whether positions along three axes are all that it reads."""
+        """True if positions along three axes are all that it reads."""
         return len(self.parts) == 1 and self.parts[0].is_position and len(self.columns()) == 3
 
     def places(self) -> tuple[Place, ...]:
@@ -294,25 +290,21 @@ class Instrument(ABC):
         return ()
 
     def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
-        """Return the names of the frames (a, b) that it can look from and at.
-
-        Args:
-            base: The measurement frame, from which a kind looks at its target that does not say otherwise.
-        """
+        """Return the names of the frames (a, b) of its readings; `base` is the measurement frame, the default of a."""
         return ()
 
     def columns(self) -> tuple[Column, ...]:
-        """Return its columns in a measurement file: `<name>_<axis>` for each of its rows, unless a kind says more."""
+        """Return its columns in a measurement file: by default `<name>_<axis>` for each of its rows."""
         return tuple(Column(f"{self.name}_{axis}", part.dimension) for part in self.parts for axis in part.axes)
 
     def text_columns(self) -> tuple[str, ...]:
-        """Return columns that say in words what was looked at."""
+        """Return its text columns, which name the observed things."""
         return ()
 
     def parse_texts(
         self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
     ) -> tuple[Sequence[bool], IntArray, FloatArray]:
-        """Say from the text columns which rows are readings of this instrument, along which pair, with which details.
+        """Return from the text columns which rows are readings of this instrument, their pairs and their details.
 
         Args:
             texts: Text columns by name, n cells each.
@@ -322,13 +314,13 @@ class Instrument(ABC):
             (n,) whether a row is a reading; pairs (n,); details (n, n_details).
 
         Raises:
-            DataError: A text that means nothing.
+            DataError: A text is not valid.
         """
         n = len(where)
         return [True] * n, np.zeros(n, dtype=np.intp), np.zeros((n, 0))
 
     def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
-        """Return the text columns by name from pairs (n,) and details (n, n_details): the way back."""
+        """Return the text columns by name from pairs (n,) and details (n, n_details), the inverse of `parse_texts`."""
         return {}
 
     def looks(self) -> tuple[IntArray, FloatArray]:
@@ -336,16 +328,16 @@ class Instrument(ABC):
         return np.zeros(1, dtype=np.intp), np.zeros((1, 0))
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
-        """Turn columns (n,) [SI] by name into values (n, n_values): the columns themselves, unless a kind says more."""
+        """Turn columns (n,) [SI] by name into values (n, n_values): by default the columns themselves."""
         return np.stack([columns[column.name] for column in self.columns()], axis=1)
 
     def cells(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Turn values (n, n_values) into columns (n,) [SI] by name: the way back."""
+        """Turn values (n, n_values) into columns (n,) [SI] by name, the inverse of `values`."""
         return {column.name: values[:, k] for k, column in enumerate(self.columns())}
 
     @abstractmethod
     def predict(self, seen: Any, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return what it reads, (n, n_values).
+        """Return its predicted readings, (n, n_values).
 
         Args:
             seen: Its input: the frames, a `View`; or values of its joint, (n,) [m or rad].
@@ -355,36 +347,32 @@ class Instrument(ABC):
 
     @abstractmethod
     def compare(self, seen: Any, unknowns: FloatArray, readings: Readings) -> Comparison | JointComparison:
-        """Compare what it would read with what it read, (n, n_rows): see `Comparison` and `JointComparison`."""
+        """Compare predictions with readings, (n, n_rows): see `Comparison` and `JointComparison`."""
 
     def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return values (n, n_values) changed by small errors of their rows (n, n_rows) [SI]: what noise does."""
+        """Return values (n, n_values) changed by small errors of their rows (n, n_rows) [SI], as noise does."""
         return values + change
 
     def points(self, values: FloatArray) -> FloatArray | None:
-        """Return where values (n, n_values) put the target, seen from a, (n, 3) [m]; None for kinds that do not."""
+        """Return the target's position from values (n, n_values), seen from a, (n, 3) [m]; None without one."""
         return None
 
     def doubts(self, readings: Readings) -> tuple[str, ...]:
-        """Return what looks wrong about the readings by themselves, in words; nothing where nothing does."""
+        """Return doubts about the readings by themselves, in words; empty without any."""
         return ()
 
     def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-        """Yield what else values (n, n_values) may mean, in words, and the values then; nothing where nothing else."""
+        """Yield other meanings of values (n, n_values), in words, and the values then."""
         yield from ()
 
     def orientations(self, values: FloatArray) -> FloatArray | None:
-        """Return how values (n, n_values) turn the target, R_ab (n, 3, 3); None for kinds that do not."""
+        """Return the target's orientation R_ab from values (n, n_values), (n, 3, 3); None for kinds without it."""
         return None
 
 
 @dataclass(frozen=True)
 class FrameInstrument(Instrument, ABC):
-    """A kind that looks from one frame at another.
-
-    Attributes:
-        target: The target that it looks at.
-    """
+    """A kind that looks from one frame at another, its `target`."""
 
     target: str
 
@@ -393,30 +381,25 @@ class FrameInstrument(Instrument, ABC):
         return ((base, self.target),)
 
     def point_seen(self, view: View, details: FloatArray) -> FloatArray:
-        """Return the point that readings tell about, seen from a, (n, 3) [m]: the target, unless a kind says more.
-
-        Args:
-            view: The frames.
-            details: Details of `Readings`, (n, n_details).
-        """
+        """Return the observed point, seen from a, (n, 3) [m], for details (n, n_details): by default the target."""
         return view.translation
 
     def sights(self, count: int, generator: np.random.Generator) -> View | None:
         """Return views in which it reads something, drawn at random, for `sample` to bring poses there.
 
-        None where it reads something in most views, or cannot say; then poses are tried at random.
+        None where it reads something in most views, or has no such views; then poses are tried at random.
 
         Args:
             count: Number of views.
             generator: Generator of random numbers.
 
         Returns:
-            Of frame b seen from frame a; a rotation of NaN: any.
+            Views of frame b seen from frame a; a rotation of NaN: any.
         """
         return None
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
-        """Return first guesses at what is unknown; the best is kept. None if there is nothing to guess.
+        """Return first guesses at unknown places and numbers, of which the best is kept; empty without any.
 
         Measurement frame and targets that points show are placed before (`calib.core.rows.registration`).
         """
@@ -425,14 +408,10 @@ class FrameInstrument(Instrument, ABC):
 
 @dataclass(frozen=True)
 class JointInstrument(Instrument, ABC):
-    """A kind that reads the value of a joint.
-
-    Attributes:
-        joint: The joint.
-    """
+    """A kind that reads the value of a `joint`."""
 
     joint: str
 
     def first_unknowns(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> FloatArray:
-        """Return a first guess at its unknown numbers, (n_unknowns,), from the joint's value by the robot as it is."""
+        """Return a first guess at its unknown numbers, (n_unknowns,), from the present robot's joint values."""
         return unknowns

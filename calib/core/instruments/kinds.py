@@ -1,6 +1,6 @@
-"""Every kind of measurement, by the name that robot descriptions use: the one place that knows them all.
+"""Every kind of measurement, by its name in robot descriptions.
 
-Kinds of other packages come in by entry points of the group `calib.kinds`, or by `KINDS.register` in Python.
+Entry points of the group `calib.kinds`, or `KINDS.register` in Python, add kinds of other packages.
 """
 
 from __future__ import annotations

@@ -65,12 +65,12 @@ class PartNoise:
 
     @property
     def stated(self) -> bool:
-        """Whether anything is known of it beforehand."""
+        """Whether the description states the noise."""
         return self.std is not None or self.beam is not None
 
     @staticmethod
     def from_sigma(sigma: float | tuple[float, ...] | Beam | None, n_rows: int) -> PartNoise:
-        """Return the noise that a description states in one of its forms."""
+        """Return the noise that a description states in any of its forms."""
         if isinstance(sigma, Beam):
             return PartNoise(beam=sigma)
         if sigma is None:

@@ -1,4 +1,4 @@
-"""Orientations: how a sensor frame is turned in the measurement frame; or how an inclinometer on it is tilted.
+"""Orientations: the rotation of a sensor frame in the measurement frame, or the tilts of an inclinometer on it.
 
 `axes: all`. Three rows, the rotation error of `calib.core.instruments.rotations`.
 
@@ -123,7 +123,7 @@ class Orientation(FrameInstrument):
         return _tilts(_down(view.rotation)) if self.gravity else rotation_vectors(view.rotation)
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Return errors of orientation or tilt, and how dw moves them."""
+        """Return errors of orientation or tilt, and their derivatives by dw."""
         if self.gravity:
             down = _down(view.rotation)
             residuals = _wrap_half_turn(_tilts(down) - readings.values)
@@ -141,7 +141,7 @@ class Orientation(FrameInstrument):
         return _wrap_half_turn(values + change) if self.gravity else turn_by(values, change)
 
     def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-        """Yield rotations that were read otherwise."""
+        """Yield other readings of the rotations."""
         if not self.gravity:
             yield from other_rotations(self.rotation, values)
 
@@ -158,7 +158,7 @@ class Orientation(FrameInstrument):
             return tuple(guesses)
         together: dict[str, FloatArray] = {}
         for guess in guesses:
-            together = {**guess.places, **together}  # places of several setups: as the first that shows them says
+            together = {**guess.places, **together}  # places in several setups: the first that shows them counts
         return (Guess(together),)
 
     def _guess_of_pair(self, scene: Scene, number: int) -> tuple[Guess, ...]:
@@ -224,9 +224,8 @@ def _level(
     Args:
         links: L_i, (n, 3, 3).
         seen: g_i, (n, 3).
-        frame: C as it is, (3, 3).
-        sensor: M as it is, (3, 3).
-        known: Which of them are known.
+        frame, sensor: Present C and M, (3, 3) each.
+        known: Whether each of them is known.
     """
     starts = [frame @ _DOWN] if known[0] else [*np.eye(3), *-np.eye(3), frame @ _DOWN]
     solutions = []

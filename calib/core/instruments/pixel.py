@@ -1,17 +1,16 @@
-"""Pixels: where a camera sees points of a body in its image.
+"""Pixels: the places of a body's points in a camera's image.
 
-The camera (frame a: an own place, fixed to a link of the robot or next to it) looks at points X of the target frame
+The camera (frame a: its own place, fixed to a link of the robot or next to it) looks at points X of the target frame
 (b):
 
     p = R_ab X + p_ab          (u, v) = image of p (`calib.core.instruments.camera`)          dp = dp_ab - [R_ab X]x dw
 
-Of a printed board, readings are predicted where it would be found in a photograph: its printed side is turned to the
-camera, by less than 65 degrees; what is read lies in the image with a margin of 2 %; a chessboard and circles are seen
-whole, of markers six points or more; a marker or square has 16 px or more. What the camera does not see sharply
-(`focus`) is not seen.
+For a printed board, readings are predicted where detection would find it: its printed side faces the camera within 65
+degrees; its points lie in the image with a margin of 2 %; a chessboard and circles are seen whole, of markers six
+points or more; a marker or square has 16 px or more. Points outside `focus` are not seen.
 
-Points have names; which one a row of a file is about says its column `point`. Where several cameras share columns, the
-column `camera` says which one saw it. A point that the camera cannot see is NaN when predicted, and no reading.
+Points have names, in the column `point` of a file. Where several cameras share columns, the column `camera` names the
+camera. A point that the camera cannot see is NaN when predicted, and no reading.
 """
 
 from __future__ import annotations
@@ -50,8 +49,8 @@ _MARGIN = 0.02  # margin, over the larger side of the image
 _LEAST_SEEN = 6  # points
 _SMALLEST = 16.0  # side of a marker, square or spacing of dots [px]
 _WIDER = 1.1  # half width of an image whose middle is only guessed, over the guessed one
-_FEW_AWAY = 0.02  # part of the readings that may lie outside: mistakes
-_MOSTLY = 0.5  # part of the sightings that must not lie behind the camera
+_FEW_AWAY = 0.02  # part of the readings that may lie outside by mistake
+_MOSTLY = 0.5  # largest part of the sightings that may lie behind the camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +110,7 @@ class Pixel(FrameInstrument):
     def parse_texts(
         self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
     ) -> tuple[Sequence[bool], IntArray, FloatArray]:
-        """Say which point each row is about: the detail is its number."""
+        """Return the number of each row's point as its detail."""
         names = list(self.points_of_body)
         details = np.zeros((len(where), 1))
         for k, text in enumerate(texts["point"]):
@@ -123,7 +122,7 @@ class Pixel(FrameInstrument):
         return [True] * len(where), np.zeros(len(where), dtype=np.intp), details
 
     def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
-        """Return which point each reading is about."""
+        """Return the name of each reading's point."""
         names = list(self.points_of_body)
         return {"point": [names[int(number)] for number in details[:, 0]]}
 
@@ -141,7 +140,7 @@ class Pixel(FrameInstrument):
         return np.where(seen[:, None], pixels, np.nan)
 
     def _project(self, points: FloatArray, numbers: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Pixels of points in the camera's frame, (n, 2), and which of them are sharp and in the image, (n,)."""
+        """Pixels of points in the camera's frame, (n, 2), and a mask of those that are sharp and in the image, (n,)."""
         pixels = project(points, numbers)[0]
         seen = is_in_front(points) & is_in_lens(points, numbers)
         if self.image is not None:
@@ -168,7 +167,7 @@ class Pixel(FrameInstrument):
         return (facing & large & (np.sum(seen, axis=1) >= least))[np.cumsum(first) - 1]
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Return errors in the image, and how the twist and unknown intrinsics move them."""
+        """Return errors in the image, and their derivatives by the twist and unknown intrinsics."""
         body = self.body(readings.details)
         pixels, by_point, by_number = project(_points_in_camera(view, body), self.numbers(unknowns))
         turned = np.einsum("kab,kb->ka", view.rotation, body)
@@ -176,15 +175,11 @@ class Pixel(FrameInstrument):
         return Comparison(pixels - readings.values, by_twist, by_number[:, :, self._unknown_numbers])
 
     def point_seen(self, view: View, details: FloatArray) -> FloatArray:
-        """Return the point of the body that each pixel shows, seen from the camera, (n, 3) [m]."""
+        """Return the point of the body behind each pixel, seen from the camera, (n, 3) [m]."""
         return _points_in_camera(view, self.body(details))
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
-        """Return guesses at the places of camera and target.
-
-        Raises:
-            DataError: Wherever they may be, points that were seen would lie behind the camera.
-        """
+        """Return guesses at camera and target; `DataError` if observed points lie behind the camera in all."""
         result: list[dict[str, FloatArray]] = []
         for number in np.unique(scene.readings.pairs):
             names = scene.pairs[number]
@@ -205,7 +200,7 @@ class Pixel(FrameInstrument):
         return tuple(Guess(places) for places in result)
 
     def doubts(self, readings: Readings) -> tuple[str, ...]:
-        """See whether pixels lie in an image whose middle is near the principal point, as in every camera."""
+        """Return a doubt if pixels lie outside an image around the principal point, as every camera has it."""
         middle = np.array(self.intrinsics[2:4])
         half = middle if self.image is None else np.array(self.image) / 2
         low, high = half - _WIDER * half, half + _WIDER * half
@@ -232,7 +227,7 @@ class Pixel(FrameInstrument):
             )
 
     def body(self, details: FloatArray) -> FloatArray:
-        """Return where the points of readings are in the target frame, (n, 3) [m]."""
+        """Return the readings' points in the target frame, (n, 3) [m]."""
         body_points = np.array(list(self.points_of_body.values()))
         return body_points[details[:, 0].astype(np.intp)]
 

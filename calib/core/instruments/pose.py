@@ -1,4 +1,4 @@
-"""Full poses: where a sensor frame is in the measurement frame and how it is turned.
+"""Full poses: position and orientation of a sensor frame in the measurement frame.
 
 By a six-dimensional tracker sensor, a motion capture system, or a camera that sees a pattern.
 
@@ -82,7 +82,7 @@ class Pose(FrameInstrument):
         return np.hstack([view.translation, rotation_vectors(view.rotation)])
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Return position and rotation errors, and how dp and dw move them."""
+        """Return position and rotation errors, and their derivatives by dp and dw."""
         n = len(readings)
         turned, by_turn = rotation_errors(view.rotation, readings.values[:, 3:])
         by_twist = np.zeros((n, 6, 6))
@@ -100,7 +100,7 @@ class Pose(FrameInstrument):
         return values[:, :3]
 
     def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-        """Yield poses whose rotations were read otherwise."""
+        """Yield poses with other readings of their rotations."""
         for words, vectors in other_rotations(self.rotation, values[:, 3:]):
             yield words, np.hstack([values[:, :3], vectors])
 

@@ -1,4 +1,4 @@
-"""Positions: where a point is in the measurement frame, by a tracker, a measuring arm, or a photogrammetric system."""
+"""Positions of a point in the measurement frame, by a tracker, a measuring arm, or a photogrammetric system."""
 
 from __future__ import annotations
 
@@ -28,11 +28,7 @@ class PositionSection(InstrumentSection):
 
 @dataclass(frozen=True)
 class Position(FrameInstrument):
-    """Positions of one target in the measurement frame: three rows.
-
-    Attributes:
-        together: Name of the group whose noise is its own; empty: it shares none.
-    """
+    """Positions of one target: three rows. Instruments of the same group, `together`, share their noise."""
 
     section = PositionSection
     parts = (POSITION,)
@@ -45,7 +41,7 @@ class Position(FrameInstrument):
 
     @property
     def group(self) -> str:
-        """Its own, or the one that it shares."""
+        """Its own name, or its shared group."""
         return self.together or self.name
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
@@ -53,7 +49,7 @@ class Position(FrameInstrument):
         return view.translation
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Return p_ab minus the positions read; only dp moves it."""
+        """Return p_ab minus the positions read, which only dp moves."""
         n = len(readings)
         by_twist = np.zeros((n, 3, 6))
         by_twist[:, :, :3] = np.eye(3)

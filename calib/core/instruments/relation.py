@@ -1,21 +1,21 @@
-"""Readings as implicit relations: a kind says what it reads, or what is zero; all else follows.
+"""Readings as implicit relations: a kind defines its prediction, or a function that is zero; all else follows.
 
 A reading v is about two frames, a target and one of several places, each on any link of the robot or in the world:
 
     f(T_ab, u, v, w) = 0
 
-with the unknown numbers u of the instrument and details w of the reading. A kind gives `predict`, and f where that is
-not the prediction minus the reading. Here are the rest: which place a row is about, derivatives, and first values.
+with the unknown numbers u of the instrument and details w of the reading. A kind defines `predict`, and f where that is
+not the prediction minus the reading. This module adds the rest: the place of each row, derivatives, and first values.
 
 Derivatives are central differences of fourth order, whose error, h^4 of truncation and eps / h of rounding, is 1e-12 at
 h = 1e-4 for frames that are a metre apart.
 
-First values are least squares over the open places and the unknown numbers, with the robot as it is, from where they
-are said to be and, where the pose of a place is not known, from the rotations of a cube. What the readings do not tell
-stays there, the target more than places.
+First values are least squares over the open places and the unknown numbers, with the present robot, from the described
+places and, where the pose of a place is not known, from the rotations of a cube. Undetermined components stay there,
+the target more than places.
 
-When it fails. A target that is nearer than a millimetre to where f has no derivative; places that readings of so rough
-a robot do not tell apart.
+When it fails. The target is nearer than a millimetre to a point where f has no derivative, or readings of so rough a
+robot do not distinguish places.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, PlaceSection
 from calib.core.instruments.camera import cube_rotations
 from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Guess, Place, Readings, Scene, View, placed
 
-_STEP = 1e-4  # m, rad; of unknown numbers in parts of their expected error
+_STEP = 1e-4  # m, rad; for unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
 _ROUNDING = 1e-11  # part of the largest derivative that counts as none
-_STAY, _STAY_TARGET = 1e-3, 0.1  # weights of leaving where a place, or the target, is said to be
+_STAY, _STAY_TARGET = 1e-3, 0.1  # weights of the distance of a place, or the target, from its described pose
 _FEW = 60  # readings from which starts are compared
-_LOST = 5  # unknown components of a place that may be turned in any way
+_LOST = 5  # unknown components from which a place may have any orientation
 _TRIED, _IMPROVED = 5, 50  # evaluations of a start, and of the best ones
 _KEPT = 3
 
@@ -61,8 +61,8 @@ class Relation(FrameInstrument):
     """A kind of the module docstring. The detail of a reading is the number of its place, where there are several.
 
     Attributes:
-        from_target: Whether frame a is the target and b the place; if not, the other way round (class attribute).
-        own: Places that its readings are about; none: the measurement frame.
+        from_target: Whether frame a is the target and b the place, not the other way round (class attribute).
+        own: Places of its readings; none: the measurement frame.
     """
 
     from_target: ClassVar[bool] = False
@@ -70,10 +70,10 @@ class Relation(FrameInstrument):
 
     @abstractmethod
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return what it reads, (n, n_values); for a touch, the distance from contact."""
+        """Return its readings, (n, n_values); for a touch, the distance from contact."""
 
     def misses(self, view: View, unknowns: FloatArray, readings: Readings) -> FloatArray:
-        """Return f, (n, n_rows) [SI]: prediction minus reading, unless a kind says more."""
+        """Return f, (n, n_rows) [SI]: by default prediction minus reading."""
         return self.predict(view, unknowns, readings.details) - readings.values
 
     def places(self) -> tuple[Place, ...]:
@@ -86,22 +86,22 @@ class Relation(FrameInstrument):
         return tuple((self.target, name) if self.from_target else (name, self.target) for name in names)
 
     def columns(self) -> tuple[Column, ...]:
-        """Return its columns; nothing of a touch, which has no numbers."""
+        """Return its columns; none for a touch, which has no numbers."""
         return () if self.touches else super().columns()
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Names of what a row may be about, in the order of the detail: its places, unless a kind says more."""
+        """Names of the things that rows may be about, in the order of the detail: by default its places."""
         return tuple(place.name for place in self.own)
 
     def text_columns(self) -> tuple[str, ...]:
-        """Return `<name>`, which says what a row is about; nothing where that is but one."""
+        """Return `<name>`, which names the thing of a row; no column for a single thing."""
         return (self.name,) if self.touches or len(self.named) > 1 else ()
 
     def parse_texts(
         self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
     ) -> tuple[Sequence[bool], IntArray, FloatArray]:
-        """Say what each row is about; an empty cell is no reading."""
+        """Return the thing of each row; an empty cell is no reading."""
         which = np.zeros(len(where), dtype=np.intp)
         lacks = "touches nothing called" if self.touches else "has no place"
         for column in self.text_columns():
@@ -114,15 +114,15 @@ class Relation(FrameInstrument):
         return (which >= 0).tolist(), self.pair_of(np.maximum(which, 0)), self._details(which)
 
     def pair_of(self, which: IntArray) -> IntArray:
-        """Return the place of what rows are about, (n,): places have pairs of their own."""
+        """Return the pairs of things that rows are about, (n,): each place has its own pair."""
         return which if len(self.named) == len(self.own) else np.zeros_like(which)
 
     def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
-        """Return what each reading is about."""
+        """Return the name of each reading's thing."""
         return {column: [self.named[int(which)] for which in details[:, 0]] for column in self.text_columns()}
 
     def looks(self) -> tuple[IntArray, FloatArray]:
-        """Return all that readings can be about."""
+        """Return all things that readings can be about."""
         which = np.arange(max(len(self.named), 1))
         return self.pair_of(which), self._details(which)
 
@@ -130,7 +130,7 @@ class Relation(FrameInstrument):
         return which[:, None].astype(float)[:, : len(self.text_columns())]
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
-        """Return the columns side by side; a touch reads nothing, a row of zeros that stands for all."""
+        """Return the columns side by side; a touch reads nothing, and gets one row of zeros."""
         return np.zeros((1, self.n_rows)) if self.touches else super().values(columns)
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
@@ -171,7 +171,7 @@ class Relation(FrameInstrument):
         return tuple(guess for _, guess in best)
 
     def _starts(self, scene: Scene, names: list[str]) -> Iterator[Guess]:
-        """Places as described; without an expected orientation, turned in each of a cube's ways that are free."""
+        """Places as described; without an expected orientation, also turned in each free way of a cube."""
         places = {name: scene.places[name] for name in names}
         yield Guess(places, scene.unknowns)
         sigmas = {place.name: place.sigma_angle for place in self.own}

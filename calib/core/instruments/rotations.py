@@ -40,18 +40,14 @@ _UNIT_LENGTH = 0.05  # allowed deviation of a rounded quaternion from unit lengt
 
 
 def rotation_columns(name: str, form: Form) -> tuple[Column, ...]:
-    """Return the columns in which an instrument of this name finds rotations that are written in this form."""
+    """Return the columns of an instrument's rotations in this form."""
     pure = form in ("quaternion", "matrix")
     dimension: Dimension | None = None if pure else "angle"
     return tuple(Column(f"{name}_{part}", dimension) for part in _COLUMNS[form])
 
 
 def read_rotations(name: str, form: Form, numbers: FloatArray) -> FloatArray:
-    """Return rotation vectors (n, 3) [rad] of numbers (n, k) as the columns have them; NaN where some are missing.
-
-    Raises:
-        DataError: Numbers that are no rotation.
-    """
+    """Return rotation vectors (n, 3) [rad] of numbers (n, k), NaN where missing; `DataError` for no rotation."""
     vectors = np.full((len(numbers), 3), np.nan)
     complete = np.isfinite(numbers).all(axis=1)
     if np.any(complete):
@@ -68,7 +64,7 @@ def read_rotations(name: str, form: Form, numbers: FloatArray) -> FloatArray:
 
 
 def write_rotations(form: Form, vectors: FloatArray) -> FloatArray:
-    """Return rotation vectors (n, 3) [rad] as numbers (n, k) in this form: the way back."""
+    """Return rotation vectors (n, 3) [rad] as numbers (n, k) in this form, the inverse of `read_rotations`."""
     rotations = scipy.spatial.transform.Rotation.from_rotvec(vectors.copy())
     if form == "quaternion":
         return np.asarray(rotations.as_quat(canonical=True))
@@ -80,10 +76,10 @@ def write_rotations(form: Form, vectors: FloatArray) -> FloatArray:
 
 
 def other_rotations(form: Form, vectors: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """Yield what else numbers may mean that were read in this form, in words, and the rotation vectors then, (n, 3).
+    """Yield other meanings of rotations that were read in this form, in words, and the rotation vectors then, (n, 3).
 
     Args:
-        form: As it was read.
+        form: Form in which they were read.
         vectors: Rotation vectors (n, 3) [rad] of complete readings.
     """
     numbers = write_rotations(form, vectors)
@@ -102,12 +98,7 @@ def other_rotations(form: Form, vectors: FloatArray) -> Iterator[tuple[str, Floa
 
 
 def rotation_errors(rotations: FloatArray, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the rows r of the module docstring (n, 3) [rad], and their derivative by dw (n, 3, 3).
-
-    Args:
-        rotations: R_ab, (n, 3, 3).
-        vectors: Measured rotation vectors, (n, 3) [rad].
-    """
+    """Return r of the module docstring (n, 3) [rad] and its derivative by dw (n, 3, 3), from R_ab and R."""
     if len(vectors) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3, 3))
     turned = (
@@ -138,7 +129,7 @@ def turn_by(vectors: FloatArray, change: FloatArray) -> FloatArray:
 
 
 def rotations_of(form: Form, numbers: FloatArray) -> scipy.spatial.transform.Rotation:
-    """Return the rotations that numbers (n, k) mean in this form."""
+    """Return the rotations of numbers (n, k) in this form."""
     if form == "quaternion":
         return scipy.spatial.transform.Rotation.from_quat(numbers)
     if form == "matrix":
@@ -149,12 +140,9 @@ def rotations_of(form: Form, numbers: FloatArray) -> scipy.spatial.transform.Rot
 
 
 def not_rotations(form: Form, numbers: FloatArray, tolerance: float = _UNIT_LENGTH) -> tuple[IntArray, str]:
-    """Return which of numbers (n, k) are no rotation in this form, and what they should be, in words.
+    """Return the rows of numbers (n, k) that are no rotation in this form, and the expected thing in words.
 
-    Args:
-        form: Of the numbers.
-        numbers: As they were read.
-        tolerance: How far a quaternion may be from unit length, and R R^T of a matrix from the identity.
+    `tolerance` limits the deviation of a quaternion from unit length, and of R R^T of a matrix from the identity.
     """
     if form == "quaternion":
         off, what = np.abs(np.linalg.norm(numbers, axis=1) - 1.0), "a quaternion of length 1"

@@ -1,15 +1,14 @@
-"""Touches: the robot brings its target, a ball's centre or a probe's tip, to something fixed, and nothing is read but
-the joints.
+"""Touches: the robot brings its target, a ball's centre or a probe's tip, to something fixed; only joints are read.
 
-With p = p_ab, the target seen from what it touches, point c of an artefact (0 without one), its error e where a
+With p = p_ab, the target seen from the touched thing, point c of an artefact (0 without one), its error e where a
 tolerance is stated, and radii r of the ball and R of the sphere:
 
     socket   p - c - e                     three rows
     plane    p_z - r                       one row; the ball is on the side where z > 0
     sphere   |p - c - e| - (R + r)         one row
 
-When it fails. A ball whose link hardly turns is not distinguished from the sockets: first values keep it near where the
-description has it. A turn about the line of all points of an artefact moves none of them and is not free.
+When it fails. A ball whose link hardly turns is not distinguished from the sockets: first values keep it near its
+described place. A turn about the line of all points of an artefact moves none of them and is not free.
 """
 
 from __future__ import annotations
@@ -38,15 +37,17 @@ _RADIUS = 0.01  # initial value of an unknown radius [m]
 
 @dataclass(frozen=True)
 class Touch(Relation):
-    """Touches of sockets, planes or spheres by one target. The one detail of a reading says which was touched.
+    """Touches of sockets, planes or spheres by one target. The one detail of a reading is the number of the touched
+    thing.
 
     Attributes:
         surface: Kind of the touched surface.
-        touched: Names of what is touched, in the order of the detail; `own` has the place of each, or of the artefact.
-        points_of_artefact: In the artefact [m]; none without one.
+        touched: Names of the touched things, in the order of the detail; `own` has the place of each, or of the
+            artefact.
+        points_of_artefact: Points in the artefact [m]; none without one.
         ball: Radius of the ball [m].
         radii: Radius of each sphere; or the one of all spheres of the artefact.
-        tolerance: Tolerance of the coordinates of the points of the artefact [m]; None: they are right.
+        tolerance: Tolerance of the coordinates of the points of the artefact [m]; None: they are exact.
     """
 
     section = TouchSection
@@ -89,15 +90,15 @@ class Touch(Relation):
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Return the names of what is touched."""
+        """Return the names of the touched things."""
         return self.touched
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return how far the ball is from touching, (n, 3) or (n, 1) [m]."""
+        """Return the distance of the ball from contact, (n, 3) or (n, 1) [m]."""
         return self._gap(view, unknowns, details)[0]
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Return how far the ball is from touching, and how dp moves that."""
+        """Return the distance of the ball from contact, and its derivative by dp."""
         gap, by_motion, by_unknown = self._gap(view, unknowns, readings.details)
         by_twist = np.zeros((len(readings), self.n_rows, 6))
         by_twist[:, :, :3] = by_motion
@@ -131,20 +132,20 @@ class Touch(Relation):
         return gap, by_motion, by_unknown
 
     def _point_unknown(self, which: IntArray) -> IntArray:
-        """Number of the unknown that is the error of each coordinate of the point touched, (n, 3); -1: none."""
+        """Number of the unknown error of each coordinate of the touched point, (n, 3); -1: none."""
         if self.tolerance is None:
             return np.full((len(which), 3), -1)
         return 3 * which[:, None] + np.arange(3)
 
     def radius_unknown(self, which: IntArray) -> IntArray:
-        """Number of the unknown that is the radius of the sphere touched, (n,); -1: it is known."""
+        """Number of the unknown radius of the touched sphere, (n,); -1: it is known."""
         first = 3 * len(self.points_of_artefact) if self.tolerance is not None else 0
         unknown = np.array([radius.unknown for radius in self.radii], dtype=bool)
         number = np.where(unknown, first + np.cumsum(unknown) - 1, -1)
         return number[self.pair_of(which)]
 
     def _radius(self, which: IntArray, unknowns: FloatArray) -> FloatArray:
-        """Radius of the sphere touched, (n,) [m]."""
+        """Radius of the touched sphere, (n,) [m]."""
         known = np.array([radius.value for radius in self.radii])
         number = self.radius_unknown(which)
         stated = known[self.pair_of(which)]

@@ -1,4 +1,4 @@
-"""New measurements of a calibrated robot judge it: is it as accurate as expected, has it drifted, by what?
+"""The verdict of new measurements on a calibrated robot: is it as accurate as expected, has it drifted, in which part?
 
 The promise. With r the whitened residuals of the new readings (prediction minus read), J their derivative by the scaled
 parameters u, C the covariance of u that the calibration left, and P the columns of base and targets, which are placed
@@ -10,15 +10,16 @@ With C = L L^T this is the least-squares problem y = X b + e of
 
     y = [r; 0],      X = [J L, P; I, 0],      |e|^2 = Q ~ chi^2_m,   m = readings' rows - rank P
 
-As noise and C were found with nu degrees of freedom, Q / m is compared with F(m, nu). This counts what the calibration
-did not know exactly; residuals against the noise alone would condemn every calibration.
+As noise and C were found with nu degrees of freedom, Q / m is compared with F(m, nu). This counts the uncertainty of
+the calibration; residuals against the noise alone would condemn every calibration.
 
 Where the readings of a pose shared errors in the calibration, so that poses scattered rho times as much as independent
-readings (`calib.core.numerics.clusters`), m readings tell as much as m / rho^2 of them: so many degrees of freedom
-count in addition to nu, and z is divided by rho.
+readings (`calib.core.numerics.clusters`), m readings count as m / rho^2 degrees of freedom against nu, and z is divided
+by rho.
 
-Drift. A change d of one parameter, or of one joint's zero, adds its column: y = X b + B d + e. With B' what of [B; 0]
-is orthogonal to X, d = B'.y / |B'|^2, and z = B'.y / |B'| is Student's t with nu degrees of freedom if nothing changed.
+Drift. A change d of one parameter, or of one joint's zero, adds its column: y = X b + B d + e. With B' the part of
+[B; 0] orthogonal to X, d = B'.y / |B'|^2, and z = B'.y / |B'| is Student's t with nu degrees of freedom if nothing
+changed.
 The smallest p-value times the number of distinct candidates (Holm's first step; parallel columns count once) is the
 chance of such a z by accident. A robot has drifted if that is below the level and the rest agrees; candidates whose z^2
 is within 3.84 of the largest explain the readings about as well, and are named with it. If one change does not
@@ -27,22 +28,22 @@ explain them, the robot needs a new calibration. The level of either test is hal
 Power. With n poses a change d gives z the noncentrality |d| |B'|, so that the smallest change that is seen with a
 chance of 90 %, or the number of poses that a given change takes, are known before anything is measured.
 
-Unlike poses. The noise that a calibration finds is, for the most part, what its model leaves out. At poses drawn as
-those that were used it is another error at each pose, as noise is. Elsewhere, or where poses crowd together
-(`calib.core.data.pose_groups.are_drawn_alike`), it may be one error of all, though no larger. Then the n rows read
-there tell as much as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be
-off there as if k of the N rows used had decided them: N / k times C. If the readings agree by this, nothing says that
-the robot has changed, and the verdict is about the poses. If a change stands out even so, the robot has drifted.
+Unlike poses. The noise of a calibration contains mostly errors that its model leaves out. At poses drawn like the used
+ones they differ from pose to pose, as noise does. Elsewhere, or where poses crowd together
+(`calib.core.data.pose_groups.are_drawn_alike`), they may be one common error, though no larger. Then the n rows read
+there count as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be off
+there as if k of the N rows used had decided them: N / k times C. If the readings agree by this, nothing shows that the
+robot has changed, and the verdict is about the poses. If a change stands out even so, the robot has drifted.
 
 Few readings. With m degrees of freedom, errors s times as large as expected are seen with a chance of 90 % if s^2 times
 the 10 % point of F(m, nu) reaches its limit: 1.6 times with 30, 22 times with one. Readings that would not even show
 errors `TELLING` times as large agree with anything: then the verdict is that they are too few.
 
-Millimetres. The mean square of distances sums squares of unequal size. It is judged as an F of the same mean and
+Millimetres. The mean square of distances sums squares of unequal size. It is tested as an F of the same mean and
 variance, at a chance of 0.1 %, so that no verdict contradicts the distances shown with it.
 
-Noise. Readings that repeat a pose show noise without model. Where they scatter more than promised, and with that
-scatter as noise the readings agree, the instrument or the robot's repeatability is worse, and no calibration helps.
+Noise. Readings that repeat a pose show noise without a model. Where they scatter more than promised, and the readings
+agree with that scatter as noise, the instrument or the robot's repeatability is worse, and no calibration helps.
 
 When it fails. Readings far from the rest are left out first, up to one in twenty, and named. Several changes at once
 are not distinguished: that is a new calibration's work.
@@ -77,7 +78,7 @@ from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.rows.simulate import simulate
 
 TELLING = 3.0
-"""Errors over those expected that readings must show, to agree with a calibration."""
+"""Size of errors, over the expected size, that readings must be able to show to agree with a calibration."""
 _LEVEL = FALSE_ALARM / 2  # level of each of two tests
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
@@ -88,27 +89,27 @@ class Acceptance:
 
     Attributes:
         verdict: `agrees`, `drifted`, `noisier`, `unlike poses`, `too few readings` or `calibrate again`.
-        ratio: Root mean square whitened residual, expected: 1; it decides the verdict. It weights each direction by
-            its uncertainty.
-        low95, high95: Limits of the ratio in 95 of 100 cases, if the robot is as calibrated.
-        detectable: Smallest ratio of real errors to those expected that is seen with the chance `POWER`.
+        ratio: Root mean square whitened residual, expected 1; it decides the verdict. It weights each direction by its
+            uncertainty.
+        low95, high95: 95 % limits of the ratio, if the robot is as calibrated.
+        detectable: Smallest ratio of real to expected errors that is seen with the chance `POWER`.
         p_value: Chance of so large a ratio, if the robot is as calibrated.
         p_drift: Chance of so large a largest change of a single parameter, if the robot is as calibrated.
         p_rest: Chance of so large residuals after that change.
         freedom: Degrees of freedom of the ratio.
         placed: Degrees of freedom of placing base and targets.
-        changes: Every candidate, the one with the largest z first.
+        changes: Every candidate, the largest z first.
         alternative_changes: Significant changes that explain the readings as well as the first one, itself included.
         outliers: Labels of readings that were left out.
-        errors: Prediction minus read, without the outliers, after placing base and targets where they are unknown.
+        errors: Prediction minus read, without the outliers, after placing unknown base and targets.
         expected_rms: Expected root mean square distance of measured from predicted positions [m]; NaN without
             positions.
-        calibration_rms: The part of it from the uncertainty of the calibration, without noise of the readings [m].
+        calibration_rms: Part of `expected_rms` from the uncertainty of the calibration, without noise of the readings
+            [m].
         limit: Distance that is exceeded in one of a thousand cases, if the robot is as calibrated [m].
         coverage_factor: Half the 95 % interval of a change, in standard deviations.
         has_unlike_poses: Whether the poses are unlike those of the calibration, and that counted.
-        repeated_visits: Poses of the calibration that settle it if they are measured again; none if nothing is left to
-            settle.
+        repeated_visits: Poses of the calibration to measure again for a decision; none if the verdict is settled.
     """
 
     verdict: str
@@ -149,7 +150,7 @@ class Acceptance:
 
 @one_blas_thread
 def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, same_setup: bool = False) -> Acceptance:
-    """Judge a calibrated robot by new measurements.
+    """Return the verdict of new measurements on a calibrated robot.
 
     Args:
         calibrated: The fit, or a result of `load_result`; or the `promise` of a result.
@@ -158,7 +159,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
 
     Raises:
         InputError: The argument is not a calibration.
-        DataError: Too few readings to judge anything.
+        DataError: Too few readings for a verdict.
         UnreachablePoseError: A pose cannot be assembled.
     """
     promise = Promise.from_calibration(calibrated)
@@ -213,7 +214,7 @@ class _Tests:
     """Chances of the new readings, if the robot is as calibrated.
 
     Attributes:
-        p_value, p_drift, p_rest, changes: Chances and candidates of an `Acceptance`.
+        p_value, p_drift, p_rest, changes: Attributes of `Acceptance`.
         independent: Number of independent squares behind the ratio.
         far: Whether distances are larger than in one of a thousand cases.
     """
@@ -262,13 +263,12 @@ def _single_rms(system: System) -> float:
 def visible_changes(
     calibrated: Fit | HasPromise | Promise, poses: PosesLike, *, same_setup: bool = False
 ) -> tuple[Change, ...]:
-    """Return the smallest change of every candidate that readings at these poses will show.
-
-    The first ones are the smallest in units of what the description expects.
+    """Return the smallest change of every candidate that readings at these poses show, smallest in expected units
+    first.
 
     Args:
         calibrated: The promise of the calibration, or the fit itself.
-        poses: Poses that will be measured, or their joint values (n, n_actuated) [m or rad].
+        poses: Poses to be measured, or their joint values (n, n_actuated) [m or rad].
         same_setup: As in `verify`.
     """
     promise = Promise.from_calibration(calibrated)
@@ -284,11 +284,12 @@ def visible_changes(
 def poses_needed(
     calibrated: Fit | HasPromise | Promise, poses: PosesLike, name: str, size: float, *, same_setup: bool = False
 ) -> int | None:
-    """Return how many of these poses, from the first, show a change with the chance `POWER`; None: all do not.
+    """Return how many of these poses, from the first, show a change with the chance `POWER`; None if all do not
+    suffice.
 
     Args:
         calibrated: The promise of the calibration, or the fit itself.
-        poses: Poses that will be measured, or their joint values (n, n_actuated) [m or rad].
+        poses: Poses to be measured, or their joint values (n, n_actuated) [m or rad].
         name: A parameter, or `zero of JOINT`.
         size: The change [m or rad].
         same_setup: As in `verify`.

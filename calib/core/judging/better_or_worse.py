@@ -4,28 +4,27 @@ For the same readings k, whitened by the noise that was found, the errors before
 
     change  T = sum |a_k|^2 - |b_k|^2
 
-A robot that needs no correction has b_k = e_k (noise) and a_k = e_k + B_k d, with d ~ N(0, C) what the fit is off by
+A robot that needs no correction has b_k = e_k (noise) and a_k = e_k + B_k d, with d ~ N(0, C) the error of the fit from
 its own noise: the change is then positive, though nothing is wrong. With G = sum B_k^T B_k,
 
-    E T = tr(GC) = m        var of |B d|^2 = 2 tr(GCGC)        var of 2 e^T B d = 4 m
-
-The calibration is `worse`, or `better`, where the change lies above, or below, what this gives with a chance of 0.1 %
+The calibration is `worse`, or `better`, where the change lies above, or below, these values with a chance of 0.1 %
 each: the quadratic part as a scaled chi-square of the same mean and variance, the mixed part as normal. All is in units
-of a noise that was itself found, with f degrees of freedom: so F stands for the chi-square, and Student's t for the
-normal distribution. In the place of e, which is not known, stand the errors of the better state, where they are larger
-than the noise: that is what the model leaves out. Where poses scatter by more than independent readings would
+of a noise that was itself found, with f degrees of freedom: so F replaces the chi-square, and Student's t the normal
+distribution. The unknown e is replaced by the errors of the better state, where they are larger than the noise, because
+they contain errors of the model. Where poses scatter more than independent readings
 (`calib.core.numerics.clusters`), the mixed part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
+Validation poses whose frame moved are compared with the frame placed anew (`calib.core.fitting.moved_frame`).
 
 Validation poses whose frame moved are compared with that placed anew (`calib.core.fitting.moved_frame`).
 
-This asks whether the uncertainty of the fit explains what happened. A fit that knows little of the poses that were not
-used explains much, and harms the robot all the same. So a calibration is `worse`, too, where these errors are more than
-`HARM` times as large as before, and the differences |a_k|^2 - |b_k|^2, summed pose by pose, have a mean above zero with
-a chance of 0.1 % by Student's t; and `better` where they are as much smaller.
+This test asks whether the uncertainty of the fit explains the change. A fit that is uncertain at unused poses explains
+much, and harms the robot nevertheless. So a calibration is `worse`, too, where these errors are more than `HARM` times
+as large as before, and the differences |a_k|^2 - |b_k|^2, summed pose by pose, have a mean above zero with a chance of
+0.1 % by Student's t; and `better` where they are as much smaller.
 
-When it fails. Both parts of the change grow with the same d: of robots that need no correction, up to 0.25 % are called
-worse instead of 0.1 %. What the model leaves out is no noise, and follows the poses: where the poses not used are few
-and alike, the chance is larger.
+When it fails. Both parts of the change grow with the same d: up to 0.25 % of robots that need no correction are called
+worse instead of 0.1 %. Errors of the model are no noise, and follow the poses: where unused poses are few and alike,
+the chance is larger.
 
 Reference: satterthwaite1946.
 """
@@ -46,19 +45,19 @@ from calib.core.fitting.moved_frame import validation_errors
 from calib.core.numerics.chances import FEWEST, UNLIKELY
 
 HARM = 1.25
-"""Errors after over errors before from which a fit harms. With twice as many rows as parameters, the least that is
-enough, the noise of a fit makes errors of a robot that needs no correction sqrt(1 + 1/2) = 1.22 times as large."""
+"""Ratio of errors after to before from which a fit harms. With twice as many rows as parameters, the fewest allowed,
+the noise of a fit makes errors of a robot that needs no correction sqrt(1 + 1/2) = 1.22 times as large."""
 
 
 @dataclass(frozen=True)
 class UnusedErrors:
-    """Errors on one set of poses that were not used.
+    """Errors on one set of unused poses.
 
     Attributes:
         name: Name of these poses.
         before, after: Root mean square error of the main part of the readings [SI].
         dimension: Dimension of that part.
-        better, worse: Whether the calibration made them so, beyond chance.
+        better, worse: Whether the calibration made them smaller, or larger, beyond chance.
     """
 
     name: str
@@ -76,7 +75,7 @@ class UnusedErrors:
 
 
 def comparisons(fit: Fit) -> Iterator[UnusedErrors]:
-    """Compare before and after on the validation poses and on poses left out in turn, as far as there are any."""
+    """Compare before and after on the validation poses and in cross-validation, as far as these exist."""
     if fit.computed:
         return
     validation = validation_errors(fit)
@@ -120,18 +119,15 @@ def _has_grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
 
 
 def surely_positive(changes: FloatArray) -> bool:
-    """Whether the mean of changes (n,) is above zero beyond chance, by Student's t; of too few, never."""
+    """Whether the mean of changes (n,) is above zero beyond chance, by Student's t; never for too few."""
     n, spread = len(changes), float(np.std(changes, ddof=1)) if len(changes) >= FEWEST else 0.0
     return spread > 0 and bool(scipy.special.stdtr(n - 1, -np.mean(changes) / spread * np.sqrt(n)) < UNLIKELY)
 
 
 def _margin_above_mean(product: FloatArray, mixed: float, freedom: float) -> float:
-    """Return how far above its mean T goes with `UNLIKELY`.
+    """Return the distance of T above its mean that chance exceeds with `UNLIKELY`.
 
-    Args:
-        product: GC, (n_free, n_free).
-        mixed: Variance of e^T B d.
-        freedom: Degrees of freedom that the noise was found with.
+    GC is `product`, (n_free, n_free), and `mixed` the variance of e^T B d, with the noise found with `freedom` degrees.
     """
     mean, squares = float(np.trace(product)), float(np.sum(product * product.T))
     if mean <= 0:

@@ -1,4 +1,4 @@
-"""Errors that leave no trace in the measurements, so that no verdict on them covers them."""
+"""Errors that leave no trace in the measurements, so that the verdict does not cover them."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from calib.core.judging.rules_reach import terms_beyond
 from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 NO_MATTER = 0.25
-"""Errors that a scale makes where it begins to show, over the noise, below which they do not matter."""
+"""Errors by a scale at which it begins to show, over the noise, below which they do not matter."""
 LARGE_SCALE = 1e-3
 """Error of the scale that would be noticed otherwise."""
 LIKE_SHUFFLED = 0.8
-"""Way from row to row, over that between rows far apart, from which rows may have been shuffled."""
+"""Distance from row to row, over that between distant rows, from which rows may have been shuffled."""
 _FEW = 10  # rows from which their order shows
 
 
@@ -65,11 +65,7 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
 
 
 def unordered(poses: Poses) -> tuple[str, ...]:
-    """Say where rows without a time stand in no order that shows a drift.
-
-    Args:
-        poses: The rows, as they stand.
-    """
+    """Return the limitation of rows without a time and in no order that shows a drift; empty if there is none."""
     n = len(poses)
     reach = np.ptp(poses.joints, axis=0)
     if n < _FEW or has_time(poses) or not np.any(reach > 0):

@@ -1,40 +1,39 @@
 """The claim of a calibration on the error of the robot where it was measured, and its test at unused poses.
 
-The claim. Each pose that was used is predicted by the fit of all others (`calib.core.fitting.unseen_errors`). Of
-these errors, 95 in 100 at further poses like them stay below `limit95`, whatever their distribution. They count what
-the model leaves out as well as noise; the covariance of the parameters counts noise alone.
+The claim. Each used pose is predicted by the fit of all others (`calib.core.fitting.unseen_errors`). Of these errors,
+95 in 100 at further poses like them stay below `limit95`, whatever their distribution. They contain errors of the model
+as well as noise; the covariance of the parameters counts noise alone.
 
 Whether it holds. At n poses that had no part in the fit, such as validation poses, the root mean square error may be
 `MORE` times that of the claim; more only where n is so small that chance makes it so in one case of a thousand (F, with
 as many degrees of freedom as coordinates were read, or as poses where the readings of a pose share errors).
+A few wild readings decide a root mean square, and the claim excludes 5 poses in 100. So where at most 5 in 100 are
+outliers, the claim also holds if the other poses are no more than `MORE` times as far off, and chance (binomial) allows
+the number of poses beyond `MORE` times `limit95`. A reason of their own names the outliers.
 
-A few wild readings decide a root mean square, and no claim speaks of 5 poses in 100. So where outliers are 5 in 100
-or fewer, the claim also holds if the other poses are no more than `MORE` times as far off, and the number of poses
-beyond `MORE` times `limit95` is none that chance excludes (binomial). The outliers are named by a reason of their own.
+Whether the robot gets better. On unused poses, if there are any, by `calib.core.judging.better_or_worse`; else by
+Student's t of the difference of each pose's squared error, when it is left out, to that of the nominal robot.
 
-Whether the robot gets better. On poses that were not used, if there are any, by `calib.core.judging.better_or_worse`;
-else by Student's t of what each pose's squared error, left out, is above that of the nominal robot.
-
-At other poses. The mean square error claimed is that of what no parameter describes, and of what the measurements leave
-uncertain of the parameters. Elsewhere the second grows: where positions are known to k' and not to k, both root mean
-squares (`calib.core.rows.prediction`),
+At other poses. The claimed mean square error consists of errors that no parameter describes and of the uncertainty of
+the parameters. Elsewhere the second grows: where positions are known to k' and not to k, both root mean squares
+(`calib.core.rows.prediction`),
 
     rms'^2 = rms^2 + k'^2 - k^2        where k' is larger
 
 and `limit95` grows in proportion. In `rms`, each pose is predicted without its own readings, so k counts that, too:
-k^2 = k_all^2 + s^2, k_all by the covariance of the fit of all poses, and s the root mean square by which predictions
-move where the pose itself is left out. For independent noise f, the covariance of what they move by is that by which
-the pose makes itself better known: cov r_k = f^2 (1 - H_k), so that with the step du of
-`calib.core.fitting.unseen_errors` cov du = f^2 C J_k^T (1 - H_k)^-1 J_k C. How well that holds on real robots is in
-docs/verdict.md.
+k^2 = k_all^2 + s^2, with k_all from the covariance of the fit of all poses, and s the root mean square shift of
+predictions when the pose itself is left out. For independent noise f, the covariance of this shift equals the
+information that the pose adds about itself: cov r_k = f^2 (1 - H_k), so that with the step du of
+`calib.core.fitting.unseen_errors` cov du = f^2 C J_k^T (1 - H_k)^-1 J_k C. docs/verdict.md shows how well that holds on
+real robots.
 
-Like those measured. Poses that were not used may lie elsewhere: in a setup that was not used, or apart from all poses
-used (`calib.core.data.pose_groups.is_apart`). Are more of them apart than chance explains (one case in a thousand),
+Like those measured. Unused poses may lie elsewhere: in an unused setup, or apart from all used poses
+(`calib.core.data.pose_groups.is_apart`). If more of them are apart than chance explains (one case in a thousand),
 errors there say little about the claim.
 
-When it fails. New poses unlike those measured may be worse by what the model leaves out there: in another region, under
-another load, at another place of what was touched. What changes in the course of the measurement goes on changing after
-it. Copies of a pose predict each other.
+When it fails. New poses unlike the measured ones may be worse by errors of the model: in another region, under another
+load, at another place of a touched object. A change in the course of the measurement goes on after it. Copies of a pose
+predict each other.
 """
 
 from __future__ import annotations
@@ -72,12 +71,12 @@ from calib.core.numerics.chances import UNLIKELY
 from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
 
 MORE = 1.25
-"""Errors at poses that were not used, over those claimed, up to which a claim holds."""
+"""Ratio of errors at unused poses to claimed ones, up to which a claim holds."""
 _HALF = 0.5  # part of a joint's range between its limits below which its motion is reported
 
 
 class Benefit(Enum):
-    """The effect of a calibration on poses that it has not used."""
+    """The effect of a calibration on unused poses."""
 
     BETTER = "better"
     WORSE = "worse"
@@ -86,12 +85,7 @@ class Benefit(Enum):
 
 @dataclass(frozen=True)
 class ErrorElsewhere:
-    """Expected error of a robot at other poses than those measured.
-
-    Attributes:
-        rms, limit95: Root mean square and 95 % limit of the error [m].
-        times: Ratio to the error at the poses measured.
-    """
+    """Expected error at other poses [m]: `rms`, 95 % limit, and `times`, its ratio to that at the measured poses."""
 
     rms: float
     limit95: float
@@ -103,8 +97,8 @@ class SeenUnused:
     """Errors of the robot at poses that had no part in the fit.
 
     Attributes:
-        accuracy: At all of them.
-        without_outliers: Without a few outliers, if the claim is judged by that; else None.
+        accuracy: Error at all of them.
+        without_outliers: Error without a few outliers, if it decides about the claim; else None.
         holds: Whether the claim holds there.
     """
 
@@ -118,13 +112,13 @@ class Claim:
     """The claim of a calibration.
 
     Attributes:
-        at_measured_poses: Error at poses like those measured. `before` is NaN if only places were sought, which
-            the robot before has by all poses, those left out among them.
-        unused: The errors seen at poses that had no part in the fit.
+        at_measured_poses: Error at poses like the measured ones. `before` is NaN if only places were free, which were
+            found from all poses, left-out ones included.
+        unused: The errors at poses that had no part in the fit.
         gain: Change of the errors at these poses.
-        region: The poses that it is about, in words.
-        joints_moved_little: Joints that moved through less than half of their range, and how far.
-        find_known: Returns `rms`, which takes as long as half of the rest of a verdict.
+        region: Poses of the claim, in words.
+        joints_moved_little: Joints that moved through less than half of their range, and the part.
+        find_known: Function that returns `rms`, which takes as long as half of the rest of a verdict.
     """
 
     at_measured_poses: Accuracy
@@ -136,14 +130,14 @@ class Claim:
 
     @cached_property
     def rms(self) -> float:
-        """Root mean square to which positions are known at these poses, each by the readings of all others [m].
+        """Root mean square uncertainty of positions at these poses, each by the readings of all others [m].
 
-        NaN where it is not about positions.
+        NaN for a claim on other readings.
         """
         return self.find_known()
 
     def error_at(self, known: float) -> ErrorElsewhere:
-        """Return the expected error at poses where positions are known to `rms` (root mean square) [m]."""
+        """Return the expected error at poses whose positions have the root mean square uncertainty `known` [m]."""
         rms = self.at_measured_poses.rms
         times = float(np.sqrt(1.0 + max(known**2 - self.rms**2, 0.0) / rms**2))
         return ErrorElsewhere(times * rms, times * self.at_measured_poses.limit95, times)
@@ -210,11 +204,7 @@ class Claim:
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> Self:
-        """Return the claim of an entry of `result.json`; what is not stored of poses that were not used is NaN.
-
-        Raises:
-            KeyError, TypeError, ValueError: The entry is not one of `to_dict`.
-        """
+        """Return the claim of a `result.json` entry, NaN where not stored; KeyError, TypeError, ValueError if bad."""
         dimension: Dimension = entry["dimension"]
         scale, is_position = error_scale(dimension), bool(entry["is_position"])
 
@@ -242,7 +232,7 @@ class Claim:
 
 
 def claim_of(fit: Fit) -> Claim | None:
-    """Return the claim of a fit; None where its data do not tell (they were computed, or each pose stands alone)."""
+    """Return the claim of a fit; None for computed data, and where no pose can be predicted."""
     predicted = None if fit.computed else leave_one_out_errors(fit)
     measured = predicted_accuracy(fit)
     if predicted is None or measured is None:
@@ -283,7 +273,7 @@ def _accuracy_without_outliers(
 
 
 def unlike_measured(fit: Fit) -> BoolArray:
-    """Return which validation visits are unlike those measured, (n_visits,), by the module docstring."""
+    """Return a mask of validation visits that are unlike the measured ones by the module docstring, (n_visits,)."""
     if fit.validation is None:
         return np.zeros(0, dtype=bool)
     used, other = fit.identification.data, fit.validation.data
@@ -293,7 +283,7 @@ def unlike_measured(fit: Fit) -> BoolArray:
 
 
 def is_elsewhere(unlike: BoolArray) -> bool:
-    """Return whether more visits are unlike those measured, (n_visits,), than chance explains."""
+    """Return whether more visits are unlike the measured ones (mask (n_visits,)) than chance explains."""
     return bool(scipy.special.bdtrc(np.sum(unlike) - 1, len(unlike), APART) < UNLIKELY) if np.any(unlike) else False
 
 

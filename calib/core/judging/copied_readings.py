@@ -1,10 +1,9 @@
-"""Readings that are in a file more than once.
+"""Readings that stand in a file more than once.
 
 A copy has the joint values and the readings of another visit, to the last digit. Honest repeats may have them, too,
-where readings are written in coarse steps: with a step d and a scatter s of each reading, two of them are the same
-with a chance of about d / (2 sqrt(pi) s). The step is the largest one that divides all readings; the scatter
-is that of repeats that differ, and at least that of the best instruments and robots. Visits are copies where chance
-does not explain so many.
+where readings are written in coarse steps: with a step d and a scatter s of each reading, two are equal with a chance
+of about d / (2 sqrt(pi) s). The step is the largest one that divides all readings; the scatter is that of repeats that
+differ, and at least that of the best instruments and robots. Visits are copies where chance does not explain so many.
 
 When it fails. Readings in steps as coarse as they scatter say nothing: copies of these are not seen.
 """
@@ -21,17 +20,12 @@ from calib.core.numerics.chances import UNLIKELY
 from calib.core.robots.robot import Robot
 
 _SCATTER: dict[Dimension | None, float] = {"length": 5e-6, "angle": 1e-5, "pixel": 0.02}
-"""Scatter of the readings of a robot that comes back as well as any does [m, rad, px]."""
+"""Scatter of the readings of the most repeatable robots [m, rad, px]."""
 _DIGIT = 1e-3  # part of this scatter below which steps make no difference
 
 
 def copied_visits(robot: Robot, data: Measurements) -> IntArray:
-    """Return the visits that are copies of earlier ones, (n,); none where chance may have made them the same.
-
-    Args:
-        robot: Knows the columns of its instruments.
-        data: Measurements.
-    """
+    """Return the visits that are copies of earlier ones, (n,); none where chance may have made them equal."""
     repeated = _same_joints(data.joints)
     first: dict[tuple[bytes, frozenset[bytes]], int] = {}
     copies, known, pairs = [], dict[bytes, int](), []
@@ -51,13 +45,7 @@ def copied_visits(robot: Robot, data: Measurements) -> IntArray:
 
 
 def _chance_of_same(robot: Robot, data: Measurements, pairs: list[tuple[int, int]]) -> float:
-    """Return the chance that a repeat has the same readings; nought where nothing was read in numbers.
-
-    Args:
-        robot: Knows the columns of its instruments.
-        data: Measurements.
-        pairs: Visits to one pose whose readings differ.
-    """
+    """Return the chance that a repeat has the same readings, by differing repeats `pairs`; 0 without numbers."""
     chances = []
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)
@@ -76,13 +64,13 @@ def _chance_of_same(robot: Robot, data: Measurements, pairs: list[tuple[int, int
 
 
 def _step(numbers: FloatArray, digit: float) -> float:
-    """Return the largest step that divides all differences of numbers (n,), but for rounding to `digit`."""
+    """Return the largest step that divides all differences of numbers (n,), up to rounding to `digit`."""
     known = np.unique(numbers[np.isfinite(numbers)])
     return digit * float(np.gcd.reduce(np.round((known - known[:1]) / digit).astype(np.int64)))
 
 
 def _same_joints(joints: FloatArray) -> IntArray:
-    """Visits whose joint values (n_visits, n_actuated) may be those of another one, (n,)."""
+    """Visits whose joint values (n_visits, n_actuated) may equal those of another, (n,)."""
     left = np.arange(len(joints))
     for column in joints.T:
         _, number, count = np.unique(column[left], return_inverse=True, return_counts=True)
@@ -91,7 +79,7 @@ def _same_joints(joints: FloatArray) -> IntArray:
 
 
 def reading_keys(data: Measurements, visits: IntArray) -> list[set[bytes]]:
-    """Return what was read at some visits (n,), to the last digit."""
+    """Return keys of the readings at some visits (n,), equal where the readings are equal to the last digit."""
     place = np.full(len(data), -1)
     place[visits] = np.arange(len(visits))
     keys: list[set[bytes]] = [set() for _ in range(len(visits))]

@@ -117,15 +117,15 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Pattern:
-    """One effect that was tested.
+    """A tested effect.
 
     Attributes:
         kind: Kind of the effect.
-        name: The axis, joint or target; `xyz` for what all axes do.
+        name: The axis, joint or target; `xyz` for all axes.
         p_value: Chance of such a pattern from noise, over all tests.
-        size: Root mean square of what it explains [m]; of readings in another unit where no positions are [SI].
-        amount: The shift or slip [m], half the backlash or the height of a wave [m or rad], the part by which lengths
-            are off, the error for a unit of the neighbour; NaN for a curve.
+        size: Root mean square of its contribution [m]; of readings in another unit where no positions are [SI].
+        amount: The shift or slip [m], half the backlash or the height of a wave [m or rad], the relative error of
+            lengths, the error for a unit of the neighbour; NaN for a curve.
         significant: Whether it counts as a finding.
         dimension: Dimension of `size`.
         detail: Cycles of a wave, the first visit of a slip, in words; the other joint of a coupling, or before a link.
@@ -142,12 +142,7 @@ class Pattern:
 
 
 def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
-    """Return a pattern in words.
-
-    Args:
-        pattern: The pattern.
-        dimensions: Whether each joint is a length or an angle.
-    """
+    """Return a pattern in words; `dimensions` says whether each joint is a length or an angle."""
     amount, joint = pattern.amount, dimensions.get(pattern.name, "length")
     return pattern.kind.sentence.format(
         name=pattern.name,

@@ -16,9 +16,9 @@ frames that positions are measured in:
     zero                   each joint off by an error that changes in the course of the measurement: an encoder or a
                            belt that slipped, warming up
 
-Turns and scales are taken about the middle of the points, so that they are no shifts. The course of the measurement is
-the time, where the data have it, and else the order of the rows. A sudden change shows too: a polynomial of degree 3
-explains 86 % of a step. Nothing is put down to a joint that never moved.
+Turns and scales are taken about the middle of the points, so that they contain no shifts. The course of the measurement
+is the time, where the data have it, and else the order of the rows. A sudden change shows too: a polynomial of degree 3
+explains 86 % of a step. Joints that never moved get no effects.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from calib.core.rows.jacobian import relative_poses
 ORDERS = range(1, 121)
 """Cycles of a wave in a turn of the joint, or over the range that a joint slides."""
 SLIPS = 15
-"""At how many places in the course of the measurement a target is supposed to have slipped."""
+"""Number of places in the course of the measurement at which a slip of a target is tested."""
 _DEGREE = 3
 _SAME = 1e-6  # cycles that rounding may add
 _ON_GRID = 0.99  # length of the mean of a wave of length 1 from which it is the same at all visits
@@ -55,7 +55,7 @@ _VISITS_LOOKED_AT = 256
 
 @dataclass(frozen=True, eq=False)
 class EffectSetting:
-    """The data of a fit that effects are made of."""
+    """The data of a fit from which effects are computed."""
 
     fit: Fit
 
@@ -133,10 +133,9 @@ class Effects:
     Attributes:
         kind: The kind of effect.
         name: Its axis, joint, target or instrument; `xyz` for all axes.
-        base: B, what it adds to the whitened rows, (n_rows, b).
+        base: B, change of the whitened rows, (n_rows, b).
         visit: Visit of each row, (n_rows,).
-        details: Details of each effect: cycles of a wave or the first visit of a slip in words; the other joint of a
-            coupling, or before a link.
+        details: Detail of each effect, as in `Pattern`.
         by_visit: F of each effect at each visit, (n_visits, n_effects, f); None: one effect, and F is 1.
     """
 
@@ -201,11 +200,11 @@ def powers(turned: NDArray[np.complex128], count: int) -> NDArray[np.complex128]
 
 
 def wave_orders(phase: FloatArray) -> range:
-    """Return the numbers of cycles that count of a joint with these phases of one cycle, (n_visits,) [rad].
+    """Return the numbers of cycles to test for a joint with these phases of one cycle, (n_visits,) [rad].
 
     An order counts only if the joint went through half a cycle of it: otherwise its height is not known. If joint
-    values lie on a grid (every 5 degrees), an order above half the grid's cycles in a turn (36) is the same at all
-    poses as a lower one: only the lower one counts.
+    values lie on a grid (every 5 degrees), an order above half the grid's cycles in a turn (36) equals a lower one at
+    all poses: only the lower one counts.
     """
     reach = float(np.ptp(phase))
     if reach == 0:
@@ -227,12 +226,12 @@ def effects(setting: EffectSetting) -> Iterator[Effects]:
 
 
 def scale(setting: EffectSetting) -> FloatArray:
-    """Return the change of the rows if every length is read too long, (n_rows, 1) for a part of 1."""
+    """Return the change of the rows if every length is read too long, (n_rows, 1), for a relative error of 1."""
     return -setting.frame_columns[:, 6:]
 
 
 def gains(setting: EffectSetting) -> FloatArray:
-    """Return the change of the rows if a joint turns too far by a part of 1 of its way, (n_rows, n_actuated)."""
+    """Return the change of the rows if a joint turns too far by a relative error of 1, (n_rows, n_actuated)."""
     return setting.joint_columns * (setting.data.joints - np.mean(setting.data.joints, axis=0))[setting.visit]
 
 
@@ -250,7 +249,7 @@ def _frame_effects(setting: EffectSetting) -> Iterator[Effects]:
 
 
 def _target_effects(setting: EffectSetting) -> Iterator[Effects]:
-    """Targets that slip, at places that part the visits evenly, and targets that move with other links."""
+    """Targets that slip, at evenly spread visits, and targets that move with other links."""
     order = np.argsort(setting.course, kind="stable")
     rank = np.empty(len(order), dtype=np.intp)
     rank[order] = np.arange(len(order))
@@ -328,7 +327,7 @@ def _points(setting: EffectSetting) -> dict[str, FloatArray]:
 
 
 def _seen_targets(setting: EffectSetting) -> Iterator[tuple[str, str, list[int]]]:
-    """Yield each instrument that measures where a target is, with its target and the rows of its position."""
+    """Yield each instrument that measures the position of a target, its target and the rows of the position."""
     for name in setting.data.readings:
         instrument = setting.fit.robot.instrument(name)
         rows = _position_rows(instrument)
@@ -337,7 +336,7 @@ def _seen_targets(setting: EffectSetting) -> Iterator[tuple[str, str, list[int]]
 
 
 def _other_joints(robot: Robot, target: str) -> list[int]:
-    """Return the joints that move, but not this target, as indices of their frames."""
+    """Return the joints that move, but do not move this target, as indices of their frames."""
     mechanism = robot.mechanism
     frame = mechanism.targets[robot.target_names.index(target)].b
     moving = np.any(mechanism.select_moving, axis=1)
@@ -347,7 +346,7 @@ def _other_joints(robot: Robot, target: str) -> list[int]:
 def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, FloatArray]]:
     """Return the changes of all readings by moving a target along the axes of a link, (n, n_rows, 3) each.
 
-    The link is its own, then that behind each of the joints that do not move it.
+    The links are its own, then those behind each joint that does not move the target.
     """
     robot, all_readings = setting.fit.robot, setting.data.readings
     seen = [

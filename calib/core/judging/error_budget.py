@@ -5,30 +5,30 @@ J(t) their derivative, and d_k the change of the parameters of cause k. By the c
 
     |e(0)|^2 - |e(1)|^2  =  sum over k of  s_k,        s_k = - integral over t of 2 e(t)^T J_k(t) d_k
 
-which adds up exactly and knows no order: s_k is the Aumann-Shapley value, and where e is linear in t, as it nearly is,
-the mean of what cause k brings over all orders in which the causes can be added (the Shapley value; adding them one
-after another gives other numbers for every order, because causes such as a gain and a length explain partly the same).
+which adds up exactly and depends on no order: s_k is the Aumann-Shapley value. Where e is nearly linear in t, it is the
+mean contribution of cause k over all orders of adding the causes (the Shapley value); a single order gives other
+numbers, because causes such as a gain and a length partly explain the same error.
 Three Gauss points integrate it. A part is negative where a cause makes these readings worse.
 
-The robot before has its unknown base and targets placed as well as possible. So what these can take up of the change
-J_k d_k of another cause, its projection on the columns of the places, is counted with them: a base that stands lower
-and a first joint that is higher are the same robot, and the split must not depend on which of both was found. Their own
-part is then near zero, because what they could explain is not in the error before.
+The robot before has its unknown base and targets placed as well as possible. So the part of the change J_k d_k of
+another cause that they can absorb, its projection on the columns of the places, is counted with them: a base that
+stands lower and a first joint that is higher are the same robot, and the split must not depend on which was found.
+Their own part is then near zero, because their errors are not in the error before.
 
-On readings that were not used (validation), s_k is what the calibration really removes, and e(1) what it leaves. On the
-readings that were used, noise was fitted too: with m rows, leverage h_k of the parameters of cause k (the sum over the
-rows of J_k (K J^T)_k, K the scaled covariance) and s^2 = |e(1)|^2 / (m - sum of h), every s_k is s^2 h_k too large in
-the mean, and |e(1)|^2 as much too small; that is set right.
+On unused readings (validation), s_k is the error that the calibration really removes, and e(1) the rest. On the used
+readings, noise was fitted too: with m rows, leverage h_k of the parameters of cause k (the sum over the rows of
+J_k (K J^T)_k, K the scaled covariance) and s^2 = |e(1)|^2 / (m - sum of h), every s_k is s^2 h_k too large in the mean,
+and |e(1)|^2 as much too small; this is corrected.
 
-What is left splits into noise and the unexplained rest only if the noise is known from elsewhere: from repeats of poses
-(which hold the robot's repeatability too), or as stated. Noise that was found from the residuals is all that is left.
+The rest splits into noise and unexplained errors only if the noise is known otherwise: from repeats of poses (which
+contain the robot's repeatability too), or as stated. Noise that was found from the residuals is the whole rest.
 
-Standard deviations are of the choice of poses (from the sums of each pose, which repeats share) and, for causes, of
+Standard deviations are from the choice of poses (from the sums of each pose, which repeats share) and, for causes, from
 their parameters: s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own parameters) + J^T J_k d_k; with places,
-J_k projected. The J that is transposed is that of the end: what the readings leave open moves no reading there, and
-must not count, however far it may be off.
+J_k projected. The transposed J is taken at the end: directions that the readings leave open move no reading there, and
+must not count, however uncertain they are.
 
-When it fails: with few poses the split of the rest is loose. Parameters of a named parametrisation all count as
+When it fails. With few poses the split of the rest is uncertain. Parameters of a named parametrisation all count as
 geometry.
 """
 
@@ -57,12 +57,12 @@ REST = "noise and unexplained errors, not separable"
 ENOUGH_REPEATS = 10.0
 """Degrees of freedom that repeats need to count as known noise."""
 _AS_LARGE = 1.1  # ratio of rest to noise (RMS) up to which the rest counts as noise
-_SURE = 0.5  # mean square not explained over that of noise, below which two standard deviations must end
+_SURE = 0.5  # two standard deviations of the unexplained mean square, over that of noise, must end below
 
 
 @dataclass(frozen=True)
 class CauseShare:
-    """One cause: its part of the mean square error before, and the standard deviation of that [SI, squared]."""
+    """Part of the mean square error before calibration of one cause, and its standard deviation [SI, squared]."""
 
     cause: str
     mean_square: float
@@ -74,8 +74,8 @@ class ErrorBudget:
     """Causes of the error before calibration.
 
     Attributes:
-        used: Whether it is about the readings used by the fit, corrected for that; else about the others.
-        part: The part of the readings that it is about.
+        used: Whether it covers the used readings, corrected for that; else the validation readings.
+        part: Part of the readings that it covers.
         n_readings, n_poses: How many.
         before, after: Mean square error of a reading before and after [SI, squared].
         shares: The causes, then the rest; they add up to `before`.
@@ -95,7 +95,7 @@ class ErrorBudget:
 
 
 def causes_of(robot: Robot) -> tuple[str, ...]:
-    """Return the cause that each parameter stands for, (n_parameters,)."""
+    """Return the cause of each parameter, (n_parameters,)."""
     places = {robot.mechanism.origin(name) for name in robot.mechanism.places}
     parameters = robot.parametrisation.parameters
     causes = [PLACES if p.placement or p.name.rpartition(".")[0] in places else GEOMETRY for p in parameters]
@@ -104,7 +104,7 @@ def causes_of(robot: Robot) -> tuple[str, ...]:
 
 
 def joint_causes(robot: Robot) -> tuple[str, ...]:
-    """Return the joints whose origins each parameter moves, or whose error it is, as its cause, (n_parameters,)."""
+    """Return the joints whose origins or errors each parameter changes, as its cause, (n_parameters,)."""
     causes, own = list(causes_of(robot)), robot.values[: len(robot.parametrisation.parameters)]
     moved = robot.parametrisation.twists(own)
     for k, cause in enumerate(causes):
@@ -115,14 +115,13 @@ def joint_causes(robot: Robot) -> tuple[str, ...]:
 
 
 def error_budget(fit: Fit, causes_by_parameter: Sequence[str] | None = None) -> ErrorBudget:
-    """Return the error budget of the readings that a fit has not used, or of all there are.
+    """Return the error budget of the validation readings of a fit, or of all readings without validation.
 
     Args:
-        fit: The fit.
-        causes_by_parameter: The cause that each parameter stands for, (n_parameters,); `causes_of` if not given.
+        causes_by_parameter: The cause of each parameter, (n_parameters,); `causes_of` if not given.
 
     Raises:
-        UnreachablePoseError: The robot cannot be assembled on the way from before to after.
+        UnreachablePoseError: The robot cannot be assembled on the path from before to after.
     """
     errors, unknowns, unused = fit.validation or fit.identification, fit.unknowns, fit.validation_rows
     rows = fit.rows if unused is None else unused
@@ -169,7 +168,7 @@ def error_budget(fit: Fit, causes_by_parameter: Sequence[str] | None = None) -> 
 def _integrate(
     fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, counted: BoolArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """Integrate over the way from before to after, for parameters of causes (n_causes, n_free) and rows that count.
+    """Integrate over the path from before to after, for parameters of causes (n_causes, n_free) and rows that count.
 
     Returns:
         |e(0)|^2 of each reading, (n_readings,); s_k of each, (n_readings, n_causes); the gradient of the sum of s_k by
@@ -204,7 +203,7 @@ def _integrate(
 
 
 def _batches(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout) -> tuple[FloatArray, FloatArray]:
-    """Derivative (n_rows, n_free) and residuals (n_rows,) of all rows, under a robot on the way."""
+    """Derivative (n_rows, n_free) and residuals (n_rows,) of all rows, of a robot on the path."""
     data = errors.data
     conditions = data.conditions if robot.terms else None
     configurations = robot.assemble(data.joints, errors.passive, data.labels, conditions)
@@ -226,12 +225,12 @@ def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolA
 
 
 def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
-    """Number of the cause that unknown places belong to; without any, of any cause: nothing is added to it."""
+    """Number of the cause of unknown places; without any, of some cause, to which nothing is added."""
     return int(np.argmax(members[:, int(np.argmax(unknowns.placement))]))
 
 
 def _root_of_span(columns: FloatArray) -> FloatArray:
-    """Return K (k, rank) of orthonormal directions A K of what columns A (n, k) span; rounding counts as zero."""
+    """Return K (k, rank) with A K an orthonormal basis of the span of columns A (n, k); rounding counts as zero."""
     unit, lengths = unit_columns(
         reduce_rows(columns)
     )  # a turn of a target does not move its point: a column of rounding

@@ -1,7 +1,4 @@
-"""Findings about a fit: outliers, systematic patterns in the residuals, and an error budget.
-
-Each finding is a function of a fit, made at first use.
-"""
+"""Findings about a fit, each made at first use: outliers, systematic patterns in the residuals, and an error budget."""
 
 from __future__ import annotations
 
@@ -30,9 +27,9 @@ _LEAST_FACTOR = 1e-3  # ratio of found to stated noise of a group, relative to a
 
 @memoize
 def studentise_errors(fit: Fit) -> StudentisedErrors:
-    """Return the studentised error of every reading that was used; see `calib.core.numerics.losses`."""
+    """Return the studentised error of every used reading; see `calib.core.numerics.losses`."""
     factors, number = fit.statistics.factors.values, fit.rows.layout.group
-    # stated noise of groups may be wrong by different factors: each group is judged by its real noise
+    # stated noise of groups may be wrong by different factors: each group is tested by its real noise
     relative = np.maximum(factors / _factor(fit), _LEAST_FACTOR)
     divisor = np.where(number >= 0, relative[number], 1.0)
     rows = replace(fit.rows, residuals=fit.rows.residuals / divisor)
@@ -41,7 +38,7 @@ def studentise_errors(fit: Fit) -> StudentisedErrors:
 
 @memoize
 def validation_studentised(fit: Fit) -> StudentisedErrors | None:
-    """Return the studentised error of every reading that was not used; None if all were used."""
+    """Return the studentised error of every validation reading; None without validation."""
     rows = fit.validation_rows
     if rows is None:
         return None
@@ -59,13 +56,13 @@ def _factor(fit: Fit) -> float:
 
 @memoize
 def outliers(fit: Fit) -> tuple[Outlier, ...]:
-    """Return readings that were used and lie further off than noise explains, worst first."""
+    """Return used readings further off than noise explains, worst first."""
     return outliers_of(studentise_errors(fit), fit.identification, fit.rows.layout)
 
 
 @memoize
 def validation_outliers(fit: Fit) -> tuple[Outlier, ...]:
-    """Return readings that were not used and lie further off than noise and uncertainty explain, worst first."""
+    """Return validation readings further off than noise and uncertainty explain, worst first."""
     rows, far_off = fit.validation_rows, validation_studentised(fit)
     if fit.validation is None or rows is None or far_off is None:
         return ()
@@ -95,7 +92,7 @@ def setting(fit: Fit) -> EffectSetting:
 
 @memoize
 def linear(fit: Fit) -> LinearFit:
-    """Return the fit as a linear model, in which effects are looked for."""
+    """Return the fit as a linear model, for tests of effects."""
     factors = fit.statistics.factors
     factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
     rows = fit.weighted_rows
@@ -107,17 +104,16 @@ def linear(fit: Fit) -> LinearFit:
 @memoize
 @one_blas_thread
 def patterns(fit: Fit) -> tuple[Pattern, ...]:
-    """Return systematic patterns that were looked for in the residuals, most significant first."""
+    """Return the systematic patterns that were tested in the residuals, most significant first."""
     return () if fit.computed else residual_patterns.patterns(linear(fit), setting(fit))
 
 
 @memoize
 @one_blas_thread
 def changes(fit: Fit) -> tuple[Pattern, ...]:
-    """Return significant changes in the course of the measurement, after effects that follow the values of joints.
+    """Return significant changes in the course of the measurement, with effects that follow joint values as parameters.
 
-    Where poses were measured in the order of their joint values, an error that follows a joint looks like a change. So
-    errors that follow joints are parameters here.
+    Where poses were measured in the order of their joint values, an error that follows a joint looks like a change.
     """
     in_course = [kind for kind in Kind if Trait.IN_COURSE in kind.traits]
     if not any(pattern.significant and pattern.kind in in_course for pattern in patterns(fit)):
@@ -135,7 +131,7 @@ def changes(fit: Fit) -> tuple[Pattern, ...]:
 @memoize
 @one_blas_thread
 def budget(fit: Fit) -> ErrorBudget | None:
-    """Return the error budget before and after the fit, of the readings that were not used, or else of all.
+    """Return the error budget of the validation readings, or without these of all.
 
     None if the robot cannot be assembled at a step between before and after.
     """
@@ -145,7 +141,7 @@ def budget(fit: Fit) -> ErrorBudget | None:
 @memoize
 @one_blas_thread
 def joint_budget(fit: Fit) -> ErrorBudget | None:
-    """Return the error budget with the joints as causes: how much each of them makes; None as for `budget`."""
+    """Return the error budget with the joints as causes; None as for `budget`."""
     return _budget(fit, joint_causes(fit.robot))
 
 

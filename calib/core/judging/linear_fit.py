@@ -1,4 +1,4 @@
-"""A finished fit as a linear model, in which further columns are looked for: r = J du + Z c."""
+"""A finished fit as a linear model for tests of further columns: r = J du + Z c."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from calib.core.numerics.tall import Span
 from calib.core.rows.rows import Rows
 
 ABSORBED = 1e-6
-"""Part of an effect's square that must be left after the fit for it to be seen."""
+"""Least part of an effect's square after the fit from which it is visible."""
 _SURELY = 5.0  # standard deviations of an effect from which it is found nine times of ten, among so many
 
 
@@ -24,11 +24,11 @@ class LinearFit:
 
     Attributes:
         rows: Its whitened rows, with the weights of a robust loss.
-        span: J T, which it has absorbed, (n_rows, rank), with T of `calib.core.numerics.observability`.
+        span: J T, the directions that the fit absorbs, (n_rows, rank), with T of `calib.core.numerics.observability`.
         freedom: Degrees of freedom.
         factor: Found over assumed noise.
-        pose_freedom: Degrees of freedom of the scatter of poses, where they scatter by more than independent readings
-            would; infinite where they do not.
+        pose_freedom: Degrees of freedom of the scatter of poses, where they scatter more than independent readings;
+            else infinite.
     """
 
     rows: Rows
@@ -42,7 +42,7 @@ class LinearFit:
         return effect - self.span.times(self.span.transposed_product(effect))
 
     def with_parameters(self, effects: FloatArray) -> LinearFit:
-        """Return the fit as it would be if effects Z (n_rows, k) were parameters too, as far as they can be seen."""
+        """Return the fit with effects Z (n_rows, k) as further parameters, as far as they are visible."""
         size = np.linalg.norm(effects, axis=0)
         columns = effects[:, size > 0] / size[size > 0]
         left = self.after_fit(columns)
@@ -62,8 +62,8 @@ class LinearFit:
     def sizes(self, effects: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the sizes (k,) of effects Z (n_rows, k) if all of them were parameters, and their standard deviations.
 
-        Infinite deviations are of effects that were not made. What the fit absorbs is hardly known, and no size comes
-        of it: there residuals are what the solver left.
+        Deviations are infinite for zero columns. An absorbed effect is uncertain and gets no size, since residuals
+        there are rounding of the solver.
         """
         size = np.linalg.norm(effects, axis=0)
         made = np.flatnonzero(size > 0)
@@ -84,15 +84,11 @@ class LinearFit:
 
     @cached_property
     def square(self) -> float:
-        """Their sum of squares."""
+        """Sum of squares of the residuals."""
         return float(np.sum(self.rows.residuals**2))
 
     def visible(self, column: FloatArray) -> float:
-        """Return how large an effect of one column must be for the residuals to show it; inf if they never do.
-
-        Args:
-            column: Change of the whitened rows by an effect of 1, (n_rows, 1).
-        """
+        """Return the least effect of a column (n_rows, 1) that the residuals show; infinite if they never do."""
         size = float(np.linalg.norm(column))
         if size == 0.0:
             return float("inf")

@@ -24,9 +24,9 @@ _OPTIONS: dict[Answer, tuple[str, ...]] = {
     Answer.HOLD_OUT: ("test the result on poses of the file that it is fitted to", "--validate", "0.25"),
     Answer.STATE_NOISE: ("state a smaller noise, or leave out what was read twice, and fit again",),
 }
-"""Answers that are another `calib fit`: what for, and with which option."""
+"""Answers that are another `calib fit`: its aim, and its option."""
 ROBOT, DATA, FOLDER, AGAIN = "ROBOT", "DATA", "DIR", "DIR-2"
-"""What stands in a command for the files of a user: robot, measurements, result folder, folder of the next result."""
+"""Placeholders in a command for the files of a user: robot, measurements, result folder, folder of the next result."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class NextStep:
     Attributes:
         aim: Its purpose, in words that begin with a verb.
         command: The command to type, or words; `ROBOT`, `DATA` and `DIR` stand for files.
-        dropped_options: Options of the fit that are not to be given again.
+        dropped_options: Options of the fit to omit.
     """
 
     aim: str
@@ -54,11 +54,11 @@ class NextStep:
     def with_file_names(
         self, robot: str, data: Sequence[str], folder: str, options: Mapping[str, Sequence[str]]
     ) -> str:
-        """Return the sentence with the files that were typed in place of `ROBOT`, `DATA` and `DIR`.
+        """Return the sentence with the user's files in place of `ROBOT`, `DATA` and `DIR`.
 
         Args:
             robot, data, folder: The files.
-            options: Options that were typed, with their values, by name: those that a command like this one needs, too.
+            options: The user's options for this kind of command, with their values, by name.
         """
         files = {ROBOT: shlex.quote(robot), DATA: shlex.join(data), FOLDER: shlex.quote(folder)}
         files[AGAIN] = shlex.quote(f"{folder}-2")
@@ -77,7 +77,7 @@ class NextStep:
 
 
 def next_step(fit: Fit) -> NextStep:
-    """Return the answer to the first reason of the verdict, or how the result is tested or used."""
+    """Return the answer to the first reason of the verdict, or a test or use of the result."""
     verdict, done = judge(fit), _tried_answers(fit)
     answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
     open_answers = [answer for answer in answers if answer is not Answer.LOOK and answer not in done]
@@ -89,7 +89,7 @@ def next_step(fit: Fit) -> NextStep:
     if fit.convergence.receding_parameters:  # from every start
         open_answers = [Answer.OTHER_POSES if answer is Answer.TRY_STARTS else answer for answer in open_answers]
     first = Answer.LEAVE_OUT if Answer.LEAVE_OUT in open_answers else next(iter(open_answers), None)
-    if first in _OPTIONS:  # outliers come first: what they do looks like noise, and like joint terms
+    if first in _OPTIONS:  # outliers come first: their effects look like noise, and like joint terms
         return _repeat_fit(fit, *_OPTIONS[first], noise_stands=first is not Answer.STATE_NOISE)
     if first is Answer.OTHER_POSES:
         return NextStep("see what these poses do not determine, and measure others", f"calib check {ROBOT} {DATA}")
@@ -109,7 +109,7 @@ def _tried_answers(fit: Fit) -> set[Answer]:
 
 
 def _repeat_fit(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stands: bool = True) -> NextStep:
-    """Return a fit with the options of this one, as far as it knows them, and another."""
+    """Return a fit with the known options of this fit, and another."""
     options = {} if fit.sigma_given is None or not noise_stands else {"--sigma-mm": f"{millimetres(fit.sigma_given):g}"}
     options |= {} if fit.loss == "none" else {"--loss": fit.loss}
     options |= {} if fit.terms is None else {"--terms": fit.terms.requested}
@@ -123,7 +123,7 @@ def _repeat_fit(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stan
 
 
 def _use(fit: Fit) -> NextStep:
-    """The use of a result that nothing speaks against: by its robot, and by what files can hold of it."""
+    """The use of a result without objections: by its robot, and by the content of its files."""
     if judge(fit).nothing_to_correct:
         return NextStep("keep the nominal robot, and test it again later", f"calib verify {FOLDER} measured.csv")
     if own := result_use(fit.nominal.description):

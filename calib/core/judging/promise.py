@@ -1,6 +1,6 @@
 """The promise of a calibration on new readings: the least-squares problem of `calib.core.judging.acceptance`.
 
-Symbols are those of that module: r residuals, J L what is known only so well, P base and targets, Q = |e|^2.
+Symbols are those of that module: r residuals, J L the uncertain parameters, P base and targets, Q = |e|^2.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
 POWER = 0.9
-"""Chance with which a change is to be seen."""
+"""Chance with which a change shall be seen."""
 _OUTLIERS = 0.05  # largest part of the readings that is left out
-_PARALLEL = 1.0 - 1e-6  # cosine of columns that are one
-_JOINT_STEP = 1e-3  # unit in which joint zeros are looked at [rad, or characteristic lengths]
+_PARALLEL = 1.0 - 1e-6  # cosine from which columns count as equal
+_JOINT_STEP = 1e-3  # unit of changes of joint zeros [rad, or characteristic lengths]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +48,11 @@ class Promise:
     Attributes:
         robot: The calibrated robot.
         covariance: Covariance of its free parameters, (n_free, n_free) [m, rad].
-        freedom: Degrees of freedom that the noise was found with.
+        freedom: Degrees of freedom of the found noise.
         sigma: Noise of one component by group and part of the instruments [SI].
-        shared: Scatter of the readings of a pose together, over that of independent readings (`Scatter.ratio`).
+        shared: Common scatter of the readings of a pose, over that of independent readings (`Scatter.ratio`).
         decided: Number of parameters that the readings decided.
-        joints: At which poses it was measured, (n, n_actuated) [m or rad]; none where that is not stored.
+        joints: Poses of the calibration, (n, n_actuated) [m or rad]; none where they are not stored.
         names: Names of these poses, (n,).
     """
 
@@ -67,11 +67,7 @@ class Promise:
 
     @staticmethod
     def from_calibration(calibrated: Fit | Promise | HasPromise) -> Promise:
-        """Return the promise of a fit or a loaded result.
-
-        Raises:
-            InputError: It promises nothing, such as a robot alone, or the path of a result's folder.
-        """
+        """Return the promise of a fit or a loaded result, or raise `InputError` for anything else, such as a path."""
         if isinstance(calibrated, Promise):
             return calibrated
         if isinstance(calibrated, Fit):
@@ -89,10 +85,10 @@ class Promise:
         )
 
     def with_common_error(self, n_rows: int) -> Promise:
-        """Return the promise where errors left unexplained may be one error of n rows, though no larger.
+        """Return the promise where unexplained errors may be one common error of n rows, though no larger.
 
-        In a region of its own, such errors move parameters as if only as few rows as parameters had decided them; and
-        the rows tell as much as so few. The equations are in `calib.core.judging.acceptance`.
+        In a region of its own, such an error moves parameters as if only as few rows as parameters had decided them,
+        and the rows count as so few. The equations are in `calib.core.judging.acceptance`.
         """
         decided = max(self.decided, 1.0)
         wider = max((self.freedom + self.decided) / decided, 1.0)
@@ -102,7 +98,7 @@ class Promise:
 
 @runtime_checkable
 class HasPromise(Protocol):
-    """An object with a promise of its own, such as a loaded result."""
+    """An object with its own promise, such as a loaded result."""
 
     @property
     def promise(self) -> Promise:
@@ -111,16 +107,15 @@ class HasPromise(Protocol):
 
 @dataclass(frozen=True)
 class Change:
-    """A change of one parameter or of one joint's zero, looked for in the readings.
+    """A change of one parameter or of one joint's zero, tested with the readings.
 
     Attributes:
         name: The parameter, or `zero of JOINT`.
-        dimension: Its dimension.
         value: Its change [m or rad]; NaN where nothing was read.
-        std: Standard deviation of that [m or rad].
-        z: Their ratio.
+        std: Standard deviation of `value` [m or rad].
+        z: Ratio of `value` to `std`.
         visible: Smallest change that is seen with the chance `POWER` [m or rad].
-        p_value: Chance of one so large among all that were looked for if nothing changed; NaN where nothing was read.
+        p_value: Chance of so large a change among all tests if nothing changed; NaN where nothing was read.
     """
 
     name: str
@@ -139,14 +134,13 @@ class Change:
 
 @dataclass(frozen=True)
 class PossibleChanges:
-    """Changes of a robot that new readings can show.
+    """A change of a robot that new readings can show.
 
     Attributes:
         name: The parameter, or `zero of JOINT`.
-        dimension: Its dimension.
-        index: Its place among the free parameters, or among the actuated joints.
+        index: Index among the free parameters, or among the actuated joints.
         is_joint: Whether `index` counts actuated joints.
-        scale: Unit in which it is looked at [m or rad].
+        scale: Unit of the change [m or rad].
     """
 
     name: str
@@ -176,9 +170,9 @@ class ExpectedDistances:
     """Expected distances between measured and predicted positions after a calibration.
 
     Attributes:
-        rms: Their root mean square [m]; NaN without positions.
-        calibration_rms: The part of it from the uncertainty of the calibration, without noise of the readings [m].
-        freedom: Degrees of freedom of `rms`: few where few directions that the calibration leaves uncertain decide it.
+        rms: Root mean square [m]; NaN without positions.
+        calibration_rms: Part of `rms` from the uncertainty of the calibration, without noise of the readings [m].
+        freedom: Degrees of freedom of `rms`: few where few uncertain directions of the calibration decide it.
     """
 
     rms: float
@@ -186,12 +180,7 @@ class ExpectedDistances:
     freedom: float
 
     def limit(self, chance: float, noise_freedom: float) -> float:
-        """Return the limit that their root mean square exceeds with a chance [m].
-
-        Args:
-            chance: The chance.
-            noise_freedom: Degrees of freedom that the noise was found with.
-        """
+        """Return the limit of the root mean square for a chance, with the degrees of freedom of the noise [m]."""
         return self.rms * float(np.sqrt(scipy.special.fdtri(self.freedom, noise_freedom, 1.0 - chance)))
 
 
@@ -200,8 +189,8 @@ class System:
     """The least-squares problem.
 
     Attributes:
-        promise: The promise that is judged.
-        rows: The linear model: r by the known unknowns J L, which have a prior, and by the places P, of length 1.
+        promise: The tested promise.
+        rows: The linear model: r by the uncertain parameters J L, which have a prior, and by the places P, of length 1.
         candidate_columns: Columns of the candidates, (n_rows, n_candidates).
         errors: Errors of the readings after placing base and targets, without outliers.
         expected: Expectation of the distances between measured and predicted positions.
@@ -215,11 +204,7 @@ class System:
 
     @staticmethod
     def from_promise(promise: Promise, data: Measurements, same_setup: bool) -> System:
-        """Set it up.
-
-        Raises:
-            DataError: Too few readings.
-        """
+        """Set up the problem, or raise `DataError` if there are too few readings."""
         robot = promise.robot if same_setup else place(Problem.from_data(promise.robot, data)).robot
         configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
         observed = observe(robot, configurations, data.readings, joints=True)
@@ -247,11 +232,11 @@ class System:
         ).require_readings(data)
 
     def numbers_without(self, readings: Sequence[int]) -> dict[str, IntArray]:
-        """Return which readings of each instrument are not among some, (n_own,)."""
+        """Return the indices of each instrument's readings except some, (n_own,)."""
         return numbers_by_instrument(np.setdiff1d(np.arange(self.rows.layout.n_readings), readings), self.rows.layout)
 
     def require_readings(self, data: Measurements) -> System:
-        """Return the system itself; a `DataError` if nothing is left to judge by."""
+        """Return the system itself, or raise `DataError` if no degree of freedom is left."""
         if self.promise.freedom < 1:
             raise DataError(
                 f"{self.promise.robot.path}: its calibration left {self.promise.freedom:.2g} degrees of freedom, too"
@@ -265,7 +250,7 @@ class System:
         return self
 
     def without_readings(self, readings: IntArray) -> System:
-        """Return it without some readings, (n,)."""
+        """Return the system without some readings, (n,)."""
         weights = 1.0 * ~np.isin(np.arange(self.rows.layout.n_readings), readings)
         of_rows = weights[self.rows.layout.reading]
         layout = replace(self.rows.layout, group=np.where(of_rows > 0, self.rows.layout.group, -1))
@@ -290,7 +275,7 @@ class System:
 
     @property
     def placement_rank(self) -> int:
-        """Rank of the columns of the places, in addition to the known unknowns."""
+        """Rank of the columns of the places, in addition to the uncertain parameters."""
         return self.rows.posterior_information.root.shape[1] - int(np.sum(self.rows.prior.has))
 
     @cached_property
@@ -299,10 +284,10 @@ class System:
         return float(np.sum(self._orthogonal_part(self.rows.residuals) ** 2))
 
     def worst(self) -> tuple[int, float]:
-        """Return the reading that lies furthest off, and the chance of that among so many."""
+        """Return the reading that is furthest off, and the chance of such an error among all."""
         layout, left = self.rows.layout, self._orthogonal_part(self.rows.residuals)[: len(self.rows.residuals)]
         widths, used = np.maximum(layout.width, 1), np.ones(layout.n_readings)
-        # the scale is known with as many degrees of freedom as the promise; there, half of them are counted
+        # the scale is known with the degrees of freedom of the promise; `studentised` counts half of those it gets
         tests = studentised(left, self.rows.span, layout.reading, widths, used, 2.0 * self.promise.freedom, 1.0)
         reading = int(np.argmin(tests.chance))
         n_read = len(np.unique(layout.reading[layout.group >= 0]))
@@ -310,19 +295,15 @@ class System:
 
     @cached_property
     def has_unlike_poses(self) -> bool:
-        """Whether the poses lie otherwise than those that were used."""
+        """Whether the poses are distributed otherwise than the used ones."""
         return len(self.promise.joints) > 0 and not are_drawn_alike(self.errors.data.joints, self.promise.joints)
 
     def with_common_error(self, data: Measurements, same_setup: bool) -> System:
-        """Return the system where errors left unexplained may be one error of all readings.
-
-        Args:
-            data, same_setup: Arguments that it was made with.
-        """
+        """Return the system where unexplained errors may be common to all readings; arguments as in `from_promise`."""
         return System.from_promise(self.promise.with_common_error(self.n_rows), data, same_setup)
 
     def changes(self) -> tuple[Change, ...]:
-        """Return candidates that the readings see, those with the largest z first."""
+        """Return visible candidates, the largest z first."""
         left, listed = self._orthogonal_part(self.candidate_columns), candidates(self.promise.robot)
         size, full_size = np.linalg.norm(left, axis=0), np.linalg.norm(self.candidate_columns, axis=0)
         visible = np.flatnonzero(size > 1e-6 * np.maximum(full_size, 1e-300))
@@ -368,7 +349,7 @@ def six_digits(value: float) -> float:
 
 
 def without_outliers(system: System) -> tuple[System, list[int]]:
-    """Leave out readings that lie further off than noise explains, one by one, as long as they are few."""
+    """Leave out readings further off than noise explains, one by one, as long as they are few."""
     left_out: list[int] = []
     most = int(_OUTLIERS * system.rows.layout.n_readings)
     complete = system
@@ -384,7 +365,7 @@ def without_outliers(system: System) -> tuple[System, list[int]]:
 
 
 def _noncentrality(level: float, freedom: float) -> float:
-    """The noncentrality with which Student's t is beyond its two-sided level with the chance `POWER`."""
+    """Noncentrality at which Student's t exceeds its two-sided level with the chance `POWER`."""
     limit = -float(scipy.special.stdtrit(freedom, level / 2))
     most = 2.0 * limit + 10.0  # sqrt(chi2 / m) is below 1.65 with the chance POWER for one degree of freedom or more
     return float(scipy.optimize.brentq(lambda d: 1.0 - scipy.special.nctdtr(freedom, d, limit) - POWER, 0.0, most))
@@ -393,12 +374,12 @@ def _noncentrality(level: float, freedom: float) -> float:
 def _expected_distances(
     promise: Promise, robot: Robot, observed: Mapping[str, Observed], kept: BoolArray, root: FloatArray
 ) -> ExpectedDistances:
-    """Return what is expected of the distances between measured and predicted positions.
+    """Return the expectation of the distances between measured and predicted positions.
 
     Args:
-        promise: Says noise and shared errors.
-        robot: The robot where the readings see it.
-        observed: With derivatives by parameters.
+        promise: Noise and shared errors.
+        robot: The robot, placed by the readings.
+        observed: Observed readings, with derivatives by parameters.
         kept: Mask of the free parameters that are not placed anew, (n_free,).
         root: A root of their covariance, (n_kept, k) [m or rad].
     """

@@ -1,7 +1,7 @@
 """The parts of a verdict: a grade, and reasons in words that say what to do.
 
-`Code` is the table of all reasons. What makes a reason true, its limit and its sentence stand together, in one function
-of `calib.core.judging.rules_...`; `calib.core.judging.verdict` asks these functions in order.
+`Code` is the table of all reasons. One function of `calib.core.judging.rules_...` holds the condition, limit and
+sentence of each; `calib.core.judging.verdict` calls these functions in order.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ class Answer(Enum):
 
 @dataclass(frozen=True)
 class Reason:
-    """A finding about a fit, and what to do about it.
+    """A finding about a fit, and its remedy.
 
     Attributes:
-        grade: CHECK or FAIL; PASS where it is good to know and no doubt.
+        grade: CHECK or FAIL; PASS for information without doubt.
         code: Short name for programs.
-        text: The finding, and what to do.
-        counted: Whether errors at poses that were not used count what was found: where these are as claimed, and the
-            robot gets better, it is no doubt, and its grade becomes PASS.
-        answer: What to do.
+        text: The finding, and the remedy.
+        counted: Whether errors at unused poses contain the effect: where these are as claimed, and the robot gets
+            better, it is no doubt, and its grade becomes PASS.
+        answer: Kind of remedy.
     """
 
     grade: Grade
@@ -51,10 +51,7 @@ class Reason:
 
 
 class Code(StrEnum):
-    """Every reason: its code, its grade, whether it is counted, and its answer (see `Reason`).
-
-    Where they depend on more, the rule says so.
-    """
+    """Every reason: its code, grade, `counted` and answer (see `Reason`), unless its rule says otherwise."""
 
     # the fit as a whole
     BASE_ELSEWHERE = "base_elsewhere", "CHECK", False, Answer.CORRECT
@@ -128,14 +125,7 @@ class Code(StrEnum):
     def says(
         self, text: str, *, grade: Grade | None = None, counted: bool | None = None, answer: Answer | None = None
     ) -> Reason:
-        """Return the reason in words.
-
-        Args:
-            text: The finding, and what to do.
-            grade: Grade, where it is not that of the table; a FAIL is never counted.
-            counted: Whether it counts, where that is not as in the table.
-            answer: Answer, where it is not that of the table.
-        """
+        """Return the reason with its text; other arguments replace those of the table, and a FAIL is never counted."""
         applied = grade or self.grade
         counts = self.counted if counted is None else counted
         return Reason(applied, self.value, text, counts and applied != "FAIL", answer or self.answer)
@@ -143,13 +133,13 @@ class Code(StrEnum):
 
 @dataclass(frozen=True)
 class Verdict(HintedObject):
-    """The judgement of a fit.
+    """The verdict on a fit.
 
     Attributes:
         grade: The worst of its reasons; PASS without any.
         reasons: FAIL before CHECK before PASS.
         not_covered: Errors that would leave no trace in these measurements, in words.
-        claim: Error of the robot where it was measured; None where that is not known, or nothing is to be used.
+        claim: Error of the robot where it was measured; None where it is unknown, or the nominal robot is to be kept.
     """
 
     _other_words = "verdict"
@@ -160,7 +150,7 @@ class Verdict(HintedObject):
     claim: Claim | None = None
 
     def __eq__(self, other: object) -> bool:
-        """Whether two verdicts are the same; comparing a verdict with a text is a mistake that would go unseen."""
+        """Whether two verdicts are equal; comparison with a text is a mistake that would go unnoticed."""
         if isinstance(other, str):
             raise UnknownOptionError(f"Verdict: is not text; here: fit.verdict.grade == {other!r}")
         return isinstance(other, Verdict) and vars(self) == vars(other)
@@ -179,11 +169,7 @@ class Verdict(HintedObject):
         return any(reason.code == Code.NOTHING_TO_CORRECT for reason in self.reasons)
 
     def to_dict(self, *, forced: bool = False) -> dict[str, object]:
-        """Return the entry of `result.json`.
-
-        Args:
-            forced: Whether a failed result was exported all the same.
-        """
+        """Return the entry of `result.json`; `forced` says whether a failed result was exported nevertheless."""
         entry: dict[str, object] = {
             "grade": self.grade,
             "reasons": [reason.text for reason in self.reasons],
@@ -198,15 +184,11 @@ class Verdict(HintedObject):
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> Self:
-        """Return the verdict of an entry of `result.json`; without the claim where an earlier version wrote it.
-
-        Raises:
-            KeyError, TypeError, ValueError: The entry is not one of `to_dict`.
-        """
+        """Return the verdict of an entry of `result.json`; KeyError, TypeError or ValueError if it is damaged."""
         known = {code.value: code for code in Code}
         reasons = []
         for text, name, grade in zip(entry["reasons"], entry["codes"], entry["grades"], strict=True):
-            code = known.get(name)  # reasons of other packages have codes of their own
+            code = known.get(name)  # reasons of other packages have their own codes
             own = Reason(grade, name, text)
             reasons.append(own if code is None else replace(own, code=code, counted=code.counted, answer=code.answer))
         claim = entry["claim"]

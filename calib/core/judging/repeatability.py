@@ -1,9 +1,9 @@
 """The figures of ISO 9283 from repeated readings of a pose.
 
-ISO 9283 asks for 30 readings of five poses, approached anew each time, and takes the commanded position where this
-takes the one that the model predicts for the reading's own joint values; what the joints say that they moved between
-two readings is no scatter. With fewer readings the numbers are the same, only less sure; readings taken without moving
-the robot show the instrument alone. `calib.core.numerics.iso9283` has the equations.
+ISO 9283 requires 30 readings of five poses, approached anew each time, and uses the commanded position. Here the
+position that the model predicts for the reading's own joint values replaces it; a motion that the joints report between
+two readings is no scatter. Fewer readings give less certain numbers; readings taken without moving the robot show the
+instrument alone. `calib.core.numerics.iso9283` has the equations.
 
 Reference: iso9283.
 """
@@ -28,7 +28,7 @@ CONDITIONS = ("load", "speed", "temperature", "warm-up", "instrument", "certific
 """Conditions of a test that a file states in comments, such as `# load: 5 kg`."""
 _FIVE = 5  # poses of the standard
 _BLOCK = 10  # cycles of a block of the drift test
-_HOURS = 8.0  # that the drift test takes
+_HOURS = 8.0  # duration of the drift test
 _SECONDS = 3600.0
 
 
@@ -37,7 +37,7 @@ class IsoFigure:
     """One figure of ISO 9283.
 
     Attributes:
-        name: `AP`, `RP`, `vAP`, `AD`, `RD`, `dAP` or `dRP`; of orientations with the axis, such as `AP_rx`.
+        name: `AP`, `RP`, `vAP`, `AD`, `RD`, `dAP` or `dRP`; for orientations with the axis, such as `AP_rx`.
         poses: The pose, or the two poses of a distance.
         cycles: Number of cycles, of the pose with fewest.
         figure: Value and interval [m or rad].
@@ -67,7 +67,7 @@ class PoseScatter:
 
 
 def _pose_scatters(errors: ErrorSet, part_name: str = "") -> list[PoseScatter]:
-    """Errors (n, 3) of a part, of positions if none is named, of readings at poses that were read more than once."""
+    """Errors (n, 3) of a part, else of positions, at poses that were read more than once."""
     result = []
     for instrument, part, rows in errors.parts():
         if part.name != part_name if part_name else not part.is_position:
@@ -110,7 +110,8 @@ def repeat_table(errors: ErrorSet) -> dict[str, Any] | None:
 
 
 def repeatability(errors: ErrorSet) -> tuple[float, int]:
-    """Return the pooled standard deviation of one reading about its pose's mean, per axis [m], and its freedom.
+    """Return the pooled standard deviation of one reading about its pose's mean, per axis [m], and its degrees of
+    freedom.
 
     NaN and 0 where no point was read more than once at a pose.
     """
@@ -123,14 +124,15 @@ def repeatability(errors: ErrorSet) -> tuple[float, int]:
 
 
 def pose_error_over_repeatability(errors: ErrorSet, n_effective: float) -> tuple[float, float]:
-    """Return the error of pose means, as noise of one reading, over the scatter of repeats, and the chance of that.
+    """Return the error of pose means, as noise of one reading, over the scatter of repeats, and the chance of the
+    ratio.
 
-    If the model leaves nothing out, the mean of n readings is off by what one reading scatters over the root of n. NaN
-    and 1 where there are no repeats, or where they do not scatter at all.
+    Without errors of the model, the mean of n readings has the scatter of one reading over the root of n. NaN and 1
+    without repeats, or where they do not scatter at all.
 
     Args:
-        errors: Errors of the visits that were used.
-        n_effective: Parameters that they decided.
+        errors: Errors of the used visits.
+        n_effective: Number of parameters that they decided.
     """
     deviation, n_free = repeatability(errors)
     several = _pose_scatters(errors)
@@ -153,7 +155,7 @@ def conditions(comments: Sequence[str], keys: Sequence[str] = CONDITIONS) -> dic
 
 
 def iso_figures(errors: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFigure], list[str]]:
-    """Return the figures of ISO 9283 that the cycles allow, and what is missing for those that the standard asks for.
+    """Return the figures of ISO 9283 that the cycles allow, and the missing data for those that the standard requires.
 
     Args:
         errors: Errors after calibration, prediction minus read.
@@ -208,7 +210,7 @@ def _mean_prediction(errors: ErrorSet, scatter: PoseScatter) -> FloatArray:
 
 
 def _directions(errors: ErrorSet, several: list[PoseScatter], names: Mapping[int, str]) -> list[IsoFigure]:
-    """The vAP of every pose that was reached from several directions, where the file says from which."""
+    """The vAP of every pose that was reached from several directions, if the file states these."""
     if errors.data.approach is None:
         return []
     result = []

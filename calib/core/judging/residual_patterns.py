@@ -1,30 +1,30 @@
 """Systematic residuals: patterns that are no noise.
 
-Question. Would the model explain the data significantly better with one more effect? For an effect with columns Z (what
-it would add to the measured rows) the linear model r = J du + Z c is compared with the fit:
+Question. Would the model explain the data significantly better with one more effect? For an effect with columns Z (its
+change of the measured rows) the linear model r = J du + Z c is compared with the fit:
 
     M = I - J A^-1 J^T,   A = J^T J + sigma^2 P        what of Z the fit has not absorbed already
     gain = r^T Z (Z^T M Z)^-1 Z^T r                    by how much |r|^2 would fall
     F = (gain / k) / ((|r|^2 - gain) / (nu - k))       against F(k, nu - k), k columns left after M
 
-The effects are those of `calib.core.judging.effects`. One that the fit absorbs (a constant shift, where the base is
-free) cannot be seen and is not tested: `visible` says how large it would have to be. Effects come in families of kinds,
-which share the chance of a false finding evenly; in a family, the chance of each finding is multiplied by the number of
-its tests. A finding needs a chance below 1 % over all families, and an effect of at least a tenth of the noise: enough
-data make any trifle significant. Where poses scatter by more than independent readings would
-(`calib.core.numerics.clusters`), F is divided by how much more the score of the effect scatters, summed pose by pose,
-and nu is that of this scatter. A fit follows each pose a little, so that its residuals scatter too little: a finding
-counts only if it is one with the residuals of each pose by the fit, and the effect, of all other poses. Of waves and of
-slips, which are tried by the dozen for each joint or target, the best is kept.
+The effects are those of `calib.core.judging.effects`. An effect that the fit absorbs (a constant shift, where the base
+is free) is invisible and not tested: `visible` gives the size at which it would show. Effects come in families of
+kinds, which share the chance of a false finding evenly; in a family, the chance of each finding is multiplied by the
+number of its tests. A finding needs a chance below 1 % over all families, and an effect of at least a tenth of the
+noise: enough data make any trifle significant. Where poses scatter more than independent readings
+(`calib.core.numerics.clusters`), F is divided by the excess scatter of the effect's score, summed pose by pose, and nu
+is that of this scatter. A fit follows each pose a little, so that its residuals scatter too little: a finding must also
+hold with the residuals of each pose by the fit, and the effect, of all other poses. Of waves and of slips, which are
+tried by the dozen for each joint or target, the best is kept.
 
 The direction of approach and, without a time, the course of the measurement come from the order of the rows in the data
 file, which must be the order of measurement.
 
-Many effects at once. A test needs Z^T Z, (J T)^T Z with the span J T of the fit, and Z^T r only. The effects of a
+Many effects at once. A test needs only Z^T Z, (J T)^T Z with the span J T of the fit, and Z^T r. The effects of a
 joint, a target or a frame have the columns of one base times factors of each visit, such as sin(k q_i) and cos(k q_i)
-of a wave. So the sums over the rows of a visit are made once for each base and serve all its effects.
+of a wave. So the sums over the rows of a visit are computed once for each base and serve all its effects.
 
-When it fails. Effects in other shapes stay in the noise; two effects that look alike at the poses measured are both
+When it fails. Effects of other shapes stay in the noise; two effects that look alike at the measured poses are both
 named. F supposes normal noise.
 
 Reference: cook1982, chapter 2.4 (added variables), and 3 (residuals without the pose that is judged).
@@ -48,7 +48,7 @@ from calib.core.numerics.chances import EXACT, FALSE_ALARM
 from calib.core.numerics.tall import KEPT, slices
 
 SMALLEST_EFFECT = 0.1
-"""Least root mean square of an effect, over that of the noise, that is worth a finding."""
+"""Least root mean square of an effect, over that of the noise, that counts as a finding."""
 _NUMBERS_AT_ONCE = 1 << 24  # numbers of what findings explain
 _VISITS_AT_ONCE = 512  # their factors stay in the processor's cache
 _ALIKE = 9.2  # times the noise squared: chance makes a sine and cosine explain more in 1 % of cases
@@ -59,7 +59,6 @@ class _Moments:
     """Products of m effects with k columns Z each, for their tests.
 
     Attributes:
-        effects: The effects.
         squares: Z^T Z, (m, k, k).
         absorbed: (J T)^T Z, (m, rank, k).
         score: Z^T r, (m, k).
@@ -96,15 +95,15 @@ class _EffectTests:
     absorbed: FloatArray
 
     def best(self) -> int:
-        """Return the row of the most significant one; of several, that with the largest gain."""
+        """Return the row of the most significant effect, with the largest gain among equals."""
         return int(np.lexsort((-self.gains, self.p_values))[0])
 
     def detail(self, row: int, margin: float) -> str:
-        """Return the detail of an effect; of a wave with all numbers of cycles that explain the residuals as well.
+        """Return the detail of an effect; for a wave all numbers of cycles that explain the residuals as well.
 
         Args:
             row: The effect.
-            margin: How much less of |r|^2 a wave may explain that noise could have made the better one.
+            margin: Difference of gains in |r|^2 that noise could have caused.
         """
         details = self.effects.details
         detail = details[self.numbers[row]]
@@ -120,13 +119,7 @@ class _EffectTests:
 
 
 def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind] = tuple(Kind)) -> tuple[Pattern, ...]:
-    """Test effects.
-
-    Args:
-        residuals: The fit.
-        setting: Data that effects are made of.
-        kinds: Kinds that are tested.
-    """
+    """Return the results of testing effects of some kinds, most significant first."""
     if residuals.factor * setting.metre < EXACT:
         return ()
     tested = _tests(residuals, [effect for effect in effects(setting) if effect.kind in kinds])
@@ -240,7 +233,7 @@ def _sums_of_visits(base: FloatArray, others: list[FloatArray], firsts: IntArray
 
 
 def _tests(residuals: LinearFit, some: list[Effects]) -> list[_EffectTests]:
-    """Test those effects that can be seen, all with equally many columns at once; those of one base stand together."""
+    """Test the visible effects, all with equally many columns at once; those of one base stand together."""
     groups = [list(members) for _, members in groupby(some, key=lambda effect: id(effect.base))]
     by_width: dict[int, list[_Moments]] = {}
     for moments in (moments for group in groups for moments in _moments(residuals, group)):
@@ -249,11 +242,7 @@ def _tests(residuals: LinearFit, some: list[Effects]) -> list[_EffectTests]:
 
 
 def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTests]:
-    """Test effects with equally many columns.
-
-    Those are left out that do nothing that the fit does not absorb, or leave no degree of freedom to compare the gain
-    with.
-    """
+    """Test effects with equally many columns, without absorbed ones and those that leave no degree of freedom."""
     squares, inside, scores = (
         np.concatenate([getattr(moments, name) for moments in some]) for name in ("squares", "absorbed", "score")
     )
@@ -284,13 +273,10 @@ def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTe
 
 
 def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: FloatArray, limit: float) -> float:
-    """Chance of a gain as large from noise; where poses scatter together, F is divided by how much more its score does.
+    """Chance of a gain as large from noise, with F divided by the excess scatter of the score where poses scatter
+    together.
 
-    Args:
-        residuals: The fit.
-        tests, row: The effect.
-        explained: M Z c, (n_rows,).
-        limit: Chance below which it is a finding.
+    `explained` is M Z c of the effect, (n_rows,), and `limit` the chance below which it is a finding.
     """
     if not np.isfinite(residuals.pose_freedom):
         return float(tests.p_values[row])

@@ -1,17 +1,17 @@
-"""Joint values that were rounded: seen in their digits, and in how residuals scatter.
+"""Joint values that were rounded: visible in their digits, and in the scatter of residuals.
 
 Values in steps of s are off by up to s/2, with a standard deviation of s / sqrt(12), if they were rounded; not at all,
-if the robot was sent to round values. Digits do not tell these apart. Residuals may: rounding scatters the target
-along the motion of the joints, further where the arm is longer. With A_v what rounding does to the rows of visit v
+if the robot was commanded to round values. Digits do not distinguish these. Residuals may: rounding scatters the target
+along the motion of the joints, further where the arm is longer. With A_v the effect of rounding on the rows of visit v
 (one column for each joint, each times s / sqrt(12)), Q = diag(A_v A_v^T), and r = M e (e normal noise of variance f^2,
-M what a fit leaves; see `calib.core.judging.residual_patterns`),
+M the remainder after a fit; see `calib.core.judging.residual_patterns`),
 
     T = r^T Q r        mean f^2 tr(MQ)        variance 2 f^4 tr(MQMQ)
 
 is the score for a variance along Q. Its chance is that of a scaled chi-square of the same mean and variance. The part
 of the noise that rounding can make is tr(MQ) / (f^2 tr M); far beyond 1, the values cannot have been rounded.
 
-When it fails. f is found from the same residuals: where rounding scatters all rows alike, T says nothing.
+When it fails. f is found from the same residuals: where rounding scatters all rows alike, T shows nothing.
 
 Reference: satterthwaite1946.
 """
@@ -36,10 +36,10 @@ _UNITS: dict[Dimension, tuple[str, ...]] = {"angle": ("deg", "rad"), "length": (
 
 
 def rounding(fit: Fit) -> tuple[str, float, float] | None:
-    """Look for joint values in steps; None where there are none.
+    """Return joint values in steps; None where there are none.
 
     Returns:
-        The steps in words; the part of the noise, squared, that rounding to them makes; and the chance that residuals
+        The steps in words; the part of the noise variance that rounding to them makes; and the chance that residuals
         scatter as much along the joints without rounding.
     """
     robot = fit.nominal
@@ -52,25 +52,20 @@ def rounding(fit: Fit) -> tuple[str, float, float] | None:
 
 
 def joint_steps(robot: Robot, joints: FloatArray) -> FloatArray:
-    """Return the step in which all values of each joint stand, (n_actuated,) [m or rad]; 0 for none.
-
-    Args:
-        robot: Robot with these joints.
-        joints: (n, n_actuated) [m or rad].
-    """
+    """Return the step between all values (n, n_actuated) of each joint, (n_actuated,) [m or rad]; 0 for none."""
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
     return np.array([_step(values, dimension) for values, dimension in zip(joints.T, dimensions, strict=True)])
 
 
 def _step(values: FloatArray, dimension: Dimension) -> float:
-    """The largest usual step that some values (n,) stand in [m or rad]; 0 for none."""
+    """The largest usual step between some values (n,) [m or rad]; 0 for none."""
     if len(np.unique(values)) < _DIFFERENT:
         return 0.0
     return max(usual_step(values * PER_SI[dimension][unit]) / PER_SI[dimension][unit] for unit in _UNITS[dimension])
 
 
 def usual_step(numbers: FloatArray) -> float:
-    """Return the largest usual step that all numbers (n,) stand in; 0 for none."""
+    """Return the largest usual step of which all numbers (n,) are multiples; 0 for none."""
     left = np.array(_STEPS)
     for some in (numbers[:8], numbers):  # the first few decide most
         ratio = some[:, None] / left
@@ -79,7 +74,7 @@ def usual_step(numbers: FloatArray) -> float:
 
 
 def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:
-    """Return which part of the noise, squared, joints that scatter so (n_actuated,) make, and the chance of T."""
+    """Return the part of the noise variance that joints with this scatter (n_actuated,) make, and the chance of T."""
     linear, setting = findings.linear(fit), findings.setting(fit)
     by_joint = setting.joint_columns * scatter
     visit = setting.visit

@@ -29,19 +29,19 @@ from calib.core.rows.rows import Rows
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little
 """Degrees of freedom below which intervals are very wide."""
 FEW_SHARED = 5
-"""The same of poses whose readings share errors; poses from which distances of targets say something."""
+"""The same for poses whose readings share errors; poses from which distances of targets have a meaning."""
 RIGID = 1e-6
 """Scatter of the distance of two targets below which no instrument read both [m]."""
 COSTLY = 0.36
-"""Part of the squared residuals that outliers make, from which errors are a fifth smaller without them."""
+"""Part of the squared residuals from outliers, from which errors are a fifth smaller without them."""
 FEW_OF = 0.01
-"""Part of the readings that were not used, up to which outliers do not decide the grade."""
+"""Largest part of validation readings whose outliers do not decide the grade."""
 EXCLUDED = 0.1
 """Part of the poses, or of the readings, that may be outliers."""
 BEYOND_REPEATS = 1.5
-"""Found noise over the scatter of repeats from which something systematic is left."""
+"""Found noise over the scatter of repeats from which something systematic remains."""
 ROUNDED = 0.2
-"""Part of the noise, squared, that steps of the joint values must be able to make to be named."""
+"""Least part of the noise variance from steps of the joint values at which they are named."""
 ALL_ROUNDED = 2.0
 """The same, beyond which the joints really stood at these round values: rounding would have made more noise."""
 COPIED = 0.03
@@ -49,9 +49,9 @@ COPIED = 0.03
 FAR = 3.0
 """Residual over the median residual from which a reading of 0, 0, 0 is not the origin of the measurement frame."""
 USED_FOR_BOTH = 0.1
-"""Part of the validation poses that may be poses of the fit, measured again."""
+"""Largest part of the validation poses that may repeat poses of the fit."""
 ANOTHER = {"load": 0.05, "temperature": 2.0}
-"""Differences in stated conditions [kg, K] that make a measurement at the same joint values another one."""
+"""Differences in stated conditions [kg, K] from which a measurement at the same joint values is a different one."""
 
 
 def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
@@ -86,7 +86,7 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
 
 
 def too_few_poses(fit: Fit) -> Iterator[Reason]:
-    """Count degrees of freedom. Poses left out one by one are few as well: only poses that were not used count it."""
+    """Count degrees of freedom; only validation at other poses makes up for few."""
     rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
     if fit.statistics.freedom < FEW or rows < 2 * used - 1e-6:
         yield Code.TOO_FEW_POSES.says(
@@ -107,7 +107,7 @@ def check_shared_errors(fit: Fit) -> Iterator[Reason]:
 
 
 def moves_as_one(fit: Fit) -> Iterator[Reason]:
-    """Look for targets that keep their distances so exactly that they were computed from one pose."""
+    """Look for targets with such constant distances that they were computed from one pose."""
     data, names = fit.identification.data, fit.nominal.target_names
     if len(names) < 2 or fit.computed:
         return
@@ -174,10 +174,10 @@ def check_validation_poses(fit: Fit) -> Iterator[Reason]:
 
 
 def doubtful_readings(fit: Fit) -> Iterator[Reason]:
-    """Ask the instruments what looks wrong about their readings.
+    """Report what the instruments find wrong with their readings.
 
-    A fit bends the robot until such readings fit, and readings left out of the same files agree: only another kind of
-    instrument can bear the result out.
+    A fit bends the robot until such readings fit, and left-out readings of the same files agree: only another kind of
+    instrument can confirm the result.
     """
     readings_of = fit.identification.data.readings
     instruments = {name: fit.nominal.instrument(name) for name in readings_of}
@@ -190,7 +190,7 @@ def doubtful_readings(fit: Fit) -> Iterator[Reason]:
 
 
 def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
-    """Part of the squared residuals that outliers make."""
+    """Part of the squared residuals from outliers."""
     if rows is None:
         return 1.0
     squares = np.bincount(rows.layout.reading, rows.residuals**2, rows.layout.n_readings)
@@ -198,7 +198,7 @@ def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
 
 
 def check_copies(fit: Fit) -> Iterator[Reason]:
-    """Look for readings that are in the data more than once, to the last digit, whichever of them the fit has used."""
+    """Look for readings that are in the data more than once, to the last digit."""
     sets = [fit.identification.data, *([] if fit.validation is None else [fit.validation.data])]
     copies = [] if fit.computed else [data.labels[k] for data in sets for k in copied_visits(fit.nominal, data)]
     total = sum(map(len, sets))
@@ -210,7 +210,7 @@ def check_copies(fit: Fit) -> Iterator[Reason]:
 
 
 def _conditions(used: Measurements, other: Measurements) -> FloatArray:
-    """Setups and stated conditions of the visits of both, (n, ...), in units of what makes it another measurement."""
+    """Setups and stated conditions of the visits of both, (n, ...), in units of a difference that counts."""
     both = (used, other)
     columns = [np.concatenate([np.zeros(len(visits)) if visits.setups is None else visits.setups for visits in both])]
     for name, size in ANOTHER.items():
@@ -220,7 +220,7 @@ def _conditions(used: Measurements, other: Measurements) -> FloatArray:
 
 
 def dead_readings(fit: Fit) -> Iterator[Reason]:
-    """Look for readings that no instrument took: exactly 0, 0, 0 and not fitting, and columns that are copies."""
+    """Look for readings that no instrument took: exactly 0, 0, 0 and far off, and columns that are copies."""
     data = fit.identification.data
     zeros = zero_visits(data, fit.nominal)
     left = np.zeros(len(data))
@@ -244,7 +244,7 @@ def repeats(fit: Fit) -> Iterator[Reason]:
 
 
 def check_rounding(fit: Fit) -> Iterator[Reason]:
-    """See whether joint values were rounded to so few digits that this makes much of the noise."""
+    """Report joint values that were rounded so coarsely that this makes much of the noise."""
     steps, share, chance = (None if fit.computed else rounding(fit)) or ("", 0.0, 1.0)
     if ROUNDED < share < ALL_ROUNDED and chance < FALSE_ALARM:
         noise, part = fit.first_noise.sigma * float(np.sqrt(min(share, 1.0))), fit.first_noise.group.part
@@ -258,7 +258,7 @@ def check_rounding(fit: Fit) -> Iterator[Reason]:
 def leverage(fit: Fit) -> Iterator[Reason]:
     """List poses that decide their own prediction, curves aside.
 
-    A curve follows each pose a little; what an error at any of them spoils is as local as at the others.
+    A curve follows each pose a little; an error at any of them has only a local effect.
     """
     deciding = findings.studentise_errors(fit).largest_leverage > HIGH_LEVERAGE
     lasting = fit.unknowns.family < 0
@@ -275,5 +275,4 @@ def leverage(fit: Fit) -> Iterator[Reason]:
 
 
 def _visits(fit: Fit, readings: IntArray) -> list[str]:
-    """Labels of the visits of some readings, each once."""
     return [fit.identification.data.labels[k] for k in dict.fromkeys(fit.rows.layout.visit[readings].tolist())]

@@ -28,33 +28,33 @@ from calib.core.robots.robot_files import lost_by
 from calib.core.rows.registration import registration
 
 ELSEWHERE = 0.2
-"""Errors of the nominal robot with base or targets placed by the data, over those where they are stated, if they are
-elsewhere."""
+"""Largest ratio of errors of the nominal robot with base or targets placed by the data, to those with the stated ones,
+at which the statement is wrong."""
 NEAR = 0.1
-"""The largest of the same errors, over the spread of the measured positions, of a robot that fits."""
+"""Largest of the same errors, over the spread of the measured positions, for a robot that fits."""
 BELIEVED = 0.5
 """Weight of a robust loss from which a reading counts."""
 AT_END = 0.55
-"""What looks like a change in the course of the measurement, over all that is left, up to which a claim holds at its
-end: what grows evenly is sqrt(3) times as large there as on average, so that all is 1.25 times as large at sqrt(0.3) of
-all."""
+"""Part of all residuals that looks like a change in the course of the measurement, up to which a claim holds at its
+end. A linear growth is sqrt(3) times as large there as on average, so that the whole is 1.25 times as large at
+sqrt(0.3)."""
 AFTER = 0.3
-"""What surely changes in that course, over all that is left, up to which a claim holds afterwards, for half as long as
-the measurement took: what grows evenly has seven times its mean square there, so that all is 1.25 times as large at
-sqrt(0.09) of all."""
+"""Part of all residuals that certainly changes in that course, up to which a claim holds afterwards, for half as long
+as the measurement took. A linear growth has seven times its mean square there, so that the whole is 1.25 times as large
+at sqrt(0.09)."""
 _NOT_THE_ROBOT = (
     ". The fit describes its own measurements, not the robot. Measure more poses, spread over the space where the robot"
     " will work"
 )
 _FURTHER_ERRORS = ". There the robot has errors that the poses used do not show. Measure there too"
-_AT_LIMIT = 1e-6  # distance of a passive joint from its limit, where it stopped a fit [m, rad]
-_MOST_PATTERNS = 3  # that the sentence names
+_AT_LIMIT = 1e-6  # distance from its limit at which a passive joint stopped a fit [m, rad]
+_MOST_PATTERNS = 3  # named in the sentence
 OTHER_MINIMUM = 10.0
 """Difference of the cost within which another minimum explains the data as well."""
 
 
 def check_convergence(fit: Fit) -> Iterator[Reason]:
-    """Judge how the iteration ended."""
+    """Report an iteration that did not converge."""
     end = fit.convergence
     advice = "check units, joint order and signs, or try --starts"
     if end.converged:
@@ -88,7 +88,7 @@ def _joints_at_limit(fit: Fit) -> list[str]:
 
 
 def check_assembly(fit: Fit) -> Iterator[Reason]:
-    """Assemble the calibrated robot afresh."""
+    """Assemble the calibrated robot from its home configuration."""
     if not fit.assembles:
         yield Code.NOT_ASSEMBLED.says(
             "with the parameters found, the robot cannot be assembled from its home configuration, so they are wrong;"
@@ -110,9 +110,9 @@ def worse_on_validation(fit: Fit) -> Iterator[Reason]:
 
 
 def residuals_grew(fit: Fit) -> Iterator[Reason]:
-    """See whether readings that were used are explained worse than by the nominal robot, in sum or of one instrument.
+    """Report used readings that fit worse than with the nominal robot, in sum or of one instrument.
 
-    Least squares make their sum smaller. Where it grew, weights or priors were believed more than the readings.
+    Least squares make their sum smaller. Where it grew, weights or priors counted more than the readings.
     """
     if fit.computed:
         return
@@ -144,13 +144,7 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
 
 
 def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
-    """Compare errors on poses that were not used with what is claimed.
-
-    Args:
-        fit: The fit.
-        claim: Its claim.
-        needless: Whether the robot needs no correction.
-    """
+    """Compare errors on unused poses with the claim; `needless` says that the robot needs no correction."""
     moved = moved_frame(fit)
     misplaced = moved is not None and moved.errors is None  # errors are those of the frame
     worse, further = ("", "") if misplaced else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
@@ -173,7 +167,7 @@ def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
 
 
 def _where(fit: Fit, accuracy: Accuracy) -> str:
-    """Say so if more validation poses than chance explains are unlike those measured."""
+    """A clause for more validation poses unlike the measured ones than chance explains; empty without."""
     unlike = unlike_measured(fit)
     if accuracy.poses is not PoseUse.VALIDATION or fit.validation is None or not is_elsewhere(unlike):
         return ""
@@ -184,7 +178,7 @@ def _where(fit: Fit, accuracy: Accuracy) -> str:
 
 
 def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
-    """Return what to do if the nominal robot fits with its base or its targets anywhere but where they are stated."""
+    """Return the correction of a nominal robot that fits only with its base or its targets elsewhere than stated."""
     robot, data = fit.nominal, fit.identification.data
     frame_known = robot.description.base.pose == "known"
     targets_known = any(section.position == "known" for section in robot.description.targets.values())
@@ -217,7 +211,7 @@ def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
 
 
 def _base_in_words(robot: Robot, placed: Placement) -> str:
-    """Say how the base of a description is to be corrected."""
+    """A clause with the correction of the base."""
     pose = placed.T_base_measurement.inverse()
     rpy = ", ".join(f"{PER_SI['angle']['deg'] * value:.3f} deg" for value in pin.rpy.matrixToRpy(pose.rotation))
     has_own_base = isinstance(robot.description.parametrisation, str)  # then it cannot be called unknown
@@ -230,7 +224,7 @@ def _xyz(point: FloatArray) -> str:
 
 
 def frame_moved(fit: Fit) -> Iterator[Reason]:
-    """See whether a rigid motion explains the errors on validation poses: whether they were measured from elsewhere."""
+    """Report a rigid motion that explains the errors on validation poses: they were measured from elsewhere."""
     moved = moved_frame(fit)
     if moved is None or fit.validation is None:
         return
@@ -246,7 +240,7 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
 
 
 def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
-    """See whether the calibration gains anything: on unused poses, else by an F test of all that was not placed."""
+    """Report a calibration without gain: on unused poses, else by an F test of all parameters but placements."""
     if fit.computed:
         return
     entries = list(comparisons(fit))
@@ -268,10 +262,10 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
 
 
 def _chance_of_gain(fit: Fit) -> float:
-    """Chance that the parameters explain as much of a robot at nominal, with base and targets placed alone.
+    """Chance that the parameters explain as much of a robot at nominal, with only base and targets placed.
 
-    Few poses hardly show their noise, so that by it alone almost any gain may be chance. Where all noise is stated, and
-    what was found does not contradict it, the statement is a second measure: the gain is chi-square by it.
+    With few poses their noise is uncertain, so that by it alone almost any gain may be chance. Where all noise is
+    stated, and not contradicted, the statement is a second measure: the gain is chi-square by it.
     """
     layout = fit.rows.layout
     root = np.sqrt(fit.weights)[layout.reading]
@@ -290,7 +284,7 @@ def _chance_of_gain(fit: Fit) -> float:
 
 
 def files_hold_less(fit: Fit) -> Iterator[Reason]:
-    """State the error of `calibrated.urdf` where it is not the whole model; and if it is not written, why."""
+    """State the error of `calibrated.urdf` where it holds less than the model, and why it is not written."""
     if fit.reduced is None:  # no files were requested
         return
     why = why_no_origins(fit)
@@ -309,7 +303,7 @@ def files_hold_less(fit: Fit) -> Iterator[Reason]:
 
 
 def why_no_origins(fit: Fit) -> str:
-    """Return why no file of joint origins is written of a fit that did not fail; empty if they are."""
+    """Return why no file of joint origins is written for a fit that did not fail; empty if one is."""
     known = fit.robot.files.get(Holds.ORIGINS)
     if known is not None:
         return known.withheld
@@ -323,10 +317,10 @@ def why_no_origins(fit: Fit) -> str:
 def systematic(fit: Fit) -> Iterator[Reason]:
     """List patterns in the residuals: those that change in the course of the measurement, misplaced targets, others.
 
-    The claim includes them, but for changes that go on. Where a pattern is more than a healthy robot leaves, or a
-    misplaced target makes most of the residuals, the description is wrong, and there is doubt all the same.
+    The claim includes them, except for changes that go on. Where a pattern is more than a healthy robot leaves, or a
+    misplaced target makes most of the residuals, the description is wrong, and doubt remains.
     """
-    if impossible(fit):  # parts of what does not fit at all
+    if impossible(fit):  # patterns of a model that does not fit at all
         return
     patterns = [pattern for pattern in findings.patterns(fit) if pattern.significant]
     changing = [pattern for pattern in patterns if Trait.IN_COURSE in pattern.kind.traits]
@@ -353,11 +347,11 @@ def systematic(fit: Fit) -> Iterator[Reason]:
 
 
 def check_minima(fit: Fit) -> Iterator[Reason]:
-    """Look at what perturbed starts found."""
+    """Report other minima from perturbed starts."""
     if fit.starts is None:
         return
     best, *others = fit.starts.minima
-    # without a statement the starts were weighed by a noise that was not found yet
+    # without a stated noise the starts were weighted by an assumed one
     started = fit.starts.groups[0] * fit.whitening.groups[0].typical
     unit = 1.0 if fit.noise[0].stated is not None else (max(fit.noise[0].sigma, EXACT) / started) ** 2
     near = [other for other in others if other.cost - best.cost < OTHER_MINIMUM * unit]

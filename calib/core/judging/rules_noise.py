@@ -1,4 +1,4 @@
-"""Rules of the verdict about noise: what was found against what was stated, and against what such instruments have."""
+"""Rules of the verdict about noise: found against stated, and against the usual noise of such instruments."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ NOISE_RATIO = 3.0
 """Found over stated noise from which the statement, or the model, is wrong."""
 MOST_LEFT_OUT = 20.0
 """Found over stated noise beyond which better poses prove nothing: the joint origins of real robots leave up to ten
-times the noise of a tracker; a target that is described on the link next to its own leaves seventy times."""
+times the noise of a tracker; a target that is described on a neighbouring link leaves seventy times."""
 GROSS = 2.0
-"""Noise of every instrument, over the largest that it has, from which the result rests on what the model leaves out."""
+"""Noise of every instrument, over its largest usual noise, from which the result rests on errors of the model."""
 LARGE_NOISE = 0.1
-"""Noise, over the spread of the measured positions, that means that nothing fits."""
+"""Noise, over the spread of the measured positions, from which nothing fits."""
 DOUBTFUL = 0.05
-"""Noise, over that which no such instrument has, from which other meanings of its numbers are tried."""
+"""Noise, over an impossible noise of such an instrument, from which other meanings of its numbers are tried."""
 GROSS_RATIO = 50.0
 """Found over stated noise from which mistakes in the data are looked for."""
 LEFT_OUT = 0.01
 """Noise, over the spread of the measured positions, that a model of a healthy robot may leave (real ones: 0.1 %)."""
 NOT_STATED = 2.0
-"""How many times as much may be left where the noise of the instrument is not stated, as it is in there: a camera that
-looks at a small space has 1 % of it."""
+"""Factor on that limit where the noise of the instrument is not stated and adds to it: a camera that observes a small
+space has 1 % of it."""
 _CLOSER = 0.2  # error with another meaning over that with the present one
 _TRIED = 20  # poses that are tried, of many
 _FEWEST_READINGS = 4
 
 
 def noise(fit: Fit) -> Iterator[Reason]:
-    """Compare the noise found with the positions, with the stated noise, and with what such instruments have."""
+    """Compare the found noise with the positions, with the stated noise, and with usual noise of such instruments."""
     sigma, spread = fit.sigma, _spread(fit)
     if sigma > LARGE_NOISE * spread:
         yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
@@ -71,7 +71,7 @@ def noise(fit: Fit) -> Iterator[Reason]:
 
 
 def misread(fit: Fit) -> Iterator[Reason]:
-    """Look for noise that no such instrument has, whatever robot it reads, and for another meaning of its numbers."""
+    """Look for noise that no such instrument has on any robot, and for another meaning of its numbers."""
     for estimate in fit.noise:
         if not estimate.sigma > DOUBTFUL * estimate.group.part.largest:
             continue
@@ -89,10 +89,10 @@ def misread(fit: Fit) -> Iterator[Reason]:
 
 
 def _other_meaning(robot: Robot, data: Measurements, name: str) -> str:
-    """Return what the numbers of an instrument look like in place of what they were read as; empty if nothing else.
+    """Return another meaning of the numbers of an instrument; empty if none fits.
 
-    Each meaning that a kind of measurement knows, such as quaternions in another order, is tried on the nominal robot,
-    with base and targets placed by it. One that brings the readings much nearer than they stand is named.
+    Each meaning that its kind knows, such as quaternions in another order, is tried on the nominal robot, with base and
+    targets placed by it. A meaning that brings the readings much nearer is named.
     """
     some = data.subset(np.unique(np.linspace(0, len(data) - 1, _TRIED).astype(np.intp)))
     readings = some.readings.get(name)
@@ -122,7 +122,7 @@ def _nominal_error(robot: Robot, data: Measurements, name: str) -> float:
 
 
 def noise_in_words(estimate: NoiseEstimate, size: float, digits: int = 3) -> str:
-    """A noise [SI] in the unit of its group."""
+    """Return a noise [SI] in the unit of its group."""
     return quantity_text(size, estimate.group.part.dimension, f".{digits}g")
 
 
@@ -145,18 +145,14 @@ def _check_usual_noise(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
 
 
 def _proven_by_another(fit: Fit) -> bool:
-    """Whether errors get smaller at poses read by an instrument that was not used for the fit."""
+    """Whether errors decrease at poses read by an instrument that was not used for the fit."""
     used = fit.identification.data.readings.keys()
     another = fit.validation is not None and bool(fit.validation.data.readings.keys() - used)
     return another and any(comparison.better for comparison in comparisons(fit))
 
 
 def unproven(fit: Fit) -> bool:
-    """Whether noise is so far above its statement that only poses that were not used tell whether the fit can be used.
-
-    Args:
-        fit: A fit that was judged with no such poses, or with some that prove nothing.
-    """
+    """Whether noise is so far above its statement that only unused poses show whether the fit can be used."""
     beyond = [] if fit.computed else [estimate for estimate in fit.noise if _is_above_statement(estimate)]
     provable = bool(beyond) and all(_may_be_left_out(fit, estimate) for estimate in beyond)
     return provable and not any(comparison.better or comparison.worse for comparison in comparisons(fit))
@@ -170,7 +166,7 @@ def _is_above_statement(estimate: NoiseEstimate) -> bool:
 
 
 def impossible(fit: Fit) -> bool:
-    """Whether some noise is not stated, or more than was stated, and more than the model of a healthy robot leaves."""
+    """Whether some noise is unstated or above its statement, and more than the model of a healthy robot leaves."""
     return not fit.computed and any(_impossible(fit, estimate) for estimate in fit.noise)
 
 
@@ -212,12 +208,12 @@ def is_noise_too_large(fit: Fit) -> bool:
 
 
 def _may_be_left_out(fit: Fit, estimate: NoiseEstimate) -> bool:
-    """Whether a noise may be what the model leaves out of a healthy robot, and what was not stated."""
+    """Whether a noise may come from errors of a healthy robot that the model leaves out, and from unstated noise."""
     return estimate.group.part.dimension != "length" or estimate.sigma < _most(estimate) * _spread(fit)
 
 
 def _most(estimate: NoiseEstimate) -> float:
-    """Noise that may be left, over the spread of the measured positions."""
+    """Largest noise that may remain, over the spread of the measured positions."""
     return LEFT_OUT if estimate.stated is not None else NOT_STATED * LEFT_OUT
 
 
@@ -240,7 +236,7 @@ def _check_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
 
 
 def _noise_above_statement(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
-    """Judge a noise that is far above its statement."""
+    """Return the reason for a noise that is far above its statement."""
     text += ": the model does not explain the measurements;"
     compared = list(comparisons(fit))
     better = any(comparison.better for comparison in compared)
@@ -280,5 +276,5 @@ def measured_space(fit: Fit) -> float:
 
 
 def _spread(fit: Fit) -> float:
-    """The same along each axis [m]."""
+    """Root mean square of the same distance along each axis [m]."""
     return measured_space(fit) / np.sqrt(3.0)

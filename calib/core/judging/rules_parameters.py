@@ -1,4 +1,4 @@
-"""Rules of the verdict about parameters: how far from nominal they are, how loosely known, and what is scaled."""
+"""Rules of the verdict about parameters: distance from nominal, uncertainty, and scales."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ from calib.core.robots.terms.terms import TERMS
 PLAUSIBLE = 4.0
 """Expected errors (sigmas) that a parameter may be away from nominal."""
 IMPOSSIBLE = 20.0
-"""Expected errors away from nominal that no error of the stated size explains: the edge of what is plausible, of a
+"""Expected errors away from nominal that no error of the stated size explains: the limit of what is plausible, for a
 sigma that was guessed five times too small. Calibrated robots stay near 2; a joint counted the wrong way gives
-hundreds, and the prior, a thousand times its sigma away, then pulls all the others out of place."""
+hundreds, and its prior then pulls all other parameters out of place."""
 SMALLEST_SHARE = 0.05
 """Share of a parameter that the data must decide for its deviation to say anything."""
 SCALED = 2e-3
-"""Part by which no robot and no instrument is longer as a whole: heat makes a tenth of it."""
+"""Relative length error that no robot and no instrument has as a whole: heat makes a tenth of it."""
 SCALED_SIGMAS = 6.0
-"""Standard deviations of a scale, by the sigmas of the parameters, from which it is none of them."""
+"""Standard deviations of a scale, by the sigmas of the parameters, beyond which these do not explain it."""
 MOST = 0.5
-"""Part of squared residuals and deviations, beyond noise, that a scale must explain to be the cause: others look a bit
-like it."""
-_NOTHING = 1e-6  # part of its length to which a robot has shrunk to a point
+"""Part of squared residuals and deviations, beyond noise, that a scale must explain to be the cause: other errors look
+a bit like it."""
+_NOTHING = 1e-6  # part of its length at which a robot has shrunk to a point
 MANIFOLD = 0.3
-"""Scale of lengths beyond which their ratio is stated, and not percent."""
+"""Scale error from which messages state the ratio of lengths, not percent."""
 UNUSUAL = 10.0
-"""Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
+"""Size of a joint term that was chosen, over the usual size, from which something else may be the cause."""
 JOINT_SCALED = 0.01
-"""Part by which no joint moves further than its values say: gears, belts and screws are off by a thousandth."""
-_SUREST = 0.2  # standard deviations of the surest scale: what bends with it looks like smaller ones of others
+"""Relative error of motion that no joint has: gears, belts and screws are off by a thousandth."""
+_SUREST = 0.2  # least certainty of a scale, over that of the surest: an error that bends looks like smaller scales
 LOOSE_ANGLE = 0.1
 """Standard deviation of an angle beyond which its effect is not linear [rad]."""
 
@@ -56,10 +56,12 @@ LOOSE_ANGLE = 0.1
 def far_from_nominal(fit: Fit) -> Iterator[Reason]:
     """List parameters far from nominal.
 
-    Where priors share an error between parameters that the data cannot tell apart, each moves by less than the error: a
-    deviation u scatters by the root of the share that the data decide, so that is what it is compared with. Without a
-    prior, noise alone moves a parameter too: two standard deviations of that are allowed for. The place of a target is
-    never impossible: its place in the description may be no more than a guess.
+    Where priors share an error between parameters that the data cannot distinguish, each moves by less than the error:
+    a deviation u scatters by the root of the share that the data decide, and is compared with that. Without a prior,
+    noise alone moves a parameter too: two standard deviations of it are allowed. The place of a target is never
+    impossible:
+        its
+    place in the description may be a guess.
     """
     far, impossible = [], []
     for parameter, away in _deviations(fit):
@@ -85,14 +87,15 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
 
 
 def lengths_scaled(fit: Fit) -> Iterator[Reason]:
-    """See whether one scale of all lengths explains why parameters are far from nominal: then the unit is off.
+    """Report one scale of all lengths that explains why parameters are far from nominal: then the unit is off.
 
-    In the linear model around the solution, with deviations u over the sigmas of all that are no places, a scale s of
-    everything that was measured is tried together with the parameters: |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2.
-    Noise is scaled as well: else a robot whose lengths are all free is explained best by lengths of nothing. Residuals
-    are over the noise found, so that without a scale the squares add up to about the rows less the places. Joints that
-    turn too far draw larger arcs, which look like longer links: no scale is the cause where gains of all joints explain
-    as much.
+    In the linear model around the solution, with deviations u over the sigmas of all parameters but placements, a scale
+    s of all readings is tried together with the parameters: |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. Noise is
+    scaled as well: else zero lengths would explain a robot whose lengths are all free best. Residuals are over the
+    found noise,
+        so
+    that without a scale the squares add up to about the rows less the places. Joints that turn too far draw larger
+    arcs, which look like longer links: no scale is the cause where gains of all joints explain as much.
     """
     if fit.computed:
         return
@@ -127,15 +130,11 @@ def _scale_sentence(part: float) -> str:
 
 
 def _remaining_residuals(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int]:
-    """Return what the parameters leave of further columns, and of the residuals as the last, over the noise found.
-
-    Args:
-        fit: The fit.
-        columns: Columns to try, (n_rows, k).
+    """Return the remainders of further columns (n_rows, k), and of the residuals as the last, over the found noise.
 
     Returns:
-        Few rows with the same products as all that were measured, above one for each deviation of a parameter,
-        (n, k + 1); and how many of them were measured.
+        Few rows with the same products as all measured ones, above one for each deviation of a parameter, (n, k + 1);
+        and the number of measured rows.
     """
     linear, inside, n = findings.linear(fit), ~fit.unknowns.placement, len(fit.unknowns)
     rows, tried = linear.rows, np.hstack([columns, linear.rows.residuals[:, None]])
@@ -152,7 +151,7 @@ def _remaining_residuals(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int
 def _cost_with(
     columns: FloatArray, right: FloatArray, n_measured: int, *, is_scale: bool = False
 ) -> tuple[float, float]:
-    """Return the least cost of the residuals (n,) with some of these columns (n, k) fitted, and the first's size.
+    """Return the least cost of the residuals (n,) with some columns (n, k) fitted, and the size of the first.
 
     Args:
         columns, right: Their remainders after the parameters.
@@ -168,10 +167,11 @@ def _cost_with(
 
 
 def joints_scaled(fit: Fit) -> Iterator[Reason]:
-    """Look for joints that move by another factor than their values say, by joint terms or by what the model leaves.
+    """Look for joints that move by another factor than their values say, by joint terms or by the residuals.
 
     Joint origins hide most of it: a robot may fit to a tenth of a millimetre although a motor turns three percent too
-    far. What is left still tells the factors of all joints, each with all others fitted.
+        far.
+    The residuals still show the factors of all joints, each with all others fitted.
     """
     if fit.computed:
         return
@@ -193,9 +193,9 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
 
 
 def _gain_errors(fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Part by which each joint moves too far, by the terms of its own error, and its std, (n_actuated,).
+    """Relative excess of each joint's motion by the terms of its own error, and its standard deviation, (n_actuated,).
 
-    That is the slope of the straight line through its errors at the poses used.
+    It is the slope of the straight line through its errors at the used poses.
     """
     robot, q = fit.robot, fit.identification.data.joints
     slopes = np.zeros((len(robot.joint_names), len(robot.parameters)))
@@ -214,9 +214,9 @@ def _gain_errors(fit: Fit) -> tuple[FloatArray, FloatArray]:
 
 
 def large_terms(fit: Fit) -> Iterator[Reason]:
-    """List joint terms that were chosen, and are much larger than is usual: each was fitted with the sigma it needs.
+    """List chosen joint terms that are much larger than usual: each was fitted with the sigma it needs.
 
-    Gains are for `joints_scaled`.
+    `joints_scaled` treats gains.
     """
     tried = () if fit.terms is None else fit.terms.trials
     large = [term for term in tried if term.added and term.size > UNUSUAL and not issubclass(TERMS[term.term], Gain)]
@@ -229,7 +229,7 @@ def large_terms(fit: Fit) -> Iterator[Reason]:
 
 
 def unlike_fleet(fit: Fit) -> Iterator[Reason]:
-    """Say which parameters are unlike those of the fleet, so that the fleet's prior was not used for them."""
+    """Name parameters unlike those of the fleet, for which the fleet's prior was not used."""
     fleet = fit.nominal.description.fleet
     if fleet is not None and fleet.unlike:
         whole = len(fleet.unlike) == len(fleet.parameters)
@@ -241,7 +241,7 @@ def unlike_fleet(fit: Fit) -> Iterator[Reason]:
 
 
 def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
-    """Yield each free parameter that has an expected error, and its deviation in units of what that allows."""
+    """Yield each free parameter with an expected error, and its deviation over the allowed one."""
     known = iter(zip(fit.statistics.std, fit.statistics.data_share, strict=True))
     for parameter, value, free in zip(fit.nominal.parameters, fit.robot.values, fit.free, strict=True):
         if not free:
@@ -257,7 +257,7 @@ def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
 
 
 def unclear_rank(fit: Fit) -> Iterator[Reason]:
-    """See whether all that is free counts as determined only because of where the threshold lies."""
+    """Report free parameters that count as determined only because of the threshold."""
     rank = fit.determination.together
     if rank.unclear:
         yield Code.RANK_UNCLEAR.says(

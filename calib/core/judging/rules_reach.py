@@ -1,6 +1,4 @@
-"""Rules of the verdict about the region where a calibration holds, by the motion of joints and by validation, and about
-a stated tolerance.
-"""
+"""Rules of the verdict about the region where a calibration holds, and about a stated tolerance."""
 
 from __future__ import annotations
 
@@ -26,20 +24,20 @@ from calib.core.rows.jacobian import linearise
 from calib.core.rows.prediction import order_of_joints, recombined_joints, without_common_motion
 
 BEYOND_LIMIT = 0.01
-"""How far beyond a joint's limit a pose must be to be named [rad, or characteristic lengths]."""
+"""Distance beyond a joint's limit from which a pose is named [rad, or characteristic lengths]."""
 CORNER = 0.1
 """Part of the range between its limits that at least one joint must move through."""
 LESS_KNOWN = 3.0
-"""Uncertainty of positions elsewhere, over that at the poses used, from which the calibration does not reach there."""
+"""Uncertainty of positions elsewhere, over that at the used poses, beyond which the calibration does not reach."""
 WIDENED = np.sqrt(2.0)
-"""Uncertainty of positions with joint terms over that without them, from which most of it is theirs."""
+"""Uncertainty of positions with joint terms over that without them, from which most of it comes from the terms."""
 _TRIED = 50  # poses at which a joint is moved through its limits in the model
 _NO_VARIANCE = 1e-9  # part of a variance that counts as none
-_SAMPLED = 200  # poses at which uncertainties are looked at
+_SAMPLED = 200  # poses at which uncertainties are computed
 
 
 def one_corner(fit: Fit) -> Iterator[Reason]:
-    """See how much of what its limits allow (or a turn, without limits) each joint has moved."""
+    """Compare the motion of each joint with the range that its limits allow (or a turn, without limits)."""
     robot, reach = fit.nominal, np.ptp(fit.identification.data.joints, axis=0)
     allowed = _joint_ranges(robot)
     known = np.isfinite(allowed) & (allowed > 0)
@@ -75,7 +73,7 @@ def check_joint_motion(fit: Fit) -> Iterator[Reason]:
 
 
 def far_validation(fit: Fit) -> Iterator[Reason]:
-    """See whether the poses that were not used lie where the poses used tell little."""
+    """Report validation poses that lie where the used poses leave positions uncertain."""
     if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
         return
     at_used = _rms(fit.identification_uncertainty.reported_distance)
@@ -89,7 +87,7 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
 
 
 def _poses_over_range(fit: Fit, j: int, allowed: float) -> Configurations:
-    """Poses that were used with one joint spread over its limits, as far as they close."""
+    """The used poses with one joint spread over its limits, as far as they close."""
     used = fit.identification.data.joints
     q = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(np.intp))].copy()
     middle = np.mean(q[:, j])
@@ -107,7 +105,7 @@ def _as_far_as_closed(robot: Robot, q: FloatArray) -> Configurations:
 
 @memoize
 def _uncertain_at_used(fit: Fit) -> float:
-    """Root mean square uncertainty of positions at poses that were used, as many of them as are looked at [m]."""
+    """Root mean square uncertainty of positions at used poses, at most `_SAMPLED` of them [m]."""
     data, passive = fit.identification.data, fit.identification.passive
     used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
     near = None if passive is None else passive[used]
@@ -116,7 +114,7 @@ def _uncertain_at_used(fit: Fit) -> float:
 
 
 def _well_known(fit: Fit, at_used: float) -> float:
-    """Uncertainty of positions up to which they are known well enough [m], if it is `at_used` at the poses used."""
+    """Uncertainty of positions up to which they are well known [m], given that at the used poses."""
     lengths = fit.first_noise.group.part.dimension == "length"
     return max(LESS_KNOWN * at_used, np.sqrt(3.0) * fit.sigma if lengths else 0.0)
 
@@ -147,14 +145,14 @@ def turns_not_counted(fit: Fit) -> Iterator[Reason]:
 
 
 def _joint_ranges(robot: Robot) -> FloatArray:
-    """Range of each actuated joint, a turn at most, (n_actuated,) [m or rad]; infinite where nothing says."""
+    """Range of each actuated joint, a turn at most, (n_actuated,) [m or rad]; infinite where unknown."""
     lower, upper = robot.urdf.limits(robot.joint_names)
     turns = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
     return np.asarray(np.minimum(upper - lower, np.where(turns, 2 * np.pi, np.inf)))
 
 
 def check_curve_ranges(fit: Fit) -> Iterator[Reason]:
-    """Look for validation poses at joint values where no curve of a joint was learned, and where that matters."""
+    """Look for validation poses outside the learned range of a joint's curve, where positions are uncertain."""
     if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
         return
     outside = is_beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
@@ -172,7 +170,7 @@ def check_curve_ranges(fit: Fit) -> Iterator[Reason]:
 
 
 def blocks_disagree(fit: Fit) -> Iterator[Reason]:
-    """See whether the parameters stay where boxes of joint space, or whole setups, are left out in turn."""
+    """Report parameters that depend on a box of joint space, or on the setup."""
     apart = fit.regions
     if apart is not None and apart.is_significant:
         yield Code.BLOCKS_DISAGREE.says(
@@ -183,7 +181,7 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
 
 
 def terms_untested(fit: Fit) -> Iterator[Reason]:
-    """Look for joint terms that leave positions uncertain where no joint leaves the values measured."""
+    """Look for joint terms that leave positions uncertain where each joint keeps its measured values."""
     accuracy = _widening_sentence(fit, recombined_joints(fit.identification.data.joints, _SAMPLED))
     if accuracy:
         yield Code.TERMS_UNTESTED.says(
@@ -209,9 +207,9 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
 
 
 def _widening_sentence(fit: Fit, q: FloatArray) -> str:
-    """The uncertainty of positions at q (n, n_actuated) against that at the poses used, if joint terms widen it.
+    """A clause on the uncertainty of positions at q (n, n_actuated) against that at the used poses, if terms widen it.
 
-    Base and tool placed anew: where they stand is no matter of the terms.
+    Base and tool are placed anew, because their place does not depend on the terms.
     """
     terms = np.isin(fit.unknowns.index, np.arange(len(fit.nominal.parameters))[fit.robot.coefficients])
     if not np.any(terms) or fit.computed:
@@ -235,13 +233,13 @@ def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
 
 
 def _uncertain(flat: FloatArray, *covariances: FloatArray) -> list[float]:
-    """Root mean square uncertainties of positions that move so with the unknowns, as by `_relative`, by each [m]."""
+    """Root mean square uncertainty of positions with derivatives as from `_relative`, for each covariance [m]."""
     products = flat.T @ flat / len(flat)
     return [float(np.sqrt(max(3.0 * float(np.sum(products * covariance)), 0.0))) for covariance in covariances]
 
 
 def _covariance_given(covariance: FloatArray, known: BoolArray) -> FloatArray:
-    """Covariance of all unknowns if some of them were known (n,): that of the others, and zeros."""
+    """Covariance of all unknowns if some of them were known (n,): the conditional one of the others, and zeros."""
     size = np.sqrt(np.diag(covariance))
     size = np.where(size > 0, size, 1.0)
     left, correlation = ~known, covariance / np.outer(size, size)
@@ -255,7 +253,7 @@ def _covariance_given(covariance: FloatArray, known: BoolArray) -> FloatArray:
 
 
 def check_tolerance(fit: Fit, claim: Claim) -> Iterator[Reason]:
-    """Compare the claim with the tolerance that the description or the measurements state, the smallest of them."""
+    """Compare the claim with the smallest tolerance that the description or the measurements state."""
     every = [fit.identification.data, *([] if fit.validation is None else [fit.validation.data])]
     stated = {data.path: stated_tolerance(data.comments, data.path) for data in every}
     stated[str(fit.nominal.path)] = fit.nominal.description.tolerance

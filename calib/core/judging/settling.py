@@ -1,12 +1,12 @@
 """Poses of a calibration that settle whether a robot has changed, if they are measured again.
 
-At a pose that was used the model is off now as it was then: what differs there is the robot, whatever the model leaves
-out. Of all poses used, those are chosen one by one that make the information on the change, base and targets
-eliminated, which are placed anew, grow most (its determinant: `calib.core.numerics.observability`, O1); and so many of
-them that the change shows with the chance `POWER`.
+At a used pose the model has the same error now as then: a difference there is the robot's, whatever the model leaves
+out. Of all used poses, those are chosen one by one that increase the information on the change most, base and targets
+eliminated, which are placed anew (its determinant: `calib.core.numerics.observability`, O1), until the change shows
+with the chance `POWER`.
 
-When it fails. Of more poses than `MOST`, evenly chosen ones are looked at. The change is taken as large as it was
-found: a smaller one takes more poses.
+When it fails. Of more poses than `MOST`, evenly chosen ones are examined. The change is taken as large as it was found:
+a smaller one takes more poses.
 """
 
 from __future__ import annotations
@@ -21,18 +21,13 @@ from calib.core.numerics.identifiability import unit_columns
 from calib.core.rows.simulate import simulate
 
 MOST = 300
-"""Poses that are looked at."""
+"""Largest number of examined poses."""
 _COUNTS = (8, 12, 16, 24, 32)  # numbers of poses to measure again
 _NOTHING = 1e-6  # information before any pose was chosen, of columns of length 1
 
 
 def poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
-    """Return the names of poses of the calibration that show a change, best first; none where none do.
-
-    Args:
-        promise: The promise of the calibration.
-        change: The change, as it was found.
-    """
+    """Return the names of poses of the calibration that show a found change, best first; none where none do."""
     if not len(promise.joints):
         return ()
     first = np.unique(pose_labels(promise.joints), return_index=True)[1]
@@ -55,7 +50,7 @@ def _system(promise: Promise, joints: FloatArray) -> System:
 
 
 def _order(promise: Promise, joints: FloatArray, change: Change) -> IntArray:
-    """Numbers of the poses (n, n_actuated) that tell most of a change, best first."""
+    """Numbers of the poses (n, n_actuated) with most information on a change, best first."""
     system = _system(promise, joints)
     number = [known.name for known in candidates(promise.robot)].index(change.name)
     places, layout = system.rows.jacobian[:, ~system.rows.prior.has], system.rows.layout

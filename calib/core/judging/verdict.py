@@ -4,13 +4,11 @@ FAIL: the numbers must not be used (the robot is not exported as calibrated unle
 CHECK: they can be used by someone who has read the reasons.
 PASS: nothing was found; that is no proof that nothing is wrong.
 
-Each rule looks at one thing. Tests with a chance in them state it where they are made: chi-square, gain, comparisons,
-repeats and blocks left out 0.1 %, patterns and outliers 1 % each. Good data therefore get a CHECK by chance in about
-one fit of thirty (measured: docs/verdict.md).
+Each rule tests one thing. Tests with a chance state it: chi-square, gain, comparisons, repeats and left-out blocks
+0.1 %, patterns and outliers 1 % each. Good data therefore get a CHECK by chance in about one fit of thirty (measured:
+docs/verdict.md).
 
-Rules of other packages come in by entry points of the group `calib.reasons`: functions of a fit that yield reasons.
-
-A `JudgedFit` is a fit that knows its worth: it has findings and verdict as attributes.
+Entry points of the group `calib.reasons` add rules of other packages: functions of a fit that yield reasons.
 """
 
 from __future__ import annotations
@@ -87,9 +85,9 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
 )
 _ORDER = ("FAIL", "CHECK", "PASS")
 _IN_MISTAKE = {Code.ZERO_READINGS, Code.EQUAL_COLUMNS, Code.JOINT_SCALED}
-"""Reasons that the likely mistake says already."""
+"""Reasons that the likely mistake contains."""
 _NOTHING_FITS = {Code.NOT_CONVERGED, Code.NOT_ASSEMBLED, Code.NOISE_AS_LARGE_AS_ROBOT, Code.FAR_FROM_NOMINAL}
-_MOVED = {Code.AT_BOUNDS}  # effect of a base that stands a little elsewhere
+_MOVED = {Code.AT_BOUNDS}  # effect of a base that is a little elsewhere
 
 
 @memoize
@@ -98,7 +96,7 @@ def judge(fit: Fit) -> Verdict:
     """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK.
 
     Raises:
-        InputError: A rule of another package cannot be loaded, fails, or yields something else than reasons.
+        InputError: A rule of another package cannot be loaded, fails, or yields anything other than reasons.
     """
     reasons = [*(reason for rule in _RULES for reason in rule(fit)), *_reasons_of_others(fit)]
     codes, claim = {reason.code for reason in reasons}, claim_of(fit)
@@ -136,8 +134,8 @@ def judge(fit: Fit) -> Verdict:
 def _superseded_codes(reasons: Sequence[Reason]) -> set[Code]:
     """Codes of reasons that other reasons supersede or explain.
 
-    No gain, where there is harm; patterns, and scales of joints, in residuals that are as large as the robot; noise as
-    large as it, where it did not move; instruments that disagree, where a column was copied over another.
+    No gain gives way to harm; patterns, and scales of joints, to residuals as large as the robot; such residuals to a
+    robot that did not move; instruments that disagree to a column that was copied over another.
     """
     codes = {reason.code for reason in reasons}
     pairs = (
@@ -151,7 +149,7 @@ def _superseded_codes(reasons: Sequence[Reason]) -> set[Code]:
 
 
 def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
-    """Ask the rules of other packages, in the order of their names."""
+    """Yield reasons of other packages' rules, in the order of their names."""
     for entry in list_entry_points("calib.reasons"):
         whose = f"reason '{entry.name}' of the verdict ({entry.value})"
         try:
@@ -195,9 +193,8 @@ class JudgedFit(Fit):
         return judge(self)
 
     def claim_at(self, poses: PosesLike, context: Context | None = None) -> ErrorElsewhere | None:
-        """Return how far off the tool is expected to be at other poses than those measured.
-
-        None where nothing is claimed, or nothing about positions.
+        """Return the expected error of the tool at other poses than the measured ones; None without a claim on
+        positions.
 
         Args:
             poses, context: Commands (n, n_actuated) [m or rad], and their conditions.
@@ -216,26 +213,26 @@ class JudgedFit(Fit):
 
     @property
     def outliers(self) -> tuple[Outlier, ...]:
-        """Readings that were used and lie further off than noise explains, worst first."""
+        """Used readings further off than noise explains, worst first."""
         return Outliers(findings.outliers(self))
 
     @property
     def validation_outliers(self) -> tuple[Outlier, ...]:
-        """Readings that were not used and lie further off than noise and uncertainty explain, worst first."""
+        """Validation readings further off than noise and uncertainty explain, worst first."""
         return Outliers(findings.validation_outliers(self))
 
     @property
     def patterns(self) -> tuple[Pattern, ...]:
-        """Systematic patterns that were looked for in the residuals, most significant first."""
+        """Systematic patterns that were tested in the residuals, most significant first."""
         return findings.patterns(self)
 
     @property
     def budget(self) -> ErrorBudget | None:
-        """Causes of the error before and after calibration; None where the robot cannot be assembled on the way."""
+        """Causes of the error before and after calibration; None where the robot cannot be assembled on the path."""
         return findings.budget(self)
 
     @property
     def known_robot(self) -> KnownRobot:
-        """The calibrated robot, with its uncertainty and the poses measured."""
+        """The calibrated robot, with its uncertainty and the measured poses."""
         joints, needless = self.identification.data.joints, self.verdict.nothing_to_correct
         return KnownRobot(self.robot, self.uncertainty, joints, needless)

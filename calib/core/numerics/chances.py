@@ -1,12 +1,12 @@
 """Chances and scales by which every room decides about findings."""
 
 UNLIKELY = 1e-3
-"""Chance below which what one test finds is no accident: shared errors, noise other than stated, a gain, harm."""
+"""Chance below which the finding of a single test is no accident: a shared error, other noise than stated, a gain."""
 FALSE_ALARM = 0.01
-"""Chance that good data show any finding where many are looked for: outliers, patterns, changes, an unlike robot."""
+"""Chance of any false finding among many: outliers, patterns, changes, an unlike robot."""
 HARDLY = 0.05
-"""Chance, shared by all that are compared together, below which a difference counts: of results, or of regions."""
+"""Chance, shared by all comparisons made together, below which a difference of results or regions counts."""
 FEWEST = 5
-"""Poses from which Student's t says anything."""
+"""Fewest poses for which Student's t is used."""
 EXACT = 1e-9
 """Noise below this [SI] is rounding: the data were computed, not measured."""

@@ -1,17 +1,16 @@
-"""Errors that rows of one block share: by how much they widen what is estimated, whatever their shape.
+"""The scatter of a solution where rows of one block share errors of any shape.
 
 Least squares with span U = J T (`calib.core.numerics.observability`: H = U U^T is the hat matrix, priors included)
 moves its solution, in the coordinates of T, by U^T e for errors e. Errors that are independent from row to row, with
 variance f^2, scatter it by f^2 U^T U. Where the rows of a block (the readings of a pose, the poses of a region) share
-errors, it scatters by the sum over blocks of U_b^T V_b U_b, with V_b the covariance of the errors of a block. One need
-not know
-V_b: the residuals of each block are one draw of its errors. The solution follows them a little, so that for independent
-errors cov r_b = f^2 (1 - H_b), H_b = U_b U_b^T. With
+errors, it scatters by the sum over blocks of U_b^T V_b U_b, with V_b the covariance of the errors of a block. V_b need
+not be known: the residuals of each block are one draw of its errors. The solution follows them a little, so that for
+independent errors cov r_b = f^2 (1 - H_b), H_b = U_b U_b^T. With
 
     g_b = U_b^T (1 - H_b)^(-1/2) r_b          core = sum over blocks of g_b g_b^T
 
-the core has the mean f^2 U^T U where errors are independent, and the right one up to the leverage of single blocks
-where they are not (Bell and McCaffrey's CR2). Directions that a block decides nearly alone leave no residual; there the
+the core has the mean f^2 U^T U where errors are independent. Where they are not, its mean is right up to the leverage
+of single blocks (Bell and McCaffrey's CR2). Directions that a block decides nearly alone leave no residual; there the
 noise of the rows counts.
 
 Test. With eigenvalues w of all H_b and y = r / f
@@ -19,13 +18,13 @@ Test. With eigenvalues w of all H_b and y = r / f
     D = sum over blocks of |g_b|^2 / f^2        mean of D = sum of w
     variance of D = 2 (sum of w^2 + sum over b != c of tr(W_b W_c)),       W_b = U_b^T H_b (1 - H_b)^-1 U_b
 
-for independent errors; D over its mean is compared with F of the same mean and variance. The root of D over its mean
-says how many times too small standard deviations are that suppose independent rows. The same D is what parameters move
-by when blocks are left out in turn: with u those of the fit, u_b without block b, and A_b the information without it,
-D f^2 = sum over blocks of (u - u_b)^T A_b (u - u_b). No fit is needed for that.
+for independent errors; D over its mean is compared with F of the same mean and variance. Standard deviations that
+suppose independent rows are too small by the root of D over its mean. D also measures how far parameters move when
+blocks are left out in turn: with u those of the fit, u_b without block b, and A_b the information without it,
+D f^2 = sum over blocks of (u - u_b)^T A_b (u - u_b). No further fit is needed.
 
-When it fails. A core of few blocks is known badly: `freedom` says how many squares stand behind one of its directions.
-What is off in the same way in every block moves nothing. Places unlike all blocks can be worse.
+When it fails. A core of few blocks is uncertain: `freedom` counts the squares behind one of its directions. An error
+that all blocks share alike moves nothing. Places unlike all blocks can be worse.
 
 Reference: bell2002; cook1982, chapter 3; roberts2017.
 """
@@ -53,8 +52,8 @@ class Scatter(ReadOnlyArrays):
 
     Attributes:
         core: Covariance of U^T e of the module docstring, (k, k).
-        ratio: Root of D over its mean; NaN where no block shares a direction with another one, or there is no noise.
-        chance: Chance of such a D, or a larger one, from independent rows.
+        ratio: Root of D over its mean; NaN without noise, or where no block shares a direction with another one.
+        chance: Chance of a D at least this large from independent rows.
         freedom: Number of squares behind a direction of the core.
         total_freedom: Number of squares behind D.
     """
@@ -66,11 +65,7 @@ class Scatter(ReadOnlyArrays):
     total_freedom: float
 
     def ratio_to(self, finer: Scatter) -> tuple[float, float]:
-        """Return the ratio over that of the smaller blocks within, and the chance of it.
-
-        Args:
-            finer: Scatter of smaller blocks; several make one of these.
-        """
+        """Return the ratio of this scatter to that of smaller blocks inside these, and its chance if both are alike."""
         ratio = self.ratio / finer.ratio
         return ratio, float(scipy.special.fdtrc(self.total_freedom, finer.total_freedom, ratio**2))
 
@@ -78,14 +73,14 @@ class Scatter(ReadOnlyArrays):
 def scatter(
     span: FloatArray | Span, residuals: FloatArray, noise: FloatArray, block: IntArray, freedom: float
 ) -> Scatter:
-    """Return how the rows of blocks scatter together.
+    """Return the scatter of the rows of blocks.
 
     Args:
         span: U = J T of whitened rows, (n_rows, k).
         residuals: r, whitened, (n_rows,).
         noise: f of each row, (n_rows,).
         block: Block of each row, (n_rows,); -1 for rows that belong to none.
-        freedom: Degrees of freedom that f was found with.
+        freedom: Degrees of freedom of the estimate of f.
     """
     k, noisy = span.shape[1], False
     core, leverage = np.zeros((k, k)), np.zeros((k, k))
@@ -123,11 +118,7 @@ def _products(rows: FloatArray) -> FloatArray:
 
 
 def blocks_of_equal_length(block: IntArray) -> Iterator[IntArray]:
-    """Yield the rows of blocks that have equally many, some at once, (n_blocks, n_rows_of_each).
-
-    Args:
-        block: Block of each row, (n_rows,); -1 for rows that belong to none.
-    """
+    """Yield rows of blocks of equal length, some blocks at once, (n_blocks, n_rows_of_each), without block -1."""
     order: IntArray | None = None
     if np.any(block[1:] < block[:-1]) or np.any(block[:1] < 0):
         order = np.argsort(block, kind="stable")
@@ -146,9 +137,7 @@ def blocks_of_equal_length(block: IntArray) -> Iterator[IntArray]:
 def directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return eigenvalues w of H_b, residuals along its eigenvectors l, and l^T U_b: (..., d), (..., d), (..., d, k).
 
-    Args:
-        span: U of the rows of each block, (..., m, k).
-        residuals: (..., m).
+    U of the rows of each block is (..., m, k), and residuals are (..., m).
     """
     n_rows, k = span.shape[-2:]
     across, errors = np.swapaxes(span, -1, -2), residuals[..., None]
@@ -165,10 +154,10 @@ def directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, Flo
 
 
 class LeftOutBlocks:
-    """Blocks left out in turn, of a fit and of others that have further parameters each.
+    """Blocks left out in turn, from a fit and from fits with a few further parameters.
 
-    Without block b, the solution in the coordinates of T is c_b = U_b^T (1 - H_b)^-1 r_b further on, r_b being its
-    residuals, and those by the fit of all others (1 - H_b)^-1 r_b.
+    With residuals r_b of block b, leaving it out moves the solution by U_b^T (1 - H_b)^-1 r_b in the coordinates of T.
+    The residuals of block b by the fit of all others are (1 - H_b)^-1 r_b.
 
     Args:
         span: U = J T of whitened rows of the fit, (n_rows, k).
@@ -180,7 +169,7 @@ class LeftOutBlocks:
         self._hats = [(rows, self._hat(rows)) for rows in blocks_of_equal_length(block)]
 
     def _hat(self, rows: IntArray) -> FloatArray | None:
-        """H_b of blocks (n, m, m); None where it is larger than what it is made of."""
+        """H_b of blocks (n, m, m); None where it is larger than U_b."""
         if rows.shape[1] > self._span.shape[1]:
             return None
         own = self._span[rows]
@@ -194,7 +183,7 @@ class LeftOutBlocks:
         seen: FloatArray | Span | None = None,
         alone: float = _OWN,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how far rows move where their own block is left out, (n_rows,), and the largest w of it, (n_blocks,).
+        """Return how far rows move where their own block is left out, (n_rows,), and its largest w, (n_blocks,).
 
         Args:
             residuals: r, whitened, (n_rows,).

@@ -1,4 +1,4 @@
-"""Graphs as matrices: connected parts. For the small ones of robots; SciPy's take longer to import."""
+"""Connected parts of small graphs, given as matrices; SciPy's functions take longer to import."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from calib.core.base.arrays import BoolArray, IntArray
 
 
 def connected_parts(links: BoolArray) -> tuple[IntArray, ...]:
-    """Return the nodes of each part, which can all be reached from each other.
+    """Return the nodes of each part, whose nodes all reach each other.
 
-    Every multiplication of the matrix by itself doubles the length of the ways that count.
+    Each product of the matrix with itself doubles the length of the paths that it counts.
 
     Args:
-        links: Whether a way leads from node i straight to node j, (n, n).
+        links: Whether an edge leads from node i to node j, (n, n).
     """
     reached = links | np.eye(len(links), dtype=bool)
     while not np.array_equal(farther := reached.astype(float) @ reached > 0, reached):

@@ -1,4 +1,4 @@
-"""Points spread evenly over a box, always the same ones.
+"""Points spread evenly over a box, always the same ones (Halton's sequence).
 
 Coordinate k of point i is i written in base b_k (the k-th prime), its digits mirrored at the point: 0.d_0 d_1 d_2 ... .
 Any first n points leave no large gap (halton1960). With many coordinates the largest bases need many points: the first

@@ -1,22 +1,21 @@
 """The rank of the identification Jacobian, with the gap of singular values that shows it.
 
-Columns are scaled first, so that metres and radians can be compared. They are scaled by the parameters' sigma where it
-matters how far the target moves by an error of the expected size. They are scaled to unit length where it only matters
-whether the target moves (`unit_columns`), because sigmas that differ by a factor of a million would hide small columns.
+Columns are scaled first, so that metres and radians can be compared. The scale is the parameters' sigma where it
+matters how far the target moves by an error of the expected size. It is the column's length where it only matters
+whether the target moves (`unit_columns`): sigmas that differ by a factor of a million would hide small columns.
 The Jacobian is exact to about 1e-12 of its largest entry, so singular values below 1e-9 of the largest count as zero.
 The gap around this threshold is reported.
 
 The parameters to hold, so that the rest is determined, are found by the paper's elimination, made repeatable.
+While the Jacobian has more columns than rank, one column is dropped: among those whose removal keeps the rank, the one
+that leaves the smallest condition number. Without full rank that number is rounding noise, so here it is the ratio of
+the largest to the smallest non-zero singular value.
 
-While the Jacobian has more columns than rank, one column is dropped: of all columns whose removal keeps the rank, the
-one that leaves the smallest condition number. The condition number of a matrix without full rank is rounding noise, so
-here it is the ratio of the largest to the smallest non-zero singular value.
-
-Any column of a dependent group may be dropped: every valid choice spans the same space, so it predicts the same
-positions. The condition number only tells which choice has the least rounding, and it depends on the scales of columns.
-Therefore condition numbers within a factor `TIE` count as a tie. The robot description's `elimination_order` breaks it:
-the first tied name in it is dropped. Where it names none of them, the smallest condition number decides, and among
-equal ones (to six digits, so that every machine agrees) the later parameter is dropped.
+Any column of a dependent group may be dropped: every valid choice predicts the same positions. The choices differ only
+in rounding, and the condition number depends on the scales of columns. So condition numbers within a factor `TIE`
+count as equal, and the first tied name in the robot description's `elimination_order` is dropped. Where it names none
+of them, the smallest condition number decides, and among equal ones (to six digits, so that every machine agrees) the
+later parameter is dropped.
 
 Reference: Joubair, Zhao, Bigras and Bonev 2015, section Identification.
 """
@@ -52,8 +51,7 @@ class Rank(ReadOnlyArrays):
 
     Attributes:
         rank: Number of singular values above the threshold.
-        n_columns: Number of columns.
-        singular_values: Those of the scaled Jacobian, largest first, (n_columns,); zeros where there are fewer rows.
+        singular_values: Singular values of the scaled Jacobian, largest first, (n_columns,); 0 where rows are fewer.
         threshold: Largest singular value that counts as zero.
         smallest_kept: Smallest singular value above the threshold; NaN when the rank is 0.
         largest_dropped: Largest singular value below the threshold; 0 at full rank.
@@ -68,13 +66,13 @@ class Rank(ReadOnlyArrays):
 
     @property
     def unclear(self) -> bool:
-        """Whether no clear gap lies at the threshold, so that the rank may as well be another one."""
+        """Whether no clear gap lies at the threshold, so that the rank is uncertain."""
         below = self.largest_dropped if self.rank < self.n_columns else self.threshold
         return self.rank > 0 and self.smallest_kept < CLEAR_GAP * below
 
     @property
     def doubt(self) -> str:
-        """Say that the rank is unclear, and why; empty where it is clear."""
+        """Message that the rank is unclear, and why; empty where it is clear."""
         if not self.unclear:
             return ""
         above = f"singular value {self.rank} ({self.smallest_kept:.2e})"
@@ -100,9 +98,8 @@ class Rank(ReadOnlyArrays):
 def reduce_rows(rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
     """Return at most n_columns rows with the same singular values and null space: the R of a QR factorisation.
 
-    Very many rows are reduced part by part: R takes the place of the rows so far, so that no copy of all is made.
-    LAPACK's `geqrt` works on blocks of columns throughout: on tall matrices it takes half to three quarters of the time
-    of `geqrf`, which NumPy calls.
+    Very many rows are reduced part by part, so that no copy of all is made. On tall matrices LAPACK's `geqrt` takes
+    half to three quarters of the time of `geqrf`, which NumPy calls.
 
     Args:
         rows: (n_rows, n_columns).
@@ -112,10 +109,10 @@ def reduce_rows(rows: FloatArray, right: FloatArray | None = None) -> FloatArray
 
 
 def extend_reduced(factor: FloatArray, rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
-    """Return the result of `reduce_rows` after adding further rows.
+    """Return the factor after adding further rows.
 
     Args:
-        factor: Result for the rows so far, (n, n_columns), or with `right` (n, n_columns + 1).
+        factor: Result of `reduce_rows` for the rows so far, (n, n_columns), or with `right` (n, n_columns + 1).
         rows: Further rows, (n_rows, n_columns).
         right: One more column of the further rows, (n_rows,).
     """
@@ -133,7 +130,7 @@ def extend_reduced(factor: FloatArray, rows: FloatArray, right: FloatArray | Non
 
 
 def inverse_of_triangle(upper: FloatArray) -> FloatArray:
-    """Return the inverse of an upper triangular matrix, (n, n), by halves: nearly all of the work is in products."""
+    """Return the inverse of an upper triangular matrix, (n, n), by halves, so that nearly all work is in products."""
     n = len(upper)
     if n <= _INVERTED:
         return np.asarray(scipy.linalg.lapack.dtrtri(upper)[0])
@@ -153,8 +150,8 @@ def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         columns: Derivatives by metres and radians, not scaled, (n_rows, n_columns).
 
     Returns:
-        The columns, each of length 1 or 0, and the divisor of each, (n_columns,). Columns that became zero have the
-        divisor of the longest one, so that rounding stays rounding.
+        The columns, each of length 1 or 0, and the divisor of each, (n_columns,): for columns that became zero the
+        length of the longest one.
     """
     lengths = np.sqrt(np.einsum("ij,ij->j", columns, columns))  # numpy's norm would copy them twice
     longest = float(np.max(lengths, initial=0.0))
@@ -186,7 +183,7 @@ def rank_of(singular_values: FloatArray, n_columns: int) -> Rank:
 
 @dataclass(frozen=True)
 class Elimination:
-    """A set of parameters to hold.
+    """A set of columns to hold.
 
     Attributes:
         dropped: Columns in the order in which they were dropped.
@@ -202,7 +199,7 @@ def eliminate(scaled_jacobian: FloatArray, order: Sequence[int] = ()) -> Elimina
 
     Args:
         scaled_jacobian: Columns that can be compared, such as unit columns, (n_rows, n_columns).
-        order: Columns to prefer for dropping where condition numbers tie, first one first.
+        order: Columns to drop first where condition numbers tie.
     """
     factor = reduce_rows(scaled_jacobian)
     rank = numerical_rank(factor)
@@ -219,7 +216,7 @@ def eliminate(scaled_jacobian: FloatArray, order: Sequence[int] = ()) -> Elimina
 
 
 def _conditions(factor: FloatArray, columns: list[int], rank: int, threshold: float) -> dict[int, float]:
-    """Condition number after dropping each column that the rank does not need, over non-zero singular values."""
+    """Condition number, over non-zero singular values, after dropping each column that the rank does not need."""
     condition_of = {}
     for column in columns:
         rest = [other for other in columns if other != column]

@@ -9,21 +9,19 @@ For n cycles of one commanded pose, with x_j the attained minus the commanded po
     distance repeatability            RD = 3 std(D)
     drift                             dAP, dRP = largest |value - first value| of blocks of cycles in the order of time
 
-(std with n - 1). The standard asks for 30 cycles; with fewer the same numbers are less sure, which the intervals say.
+The standard requires 30 cycles; fewer give wider intervals.
 
-Intervals. Scatter is taken as normal. Angles and distances have Student's t (means) and chi-square (deviations). AP is
-the length of a mean with covariance S: |x|^2 / g is about noncentral chi-square with h = tr(S) / g degrees of freedom
-and |mu|^2 / g, and is inverted for |mu|; g is the larger of tr(S^2) / tr(S), which gives |x|^2 the variance that it has
-without an offset, and the variance along x, which decides where the offset outweighs the scatter; and larger by the
-square of Student's t over the normal quantile, as S is found from n cycles. RP over its true value has a distribution
-that depends on n and the shape of the scatter alone; it is drawn with the shape as found. Intervals of a largest one of
-several are those of each at its share of the chance, which errs on the wide side.
+Intervals. Scatter is taken as normal. Means of angles and distances have Student's t, deviations chi-square. AP is the
+length of a mean with covariance S: |x|^2 / g is about noncentral chi-square with h = tr(S) / g degrees of freedom and
+|mu|^2 / g, and is inverted for |mu|. g is the larger of tr(S^2) / tr(S), which gives |x|^2 its variance without an
+offset, and the variance along x, which decides where the offset outweighs the scatter. It is multiplied by the square
+of Student's t over the normal quantile, as S is found from n cycles. RP over its true value has a distribution that
+depends only on n and the shape of the scatter; it is drawn with the shape as found. The interval of a largest value
+takes each candidate's interval at its share of the chance, which errs on the wide side.
 
-What is checked. AP, RP, vAP and AD are as descriptions of the standard in the literature give them: the distance of the
-mean from what was commanded, mean and three standard deviations of the distances from the mean, the largest distance
-between the means of directions, the mean distance less the commanded one. The standard's own text was not at hand. RD
-and the figures of angles are the same read for one number. Of drift, the standard compares repeated values of AP and of
-RP over time; that the largest change counts, with blocks of ten cycles, is not checked. vAP, distances and drift of
+Sources. AP, RP, vAP and AD follow descriptions of the standard in the literature; its own text was not at hand. RD and
+the figures of angles apply the same formulas to one number. For drift, the standard compares repeated values of AP and
+RP over time; that the largest change counts, with blocks of ten cycles, is an assumption. vAP, distances and drift of
 orientations are not computed.
 
 Reference: iso9283.
@@ -42,19 +40,14 @@ from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
 
 CYCLES = 30
-"""Cycles of each pose that the standard asks for."""
+"""Cycles of each pose that the standard requires."""
 _TAIL = 0.025
 _DRAWS = 1500
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure with its 95 % interval.
-
-    Attributes:
-        value: As the standard computes it [m or rad].
-        low95, high95: Limits of what infinitely many cycles would give [m or rad].
-    """
+    """A figure of the standard, with its 95 % limits for infinitely many cycles [m or rad]."""
 
     value: float
     low95: float
@@ -68,22 +61,12 @@ def repeatability(positions: FloatArray) -> float:
 
 
 def pose_accuracy(errors: FloatArray, tail: float = _TAIL) -> Figure:
-    """Return AP of attained minus commanded positions, (n, 3), n of 2 or more [m].
-
-    Args:
-        errors: Errors of the cycles.
-        tail: Chance on either side of the interval.
-    """
+    """Return AP of attained minus commanded positions, (n, 3), n of 2 or more [m]; `tail` is the chance per side."""
     return _length(errors.mean(axis=0), np.cov(errors.T) / len(errors), len(errors) - 1, tail)
 
 
 def pose_repeatability(errors: FloatArray, rng: np.random.Generator) -> Figure:
-    """Return RP of attained minus commanded positions, (n, 3), n of 2 or more [m].
-
-    Args:
-        errors: Errors of the cycles.
-        rng: Source of the draws that make the interval.
-    """
+    """Return RP of attained minus commanded positions, (n, 3), n of 2 or more [m]; `rng` draws its interval."""
     value = repeatability(errors)
     axes = np.sqrt(np.maximum(linalg.eigvalsh(np.cov(errors.T)), 0.0))
     if not np.any(axes > 0):
@@ -98,7 +81,7 @@ def pose_repeatability(errors: FloatArray, rng: np.random.Generator) -> Figure:
 
 
 def mean_of(values: FloatArray) -> Figure:
-    """Return the mean of values (n,): AP of an angle, or AD of distances less what was commanded [m or rad]."""
+    """Return the mean of values (n,): AP of an angle, or AD of attained minus commanded distances [m or rad]."""
     value, n = float(values.mean()), len(values)
     half = float(scipy.special.stdtrit(n - 1, 1 - _TAIL) * values.std(ddof=1) / np.sqrt(n))
     return Figure(value, value - half, value + half)
@@ -115,18 +98,14 @@ def distances(first: FloatArray, second: FloatArray, commanded: FloatArray) -> F
     """Return attained minus commanded distance of two poses, cycle by cycle, (n,) [m].
 
     Args:
-        first, second: Attained minus commanded positions of the cycles of each, (n, 3) [m].
-        commanded: From the first commanded position to the second, (3,) [m].
+        first, second: Attained minus commanded positions of the cycles at each pose, (n, 3) [m].
+        commanded: Vector from the first commanded position to the second, (3,) [m].
     """
     return np.asarray(np.linalg.norm(commanded + second - first, axis=1) - np.linalg.norm(commanded))
 
 
 def direction_variation(groups: Sequence[FloatArray]) -> Figure:
-    """Return vAP of one pose.
-
-    Args:
-        groups: Attained minus commanded positions of the cycles from each direction, (n, 3) each [m].
-    """
+    """Return vAP of a pose [m] from attained minus commanded positions by direction of approach, (n, 3) each [m]."""
     pairs = list(combinations(groups, 2))
     lengths = []
     for first, second in pairs:
@@ -139,7 +118,7 @@ def direction_variation(groups: Sequence[FloatArray]) -> Figure:
 
 
 def drift(blocks: Sequence[FloatArray], rng: np.random.Generator) -> tuple[Figure, Figure]:
-    """Return dAP and dRP of one pose [m].
+    """Return dAP and dRP of a pose [m].
 
     Args:
         blocks: Attained minus commanded positions of blocks of cycles in the order of time, (n, 3) each [m].
@@ -165,7 +144,7 @@ def _largest_change(figures: Sequence[Figure]) -> Figure:
 
 
 def _length(mean: FloatArray, covariance: FloatArray, freedom: int, tail: float) -> Figure:
-    """The length of a mean (3,) whose covariance (3, 3) was found with this freedom."""
+    """The length of a mean (3,) whose covariance (3, 3) was found with so many degrees of freedom."""
     value, trace = float(np.linalg.norm(mean)), float(np.trace(covariance))
     if trace <= 0:
         return Figure(value, value, value)
@@ -178,7 +157,7 @@ def _length(mean: FloatArray, covariance: FloatArray, freedom: int, tail: float)
         return float(scipy.special.chndtr(value**2 / g, h, square / g)) - chance
 
     limits = []
-    for chance in (1 - tail, tail):  # the longer it really is, the less often so short a mean is seen
+    for chance in (1 - tail, tail):  # the longer the true length, the less often so short a mean occurs
         if missing(1e-9 * g, chance) <= 0:
             limits.append(0.0)
             continue

@@ -13,41 +13,41 @@ What S does along the path is known at no further cost, for any residuals r: a s
 
     S s_j = (J_j+1 - J_j)^T r
 
-It is wanted where the step leads, not where it starts from: there r is mostly what this very step takes away. So r is
-taken as the linear model leaves it, r + J f. With G = R^T R (`calib.core.numerics.linear_point`) and z = R d, the cost
-is
+The curvature is needed where the step leads, not where it starts: at the start r is mostly what this very step takes
+away. So r is taken as the linear model leaves it, r + J f. With G = R^T R (`calib.core.numerics.linear_point`) and z =
+R d, the cost is
 
     |r + J d|^2 + d^T S d = |r|^2 + 2 (R^-T J^T r)^T z + z^T (1 + K) z      K = R^-T S R^-1
 
-What K does is known of the last steps R s_j. With an orthonormal basis P of these, the last first, and A = K P,
+K is known along the last steps R s_j. With an orthonormal basis P of these, the last first, and A = K P,
 
     K = B P^T + P B^T + P (P^T A) P^T       B = A - P P^T A
 
-is the smallest symmetric matrix that does the same (Powell's update, of several steps at once). A few directions do: S
-is large in few. The minimum of the model is the next step. Where curvature outweighs what the rows and the priors say,
-as on a saddle between two valleys, there is none; then the step goes to the lowest point within four lengths of f. (A
-method that looks for a zero of the gradient, such as Anderson's acceleration of x + f(x), would go to the saddle.) K is
-left out where rows come first: while more than half of the cost is promised to go.
+is the smallest symmetric matrix that agrees with them (Powell's update, of several steps at once). A few directions
+suffice: S is large in few. The minimum of the model is the next step. On a saddle between two valleys, where negative
+curvature outweighs rows and priors, the model has none; then the step goes to the lowest point within four lengths of
+f. (A method that looks for a zero of the gradient, such as Anderson's acceleration of x + f(x), would go to the
+saddle.) K is left out while the linear model still promises to remove more than half of the cost.
 
 Steps are taken in full as long as the cost falls. The first that does not lower it is undone; from then on steps go to
 the minimum of the model within a ball |D d| <= radius, which follows how well the last model predicted the cost. A
 trial point without residuals (a loop that cannot close answers NaN) does not lower it.
 
-Where priors are wide, the minimum lies at the end of a long valley, which bends: what the rows hardly see moves far,
-and the square of that move is much for what they see well. Steps along the bottom are then short, and there are
-hundreds. But the slopes are steep and nearly straight, so that a step from high up leads to the bottom again, further
-on. So where a step within a ball does not lower the cost, the iteration goes on from its end all the same, each step up
-to twice as long as the last one, until the cost is lower than where it left the bottom. If that takes more than eight
-further steps, or a trial point has no residuals, it goes back there and does not leave the bottom again. (Only where
-unknowns are scaled, `unit`: others would run away.)
+Where priors are wide, the minimum lies at the end of a long, curved valley: directions that the rows hardly see move
+far, and the square of that move matters for those that they see well. Steps along the bottom are then short, and there
+are hundreds. But the slopes are steep and nearly straight, so that a step from high up leads to the bottom again,
+further on. So where a step within a ball does not lower the cost, the iteration still goes on from its end, each step
+up to twice as long as the last one, until the cost is lower than where it left the bottom. If that takes more than
+eight further steps, or a trial point has no residuals, it goes back there and does not leave the bottom again. (Only
+where unknowns are scaled, `unit`: others would run away.)
 
-Where the bottom is not left, its bends are followed. A trial point tells the bend, b = r(x + d) - r - J d. Where the
-cost fell by less than three quarters of what was promised, the step is tried once more with what takes the bend away,
-the minimum of |b + J c| with c at most half as long as d; the lower of the two points counts. Along a valley one bend
-is like the next: within a ball, the trial point itself is moved by what takes away the bend that the last step s, with
-C = J - J_before, tells of d = a s + rest,
+While the iteration stays on the bottom, it follows the bends. A trial point shows the bend, b = r(x + d) - r - J d.
+Where the cost fell by less than three quarters of the promise, a second trial adds the step that removes the bend, the
+minimum of |b + J c| with c at most half as long as d; the lower of the two points counts. Along a valley the bends are
+alike: within a ball, the trial point itself is moved by the step that removes the bend predicted from the last step s,
+with C = J - J_before and d = a s + rest:
 
-    d^T H d / 2  =  a C (d - a s / 2)      but for what is of second order in the rest,      a = s^T d / s^T s
+    d^T H d / 2  =  a C (d - a s / 2)      up to second order in the rest,      a = s^T d / s^T s
 
 D is one of
 
@@ -55,28 +55,28 @@ D is one of
     `jacobian`   the largest norm so far of each column of J, for unknowns of any size and unit; the first step is no
                  longer than the start is away from zero
 
-Many unknowns that are hardly seen, a start far away and small noise are a trap: the linear model takes what the
-curvature left for a message from directions in which the rows say little, and the first step is absurdly long. With D
-= 1 that shows: n unknowns that are off by one each are sqrt(n) away. Where the first of Newton's steps is longer than
-3.5 sqrt(n), the first ball is half of sqrt(n), as if the noise were larger at first. It ends as soon as what curvature
-left of a step to its edge, and grows with its square, would be less than the residuals at full length, as it is at once
-where only the scales are wrong.
+Many unknowns that are hardly seen, a start far away and small noise are a trap: the linear model takes the residuals
+that curvature left for information about directions in which the rows say little, and the first step is absurdly long.
+With D = 1 that shows: n unknowns that are off by one each are sqrt(n) away. Where the first of Newton's steps is longer
+than 3.5 sqrt(n), the first ball is half of sqrt(n), as if the noise were larger at first. The ball is given up as soon
+as the residuals that curvature leaves after a step to its edge, which grow with the square of the length, would be
+smaller than the residuals at full length: at once where only the scales are wrong.
 
 The iteration ends as converged when the decrease that the linear model still promises, |R f|^2, is at most `tolerance`
-of the cost. That is a rule in standard deviations: with noise s^2 = cost / N, from N rows more than unknowns, the
+of the cost. This is a rule in standard deviations: with noise s^2 = cost / N, from N rows more than unknowns, the
 covariance is s^2 G^-1, and |R f|^2 / s^2 the sum of (step left / its standard deviation)^2 over independent directions,
 at most N tolerance. Where a step promised less than ten times as much, no bend is looked for; if it did not lower the
-cost, rounding decides about it, and the iteration ends too. It also ends where the step is below 1e-12 of the unknowns,
-and as not converged after `max_evaluations` trial points.
+cost, rounding decides, and the iteration ends too. It also ends where the step is below 1e-12 of the unknowns, and as
+not converged after `max_evaluations` trial points.
 
-What the rows do not determine may recede: of poses that lie close together, an arc explains readings the better the
-longer its radius, and no length is the best one. Then there is the farther to go the farther one goes. So the iteration
+The minimum may recede: of poses that lie close together, an arc explains readings the better the longer its radius, and
+no length is the best one. Then the remaining distance grows with every step. So the iteration
 ends as not converged where, after 20 trial points, it has come farther than a = 3.5 sqrt(n), each of the last three
 steps has made f longer, and f is longer than a and than at the start, promises at most half of the cost, and has a
 standard deviation, s |f| / |R f|, above a. (Where unknowns are scaled, `unit`: others have no such length.)
 
 When it fails. It finds the minimum in whose valley it starts; `calib.core.fitting.starts` looks for others. Along
-directions that the residuals hardly see, convergence is judged by the cost: the caller must check what step is left.
+directions that the residuals hardly see, convergence is measured by the cost: the caller must check the step left.
 
 Tested against the certified answers of NIST's reference problems (tests/test_nist.py); evaluations from loose to tight
 noise: tests/benchmarks/evaluations.py.
@@ -104,12 +104,12 @@ _ROUNDING = 10.0  # allowed rest where a step did not lower the cost, in toleran
 _KEPT = 8  # steps whose Jacobians are remembered
 _SHORTER = 0.25  # factor of the radius after a step that failed
 _GOOD, _POOR = 0.75, 0.25  # part of the promised decrease that came, beyond which the radius changes
-_BEND = 0.5  # length of what takes a bend away, over that of the step, at most
+_BEND = 0.5  # longest correction of a bend, over the length of its step
 _ABSURD = 3.5  # root mean square of a first step in units of the unknowns
 _REACH = 0.5  # first limit of the steps after that, in the same units
 _LONGER = 2.0  # longest step away from the bottom of a valley, over the length of the last one
 _AWAY = 8  # further steps away from the bottom
-_PATIENCE = 20  # trial points that a minimum that recedes is followed at least
+_PATIENCE = 20  # trial points before which a receding minimum is not given up
 _RECEDED = 3  # steps in a row after which the remaining step was longer
 _LIMIT, _RECEDES, _COST_STANDS, _STEP_VANISHES = (
     "the limit of evaluations was reached",
@@ -126,7 +126,7 @@ class LeastSquaresSolution:
     Attributes:
         x: The unknowns, (n,).
         residuals: r(x), (m,).
-        jacobian: J(x) as it was given, (m, n).
+        jacobian: J(x) as the caller's function returned it, (m, n).
         cost: |r|^2.
         converged: Whether a stopping rule was met before the evaluations ran out.
         evaluations: Number of evaluated points.
@@ -158,7 +158,7 @@ def minimise(
     Args:
         residuals: x (n,) -> r (m,); NaN where r has no value.
         jacobian: x (n,) -> dr/dx (m, n), as an array or above a prior; computed only where r was finite, and where the
-            iteration goes back to.
+            iteration returns to.
         start: Start, (n,).
         scaling: D of the module docstring.
         tolerance: Promised decrease, relative to the cost, that ends the iteration.
@@ -196,13 +196,7 @@ def _cost(values: FloatArray) -> float:
 
 
 class _Iteration:
-    """The state of the iteration, and its memory.
-
-    Args:
-        start: Its start.
-        scaling: D of the module docstring.
-        tolerance: Relative change of the cost that counts as none.
-    """
+    """The state of the iteration, and its memory; `scaling` and `tolerance` as in `minimise`."""
 
     def __init__(self, start: LinearPoint, scaling: Literal["unit", "jacobian"], tolerance: float) -> None:
         self.current = start
@@ -217,10 +211,10 @@ class _Iteration:
         if self._by_columns:
             self._radius = self._length(start.x) or 1.0
         self._past: list[LinearPoint] = []
-        self._undone = False  # whether the last step was
+        self._undone = False  # whether the last step was undone
         self._left: tuple[LinearPoint, float] | None = None  # where it left the bottom of a valley, length of that step
         self._away = 0  # steps since then
-        self._stays = self._by_columns  # whether it does not leave it any more
+        self._stays = self._by_columns  # whether it stays on the bottom from now on
         self._receded = 0  # steps in a row after which the remaining step was longer
         self._step: FloatArray = np.zeros(len(start.x))
         self._taken: FloatArray = self._step
@@ -242,12 +236,12 @@ class _Iteration:
 
     @property
     def _promises_little(self) -> bool:
-        """Whether rounding decides about the step."""
+        """Whether the promised decrease is so small that rounding decides about the step."""
         return self.current.cost - self._promised <= _ROUNDING * self._tolerance * self.current.cost
 
     @property
     def recedes(self) -> bool:
-        """Whether the remaining step, which promises little, is absurdly long and becomes ever longer."""
+        """Whether the remaining step promises little, is absurdly long and grows."""
         current = self.current
         if self._by_columns or self._left is not None or self._receded < _RECEDED:
             return False
@@ -282,7 +276,7 @@ class _Iteration:
         return np.asarray(current.x + self._taken)
 
     def _extrapolated_curvature(self) -> FloatArray:
-        """Return the curvature of the rows along the next step if it is that along the last one, (m,)."""
+        """Return the curvature of the rows along the next step, taken as that along the last one, (m,)."""
         before = self._past[-1]
         last = self.current.x - before.x
         along = float(last @ self._step) / float(last @ last)
@@ -290,11 +284,11 @@ class _Iteration:
         return self.current.jacobian.times(way) - before.jacobian.times(way)
 
     def _back(self, bend: FloatArray) -> FloatArray | None:
-        """Return the step that takes a bend away, (n,)."""
+        """Return the step that removes a bend, (n,)."""
         return self.current.correct_curvature(bend, _BEND * self._length(self._step), self._scale)
 
     def curved_trial(self, values: FloatArray) -> FloatArray | None:
-        """Return a second trial point, (n,), after one with these residuals (m,); None for none."""
+        """Return a second trial point, (n,), after the first gave these residuals (m,); None if there is none."""
         reached, promised = _cost(values), self.current.cost - self._promised
         if self._left is not None or (np.isfinite(self._radius) and not self._stays) or self._promises_little:
             return None
@@ -306,7 +300,7 @@ class _Iteration:
     def take_step(
         self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray | RowStack]
     ) -> int:
-        """Take the step to x (n,) with these residuals (m,), or stay; return how many further evaluations that took."""
+        """Take the step to x (n,) with these residuals (m,), or stay; return the number of further evaluations."""
         reached, length = _cost(values), min(self._length(self._step), self._radius)
         self._undone = not reached < self.lowest.cost
         if self._undone and np.isfinite(reached) and self._may_leave:
@@ -332,15 +326,15 @@ class _Iteration:
         return 0
 
     def go_back(self, jacobian: Callable[[FloatArray], FloatArray | RowStack]) -> int:
-        """Go back to the bottom of the valley for good, if the path is away; return how many evaluations that takes."""
+        """Go back to the bottom of the valley for good, if the path is away; return the number of evaluations."""
         if self._left is None:
             return 0
         self.current, self._left, self._stays = self._left[0], None, True
-        jacobian(self.current.x)  # tells where the path is
+        jacobian(self.current.x)  # tells the caller where the path is
         return 1
 
     def _next_radius(self, trial: LinearPoint, part: float) -> float:
-        """Return the radius after a step that lowered the cost, by this part of what the model promised."""
+        """Return the radius after a step that lowered the cost by this part of the promise."""
         if np.isinf(self._radius):
             return self._radius
         length = self._length(self._step)

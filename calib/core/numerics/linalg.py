@@ -1,4 +1,4 @@
-"""Singular values and eigenvalues of every finite matrix: by numpy, or where it fails, by slower functions.
+"""Singular values and eigenvalues of every finite matrix: by numpy, or where it fails, by slower LAPACK drivers.
 
 numpy uses LAPACK's divide and conquer (`syevd`, `gesdd`, `gelsd`), the fastest method. It cuts a matrix of more than 25
 rows into halves and joins their eigenvalues by roots of a secular equation
@@ -12,11 +12,11 @@ the last digits, and so on the processor: OpenBLAS adds in another order on each
 have no such equation, but take some times longer. So each function here calls numpy first, and returns its result
 unchanged. QR iterations are used for those matrices of a stack for which numpy fails.
 
-Matrices up to 25 x 25 have QR iterations in numpy, too, so nothing is lost for stacks of small ones. LAPACK's QR and
-Cholesky factors, solutions and inverses take a fixed number of steps and cannot fail in this way: they are called as
-they are. Eigenvalues of matrices that are not symmetric are needed nowhere.
+Matrices up to 25 x 25 have QR iterations in numpy, too. LAPACK's QR and Cholesky factors, solutions and inverses take a
+fixed number of steps and cannot fail in this way: they are called directly. Eigenvalues of matrices that are not
+symmetric are needed nowhere.
 
-When it fails. A matrix that is not finite raises `numpy.linalg.LinAlgError`, or gives NaN, as numpy has it.
+When it fails. A matrix that is not finite raises `numpy.linalg.LinAlgError` or gives NaN, as in numpy.
 
 Reference: lapack1999.
 """
@@ -36,11 +36,7 @@ _QR_ITERATIONS = {"driver": "ev"}
 
 
 def eigh(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return eigenvalues, ascending, (..., n) and eigenvectors in columns, (..., n, n), of symmetric matrices.
-
-    Args:
-        matrix: (..., n, n); the lower triangle counts.
-    """
+    """Return eigenvalues, ascending, (..., n) and eigenvectors in columns, from the lower triangles of (..., n, n)."""
     return _first_or_second(np.linalg.eigh, lambda part: scipy.linalg.eigh(part, **_QR_ITERATIONS), matrix)
 
 
@@ -55,10 +51,7 @@ def eigvalsh(matrix: FloatArray) -> FloatArray:
 def svd(matrix: FloatArray, full_matrices: bool = True) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return left vectors, singular values, descending, and right vectors in rows, of matrices (..., m, n).
 
-    Args:
-        matrix: (..., m, n).
-        full_matrices: Whether to return all vectors, (..., m, m) and (..., n, n), also those without a singular value;
-            else there are min(m, n).
+    With `full_matrices` all vectors are returned, (..., m, m) and (..., n, n), else min(m, n) of each.
     """
     return _first_or_second(
         lambda part: np.linalg.svd(part, full_matrices),
@@ -83,13 +76,13 @@ def lstsq(matrix: FloatArray, right: FloatArray, rcond: float | None = None) -> 
     Args:
         matrix: A, (m, n).
         right: b, (m,) or (m, k).
-        rcond: Part of the largest singular value below which one counts as 0; if not given, that of rounding errors.
+        rcond: Part of the largest singular value below which others count as 0; rounding errors if not given.
     """
     return solution_and_rank(matrix, right, rcond)[0]
 
 
 def solution_and_rank(matrix: FloatArray, right: FloatArray, rcond: float | None = None) -> tuple[FloatArray, int]:
-    """Return x of `lstsq`, (n,) or (n, k), and the rank of its matrix, (m, n)."""
+    """Return x of `lstsq`, (n,) or (n, k), and the rank of its matrix (m, n)."""
     try:
         solution, _, rank, _ = np.linalg.lstsq(matrix, right, rcond)
     except np.linalg.LinAlgError:
@@ -104,8 +97,8 @@ def pinv(matrix: FloatArray, rcond: float = 1e-15, *, hermitian: bool = False) -
     """Return the pseudo-inverses (..., n, m) of matrices (..., m, n).
 
     Args:
-        matrix: (..., m, n).
-        rcond: Part of the largest singular value below which one counts as 0.
+        matrix: The matrices.
+        rcond: Part of the largest singular value below which others count as 0.
         hermitian: Whether they are symmetric, which is faster.
     """
 
@@ -119,11 +112,9 @@ def pinv(matrix: FloatArray, rcond: float = 1e-15, *, hermitian: bool = False) -
 
 
 def matrix_rank(matrix: FloatArray, *, hermitian: bool = False) -> IntArray:
-    """Return the number of singular values of matrices that are larger than rounding errors, (...).
+    """Return the number of singular values of matrices (..., m, n) that are larger than rounding errors, (...).
 
-    Args:
-        matrix: (..., m, n).
-        hermitian: Whether they are symmetric, which is faster.
+    Symmetric matrices, `hermitian`, are faster.
     """
     values = np.abs(eigvalsh(matrix)) if hermitian else singular_values(matrix)
     least = np.max(values, axis=-1, keepdims=True, initial=0.0) * max(np.shape(matrix)[-2:]) * _EPSILON
@@ -138,11 +129,9 @@ def cond(matrix: FloatArray) -> FloatArray:
 
 
 def orth(matrix: FloatArray, rcond: float | None = None) -> FloatArray:
-    """Return an orthonormal basis of what the columns of a matrix (m, n) span, (m, rank).
+    """Return an orthonormal basis of the space that the columns of a matrix (m, n) span, (m, rank).
 
-    Args:
-        matrix: (m, n).
-        rcond: Part of the largest singular value below which others count as zero.
+    Singular values below `rcond` of the largest count as 0.
     """
     left, values, _ = svd(matrix, full_matrices=False)
     cut = max(matrix.shape) * _EPSILON if rcond is None else rcond
@@ -150,7 +139,7 @@ def orth(matrix: FloatArray, rcond: float | None = None) -> FloatArray:
 
 
 def _first_or_second(first: Callable[..., Any], second: Callable[..., Any], matrix: FloatArray) -> Any:
-    """Return the result of the first method; if it fails, treat each matrix alone, by the second method if need be."""
+    """Return the result of the first method; if it fails, treat each matrix alone, by the second method if needed."""
     try:
         return first(matrix)
     except np.linalg.LinAlgError:

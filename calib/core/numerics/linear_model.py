@@ -3,10 +3,10 @@
 Unknowns are scaled, u = (p - p_expected) / s; d is their change from where they are. The rows are those of all readings
 (`calib.core.rows.rows`), or a few that have the same products. Its use:
 
-    factor       the triangular factor of [J r], from which all sums over rows follow
-    known        what rows and priors determine, with T T^T = (J^T J + P^T P)^-1
-    span         U = J T; leverages are sums of its squares
-    left_out     the model with blocks of rows left out in turn (`calib.core.numerics.clusters`)
+    factor                       the triangular factor of [J r], from which all sums over rows follow
+    posterior_information        the information of rows and priors, with T T^T = (J^T J + P^T P)^-1
+    span                         U = J T; leverages are sums of its squares
+    leave_out_blocks             the model with blocks of rows left out in turn (`calib.core.numerics.clusters`)
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class RowGroups(ReadOnlyArrays):
 
     Attributes:
         group: Group of each row; -1 for one that was not read, (n_rows,).
-        counts: Rows of each group, (n_groups,): of all that were read where few stand for them.
+        counts: Rows of each group, (n_groups,); all rows that were read, also where few stand for them.
     """
 
     group: IntArray
@@ -39,7 +39,7 @@ class RowGroups(ReadOnlyArrays):
 
     @staticmethod
     def from_groups(group: IntArray, n_groups: int) -> RowGroups:
-        """Return the groups of rows (n_rows,) which stand for themselves."""
+        """Return the groups of rows (n_rows,), where no row stands for others."""
         return RowGroups(group, np.bincount(group[group >= 0], minlength=n_groups))
 
 
@@ -50,9 +50,7 @@ class LinearModel:
     Attributes:
         residuals: r, (n_rows,).
         jacobian: J, by the scaled free parameters, (n_rows, n_free).
-        prior: Prior of these.
-        deviations: u there, (n_free,).
-        layout: Group of each row.
+        deviations: u at this point, (n_free,).
     """
 
     residuals: FloatArray
@@ -63,11 +61,11 @@ class LinearModel:
 
     @cached_property
     def factor(self) -> FloatArray:
-        """The triangular factor of [J r], all that a linear model needs: (n_free + 1, n_free + 1) or fewer rows."""
+        """The triangular factor of [J r], (n_free + 1, n_free + 1) or fewer rows."""
         return reduce_rows(self.jacobian, self.residuals)
 
     def remember(self, factor: FloatArray) -> None:
-        """Take over `factor` (n_free + 1, n_free + 1), where it is known."""
+        """Store `factor` (n_free + 1, n_free + 1), where it is known already."""
         vars(self)["factor"] = factor
 
     @property
@@ -87,7 +85,7 @@ class LinearModel:
 
     @cached_property
     def span(self) -> Span:
-        """U = J T of these rows, with T of what they and the priors determine, (n_rows, rank)."""
+        """U = J T of these rows, with T of `posterior_information`, (n_rows, rank)."""
         return Span(self.jacobian, self.posterior_information.root)
 
     def step(self, residuals: FloatArray | None = None) -> FloatArray:
@@ -102,12 +100,12 @@ class LinearModel:
         return float(self.residuals @ self.residuals) + self.prior.cost(self.deviations)
 
     def select_parameters(self, chosen: BoolArray) -> Self:
-        """Return the rows by some of the parameters, (n_free,)."""
+        """Return the model of the parameters that a mask (n_free,) chooses."""
         jacobian, deviations = self.jacobian[:, chosen], self.deviations[chosen]
         return replace(self, jacobian=jacobian, prior=self.prior.select(chosen), deviations=deviations)
 
     def take_rows(self, places: IntArray | BoolArray) -> LinearModel:
-        """Return some of the rows: their places (k,), or a mask (n_rows,)."""
+        """Return the model of some rows: their places (k,), or a mask (n_rows,)."""
         groups = RowGroups.from_groups(self.layout.group[places], len(self.layout.counts))
         return LinearModel(self.residuals[places], self.jacobian[places], self.prior, self.deviations, groups)
 

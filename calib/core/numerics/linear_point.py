@@ -1,11 +1,11 @@
 """The linear model of residuals at a point of an iteration, and steps to its minimum.
 
-r(x + d) is taken as r + J d, with J = Q R; what is known of the curvature of r is K. Symbols and
-derivation are those of `calib.core.numerics.least_squares`, which goes from point to point.
+r(x + d) is taken as r + J d, with J = Q R and the known curvature K of r. Symbols and derivation are those of
+`calib.core.numerics.least_squares`, which goes from point to point.
 
-R is that of rotations, which lose nothing. Of many columns it is the Cholesky factor of J^T J, in a third of the time.
-That squares the condition of J: with 1e6 at most, a step is off by some ten-thousandths of itself at worst, which the
-next one takes away. Beyond, rotations are used, whatever time they take.
+R comes from rotations, which lose no digits. For many columns it is the Cholesky factor of J^T J, in a third of the
+time. That squares the condition of J: with 1e6 at most, a step is off by some ten-thousandths of itself at worst, which
+the next one corrects. Beyond, rotations are used.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from calib.core.numerics.identifiability import extend_reduced, reduce_rows
 from calib.core.numerics.prior import Prior
 
 ON_RADIUS = 0.1
-"""Relative length within which a step counts as being on the ball that holds it."""
+"""Relative tolerance within which a step counts as being on the edge of its ball."""
 _BOLD = 4.0  # length of a step where the model has no minimum, in lengths of Newton's step
-_DEPENDENT = 1e-4  # part of a remembered step outside of later ones, below which it tells nothing
+_DEPENDENT = 1e-4  # part of a remembered step outside of later ones, below which it adds nothing
 _SINGULAR = 1e-14  # the same for directions that the rows do not see
 _MANY = 128  # columns from which products are used
 _EXACT = 1e-6  # inverse of the condition down to which they are exact enough
@@ -34,13 +34,13 @@ _CLOSE = 1e-12  # relative difference of bounds between which a multiplier is fo
 
 @dataclass(frozen=True, eq=False)
 class RowStack:
-    """Rows J of derivatives above those P of a prior, which are hardly more than ones.
+    """Rows J of derivatives above the rows P of a prior, which are mostly unit rows.
 
     Attributes:
         rows: J, (n_rows, n).
         prior: Prior of the unknowns.
-        factor: Returns the triangular factor of [J r], (n + 1, n + 1) or fewer rows, where that is known.
-        products: Returns J^T J (n, n) and J^T r (n,), where these are known.
+        factor: Function that returns the triangular factor of [J r], (n + 1, n + 1) or fewer rows, where it is known.
+        products: Function that returns J^T J (n, n) and J^T r (n,), where these are known.
     """
 
     rows: FloatArray
@@ -50,7 +50,7 @@ class RowStack:
 
     @staticmethod
     def from_matrix(matrix: FloatArray | RowStack) -> RowStack:
-        """Return a stack of a matrix (m, n) without a prior."""
+        """Return a matrix (m, n) as a stack without a prior; a stack stays itself."""
         if isinstance(matrix, RowStack):
             return matrix
         return RowStack(matrix, Prior(np.zeros(matrix.shape[1], dtype=bool)))
@@ -61,22 +61,22 @@ class RowStack:
         return np.vstack([self.rows, self.prior.rows]) if np.any(self.prior.has) else self.rows
 
     def times(self, column: FloatArray) -> FloatArray:
-        """Return the product with a column (n,), (m,)."""
+        """Return the product of the stack with a column (n,), (m,)."""
         return np.concatenate([self.rows @ column, self.prior.times(column)])
 
     def transposed_product(self, column: FloatArray) -> FloatArray:
-        """Return the product of its transpose with a column (m,), (n,)."""
+        """Return the product of the transposed stack with a column (m,), (n,)."""
         n_rows = len(self.rows)
         return np.asarray(self.rows.T @ column[:n_rows] + self.prior.rows.T @ column[n_rows:])
 
     def reduced(self, right: FloatArray) -> FloatArray:
-        """Return the triangular factor of it and one more column (m,), (n + 1, n + 1) or fewer rows."""
+        """Return the triangular factor of the stack and one more column (m,), (n + 1, n + 1) or fewer rows."""
         if self.factor is None:
             return reduce_rows(self.whole, right)
         return extend_reduced(self.factor(), self.prior.rows, right[len(self.rows) :])
 
     def gram(self, right: FloatArray) -> FloatArray:
-        """Return the products of its columns and one more (m,) with each other, (n + 1, n + 1)."""
+        """Return the products of all columns and one more (m,) with each other, (n + 1, n + 1)."""
         n_rows, n = self.rows.shape
         gram = np.zeros((n + 1, n + 1))
         known = self.products or (lambda: (self.rows.T @ self.rows, self.rows.T @ right[:n_rows]))
@@ -88,7 +88,7 @@ class RowStack:
 
 
 class LinearPoint:
-    """A point, and the linear model there.
+    """A point, and the linear model at it.
 
     Args:
         x: The unknowns, (n,).
@@ -156,7 +156,7 @@ class LinearPoint:
         return step, self.unseen + float(np.sum((self.projected + image) ** 2) + image @ (hessian @ image - image))
 
     def correct_curvature(self, bend: FloatArray, limit: float, scale: FloatArray) -> FloatArray | None:
-        """Return the step c that takes a bend of the residuals (m,) away, |D c| <= limit, (n,); None if unknown."""
+        """Return the step c that removes a bend of the residuals (m,), |D c| <= limit, (n,); None if unknown."""
         if not self.sees_all:
             return None
         right = _solve_triangular(self.triangle, self.jacobian.transposed_product(bend), transposed=True)
@@ -166,13 +166,9 @@ class LinearPoint:
         return self._minimum_within(np.eye(len(step)), right, limit, scale)
 
     def _minimum_within(self, hessian: FloatArray, right: FloatArray, limit: float, scale: FloatArray) -> FloatArray:
-        """Return the minimum of a model in the ball, (n,), as -(H + l D^2)^-1 g, with l >= 0 found by bisection.
+        """Return the minimum of a model in the ball |D d| <= limit, (n,): -(H + l D^2)^-1 g, with l >= 0 by bisection.
 
-        Args:
-            hessian: 1 + K of the model, (n, n).
-            right: R^-T g of its gradient g, (n,).
-            limit: Radius of the ball.
-            scale: D, (n,).
+        The model has the Hessian R^T `hessian` R, `hessian` = 1 + K (n, n), and the gradient g = R^T `right`.
         """
         scaled = self.triangle / scale
         if np.array_equal(hessian, np.eye(len(hessian))):  # singular values are exact where their squares are not
@@ -182,7 +178,7 @@ class LinearPoint:
             values, vectors = linalg.eigh(scaled.T @ hessian @ scaled)
             pull = vectors.T @ (scaled.T @ right)
         low = max(0.0, -float(values.min()))
-        high = low + float(np.linalg.norm(pull)) / limit  # there it is shorter
+        high = low + float(np.linalg.norm(pull)) / limit  # the step at this multiplier is shorter than the limit
         low += float(np.finfo(float).eps) * (high - low)
         step = -pull / (values + high)
         while high > (1.0 + _CLOSE) * low:
@@ -205,7 +201,7 @@ def _solve_triangular(triangle: FloatArray, right: FloatArray, *, transposed: bo
 
 
 def _reduce(jacobian: RowStack, residuals: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return R, Q^T r, and the square of r that no step takes away, to first order."""
+    """Return R, Q^T r, and the square of the part of r that no step removes, to first order."""
     n = jacobian.rows.shape[1]
     if n >= _MANY:
         products = jacobian.gram(residuals)

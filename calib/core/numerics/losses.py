@@ -20,10 +20,10 @@ are whitened:
     scale       median of |r| / median of chi(k), times sqrt(rows / (rows - n_eff))
     f^2         sum w |r|^2 / sum k w, over its expectation for normal data with noise 1; rows that a weight of zero
                 takes out do not count as rows
-    effective   K b / m from the actual residuals: what normal noise would scatter the parameters as much (Huber's K)
+    effective   K b / m from the actual residuals: normal noise that would scatter the parameters as much (Huber's K)
 
-When it fails. Outliers in more than about a third of the points, or in points that alone decide a parameter: then the
-fit follows them. A robust loss does not make systematic errors go away.
+When it fails. Outliers in more than about a third of the points, or in points that alone decide a parameter, draw the
+fit to themselves. A robust loss does not remove systematic errors.
 
 Reference: huber1981, sections 7.6 and 8.8; maronna2019, chapter 6.
 
@@ -42,8 +42,8 @@ readings: good measurements of any number show one in a set out of a hundred. (n
 about half as well as the squares.)
 
 Leverage is trace(h)/k: the part of a reading's own error that its prediction follows, the mean over its rows; leverages
-of all rows add up to the effective parameters. The largest eigenvalue of h is the same for the direction in which it is
-worst. Near 1 a reading cannot be judged there.
+of all rows add up to the effective parameters. The largest eigenvalue of h is the leverage along the worst direction.
+Near 1 no test of the reading is possible along it.
 
 When it fails. Several outliers that agree with each other pull a least-squares fit to them; fit with a robust loss to
 see them. A reading of leverage near 1 is never an outlier.
@@ -76,13 +76,13 @@ EFFICIENCY = 0.95
 """Part of the information of normal data that a robust loss keeps."""
 _BRACKET = (0.05, 60.0)
 HIGH_LEVERAGE = 0.9
-"""Largest leverage along any direction, above which a reading decides its own prediction and cannot be judged."""
+"""Largest leverage along any direction, above which a reading decides its own prediction and cannot be tested."""
 _SMALLEST = 1e-6  # eigenvalue of V below which a direction has no residual left
 _NO_NOISE = 1e-12
 
 
 def find_loss(name: str) -> Loss:
-    """Return the loss of this name; an unknown one is an `InputError`."""
+    """Return the loss of this name, or raise `InputError`."""
     for loss in LOSSES:
         if loss == name:
             return loss
@@ -98,7 +98,7 @@ def constant(loss: Loss, k: int) -> float:
 
 
 def median_length(widths: IntArray) -> FloatArray:
-    """Return the median length of normal residuals of these numbers of rows, (n_readings,)."""
+    """Return the median length of normal residuals of readings with these numbers of rows, (n_readings,)."""
     return _values_by_width(lambda k: float(np.sqrt(2.0 * scipy.special.gammaincinv(0.5 * k, 0.5))), widths)
 
 
@@ -109,13 +109,7 @@ def _values_by_width(function: Callable[[int], float], widths: IntArray) -> Floa
 
 
 def weights(loss: Loss, distance: FloatArray, c: FloatArray | float) -> FloatArray:
-    """Return the weight of readings at these distances, in units of the scale.
-
-    Args:
-        loss: Name of the loss.
-        distance: d >= 0, (n_readings,); the weights have its shape.
-        c: Constant of each, or of all.
-    """
+    """Return the weights of readings at distances d >= 0 over the scale, (n_readings,), for one constant c or each."""
     d = np.asarray(distance, dtype=float)
     if loss == "huber":
         return np.minimum(1.0, c / np.maximum(d, 1e-300))
@@ -127,7 +121,7 @@ def weights(loss: Loss, distance: FloatArray, c: FloatArray | float) -> FloatArr
 
 
 def weights_of(loss: Loss, distance: FloatArray, widths: IntArray) -> FloatArray:
-    """Return the weights of readings of these numbers of rows, (n_readings,)."""
+    """Return the weights of readings with these numbers of rows, (n_readings,)."""
     return weights(loss, distance, _values_by_width(lambda k: constant(loss, k), widths))
 
 
@@ -153,11 +147,11 @@ def efficiency(loss: Loss, c: float, k: int) -> float:
 
 
 def scale_of(distances: FloatArray, widths: IntArray, n_effective: float) -> float:
-    """Return the scale of whitened residual lengths, (n_readings,): a median, so that outliers hardly move it.
+    """Return the scale of whitened residual lengths (n_readings,): a median, so that outliers hardly move it.
 
     Args:
         distances: Lengths.
-        widths: Rows of each reading.
+        widths: Number of rows of each reading.
         n_effective: Effective parameters.
     """
     n_rows = int(np.sum(widths))
@@ -166,12 +160,12 @@ def scale_of(distances: FloatArray, widths: IntArray, n_effective: float) -> flo
 
 
 def robust_factors(loss: Loss, distances: FloatArray, widths: IntArray, scale: float, n_effective: float) -> Factors:
-    """Return what the residuals say about the assumed noise, one factor for all rows.
+    """Return the factor on the assumed noise that the residuals show, the same for all rows.
 
     Args:
-        loss: The loss that weighed them.
+        loss: The loss of the weights.
         distances: Lengths of whitened residuals, (n_readings,).
-        widths: Rows of each reading, (n_readings,).
+        widths: Number of rows of each reading, (n_readings,).
         scale: Divisor of the lengths in the weights.
         n_effective: Effective parameters.
 
@@ -224,13 +218,13 @@ def _mean(function: Callable[[float], float], kink: float, k: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class StudentisedErrors(ReadOnlyArrays):
-    """Every reading of a set judged.
+    """Studentised residuals of every reading of a set.
 
     Attributes:
         ratio: T over its scale, (n_readings,).
         leverage: Mean over the rows, (n_readings,).
         largest_leverage: Leverage along the worst direction, (n_readings,).
-        chance: Chance of such a reading where it is the only one, (n_readings,).
+        chance: Chance of a residual at least this large if only this reading were tested, (n_readings,).
         scale: Scale of T.
     """
 
@@ -242,12 +236,12 @@ class StudentisedErrors(ReadOnlyArrays):
 
     @property
     def p_value(self) -> FloatArray:
-        """Chance of such a reading among good measurements of this number, (n_readings,)."""
+        """Chance of at least one such reading among good measurements of this number, (n_readings,)."""
         return np.minimum(1.0, len(self.chance) * self.chance)
 
     @property
     def outliers(self) -> IntArray:
-        """Readings that are outliers, worst first, (n_outliers,)."""
+        """Outliers, worst first, (n_outliers,)."""
         outliers = np.flatnonzero(self.p_value < FALSE_ALARM)
         return outliers[np.argsort(-self.ratio[outliers], kind="stable")]
 
@@ -261,13 +255,13 @@ def studentised(
     freedom: float,
     scale: float | None = None,
 ) -> StudentisedErrors:
-    """Judge every reading.
+    """Return the studentised residual of every reading.
 
     Args:
         residuals: Whitened, (n_rows,); zero for rows that were not read.
         span: J T of the rows, with T of `calib.core.numerics.observability`, (n_rows, rank).
         reading: Reading of each row, (n_rows,).
-        widths: Rows that were read, (n_readings,).
+        widths: Number of rows that were read, (n_readings,).
         weights: w of the module docstring, (n_readings,).
         freedom: Degrees of freedom of the fit.
         scale: Scale of T, if it is known from other readings.

@@ -1,8 +1,8 @@
-"""One linear model with coefficients whose sizes are found: all kinds of columns at once, in place of a choice of them.
+"""One linear model of all kinds of columns, in which the size of each kind is found instead of choosing kinds.
 
-Problem. Rows y of a linear problem have columns of many kinds: some of them are surely there (origins, places), others
-may be (gears, bending), and the rest is what no column describes. Which kinds are there, and how large, is to be
-found from the same rows, and what is not known of it is to be counted.
+Problem. Rows y of a linear problem have columns of many kinds. Some are certain (origins, places), others possible
+(gears, bending), and no column describes the rest. The same rows show which kinds exist and how large they are, and the
+uncertainty of that must be counted.
 
 Model. With u the coefficients of all columns X,
 
@@ -10,11 +10,11 @@ Model. With u the coefficients of all columns X,
     u_c ~ N(0, s_f^2)     of a column of family f; s_f is the size of the family, found
     u_c ~ N(0, 1)         of a column whose prior is known
     u_c                   flat of a column without a prior
-    e_k ~ N(0, d^2 I)     scatter of what H moves (joints), another one at each pose k; d is found
+    e_k ~ N(0, d^2 I)     scatter of what H moves (joints), drawn anew at each pose k; d is found
     noise ~ N(0, s_g^2)   of the rows of group g; s_g = 1 where it is stated, else found
 
 Rows of a pose and group are rotated once, Q^T H H^T Q = diag(l). Then V = s_g^2 + d^2 l is diagonal, whatever the sizes
-are. (Rows of a pose in two groups are taken to feel scatters of their own.)
+are. (Rows of a pose in two groups are taken to have independent scatters.)
 
 Restricted likelihood. Scale the columns by their sizes, Z = X S (S = 1 where there is no size), and let P be 1 for
 columns with a prior, 0 for flat ones. With A = Z^T V^-1 Z + P, v = A^-1 Z^T V^-1 y and r = y - Z v,
@@ -32,22 +32,22 @@ logarithms of sizes, w_i = d log V_i / d(log size), are
                            mixed     sum of w_i T_ic^2 / V_i over the rows and the columns of f
                            noise, d  1/2 sum of w_i w'_i (1 - 2 h_i) + 1/2 tr(K A^-1 K' A^-1),  K = Z^T (w / V) Z
 
-A search of the sizes steps by the mean of Fisher's information and the second derivative of -log L, which asks for no
+A search of the sizes steps by the mean of Fisher's information and the second derivative of -log L, which needs no
 products of matrices (gilmour1995): with M the derivatives dW Q y, 1/2 M^T Q M.
 
 With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B.
 
-Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Those below
-a ten-thousandth of the largest are put aside: rows do not see them. So are, with a least length, those of a family
-that move all rows together by less than a part of noise: of a coefficient u ~ N(0, 1) whose column has the length l,
-rows say l^2 / (1 + l^2) of its variance.
+Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Components
+below a ten-thousandth of the largest are dropped: rows do not see them. With a least length, so are components of a
+family that move all rows together by less than a part of the noise: of a coefficient u ~ N(0, 1) whose column has the
+length l, rows decide l^2 / (1 + l^2) of its variance.
 
 Another row, of derivatives b by the components, has the variance  b S A^-1 S b^T + d^2 |h|^2. A pose that was used is
 predicted by all others: with Q_kk the block of its rows, the error of that is Q_kk^-1 (Q y)_k, and its covariance
 Q_kk^-1, the noise of the pose included.
 
 When it fails. Far from the linear model, and where the sizes of families are as large as the rows (`size_search` has
-priors for them). A family with one size has coefficients that are about as large as each other.
+priors for them). A family with one size supposes that its coefficients are about equally large.
 
 Reference: patterson1971; harville1977; gilmour1995; mackay1992.
 """
@@ -68,22 +68,21 @@ from calib.core.numerics.identifiability import inverse_of_triangle
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
 _DECIDES = 1e-6  # part of a direction that other poses decide, from which they predict it
-_LEAST_EFFECT = 1e-3  # how far a coefficient moves all rows, over their noise, below which it is left out of a solution
+_LEAST_EFFECT = 1e-3  # how far a coefficient moves all rows, over their noise, below which a solution omits it
 _RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding might make singular
 
 
 @dataclass(frozen=True, eq=False)
 class MixedModel(ReadOnlyArrays):
-    """The model with its rows rotated and its columns condensed.
+    """The model with its rows rotated and its columns replaced by components.
 
     Attributes:
-        rows: As they were given.
+        rows: The rows before rotation.
         parts: Groups of columns and their components, in their order.
         x: Columns of all parts, rows rotated, (n_rows, n).
         y: Values, rotated, (n_rows,).
         spread: l of the module docstring, (n_rows,).
-        family: Family of each column, as of `MixedRows`, (n,).
-        n_families: Number of families.
+        family: Family of each column, as in `MixedRows`, (n,).
         poses: Rows of each pose, (k,).
         turns: Rotations Q of the rows of each pose: rows are Q times the rotated ones, (k, k).
     """
@@ -100,12 +99,7 @@ class MixedModel(ReadOnlyArrays):
 
     @staticmethod
     def from_rows(rows: MixedRows, least: float = 0.0) -> MixedModel:
-        """Rotate rows, and condense their columns.
-
-        Args:
-            rows: The rows.
-            least: Length of a component of a family, as large as is expected, below which it is put aside.
-        """
+        """Rotate rows, and replace their columns by components; those of families shorter than `least` are dropped."""
         numbers = [*range(int(np.max(rows.family, initial=-1)) + 1), KNOWN, FLAT]
         members = [np.flatnonzero(rows.family == number) for number in numbers]
         parts = tuple(
@@ -159,14 +153,14 @@ class MixedModel(ReadOnlyArrays):
         return result
 
     def solve(self, logs: FloatArray) -> SolvedModel:
-        """Solve it with sizes whose logarithms are given, (n_sizes,); a family whose logarithm is -inf is left out."""
+        """Solve the model with sizes whose logarithms are given, (n_sizes,); -inf leaves a family out."""
         families, noise, scatter = self.sizes(logs)
         variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
         scale = np.append(families, [1.0, 1.0])[self.family]  # the last ones for -2 and -1
         seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _LEAST_EFFECT))
         root = np.sqrt(variance)
         z, y = self.whiten_columns(seen, scale, variance), self.y / root
-        matrix, prior = z.T @ z, self.has_prior[seen]  # of a matrix with itself: half of the work
+        matrix, prior = z.T @ z, self.has_prior[seen]  # a product with its own transpose: half of the work
         matrix[np.diag_indices_from(matrix)] += prior + _RIDGE * np.diag(matrix)
         upper = np.linalg.cholesky(matrix).T
         v = scipy.linalg.cho_solve((upper, False), z.T @ y, check_finite=False)
@@ -176,7 +170,7 @@ class MixedModel(ReadOnlyArrays):
         return SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (determinant + cost))
 
     def whiten_columns(self, seen: IntArray, scale: FloatArray, variance: FloatArray) -> FloatArray:
-        """Return V^-1/2 Z of some columns, (n_rows, n_seen); arguments are attributes of `SolvedModel`."""
+        """Return V^-1/2 Z of the columns `seen`, (n_rows, n_seen)."""
         return self.x[:, seen] * scale[seen] / np.sqrt(variance)[:, None]
 
 
@@ -197,10 +191,9 @@ def _rotate_rows(rows: MixedRows) -> Iterator[tuple[IntArray, FloatArray, FloatA
 
 @dataclass(frozen=True, eq=False)
 class SolvedModel(ReadOnlyArrays):
-    """The model with its sizes: symbols as of the module docstring.
+    """The model solved with its sizes, in the symbols of the module docstring.
 
     Attributes:
-        model: The model.
         logs: Logarithms of the sizes, (n_sizes,).
         scale: Diagonal of S, (n,).
         seen: Columns that rows see with these sizes, (n_seen,); coefficients of the others are zero.
@@ -253,7 +246,7 @@ class SolvedModel(ReadOnlyArrays):
 
     @cached_property
     def _shares(self) -> FloatArray:
-        """Shares w of noise that is found, and of d, (n_noise, n_rows)."""
+        """Shares w of the noises to be found, and of d, (n_noise, n_rows)."""
         model = self.model
         _, noise, scatter = model.sizes(self.logs)
         group = model.rows.group
@@ -270,7 +263,7 @@ class SolvedModel(ReadOnlyArrays):
 
     @cached_property
     def information(self) -> FloatArray:
-        """Fisher's, of the logarithms of the sizes, (n_sizes, n_sizes)."""
+        """Fisher's information of the logarithms of the sizes, (n_sizes, n_sizes)."""
         shares, members = self._shares, self._members
         families = 2.0 * members @ (self._root @ self._root.T) ** 2 @ members.T
         families += np.diag(2.0 * members @ (1.0 - 2.0 * self._unseen_part))
@@ -283,7 +276,7 @@ class SolvedModel(ReadOnlyArrays):
 
     @property
     def average_information(self) -> FloatArray:
-        """Mean of Fisher's information and the second derivative of `cost`, about, (n_sizes, n_sizes)."""
+        """Mean of Fisher's information and the second derivative of `cost`, approximately, (n_sizes, n_sizes)."""
         z = self.z
         families = 2.0 * z @ (self._members * self.v).T
         moved = np.hstack([families, (self._shares * self.whitened_residuals).T])
@@ -296,7 +289,7 @@ class SolvedModel(ReadOnlyArrays):
 
     @property
     def condensed_coefficients(self) -> FloatArray:
-        """Coefficients u of the condensed columns, (n,)."""
+        """Coefficients u of the component columns, (n,)."""
         result = np.zeros(len(self.scale))
         result[self.seen] = self.scale[self.seen] * self.v
         return result
@@ -308,7 +301,7 @@ class SolvedModel(ReadOnlyArrays):
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance of u of the condensed columns, (n, n)."""
+        """Covariance of u of the component columns, (n, n)."""
         result = np.diag(self.scale**2)
         root = self.scale[self.seen, None] * self._root
         result[np.ix_(self.seen, self.seen)] = root @ root.T
@@ -339,9 +332,9 @@ class SolvedModel(ReadOnlyArrays):
         return linalg.eigh(np.eye(len(places)) - self._spread[places] @ self._spread[places].T)
 
     def left_out_errors(self) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
-        """Yield of each pose its rows (k,), and of these the error (k,) and its covariance (k, k).
+        """Yield for each pose its rows (k,), the error of its prediction by all others (k,), and its covariance (k, k).
 
-        The pose is predicted by all others. A pose that alone decides a direction is left out.
+        A pose that alone decides a direction is left out.
         """
         for places, turn in zip(self.model.poses, self.model.turns, strict=True):
             values, vectors = self._remaining_rows(places)

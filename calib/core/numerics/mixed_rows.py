@@ -1,4 +1,4 @@
-"""Rows of a mixed model, and the components that their columns are replaced by (`calib.core.numerics.mixed_model`)."""
+"""Rows of a mixed model, and the components that replace their columns (`calib.core.numerics.mixed_model`)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from calib.core.numerics import linalg
 from calib.core.numerics.linear_model import LinearModel
 
 FLAT, KNOWN = -2, -1
-"""In place of the number of a family: a column without a prior, and one whose prior is N(0, 1)."""
-_ASIDE = 1e-4  # part of the largest singular value of a family below which its components are put aside
-_UNSEEN = 1e-11  # the same of flat columns: what rounding leaves of columns that depend on others
+"""Instead of the number of a family: a column without a prior, and one whose prior is N(0, 1)."""
+_ASIDE = 1e-4  # part of the largest singular value of a family below which its components are dropped
+_UNSEEN = 1e-11  # the same for flat columns: rounding of columns that depend on others
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class MixedRows(ReadOnlyArrays):
         group: Group of the noise of each row, (n_rows,).
         has_stated_noise: Whether the noise of each group is 1, (n_groups,).
         pose: Pose of each row, (n_rows,).
-        levers: H: derivatives by what scatters from pose to pose, (n_rows, n_scattering); no columns without scatter.
+        levers: H: derivatives by the variables that scatter from pose to pose, (n_rows, n_scattering); may be empty.
     """
 
     columns: FloatArray
@@ -42,10 +42,10 @@ class MixedRows(ReadOnlyArrays):
     def from_linear_problem(
         model: LinearModel, family: IntArray, stated: BoolArray, pose: IntArray, levers: FloatArray
     ) -> MixedRows:
-        """Return the rows of a linear model around some deviations from what is expected.
+        """Return the rows of a linear model whose residuals are predicted minus read.
 
         Args:
-            model: Linear model; residuals are predicted minus read.
+            model: Linear model around some deviations from the expected values.
             family: Family of each parameter whose size is found, -1 for others, (n_columns,).
             stated: Whether the noise of each group is stated, (n_groups,).
             pose, levers: Attributes of the rows.
@@ -59,12 +59,12 @@ class MixedRows(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class FamilyPart(ReadOnlyArrays):
-    """Columns that are replaced by components of them.
+    """Columns of a family and the components that replace them.
 
     Attributes:
-        members: Their places, (n,).
+        members: Places of the columns, (n,).
         kept: Components that the rows see, (n, n_kept).
-        family: Number of the family of each column.
+        family: Number of the family.
     """
 
     members: IntArray

@@ -1,10 +1,9 @@
 """The smallest groups of parameters that move together without moving any measured position.
 
-The null space of the scaled Jacobian says which changes of parameters no measurement sees. Any basis of it from an SVD
-mixes everything with everything. What a reader wants are its vectors with the fewest non-zero entries: "xb with dq1",
-"d5 with xt", "d31 has no effect". Parameters that share no null vector are separated first, by the pattern of the
-projector onto the null space; in each part the shortest basis is found:
-vectors with as few non-zero entries as possible.
+The null space of the scaled Jacobian contains the changes of parameters that no measurement sees. A basis from an SVD
+mixes everything with everything. A reader understands vectors with few non-zero entries: "xb with dq1", "d5 with xt",
+"d31 has no effect". Parameters that share no null vector are separated first, by the pattern of the projector onto the
+null space; in each part the basis with the fewest non-zero entries is found.
 
 A vector of the subspace whose support contains the support of no other is elementary; its support determines it up to
 a factor. Taking elementary vectors in the order of their length, each that is independent of those before, gives a
@@ -12,13 +11,13 @@ basis that no other one beats (the greedy algorithm on a matroid).
 
 Search. With Q an orthonormal basis of the complement, a support S carries a vector where the rows Q_S are dependent.
 All supports of one entry are tried, then all of two, and so on, until the basis is complete: then it is proven to be
-the shortest, and the same on every machine. Where there would be too many supports, the rest comes from linear
-programs: elementary vectors are the vertices of {v in the subspace, |v|_1 <= 1}, so
+the shortest, and the same on every machine. Where there would be too many supports, linear programs find the rest:
+elementary vectors are the vertices of {v in the subspace, |v|_1 <= 1}, so
 
     minimise  sum_i w_i |v_i|    subject to  v in the subspace,  v_j = 1
 
 has one as its solution for each entry j, and favours short ones; a second round with w_i = 1 / (|v_i| + 0.1) more so.
-Then every vector is still elementary, but that no shorter basis exists is not proven.
+Then every vector is still elementary, but nothing proves that no shorter basis exists.
 
 Reference: Rockafellar 1969 (elementary vectors); Edmonds 1971 (greedy algorithm); Candes, Wakin and Boyd 2008
 (reweighting).
@@ -40,7 +39,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
 from calib.core.numerics.identifiability import rank_of, reduce_rows
 
-_SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter by which a group is described
+_SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter that names a group
 ZERO = 1e-6
 """Entries of a vector below this part of its largest are zero."""
 _DEPENDENT = 1e-9  # smallest singular value of rows of an orthonormal basis that counts as none
@@ -53,7 +52,7 @@ class UnseenGroup(ReadOnlyArrays):
     """Parameters that move together unseen.
 
     Attributes:
-        members: Column indices; the one that speaks for the group comes first.
+        members: Column indices; the parameter that names the group comes first.
         coefficients: Motion of each when the first moves by one sigma, in sigmas, (n_members,); the first is 1.
     """
 
@@ -68,8 +67,8 @@ def null_groups(
 
     Args:
         scaled_jacobian: (n_rows, n_columns).
-        dropped: Columns that are held or dropped. Groups are listed with one of them first where one moves enough, and
-            with as few others of them as possible.
+        dropped: Columns that are held or dropped. A group names such a column first if it moves enough, and contains as
+            few others of them as possible.
         lengths: Divisor of each column after it was scaled by its sigma, (n_columns,); 1 if not given.
     """
     null = _null_space(scaled_jacobian)
@@ -85,12 +84,7 @@ def null_groups(
 
 
 def describe_group(group: UnseenGroup, parameters: Sequence[Parameter]) -> str:
-    """Return the changes that look alike in words: `d41 + dq1 from d42 + xt`, or `1 deg of dq2 from 3 mm of yb`.
-
-    Args:
-        group: One of `null_groups`.
-        parameters: The parameters of the columns.
-    """
+    """Return the changes that look alike in words: `d41 + dq1 from d42 + xt`, or `1 deg of dq2 from 3 mm of yb`."""
     first = parameters[group.members[0]]
     if len(group.members) == 1:
         return f"{first.name} has no effect"
@@ -131,7 +125,7 @@ def _part(null: FloatArray, columns: IntArray, dropped: set[int]) -> list[FloatA
 def _group(vector: FloatArray, dropped: set[int]) -> UnseenGroup:
     members = [int(k) for k in np.flatnonzero(vector)]
     size = np.abs(vector)
-    # one that hardly moves would have to move by metres or turns to show what the others do
+    # a parameter that hardly moves would have to move by metres or turns to show what the others do
     moving = [k for k in members if size[k] >= (1 - ZERO) * _SPEAKS * size.max()]
     first = next((k for k in moving if k in dropped), moving[0])
     members.remove(first)
@@ -140,14 +134,11 @@ def _group(vector: FloatArray, dropped: set[int]) -> UnseenGroup:
 
 
 def shortest_basis(basis: FloatArray, avoided: BoolArray) -> FloatArray:
-    """Return a basis of vectors with few entries.
+    """Return a basis of vectors with few entries: unit vectors, (k, n), shortest first, with exact zeros.
 
     Args:
         basis: Orthonormal basis of the subspace, (n, k); every entry takes part in some vector.
         avoided: Entries to leave out where lengths are equal, (n,).
-
-    Returns:
-        Unit vectors, (k, n), shortest first; zeros are exact.
     """
     n, k = basis.shape
     complement = linalg.svd(basis)[0][:, k:]
@@ -222,7 +213,7 @@ def _vectors_by_programs(basis: FloatArray, pivot: int, avoided: BoolArray) -> I
 
 
 def _echelon(basis: FloatArray) -> Iterator[FloatArray]:
-    """Elementary vectors that span the subspace: each has one entry that the others have not."""
+    """Elementary vectors that span the subspace, each with an entry that the others lack."""
     work = basis.copy()
     for column in range(work.shape[1]):
         row = int(np.argmax(np.max(np.abs(work[:, column:]), axis=1)))
@@ -238,7 +229,7 @@ def _echelon(basis: FloatArray) -> Iterator[FloatArray]:
 
 
 def _vector_on_support(basis: FloatArray, support: BoolArray) -> FloatArray | None:
-    """The vector that is exactly zero outside `support`; None unless it is the only one, and full there."""
+    """The vector that is exactly zero outside `support`; None unless it is unique and full on it."""
     outside = basis[~support]
     _, s, vt = linalg.svd(outside) if len(outside) else (None, np.zeros(0), np.eye(basis.shape[1]))
     if basis.shape[1] - int(np.sum(s > ZERO)) != 1:

@@ -9,7 +9,7 @@ With singular values s1 >= ... >= sn of the identification Jacobian (n kept colu
     O5 = 1 / (1/s1 + ... + 1/sn)             Sun and Hollerbach 2008
 
 Only the order that O1 gives does not depend on the units of the parameters (a change of units multiplies every O1 by
-the same number); the others are meaningful on scaled columns. None of them is what a user wants to know. That is the
+the same number); the others are meaningful on scaled columns. None of them is a length that a user needs. That is the
 
     task index: root mean square over poses of the predicted distance between true and predicted position,
 
@@ -22,13 +22,13 @@ readings already there and new readings simply stack,
 
     R = [J; P] = U S V^T            covariance of u = V S^-2 V^T = T T^T,        T = V S^-1
 
-and every question is answered from T: directions outside V are not determined. The error that remains at another
+and every further quantity follows from T: directions outside V are not determined. The error that remains at another
 place with scaled derivative B is normal with covariance (B T)(B T)^T; where B reaches outside V it has no bound. Only
 noise is counted, not what the model leaves out.
 
-Method: QR of the rows, then SVD of the small factor, so that small singular values keep their digits (forming R^T R
-would lose half of them). Where that factor is far from singular, its inverse is a T as well, in a thirtieth of the
-time: T and T Q, with a rotation Q, say the same.
+Method: QR of the rows, then SVD of the small factor, so that small singular values keep their digits (R^T R would lose
+half of them). Where that factor is far from singular, its inverse is a T as well, in a thirtieth of the time: T and
+T Q, with a rotation Q, have the same products.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from calib.core.numerics.identifiability import Rank, inverse_of_triangle, numer
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 OUTSIDE = 1e-6
-"""A unit vector that leaves the determined directions by more than this depends on what is not determined."""
+"""Least length outside the determined directions at which a unit vector counts as undetermined."""
 _CLEAR = 1e-6  # inverse of the condition of a factor from which no singular value is near the threshold of the rank
 
 
@@ -58,12 +58,11 @@ def observability(singular_values: FloatArray, n_poses: int) -> dict[str, float]
     >>> observability([4.0, 1.0], n_poses=4)
     {'O1': 1.0, 'O2': 0.25, 'O3': 1.0, 'O4': 0.25, 'O5': 0.8}
 
+    All indices are 0 where the Jacobian loses rank exactly.
+
     Args:
         singular_values: All singular values of the Jacobian, as many as it has columns, largest first, (n,).
         n_poses: Number of poses m.
-
-    Returns:
-        Index by name; all are 0 where the Jacobian loses rank exactly.
     """
     s = np.asarray(singular_values, dtype=float)
     if s[-1] <= 0:
@@ -78,12 +77,12 @@ def observability(singular_values: FloatArray, n_poses: int) -> dict[str, float]
 
 
 def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter], *, lengths: bool = True) -> FloatArray:
-    """Return the Jacobian in the units of tables, as the paper has it: mm per unit of each parameter (mm or deg).
+    """Return the Jacobian in the units of tables, as in the paper: mm per unit of each parameter (mm or deg).
 
     Args:
         jacobian: d(positions)/d(parameters), (..., n_parameters) [m per m or rad].
         parameters: The parameters of its columns.
-        lengths: Whether its rows are lengths; else they are over their noise, and stay so.
+        lengths: Whether rows are lengths; rows divided by their noise keep their unit.
     """
     per_unit = np.array([1.0 / parameter.per_si for parameter in parameters])
     return (PER_SI["length"]["mm"] if lengths else 1.0) * jacobian * per_unit
@@ -94,13 +93,13 @@ def observability_of(
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return O1 to O5 of poses, on scaled columns [m] and on raw ones (mm per unit of table).
 
-    Where the poses are short of rank they are taken over the singular values that are not zero.
+    Where the poses are short of rank, only non-zero singular values count.
 
     Args:
         rows: Scaled Jacobian, (..., n_parameters) [m]; leading axes are flattened.
         parameters: The parameters of its columns.
-        n_poses: Number of poses that the rows are of.
-        lengths: Whether the rows are lengths; else they are over their noise, and so are the indices.
+        n_poses: Number of poses behind the rows.
+        lengths: Whether rows are lengths; rows divided by their noise give indices without unit.
     """
     width = rows.shape[-1]
     scales = np.array([parameter.sigma_si for parameter in parameters])
@@ -137,11 +136,7 @@ def task_index(position_errors: FloatArray) -> TaskIndex:
 
 @dataclass(frozen=True, eq=False)
 class Information(ReadOnlyArrays):
-    """Information of stacked rows about the parameters.
-
-    Attributes:
-        factor: The triangular factor R of the rows, (n_parameters, n_parameters) or fewer rows.
-    """
+    """Information of stacked rows by their triangular `factor` R, (n_parameters, n_parameters) or fewer rows."""
 
     factor: FloatArray
 
@@ -158,7 +153,7 @@ class Information(ReadOnlyArrays):
 
     @property
     def directions(self) -> FloatArray:
-        """Orthonormal basis V of what they determine, (n_parameters, rank)."""
+        """Orthonormal basis V of the determined directions, (n_parameters, rank)."""
         rank, directions = self._decomposition
         return directions[: rank.rank].T
 
@@ -169,7 +164,7 @@ class Information(ReadOnlyArrays):
 
     @cached_property
     def _all_clear(self) -> bool:
-        """Whether the rows clearly determine every direction, so that no singular value needs to say so."""
+        """Whether the rows clearly determine every direction, so that no singular value is needed."""
         rows, columns = self.factor.shape
         return rows == columns > 0 and float(scipy.linalg.lapack.dtrcon(self.factor)[0]) >= _CLEAR
 
@@ -180,13 +175,13 @@ class Information(ReadOnlyArrays):
 
     @property
     def log_determinant(self) -> float:
-        """The logarithm of the determinant of R^T R, of what it determines."""
+        """The logarithm of the determinant of R^T R over the determined directions."""
         sizes = np.abs(np.diag(self.factor)) if self._all_clear else self.strengths
         return 2.0 * float(np.sum(np.log(sizes)))
 
     @cached_property
     def undetermined(self) -> BoolArray:
-        """Mask of the parameters that depend on a direction that nothing determines, (n_parameters,)."""
+        """Mask of the parameters that depend on an undetermined direction, (n_parameters,)."""
         return np.sqrt(np.maximum(0.0, 1.0 - np.sum(self.directions**2, axis=1))) > OUTSIDE
 
     def standard_deviations(self) -> FloatArray:
@@ -201,13 +196,12 @@ class Information(ReadOnlyArrays):
         return np.clip(unit @ unit.T, -1.0, 1.0)
 
     def position_errors(self, rows: FloatArray) -> FloatArray:
-        """Return the predicted distance between true and predicted position (root of the mean square) at other poses.
+        """Return the root mean square distance between true and predicted position at other poses, (n, n_targets) [m].
+
+        It is infinite where a position depends on an undetermined direction.
 
         Args:
             rows: Scaled derivative of positions there, (n, 3 n_targets, n_parameters) [m].
-
-        Returns:
-            (n, n_targets) [m]; infinite where a position depends on what the rows do not determine.
         """
         projected = rows @ self.directions
         outside = np.sqrt(np.maximum(0.0, np.sum(rows**2, axis=2) - np.sum(projected**2, axis=2)))

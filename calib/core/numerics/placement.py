@@ -1,4 +1,4 @@
-"""Placement: poses of the measurement frame and positions of targets, if these are unknown.
+"""Placement: unknown poses of the measurement frame and positions of targets.
 
 Problem. A link has the poses (R_i, t_i) in the robot's base link, and one of its points p was seen at m_i from a frame
 X = (R, t). There may be several points, on the same or other links, and w_i readings of each. Minimise
@@ -6,18 +6,18 @@ X = (R, t). There may be several points, on the same or other links, and w_i rea
     sum w_i |R m_i + t - R_i p - t_i|^2   +   sum noise^2 |p - guess|^2 / sigma^2
 
 Method. For a given R this is linear in t and all p. Once these are eliminated, the residuals are linear in the nine
-entries of R, so that all poses shrink into ten rows: a quadratic function of the rotation, whatever the mechanism is.
-It may have several minima. Damped Newton steps descend from each of the 60 rotations of the icosahedron (every rotation
-is within 45 degrees of one of them), and the lowest end is taken. Where sigma is given, the noise is found from the
+entries of R, so that all poses shrink into ten rows: a quadratic function of the rotation, for every mechanism. It may
+have several minima. Damped Newton steps descend from each of the 60 rotations of the icosahedron (every rotation is
+within 45 degrees of one of them), and the lowest end is taken. Where sigma is given, the noise is found from the
 residuals. The sum grows with the noise at every rotation. So for a larger noise, the descent is repeated only from
 those ends that were lower without noise than the lowest end is now.
 
 What the poses do not determine stays near the guess. This concerns first the points: a link that never turns does not
 determine its point, and a link that turns about one axis only does not separate the point's direction from that of X.
-Then it concerns the rotation of X: points on one line, or all in one place. For this the distances to both guesses have
-weights too small to move what is determined, and the last steps leave them out.
+Then it concerns the rotation of X: points on one line, or all in one place. The distances to both guesses get weights
+too small to move what is determined, and the last steps omit them.
 
-When it fails. It always gives a result: what is undetermined is the guess. Callers that need to know this count ranks
+When it fails. It always gives a result: what is undetermined is the guess. Callers that need to know count ranks
 (`calib.core.numerics.identifiability`). Noise alone can make a direction look determined that the poses hardly show.
 """
 
@@ -57,8 +57,7 @@ class MovingPoint:
         T_base_link: Poses of the link in the base link, (n, 4, 4) [m].
         measured: The point in the measurement frame, (n, 3) [m].
         guess: Expected position in its link, (3,) [m].
-        sigma: Standard deviation of the guess along each axis: 0 where it is exact, infinite where nothing is known,
-            (3,) [m].
+        sigma: Standard deviation of the guess along each axis, (3,) [m]: 0 where it is exact, infinite where unknown.
     """
 
     T_base_link: FloatArray
@@ -94,11 +93,11 @@ def place(
 
     Args:
         points: The points, all seen in the same n poses.
-        counts: Number of readings whose mean is taken at each pose, (n,).
+        counts: Number of readings averaged at each pose, (n,).
         guess: Expected pose of the measurement frame in the base link.
         frame_known: Whether the guess is exact, so that only the points are found.
-        rough_beyond: Root mean square error [m] beyond which the result without distances to the guessed points is
-            returned. No other result has a smaller error.
+        rough_beyond: Root mean square error [m] beyond which the search ends without counting distances to the guessed
+            points, which could only raise the error.
 
     Raises:
         DataError: No pose, values that are not finite, or shapes that differ.
@@ -144,7 +143,7 @@ class _System:
 
     Attributes:
         rows: [A M s], (n_rows, n_free + 10).
-        mean: Part of all rows that X's translation absorbs, (3, n_free + 10); it is taken off.
+        mean: Part of all rows that X's translation absorbs, (3, n_free + 10), already subtracted.
         free: Whether each coordinate of the points is unknown, (n_points, 3).
         sigma: Standard deviations of the unknown coordinates, (n_free,) [m].
         weight: Root of the number of readings.
@@ -188,7 +187,7 @@ def _system(points: Sequence[MovingPoint], weights: FloatArray, guess: pin.SE3, 
 
 
 def _plain_rows(points: Sequence[MovingPoint], free: BoolArray, part: slice) -> FloatArray:
-    """[A M s] for some readings of each point, (n_points, n, 3, n_free + 10), before `mean` is taken off."""
+    """[A M s] of some readings of each point, (n_points, n, 3, n_free + 10), before `mean` is subtracted."""
     n_free = int(free.sum())
     rows = np.zeros((len(points), part.stop - part.start, 3, n_free + 10))
     for j, point in enumerate(points):
@@ -216,7 +215,7 @@ class _Reduced:
 
 
 def _eliminate_translation(system: _System, noise: float, weak: float = 0.0) -> _Reduced:
-    """Solve for dp, the smallest of equally good ones; `weak` is the least weight of every |dp|."""
+    """Solve for dp, the shortest of equally good solutions; `weak` is the least weight of every |dp|."""
     n_free = len(system.sigma)
     distances = np.zeros((n_free, n_free + 10))
     distances[:, :n_free] = np.diag(np.maximum(noise / system.sigma, weak))
@@ -232,9 +231,7 @@ def _eliminate_translation(system: _System, noise: float, weak: float = 0.0) -> 
 class _Search:
     """The search for the rotation with the smallest sum of squares, for several sizes of the noise, 0 first.
 
-    Args:
-        system: The system.
-        guess: A rotation to stay near where the system leaves it open, (3, 3).
+    Where the system leaves a rotation open, it stays near the `guess` (3, 3).
     """
 
     def __init__(self, system: _System, guess: FloatArray) -> None:
@@ -260,7 +257,7 @@ class _Search:
         return _finish_descent(self._system, noise, ends[np.argmin(squares)])
 
     def _rows(self, noise: float) -> FloatArray:
-        """Rows to minimise, in the form of `_descend`; distances to all guesses have small weights."""
+        """Rows to minimise, in the form of `_descend`, with small weights of the distances to all guesses."""
         system = self._system
         searched = _eliminate_translation(system, noise, _POINT_WEIGHT * system.weight)
         turn = _TURN_WEIGHT * system.weight * max(system.extent, _SMALLEST)
@@ -287,8 +284,8 @@ def _descend(rows: FloatArray, starts: FloatArray) -> tuple[FloatArray, FloatArr
 
         J^T J + (M + M^T) / 2 - tr(M) I,        M = R^T G,        G the gradient F^T e by R, as a matrix,
 
-    because the second order of exp is [w]x^2 / 2 = (w w^T - w^T w I) / 2. Where that is not positive definite, the last
-    two terms are left out.
+    because the second order of exp is [w]x^2 / 2 = (w w^T - w^T w I) / 2. The last two terms are omitted where the sum
+    is not positive definite.
     """
     F, f = rows[:, :9], rows[:, 9]
     ends, last = starts.copy(), starts.reshape(-1, 9) @ F.T - f

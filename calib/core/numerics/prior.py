@@ -7,7 +7,7 @@ With u = (p - p_expected) / s, the prior is
 
 This is P u ~ N(0, I). P has a unit row for each independent prior, and rows L^-1 with R = L L^T for the parameters J.
 So priors stack with whitened readings (`calib.core.numerics.observability`). Without correlations, as in nearly every
-fit, a product with P is a choice of rows, and costs nothing.
+fit, a product with P only selects rows.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Prior(ReadOnlyArrays):
         return pull
 
     def add_to(self, matrix: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
-        """Return matrix + P^T P, (n, n), for u over `sizes` (n,) if given; it overwrites the matrix."""
+        """Return matrix + P^T P, (n, n), for u over `sizes` (n,) if given, written into the matrix."""
         over = np.ones(len(self.has)) if sizes is None else 1.0 / sizes
         matrix[self._own_prior_parameters, self._own_prior_parameters] += over[self._own_prior_parameters] ** 2
         if len(self.together):

@@ -1,25 +1,23 @@
 """The size of the coefficients of a family, found from the data, and the uncertainty that this adds.
 
 Coefficients of a family f have the prior u ~ N(0, a_f^2) in units of their sigma. They are random effects, whose
-variance obeys the same equation as that of noise (`calib.core.numerics.variance_components`), by MacKay's iteration. It
-works on products of the rows: hundreds of columns, however many rows there are.
+variance obeys the same equation as that of noise (`calib.core.numerics.variance_components`), solved by MacKay's
+iteration. It works on products of the rows: hundreds of columns, however many rows there are.
 
-The uncertainty that is added because a_f was found from the same data: the covariance C = (J^T J + P)^-1 holds for a
-size that is known; of one that is itself N(log a, V) on the logarithmic scale, by the law of total covariance and to
-second order in V,
+The covariance C = (J^T J + P)^-1 holds for a known size. If the size itself is found from the same data, with
+logarithm N(log a, V), the law of total covariance gives, to second order in V,
 
     cov u  =  C  +  G V G^T  +  sum over f of V_ff / 2  d^2 C / d(log a_f)^2
     G_f = d u / d log a_f = 2 C_f u_f,         d^2 C / d(log a_f)^2 = 8 C_f C_ff C_f^T - 4 C_f C_f^T
 
-with C_f the columns of C that belong to f, and everything in units of a = 1. V comes from Fisher's information of the
+with C_f the columns of C that belong to f, and all values in units of a = 1. V comes from Fisher's information of the
 marginal likelihood,
 
     H_fg = 2 |J_f^T Q J_g|^2,      J_f^T Q J_f = I - C_ff,      J_f^T Q J_g = -C_fg,      V = (H + I)^-1
 
-to which I adds that a size is expected to a factor of e: where the data say nothing, V is 1 and not infinite.
-
-Coefficients that the data decide hardly change; those that they do not see vary as widely as their size might be. On a
-six-axis arm with curves, single intervals of 95 % held the truth in 91.7 % of cases without this, and as they should
+where the added I is the expectation of each size to a factor of e: where the data say nothing, V is 1 and not infinite.
+Coefficients that the data decide hardly change; unseen coefficients vary as widely as their size might. On a simulated
+six-axis arm with curves, single intervals of 95 % held the truth in 91.7 % of cases without this addition, and in 95 %
 with it (`docs/theory/joint_terms.md`). When it fails: sizes that are uncertain by more than a factor of e.
 
 Reference: kass1989; patterson1971; mackay1992; chung2013.
@@ -40,8 +38,8 @@ from calib.core.numerics.prior import Prior
 
 _ROUNDS = 100
 _STANDS = 0.01  # relative change of a size at which it is found
-_SMALLEST = 1e-3  # size below which a family does not fall at once
-_SEEN = 0.05  # coefficients that the data must decide of a family for its size to be found
+_SMALLEST = 1e-3  # least size of a family
+_SEEN = 0.05  # coefficients of a family that the data must decide for its size to be found
 _RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding has made singular
 
 
@@ -62,10 +60,10 @@ def spread_of_sizes(covariance: FloatArray, family: IntArray) -> FloatArray:
 
 
 def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: FloatArray) -> FloatArray:
-    """Return the addition by found sizes of families to the covariance of the scaled parameters, (n_free, n_free).
+    """Return the covariance of the scaled parameters that the found sizes of families add, (n_free, n_free).
 
     Args:
-        covariance, family: As for `spread_of_sizes`.
+        covariance, family: As in `spread_of_sizes`.
         deviations: u at the solution, in units of the found sizes, (n_free,).
     """
     members = _members(family)
@@ -86,7 +84,7 @@ def _members(family: IntArray) -> list[IntArray]:
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """A linear model by the products of its rows, whose size is that of the columns, however many rows there are.
+    """A linear model by the products of its rows, whose size does not depend on the number of rows.
 
     Attributes:
         gram: J^T J of the rows of each group, (n_groups, n_free, n_free).
@@ -147,7 +145,7 @@ def inverse_root(matrix: FloatArray) -> FloatArray:
 
     A matrix that rounding has made singular gets 1e-12 of its diagonal more.
     """
-    upper, failed = scipy.linalg.lapack.dpotrf(matrix.T)  # as LAPACK has it: not copied twice
+    upper, failed = scipy.linalg.lapack.dpotrf(matrix.T)  # LAPACK's order: not copied twice
     if failed:
         upper = scipy.linalg.cholesky(matrix + _RIDGE * np.diag(np.diag(matrix)))
     return inverse_of_triangle(upper)
@@ -164,13 +162,12 @@ def find_noise_with_families(
     """Find scales of groups together with the size of the priors of families.
 
     By restricted maximum likelihood, a_f^2 = |u_f|^2 / (n_f - trace of C_ff / a_f^2) with C the posterior covariance.
-    Below what is expected, a_f < 1, where a maximum at zero often
-    means only that the data say little, the density of a_f is taken to rise in proportion to it (chung2013): then
-    |u_f|^2 + a_f^2 stands in the place of |u_f|^2, a_f stays about a standard error away from zero, and coefficients
-    that the data do not see keep an interval.
+    Below the expected size, a_f < 1, a maximum at zero often means only that the data say little. There the density of
+    a_f is taken to rise in proportion to it (chung2013): |u_f|^2 + a_f^2 replaces |u_f|^2, a_f stays about a standard
+    error away from zero, and coefficients that the data do not see keep an interval.
 
     Args:
-        products: Products of the rows, whitened by what is stated.
+        products: Products of the rows, whitened by the stated noise.
         prior, deviations: Prior of the columns, and u at the rows, (n_free,).
         sought: Mask of the groups whose scales are to be found, (n_groups,).
         family: Family of each parameter, -1 for none, (n_free,).
@@ -192,7 +189,7 @@ def find_noise_with_families(
         inverse = None if alone else root @ root.T
         change = np.ones(len(start))
         for g in map(int, np.flatnonzero(sought & (products.count > 0))):
-            if inverse is None:  # the rows determine all that priors do not
+            if inverse is None:  # the rows determine all directions that priors do not
                 used = len(factor) - prior.share(root[known] / factor[known, None], variances)
             else:
                 used = float(np.sum(inverse * products.gram[g])) / scales[g] ** 2
@@ -200,7 +197,7 @@ def find_noise_with_families(
         growth = np.ones(len(members))
         for f, in_family in enumerate(members):
             determined = len(in_family) - float(np.sum(variances[in_family]))
-            if determined > _SEEN:  # else the data say nothing of it: it stays
+            if determined > _SEEN:  # else the data say nothing of it: it keeps its size
                 square = float(np.sum(reached[in_family] ** 2))
                 growth[f] = np.sqrt(square / determined)
                 if sizes[f] * growth[f] < 1.0:

@@ -1,6 +1,6 @@
 """The best rigid transform between two sets of points, and a point from its distances.
 
-The best rigid transform: R, t that make
+The best rigid transform has R, t that make
 
     sum |q_i - (R p_i + t)|^2
 
@@ -11,7 +11,7 @@ are not on one line.
 
 References: kabsch1976, umeyama1991.
 
-Position of a point whose distances from known points were measured, without a first guess.
+The position of a point follows from measured distances to known points without a first guess.
 
 For points p_k with centroid p0, q_k = p_k - p0, the unknown centre p0 + x and distances d_k that all may be too long by
 one unknown length o, |q_k - x| = d_k - o; squares minus their mean are linear in x and o:
@@ -19,9 +19,8 @@ one unknown length o, |q_k - x| = d_k - o; squares minus their mean are linear i
     2 q_k . x  -  2 (d_k - mean d) o   =   (|q_k|^2 - d_k^2) - mean
 
 Points in one plane (or on one line) leave x open across it but for its length: |x|^2 = mean of (d_k - o)^2 - |q_k|^2.
-That gives two mirror images; nothing but a first guess tells them apart.
-
-Errors of the points and distances are not weighed as they should be: the answer is a first value for a fit.
+That gives two mirror images; only a first guess distinguishes them.
+Errors of the points and distances are not weighted: the result is a first value for a fit.
 """
 
 from __future__ import annotations
@@ -31,9 +30,9 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
 
-_DETERMINED = 1e-3  # singular values below this part of the largest tell nothing
+_DETERMINED = 1e-3  # singular values below this part of the largest count as zero
 _SMALLEST = 1e-9  # length below which there is none [m]
-_AS_GOOD = 2.0  # misses within this factor of the smallest do not tell mirror images apart
+_AS_GOOD = 2.0  # misses within this factor of the smallest do not distinguish mirror images
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
@@ -65,12 +64,11 @@ def rotations_by(vectors: FloatArray) -> FloatArray:
 
 
 def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatArray:
-    """Return where a point is that has these distances from points, (3,) [m].
+    """Return the position (3,) [m] of a point at these lengths (n,) [m] from points (n, 3) [m].
 
     Args:
-        points: (n, 3) [m].
-        lengths: (n,) [m].
-        near: A place near it: decides between mirror images, and stands for what nothing tells, (3,) [m].
+        points, lengths: The known points, and the distances from them.
+        near: A place near it, (3,) [m]: it decides between mirror images, and stands in where nothing is determined.
     """
     middle = points.mean(axis=0)
     q = points - middle
@@ -93,7 +91,7 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
 
 
 def _perpendicular_vector(directions: FloatArray, near: FloatArray, square: float) -> FloatArray:
-    """The vector across determined directions (k, 3) that has this squared length and points where `near` (3,) is."""
+    """The vector perpendicular to determined directions (k, 3) with this squared length, on the side of `near` (3,)."""
     across = near - directions.T @ (directions @ near)
     if len(directions) == 2:
         across = np.cross(directions[0], directions[1]) * (
@@ -108,8 +106,7 @@ def common_offset(points: FloatArray, distances: FloatArray, near: FloatArray, o
     """Return the length o by which all distances from a point are too long [m].
 
     Args:
-        points: (n, 3) [m].
-        distances: (n,) [m].
+        points, distances: The known points (n, 3) [m], and the distances from them (n,) [m].
         near: A place near the point, (3,) [m].
         offset: Value of o where nothing determines it [m].
     """

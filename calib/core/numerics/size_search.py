@@ -1,25 +1,25 @@
 """Sizes of a mixed model: the likeliest ones, and others that the rows do not exclude.
 
-Prior. A family that is there is about as large as is expected, s = 1: its size has a half-Cauchy density, 1 / (1 + s^2)
-(gelman2006), which lets sizes grow where rows ask for it. That of noise and of d is flat.
+Prior. The size of a family has a half-Cauchy density, 1 / (1 + s^2), around the expected s = 1 (gelman2006), which lets
+sizes grow where rows demand it. The density of noise and of d is flat.
 
-Search. Newton's steps on the logarithms of the sizes with the average information (`calib.core.numerics.mixed_model`),
-which is positive; the curvature of the prior is added. A step that does not lower the cost is damped (Levenberg,
-Marquardt) and tried again. From one start: families half as large as is expected, noise and scatter each a part of what
-flat columns leave. A size falls to no less than its bound, which is as good as zero.
+Search. Newton's steps on the logarithms of the sizes use the average information (`calib.core.numerics.mixed_model`),
+which is positive, plus the curvature of the prior. A step that does not lower the cost is damped (Levenberg, Marquardt)
+and tried again. The one start has families half as large as expected, and noise and scatter each a part of the
+residuals that flat columns leave. A size falls to no less than its bound, which is as good as zero.
 
-Others. The likelihood is even in every size s: a family that is not there has its maximum at s = 0, where log s has no
-scale. So the posterior is approximated by a normal one in s itself, and drawn sizes are turned to positive ones. With I
-Fisher's information of the logarithms and g the gradient of -log L,
+Draws. The likelihood is even in every size s: an absent family has its maximum at s = 0, where log s has no scale. So
+the posterior is approximated by a normal one in s itself, and drawn sizes are made positive. With I Fisher's
+information of the logarithms and g the gradient of -log L,
 
     information of s   =   I / s^2  +  max(g, 0) / s^2  +  2 / (1 + s^2)^2
 
-the first for a size that rows show, the second for one that they exclude (there, g / s^2 is the slope by s^2 / 2, which
-stays finite), the third of the prior. Noise and d have no prior; but neither is larger than what would explain all that
-is left, which takes its place.
+the first term for a size that rows show, the second for a size that they exclude (there, g / s^2 is the slope by
+s^2 / 2, which stays finite), the third for the prior. Noise and d have no prior, but neither exceeds the value that
+would explain all residuals, which takes its place.
 
-When it fails. Two families of columns that are alike share what is there, or one has all of it: the posterior has two
-maxima, and this finds one.
+When it fails. Two families of similar columns share their effect, or one has all of it: the posterior has two maxima,
+and this finds one.
 
 Reference: gelman2006; patterson1971.
 """
@@ -44,7 +44,7 @@ _AT_BOUND = 1e-9  # difference of a logarithm from its bound
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
 _STANDS = 0.03  # gradient of twice the cost by a logarithm at which a size is found
-_GAIN = 5e-4  # least fall of the cost by a step that is worth another one
+_GAIN = 5e-4  # least fall of the cost for which the search continues
 _ROUNDS = 80
 _HOPELESS = 1e6  # damping beyond which no step lowers the cost
 
@@ -53,9 +53,8 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: 
     """Return the model solved with the sizes of the largest posterior density.
 
     Args:
-        model: The model.
         start: Logarithms of the sizes to begin with, (n_sizes,); by the module docstring if not given.
-        absent: Families that are left out, (n_families,): the logarithms of their sizes are -inf; none if not given.
+        absent: Families to leave out, (n_families,): the logarithms of their sizes are -inf; none if not given.
     """
     bounds = _Bounds.from_model(model)
     none = np.zeros(len(bounds.least), dtype=bool)
@@ -85,15 +84,15 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: 
 
 
 def scatter_given_noise(at: SolvedModel) -> float:
-    """Return the scatter, including what rows cannot tell from noise; 0 where they show neither.
+    """Return the scatter d, enlarged by what rows cannot tell from noise; 0 where they show neither.
 
-    Of d^2, rows say that it is normal about the likeliest one, with a standard deviation t, and not negative; if noise
-    was known, with t_0. With p and F the normal density and distribution, its mean is d^2 + e(t), e(t) = t p(d^2 / t) /
-    F(d^2 / t), and
+    By the rows, d^2 is normal about its likeliest value, with a standard deviation t, and not negative; with known
+    noise the deviation would be t_0. With p and F the normal density and distribution, its mean is d^2 + e(t), with
+    e(t) = t p(d^2 / t) / F(d^2 / t), and
 
         d^2 + e(t) - e(t_0)
 
-    counts what noise has to do with it. It is d^2 where noise is stated, and where rows tell the two apart well.
+    counts the confusion with noise. It is d^2 where noise is stated, and where rows distinguish the two well.
     """
     bounds, square = _Bounds.from_model(at.model), float(np.exp(2.0 * at.logs[-1]))
     squares = 2.0 * np.exp(2.0 * at.logs)
@@ -104,7 +103,7 @@ def scatter_given_noise(at: SolvedModel) -> float:
 
 
 def _mean_beyond(value: float, variance: float) -> float:
-    """Return e of `scatter_given_noise`, of a likeliest d^2 and its variance t^2."""
+    """Return e of `scatter_given_noise` for a likeliest d^2 and its variance t^2."""
     std = float(np.sqrt(variance))
     return std * float(np.exp(-0.5 * (value / std) ** 2) / np.sqrt(2.0 * np.pi) / scipy.special.ndtr(value / std))
 
@@ -112,7 +111,7 @@ def _mean_beyond(value: float, variance: float) -> float:
 def _try_step(
     at: SolvedModel, gradient: FloatArray, information: FloatArray, free: BoolArray, bounds: _Bounds, damping: float
 ) -> tuple[SolvedModel | None, float]:
-    """End of a step that lowers the cost, and its damping; None if no step does."""
+    """Solved model after a step that lowers the cost, and its damping; None if no step does."""
     inner = information[np.ix_(free, free)]
     while damping <= _HOPELESS:
         step = np.zeros(len(gradient))
@@ -127,13 +126,7 @@ def _try_step(
 
 
 def draw_sizes(at: SolvedModel, n: int, rng: np.random.Generator) -> FloatArray:
-    """Return logarithms of sizes that the rows do not exclude, (n, n_sizes): draws of the module docstring.
-
-    Args:
-        at: The likeliest ones.
-        n: Number of draws.
-        rng: Generator of the random numbers.
-    """
+    """Return logarithms of n drawn sizes that the rows do not exclude, (n, n_sizes), from the likeliest model."""
     lower = np.linalg.cholesky(information_by_size(at))
     steps = scipy.linalg.solve_triangular(lower.T, rng.standard_normal((len(at.logs), n)), lower=False).T
     bounds = _Bounds.from_model(at.model)
@@ -146,7 +139,7 @@ def least_sizes(model: MixedModel) -> FloatArray:
 
 
 def information_by_size(at: SolvedModel) -> FloatArray:
-    """Return the information about the sizes themselves by the module docstring, (n_sizes, n_sizes)."""
+    """Return the information of the sizes themselves by the module docstring, (n_sizes, n_sizes)."""
     sizes, n = np.exp(at.logs), at.model.n_families
     information = at.information / np.outer(sizes, sizes)
     more = np.maximum(at.gradient, 0.0) / sizes**2
@@ -161,7 +154,8 @@ class _Bounds(ReadOnlyArrays):
 
     Attributes:
         least: A value that is as good as zero.
-        most: Of a family, much more than is expected; of noise and scatter, what explains all that flat columns leave.
+        most: For a family much more than expected; for noise and scatter the value that explains all that flat columns
+            leave.
     """
 
     least: FloatArray
@@ -185,7 +179,7 @@ class _Bounds(ReadOnlyArrays):
 
 
 def _cost(at: SolvedModel) -> float:
-    """Of the posterior."""
+    """-log of the posterior density, up to a constant."""
     return at.cost + float(np.sum(np.log1p(np.exp(2.0 * at.logs[: at.model.n_families]))))
 
 
@@ -198,7 +192,7 @@ def _slope(at: SolvedModel) -> FloatArray:
 
 
 def _curvature(at: SolvedModel) -> FloatArray:
-    """Its second derivatives, (n_sizes,)."""
+    """Second derivatives of the prior's part of the cost, (n_sizes,)."""
     n, curvature = at.model.n_families, np.zeros(len(at.logs))
     squares = np.exp(2.0 * at.logs[:n])
     curvature[:n] = 4.0 * squares / (1.0 + squares) ** 2

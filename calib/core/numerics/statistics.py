@@ -1,9 +1,9 @@
 """The uncertainty of parameters: covariance, intervals and the found noise of a least-squares fit with priors.
 
-Unknowns u = (p - p_expected) / s with scales s (the parameters' sigma). Whitened data rows J u ~ N(r, f^2), each with
-the noise that the fit assumed, f being by how much that was off (1 where it was found from the residuals, about 1 where
-it was stated well), and for parameters that have a prior P u ~ N(0, I) (`calib.core.numerics.prior`: mostly u ~ N(0, 1)
-for each). With T T^T = (J^T J + P^T P)^-1 (`calib.core.numerics.observability`):
+Unknowns are u = (p - p_expected) / s with scales s (the parameters' sigma). Whitened data rows have J u ~ N(r, f^2),
+with f the factor by which the assumed noise was off (1 where it was found from the residuals, about 1 where it was
+stated well). Parameters with a prior have P u ~ N(0, I) (`calib.core.numerics.prior`: mostly u ~ N(0, 1) for each).
+With T T^T = (J^T J + P^T P)^-1 (`calib.core.numerics.observability`):
 
     S = T^T P^T P T                          the share that the priors have in each direction
     effective parameters                     n_eff = trace(I - S)       (the number of free ones without any prior)
@@ -12,28 +12,25 @@ for each). With T T^T = (J^T J + P^T P)^-1 (`calib.core.numerics.observability`)
     covariance of u                          C = T (f^2 (I - S) + S) T^T
 
 E |r|^2 = f^2 (rows - n_eff) holds when the deviations are as large as the priors say; then C is also the posterior
-covariance. Where the noise was stated and the found one differs, C still says how far the estimate scatters. With
-several groups of rows (instruments, or position and orientation), each with its own factor f_g from its own rows,
+covariance. Where the stated noise and the found noise differ, C still gives the scatter of the estimate. With several
+groups of rows (instruments, or position and orientation), each with its own factor f_g from its own rows,
 
     f_g^2 = |r_g|^2 / (rows_g - trace(T^T J_g^T J_g T)),         C = T (sum of f_g^2 T^T J_g^T J_g T + S) T^T
 
-Where the readings of a pose share errors, or poses scatter by more than others, beyond what chance explains, the sum
-between T and its transpose is replaced by how the poses themselves scatter (`calib.core.numerics.clusters`).
+Where the readings of a pose share errors, or some poses scatter more than others, beyond chance, the sum between T and
+its transpose is replaced by the scatter of the poses themselves (`calib.core.numerics.clusters`).
+`calib.core.numerics.prior_sizes` adds to C where the size of some priors was found from the same data.
+`calib.core.fitting.robust` gives f and its counterpart in C with a robust loss.
+`calib.core.fitting.curvature` adds to the variance in intervals where readings see a direction that only a prior holds,
+beyond the linear model. That is no part of C, nor of std; it takes longer than all the rest, so that it is computed
+with the first intervals.
 
-Where the size of some priors was found from the same data, `calib.core.numerics.prior_sizes` says what that adds to C.
+Intervals are value +- t std, widened as above, with Student's t at 97.5 % and the degrees of freedom above, because the
+noise is found from the same residuals; with the degrees of freedom of the scatter of poses, where that counts and they
+are fewer. The data decide the share 1 - C_kk of a parameter (prior variance 1): near 1 the measurements know the value,
+near 0 the prior holds it.
 
-A robust loss changes what a residual tells: see `calib.core.fitting.robust`, which gives f and its counterpart in C.
-
-What readings see of a direction that only a prior holds bends with it: `calib.core.fitting.curvature` says what that
-adds to the variance in intervals. It is no part of C, nor of std; it takes longer than all the rest, so that it is
-computed with the first intervals.
-
-Intervals are value +- t std, widened as said, with Student's t at 97.5 % and the degrees of freedom above, because the
-noise is found from the same residuals; with those of the scatter of poses, where that counts and they are fewer. The
-part of a parameter that the data decide is 1 - C_kk (prior variance 1): near 1 the measurements know the value, near 0
-the prior holds it.
-
-When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from visit to
+When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from pose to
 pose. Errors that the model leaves out are not noise: `calib.core.judging.residual_patterns` tests for them.
 
 Reference: jcgm100 (GUM), sections 4.2 and G.3; tarantola2005, section 3.2, for the resolution.
@@ -69,13 +66,13 @@ _ENOUGH = 0.5  # degrees of freedom of a group below which its own rows say noth
 
 @dataclass(frozen=True, eq=False)
 class Factors(ReadOnlyArrays):
-    """Factors by which the assumed noise is off, by the residuals.
+    """Factors on the assumed noise, from the residuals.
 
     Attributes:
         values: f of each group of rows, (n_groups,).
         freedom: Degrees of freedom of each group, (n_groups,).
-        effective: Noise that gives the scatter of the parameters, in place of f in C; `values`, except with a robust
-            loss, (n_groups,).
+        effective: Factor for the scatter of the parameters, in place of f in C, (n_groups,); `values`, except with a
+            robust loss.
         slope: Weight of the data against priors, over that without a robust loss; 1 without one.
     """
 
@@ -91,18 +88,14 @@ class Factors(ReadOnlyArrays):
 
 
 class BeyondLinear:
-    """Mean square error of parameters beyond the linear model, computed at first use.
-
-    Args:
-        compute: Returns it, (n_free,) [m^2, rad^2].
-    """
+    """Mean square error of parameters beyond the linear model, (n_free,) [m^2, rad^2], computed at first use."""
 
     def __init__(self, compute: Callable[[], FloatArray]) -> None:
         self._compute = compute
 
     @cached_property
     def values(self) -> FloatArray:
-        """The excess, (n_free,) [m^2, rad^2]."""
+        """The mean square errors, (n_free,) [m^2, rad^2]."""
         values = one_blas_thread(self._compute)()
         hold(values)
         return values
@@ -120,14 +113,14 @@ class Statistics(ReadOnlyArrays):
     """Uncertainty of the free parameters.
 
     Attributes:
-        factors: Factors on the assumed noise, by the residuals.
+        factors: Factors on the assumed noise, from the residuals.
         freedom: Degrees of freedom, rows minus effective parameters.
         covariance: Covariance of the free parameters, (n_free, n_free) [m, rad].
-        std: Their standard deviations, (n_free,) [m, rad].
+        std: Standard deviations, (n_free,) [m, rad].
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
         effective_parameters: Number of parameters that the data decide, n_eff of the module docstring.
-        poses: Common scatter of the readings of each pose; None: they are independent.
-        beyond_linear: Their errors beyond the linear model, part of `half_width` alone; None for none.
+        poses: Common scatter of the readings of each pose; None if readings are independent.
+        beyond_linear: Errors beyond the linear model, which enter `half_width` only; None for none.
         wider: Further factor on standard deviations and intervals, (n_free,).
     """
 
@@ -143,7 +136,7 @@ class Statistics(ReadOnlyArrays):
 
     @cached_property
     def half_width(self) -> FloatArray:
-        """Half the 95 % interval of each, (n_free,) [m, rad]."""
+        """Half the 95 % interval of each parameter, (n_free,) [m, rad]."""
         beyond = 0.0 if self.beyond_linear is None else self.beyond_linear.values
         half = self.wider * self.coverage_factor * np.sqrt((self.std / self.wider) ** 2 + beyond)
         hold(half)
@@ -151,7 +144,7 @@ class Statistics(ReadOnlyArrays):
 
     @property
     def shared_scatter(self) -> Scatter | None:
-        """Scatter of poses, where it is larger than that of independent readings; else None."""
+        """Scatter of poses, where it is larger than that of independent readings beyond chance; else None."""
         return _scatter_beyond_chance(self.poses)
 
     @property
@@ -169,13 +162,13 @@ class Statistics(ReadOnlyArrays):
         return replace(self, std=factor * self.std, wider=factor * self.wider)
 
     def with_more(self, variances: FloatArray) -> Statistics:
-        """Return the statistics with standard deviations and intervals that include further variances, (n_free,)."""
+        """Return the statistics with further variances (n_free,) in standard deviations and intervals."""
         std = np.sqrt(self.std**2 + variances)
         wider = np.divide(std, self.std, out=np.ones_like(std), where=self.std > 0)
         return replace(self, std=std, wider=wider * self.wider)
 
     def correlations(self) -> FloatArray:
-        """Return the correlation coefficients of the free parameters, (n_free, n_free); NaN where nothing scatters."""
+        """Return the correlation coefficients of the free parameters, (n_free, n_free); NaN without scatter."""
         with np.errstate(divide="ignore", invalid="ignore"):
             unit = self.covariance / self.std / self.std[:, None]
         return np.clip(unit, -1.0, 1.0)
@@ -189,15 +182,15 @@ def status(data_share: float, relative_std: float, *, prior: bool, placement: bo
     """Return the source of a free parameter's value.
 
     With a prior: `identified`, `partly` or `prior`, by the share of the prior's variance that the data removed. Without
-    one the measurements alone decide, so that only their precision can be judged: `identified` where the same share of
-    the expected error's variance is gone, `weak` where they say little more than the drawing. An unknown place of base
-    or target has neither a prior nor a drawing to compare with: `placed`.
+        a
+    prior: `identified` where the same share of the expected error's variance is gone, else `weak`. A parameter of an
+    unknown place of base or target has no expected error either: `placed`.
 
     Args:
         data_share: The attribute of `Statistics`.
         relative_std: Standard deviation over the sigma of the description.
         prior: Whether the parameter has a prior.
-        placement: Whether it is part of an unknown place of base or target.
+        placement: Whether it belongs to an unknown place of base or target.
     """
     if prior:
         return "identified" if data_share >= DECIDED_BY_DATA else "prior" if data_share <= _BY_PRIOR else "partly"
@@ -212,7 +205,7 @@ class ChiSquare:
 
     Attributes:
         value: |r|^2 of whitened residuals.
-        freedom: Its mean if the statement is right.
+        freedom: Mean of `value` if the statement is right.
         p_larger, p_smaller: Chance of a value at least as large, or as small, if the statement is right.
     """
 
@@ -223,7 +216,7 @@ class ChiSquare:
 
 
 def chi_square(factor: float, freedom: float) -> ChiSquare:
-    """Compare a found noise with the stated one; `factor` is their ratio."""
+    """Compare the found noise with the stated noise; `factor` is their ratio."""
     value = freedom * factor**2
     return ChiSquare(
         value, freedom, float(scipy.special.chdtrc(freedom, value)), float(scipy.special.chdtr(freedom, value))
@@ -231,12 +224,7 @@ def chi_square(factor: float, freedom: float) -> ChiSquare:
 
 
 def prior_shares(known: Information, prior: Prior) -> FloatArray:
-    """Return S of the module docstring, (rank, rank).
-
-    Args:
-        known: Information of rows and priors.
-        prior: Prior of the parameters.
-    """
+    """Return S of the module docstring, (rank, rank), from the information of rows and priors, and the priors."""
     held = prior.times(known.root)
     return held.T @ held
 
@@ -244,18 +232,13 @@ def prior_shares(known: Information, prior: Prior) -> FloatArray:
 def prior_directions(known: Information, prior: Prior) -> tuple[FloatArray, FloatArray]:
     """Return eigenvalues (rank,) and eigenvectors (rank, rank) of S of the module docstring.
 
-    Many eigenvalues are 1 but for rounding: `calib.core.numerics.linalg` says what that does to some methods.
+    Many eigenvalues are 1 up to rounding, which some methods cannot handle (`calib.core.numerics.linalg`).
     """
     return linalg.eigh(prior_shares(known, prior))
 
 
 def effective_parameters(known: Information, prior: Prior) -> float:
-    """Return n_eff of the module docstring: how many parameters the rows decide, not the priors.
-
-    Args:
-        known: Information of rows and priors.
-        prior: Prior of the parameters.
-    """
+    """Return n_eff of the module docstring, the number of parameters that the rows decide and not the priors."""
     return float(known.root.shape[1] - np.trace(prior_shares(known, prior)))
 
 
@@ -266,15 +249,15 @@ def find_factors(
     n_groups: int,
     confirmed: FloatArray | None = None,
 ) -> Factors:
-    """Return the factors by which the assumed noise of each group of rows is off.
+    """Return the factor on the assumed noise of each group of rows.
 
     Args:
         residuals: Whitened, (n_rows,).
-        span: J T of the whitened rows, with T of what these and the priors determine, (n_rows, rank).
+        span: J T of the whitened rows, with T of rows and priors, (n_rows, rank).
         groups: Group of each row, (n_rows,); -1 for rows that were not read.
         n_groups: Number of groups.
-        confirmed: With how many degrees of freedom the assumed noise was confirmed before, (n_groups,); these count
-            like readings whose residuals are as large as assumed.
+        confirmed: Degrees of freedom with which the assumed noise was confirmed before, (n_groups,); they count like
+            readings whose residuals are as large as assumed.
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
@@ -284,7 +267,7 @@ def find_factors(
     if confirmed is not None:
         squares, freedom = squares + confirmed, freedom + confirmed
     require_freedom(float(np.sum(freedom)), int(np.sum(groups >= 0)))
-    total = np.sum(squares) / np.sum(freedom)  # a group whose own rows say nothing about it
+    total = np.sum(squares) / np.sum(freedom)  # for a group whose own rows say nothing about its noise
     factor = np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
     return Factors(factor, freedom, factor)
 
@@ -306,12 +289,11 @@ def statistics(
         span: J T of the whitened rows, with T of `known`, (n_rows, rank).
         groups: Group of each row, (n_rows,); -1 for rows that were not read.
         known: Information of these rows (times the root of `factors.slope`) and of the priors.
-        factors: Factors on the noise, by the residuals.
+        factors: Factors on the noise, from the residuals.
         scales: s of the module docstring, (n_free,) [m, rad].
         prior: Prior of the parameters.
-        poses: Common scatter of the readings of each pose; None: they are independent.
+        poses, beyond_linear: Attributes of the result.
         by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
-        beyond_linear: Errors of parameters beyond the linear model; nothing if not given.
     """
     root = known.root
     share = prior_shares(known, prior)
@@ -319,7 +301,7 @@ def statistics(
     shared = _scatter_beyond_chance(poses)
     if shared is not None:
         core += shared.core
-    elif len(factors.effective) == 1:  # the rows have all that the priors have no share in
+    elif len(factors.effective) == 1:  # the rows have all that is not the share of the priors
         core += factors.slope * factors.effective[0] ** 2 * (np.eye(len(share)) - share)
     else:
         for part in slices(len(span)):
@@ -330,7 +312,7 @@ def statistics(
     scaled_covariance = root @ core @ root.T
     if by_sizes is not None:
         scaled_covariance = scaled_covariance + by_sizes
-    scaled_covariance = (scaled_covariance + scaled_covariance.T) / 2  # to the last digit
+    scaled_covariance = (scaled_covariance + scaled_covariance.T) / 2  # symmetric to the last digit
     covariance = np.multiply.outer(scales, scales) * scaled_covariance
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(prior.has, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)

@@ -1,4 +1,4 @@
-"""The product of a matrix of very many rows with a small one, computed a part at a time."""
+"""The product of a matrix of very many rows with a small one, computed in parts."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ ROWS_AT_ONCE = 1 << 13
 KEPT = 1 << 15
 """Rows up to which a product is kept."""
 Places = IntArray | slice
-"""Which rows."""
+"""Indices or a slice of rows."""
 
 
 class Span:
-    """U = J T of a tall J (n_rows, n) and a small T (n, k), looked at some rows at a time, and further columns.
+    """U = J T of a tall J (n_rows, n) and a small T (n, k), computed for some rows at a time, and further columns.
 
     Args:
         jacobian: J.
         root: T.
-        more: The further columns, (n_rows, n_more); none if not given.
+        more: Further columns, (n_rows, n_more); none if not given.
     """
 
     def __init__(self, jacobian: FloatArray, root: FloatArray, more: FloatArray | None = None) -> None:
@@ -49,7 +49,7 @@ class Span:
         return known if self.more is None else np.concatenate([known, self.more[rows]], axis=-1)
 
     def with_columns(self, more: FloatArray) -> Span:
-        """Return it with further columns, (n_rows, n_more)."""
+        """Return U with further columns, (n_rows, n_more)."""
         return Span(self.jacobian, self.root, more if self.more is None else np.hstack([self.more, more]))
 
     def times(self, columns: FloatArray) -> FloatArray:
@@ -65,7 +65,7 @@ class Span:
 
 
 def slices(n_rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
-    """Yield slices of rows to be computed together; none of no rows."""
+    """Yield slices of rows to be computed together; none without rows."""
     return (slice(start, min(start + at_once, n_rows)) for start in range(0, n_rows, at_once))
 
 

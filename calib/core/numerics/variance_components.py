@@ -11,15 +11,16 @@ A = J^T V^-1 J + P and Q = V^-1 - V^-1 J A^-1 J^T V^-1, every component V_i of V
     y^T Q V_i Q y = trace(Q V_i)
 
 Each component is repeatedly multiplied by the ratio of the left side to the right side (Förstner's iteration). With one
-group this is sigma^2 = |r|^2 / (rows - effective parameters). Components stay positive; a component that does not exist
-shrinks towards zero.
+group this is sigma^2 = |r|^2 / (rows - effective parameters). Components stay positive; an absent component shrinks
+towards zero.
 
 Shared errors must be significant: they are used only if they raise twice the restricted log-likelihood by more than
-chance does in one data set of a thousand (a chi-square with as many degrees of freedom as there are h_j). Let C have
+chance does in one of a thousand data sets (a chi-square with as many degrees of freedom as there are h_j). Let C have
 the columns tau_j h_j, with the singular value decomposition C = U S V^T pose by pose. Then a function f of the
 covariance I + C C^T is I + U (f(1 + S^2) - 1) U^T.
 
-When it fails. The noise of a group is undetermined if it has fewer rows than parameters that it alone determines.
+When it fails. The noise of a group is undetermined if the group has fewer rows than parameters that it alone
+determines.
 
 Reference: foerstner1979; patterson1971.
 """
@@ -45,7 +46,7 @@ _STANDS = 0.01  # relative change of a shared error at which its iteration ends
 
 
 def require_freedom(freedom: float, n_rows: int) -> None:
-    """Raise `NotIdentifiableError` unless at least one degree of freedom is left of n_rows coordinates."""
+    """Raise `NotIdentifiableError` unless n_rows coordinates leave at least one degree of freedom."""
     if freedom < 1 - 1e-9:
         raise NotIdentifiableError(
             f"{n_rows} measured coordinates for {n_rows - max(freedom, 0.0):.0f} parameters: too few to find the"
@@ -85,7 +86,7 @@ class SharedError:
         return self._stretch(rows, 1.0 / np.sqrt(1.0 + self._values**2))
 
     def unwhiten(self, rows: FloatArray) -> FloatArray:
-        """Return (I + C C^T)^(1/2) rows, (n_rows,) or (n_rows, k): the way back."""
+        """Return (I + C C^T)^(1/2) rows, (n_rows,) or (n_rows, k), the inverse of `whiten`."""
         return self._stretch(rows, np.sqrt(1.0 + self._values**2))
 
     def _stretch(self, rows: FloatArray, factors: FloatArray) -> FloatArray:
@@ -140,14 +141,12 @@ class Components:
 
 
 def find_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Components:
-    """Find the scales without a shared error.
-
-    Only the triangular factor of each group's rows is needed, so that a round costs next to nothing.
+    """Find the scales without a shared error, from the triangular factor of each group's rows.
 
     Args:
         model: The rows, whitened by the stated noise.
         start: Scales to start from, (n_groups,).
-        sought: Whether each scale is to be found, (n_groups,).
+        sought: Mask of the scales to be found, (n_groups,).
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
@@ -193,9 +192,7 @@ def find_components(
     """Find the scales and, if they are significant, errors shared by the rows of each block.
 
     Args:
-        model: The rows, whitened by the stated noise.
-        start: Scales to start from, (n_groups,).
-        sought: Whether each scale is to be found, (n_groups,).
+        model, start, sought: As in `find_scales`.
         columns: Derivative H0 of the rows by the errors, whitened by the stated noise, (n_rows, n_columns).
         block: Block of each row, (n_rows,).
         known: Approximate sizes of errors that are known to be significant, 0 for the others, (n_columns,).

@@ -30,13 +30,7 @@ _SENTENCES = {
 
 
 def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> str:
-    """Return everything as text.
-
-    Args:
-        acceptance: The judgement.
-        figures: Figures of ISO 9283.
-        missing: Reasons for missing figures.
-    """
+    """Return an acceptance as text, with figures of ISO 9283 and reasons for missing ones."""
     data = acceptance.errors.data
     parts: list[str | Table] = [
         _SENTENCES[acceptance.verdict].format(detectable=acceptance.detectable),
@@ -66,13 +60,13 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
 
 
 def plan_report(changes: Sequence[Change], data: str, n: int) -> str:
-    """Return as text the smallest changes that n poses of a file will show."""
+    """Return as text the smallest changes that n poses of a file show."""
     title = f"Smallest changes that {count_noun(n, 'pose')} of {data} show with a chance of {100 * POWER:.0f} %"
     return plain_text([title, _changes(changes, with_values=False)], _WIDTH, wrap=True).rstrip()
 
 
 def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> dict[str, object]:
-    """Return everything as data for JSON, in mm, deg, and mrad for angles of ISO 9283; unknown numbers are None."""
+    """Return an acceptance as data for JSON, in mm, deg, and mrad for angles of ISO 9283; unknown numbers are None."""
     data = acceptance.errors.data
     return as_data(
         {
@@ -134,7 +128,7 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
 
 
 def _errors(acceptance: Acceptance) -> list[str]:
-    """Measured over expected errors: the ratio that decides, and both in millimetres."""
+    """Measured over expected errors: the ratio of the verdict, and both in millimetres."""
     lines = [
         f"Residuals are {acceptance.ratio:.3f} times as large as expected, each direction weighted by its uncertainty."
         f" If the robot is unchanged, that is between {acceptance.low95:.2f} and {acceptance.high95:.2f} in 95 of 100"

@@ -1,7 +1,7 @@
 """Nested data with arrays as one binary file: a zip of NumPy arrays (`numpy.load` reads it), without pickle.
 
-Entry `content` is JSON in UTF-8. An array in it is `{"array": k}`, and stands in the entry named k. The zip has a
-checksum of every entry, so that a damaged file is never read as other numbers.
+Entry `content` is JSON in UTF-8. An array in it is `{"array": k}`, stored in the entry named k. The zip has a checksum
+of every entry, so that a damaged file is never read as other numbers.
 """
 
 from __future__ import annotations
@@ -28,11 +28,7 @@ def array_file(content: object) -> bytes:
 
 
 def read_array_file(file: bytes) -> Any:
-    """Return what `array_file` was given; sequences as lists.
-
-    Raises:
-        ValueError: The file is damaged, or another one.
-    """
+    """Return the content that `array_file` wrote, sequences as lists, or raise `ValueError` if it is damaged."""
     try:
         with np.load(io.BytesIO(file), allow_pickle=False) as entries:
             content = json.loads(entries[_CONTENT].tobytes())
@@ -42,7 +38,7 @@ def read_array_file(file: bytes) -> Any:
 
 
 def _without_arrays(value: Any, arrays: list[NDArray[Any]]) -> Any:
-    """The value with arrays replaced by their places, and appended to `arrays` unless they are there."""
+    """The value with arrays replaced by their indices, and appended to `arrays` unless they are there."""
     if isinstance(value, np.ndarray):
         known = next((k for k, array in enumerate(arrays) if array is value), len(arrays))
         if known == len(arrays):

@@ -1,24 +1,24 @@
-"""Results side by side: parameters with their intervals, errors, and which differences are real.
+"""Results side by side: parameters with their intervals, errors, and the real differences.
 
-Two fits a and b of robots with the same true parameters x, from measurements of their own, err by
+Two fits a and b of robots with the same true parameters x, from independent measurements, have the errors
 
     v_a - x = S_a (J_a^T e_a - L (x - m))        and the same for b,
 
 with covariances S, noise e, and the prior of both: mean m and precision L (zero where there is none). Noise of
-different measurements is independent; what the shared prior pulls is not. So their difference has the covariance
+different measurements is independent; the pull of the shared prior is not. So their difference has the covariance
 
     V = S_a + S_b - S_a L S_b - S_b L S_a
 
-and not S_a + S_b, with which parameters that lean on the prior would never differ. Each difference is compared with its
-standard deviation by Student's t, with the degrees of freedom of Welch and Satterthwaite; Holm's step-down then keeps
-the chance that any one difference is called real without being so below 5 %, over all pairs of results, however the
-parameters are correlated. All together are tested by Hotelling's T^2, which sees differences that correlated parameters
-hide from each other, again with Holm's step-down over all pairs. Places (of base, targets, instruments) count there
-with whatever they are: a tracker that stood up elsewhere is not a change of the robot.
+and not S_a + S_b, with which parameters that depend on the prior would never differ. Each difference is compared with
+its standard deviation by Student's t, with the degrees of freedom of Welch and Satterthwaite; Holm's step-down then
+keeps the chance of any false difference below 5 %, over all pairs of results, however the parameters are correlated.
+All together are tested by Hotelling's T^2, which detects differences that correlated parameters hide from each other,
+again with Holm's step-down over all pairs. Places (of base, targets, instruments) are left out there: a tracker that
+was set up elsewhere is not a change of the robot.
 
 When it fails. Fits that used the same readings share their noise: these are not tested. Where errors are systematic
-(verdict CHECK) the covariances are too small, and too much is called real. A parameter held in one of the fits moves
-others. Priors with a size that was found, or not the same in both, count as none, which finds less.
+(verdict CHECK) the covariances are too small, and too many differences count as real. A parameter held in one of the
+fits moves others. Priors with a found size, or not the same in both, count as none, which finds less.
 
 Reference: holm1979, satterthwaite1946.
 """
@@ -47,7 +47,7 @@ from calib.core.results.result_content import to_dict
 from calib.core.results.result_reading import load_result
 from calib.core.robots.robot import Robot
 
-_OWN = 1e-3  # part of the variance of both above which a difference is more than the prior leaves of it
+_OWN = 1e-3  # part of the variance of both above which a difference does not come from the prior alone
 _ERRORS = {
     "validation": "readings that it did not use",
     "cross_validation": "poses left out in turn",
@@ -117,7 +117,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
         if geometry(found.robot) != geometry(of_first.robot):
             raise DataError(f"{found.path}: is the result of another robot than {of_first.path}; their URDFs differ")
     pairs = list(combinations(loaded, 2))
-    notes: dict[str, list[str]] = {}  # pairs by what is to say of them
+    notes: dict[str, list[str]] = {}  # pairs by their note
     for first, other in pairs:
         for note in _notes(first, other):
             notes.setdefault(note, []).append(f"{first.name} and {other.name}")
@@ -160,11 +160,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
 
 
 def holm(p_values: FloatArray) -> FloatArray:
-    """Return p-values corrected for their number by Holm's step-down; NaN, no test, stays NaN.
-
-    Args:
-        p_values: (n,).
-    """
+    """Return p-values (n,) corrected for their number by Holm's step-down; NaN, no test, stays NaN."""
     result = np.full(len(p_values), np.nan)
     tested = np.flatnonzero(np.isfinite(p_values))
     order = tested[np.argsort(p_values[tested])]
@@ -174,12 +170,7 @@ def holm(p_values: FloatArray) -> FloatArray:
 
 
 def difference_covariance(first: FloatArray, second: FloatArray, precision: FloatArray) -> FloatArray:
-    """Return V of the module docstring, (n, n).
-
-    Args:
-        first, second: Covariances of the two, (n, n).
-        precision: Precision of the prior that they share, (n,); 0 for none.
-    """
+    """Return V of the module docstring, (n, n), from covariances (n, n) and the precision (n,) of the shared prior."""
     shared = first @ (precision[:, None] * second)
     return first + second - shared - shared.T
 
@@ -191,7 +182,7 @@ def _fitted(fit: Fit, name: str) -> _Result:
 
 
 def geometry(robot: Robot) -> list[tuple[object, ...]]:
-    """Return what robots of one model share: names, links and origins of all joints of the URDF."""
+    """Return the common properties of robots of one model: names, links and origins of all joints of the URDF."""
     return [(joint.name, joint.parent, joint.child, tuple(joint.xyz), tuple(joint.rpy)) for joint in robot.urdf.joints]
 
 
@@ -221,7 +212,7 @@ def _notes(first: _Result, other: _Result) -> list[str]:
 
 
 def _p_values(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
-    """p-values by name, not corrected, and that of all together."""
+    """p-values by name, not corrected, and the p-value of all together."""
     common = [name for name in first.free if name in other.free]
     if _why_not(first, other) or not common:
         return {}, np.nan
@@ -247,7 +238,7 @@ def _p_values(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
 
 
 def _common_parameters(result: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Values, covariance, and sigmas of priors that are known beforehand (NaN: none) of these free parameters [SI]."""
+    """Values, covariance, and known sigmas of priors (NaN: none) of these free parameters [SI]."""
     place = [result.free.index(name) for name in common]
     values = result.loaded.robot.values[[index_of(result.loaded.robot.parameters, name) for name in common]]
     sigma = np.array(
@@ -259,9 +250,9 @@ def _common_parameters(result: _Result, common: Sequence[str]) -> tuple[FloatArr
 def _errors(
     results: Sequence[_Result],
 ) -> tuple[tuple[float, ...], str, tuple[str, ...], tuple[FloatArray, ...]]:
-    """Root mean square errors of each, on the readings that none used and all were judged by, if there are any.
+    """Root mean square errors of each, if possible on readings that none used and all predicted.
 
-    With their unit, on which readings, and the sizes on those readings.
+    They come with their unit, their readings, and the sizes of errors on common readings.
     """
     unit = results[0].loaded.content["instruments"][0]["parts"][0]["unit"]
     unseen = [result.readings.get("validation", {}) for result in results]

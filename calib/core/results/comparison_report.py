@@ -1,7 +1,4 @@
-"""The page of a comparison of results: parameters with their intervals, errors, and the real differences.
-
-`calib.core.results.comparing_results` makes it, and derives its tests.
-"""
+"""The page of a comparison of results, which `calib.core.results.comparing_results` makes."""
 
 from __future__ import annotations
 
@@ -24,10 +21,9 @@ class Difference:
     """One parameter in the results.
 
     Attributes:
-        name: Its name.
-        rows: Its row in `result.json` of each result, in its unit; None where it has no such parameter.
-        p_values: Chance of a difference to the first result as large as this, for each of the others, corrected for
-            the number of tests of all pairs; NaN where there is no test.
+        rows: Its row in `result.json` of each result, in its unit; None without such a parameter.
+        p_values: Chance of so large a difference to the first result, for each of the others, corrected for the number
+            of tests of all pairs; NaN where there is no test.
     """
 
     name: str
@@ -47,8 +43,8 @@ class Pair:
     Attributes:
         names: Names of the two.
         real: Parameters of the robot that differ.
-        moved: The same of places: where base, targets or instruments stand.
-        together: p-value of all parameters of the robot together, places left out, corrected for the number of pairs;
+        moved: Places of base, targets or instruments that differ.
+        together: p-value of all parameters of the robot together, without places, corrected for the number of pairs;
             NaN where there is no test.
         tested: Whether any parameter was tested.
     """
@@ -60,7 +56,7 @@ class Pair:
     tested: bool = True
 
     def sentence(self) -> str:
-        """Say what differs."""
+        """Return a sentence on the differences."""
         if not self.tested:
             return f"{' and '.join(self.names)}: not tested."
         if np.isnan(self.together):  # places alone were sought
@@ -82,17 +78,17 @@ class ResultComparison:
     """Results side by side, compared in pairs.
 
     Attributes:
-        names: Parts of the folders' names that differ; `fit 1` of a fit.
-        folders: Folders of the results, as they were given; None of a fit.
+        names: Parts of the folders' names that differ; `fit 1` for a fit.
+        folders: Folders of the results, as the caller wrote them; None for a fit.
         verdicts, n_poses: Verdict and number of poses of each.
-        errors: Root mean square error after calibration of each, on readings not used where there are any.
+        errors: Root mean square error after calibration of each, on unused readings where there are any.
         unit: Unit of these errors.
-        errors_on: On which readings each was found.
-        sizes: Size of the error of each reading after calibration, in that unit, of each result on the same readings
-            that none of them used; empty where there are none.
+        errors_on: Readings of each error.
+        sizes: Error of each reading after calibration, in that unit, of each result on common readings that none of
+            them used; empty where there are none.
         differences: One for each parameter.
         pairs: Differences of the two results of each pair, pairs with the first result first.
-        notes: Remarks for users of it.
+        notes: Remarks for users.
     """
 
     names: tuple[str, ...]
@@ -120,7 +116,7 @@ class ResultComparison:
         return self.report()
 
     def report(self) -> str:
-        """Return the comparison as text: what differs, then a table of it, the surest differences first."""
+        """Return the comparison as text: the differences in words, then a table of them, the surest first."""
         heads = [
             f"{name}: {verdict}, {poses} poses, {error:.4g} {self.unit} RMS on {where}"
             for name, verdict, poses, error, where in zip(
@@ -147,14 +143,14 @@ class ResultComparison:
         return plain_text(["\n".join([*answer, "", *heads]) + "\n", table, *lines, key], _WIDTH, wrap=True)
 
     def rank_differences(self) -> list[Difference]:
-        """Return the differences that were tested, the surest first; if none was, all, the least alike first."""
+        """Return the tested differences, the surest first; without tests all, the least alike first."""
         tested = [difference for difference in self.differences if np.any(np.isfinite(difference.p_values))]
         if not tested:
             return sorted(self.differences, key=lambda difference: -_distance_in_half_widths(difference))
         return sorted(tested, key=lambda difference: np.nanmin([*difference.p_values, 2.0]))
 
     def conclusion(self) -> str:
-        """Return which differences are real: a line for each two results, and one that says what is marked."""
+        """Return a line on the real differences of each two results, and a key of the marks."""
         key = f"Marked *: differs from {self.names[0]}; values ± 95 %; p corrected, real below {HARDLY:g}."
         return "\n".join([*(pair.sentence() for pair in self.pairs), key])
 

@@ -1,4 +1,4 @@
-"""A result folder as an object, with the names that a fit has; and predictions of either."""
+"""A result folder as an object with the same names as a fit; and predictions of either."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ class CalibratedRobot:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LoadedResult(HintedObject, CalibratedRobot):
-    """A fit that was saved.
+    """A saved fit.
 
     Attributes:
         path: Its folder.
-        nominal: The robot as it was described to the fit.
+        nominal: The robot as described to the fit.
         robot: The calibrated robot.
         content: Content of its `result.json`, in mm and degrees, as the fit wrote it.
         saved: The saved fit of the folder (`calib.core.results.saved_fit`).
@@ -86,10 +86,10 @@ class LoadedResult(HintedObject, CalibratedRobot):
 
     @cached_property
     def fit(self) -> JudgedFit:
-        """The fit: its model evaluated where it ended, with its measurements.
+        """The fit: its model evaluated at the saved values, with its measurements.
 
         Raises:
-            ComputationError: It does not come back from the folder.
+            ComputationError: The fit cannot be restored from the folder.
             DataError: An earlier version wrote the folder, without measurements.
         """
         return evaluate_fit(self.nominal, self.saved["fit"], self.path)
@@ -106,16 +106,12 @@ class LoadedResult(HintedObject, CalibratedRobot):
 
     @property
     def joints(self) -> FloatArray:
-        """Joint values of the visits that the fit used, (n, n_actuated) [m or rad]."""
+        """Joint values of the used visits, (n, n_actuated) [m or rad]."""
         return self.fit.identification.data.joints
 
     @property
     def verdict(self) -> Verdict:
-        """PASS, CHECK or FAIL, with reasons, as in the fit.
-
-        Raises:
-            DataError: The folder does not hold it.
-        """
+        """PASS, CHECK or FAIL, with reasons, as in the fit; `DataError` if the folder does not hold it."""
         try:
             return Verdict.from_dict(self.content["verdict"])
         except (KeyError, TypeError, ValueError):
@@ -123,15 +119,12 @@ class LoadedResult(HintedObject, CalibratedRobot):
 
     @property
     def rms(self) -> float:
-        """Root mean square error after calibration [m; rad or px where no positions are measured].
-
-        At poses that were not used, if there are any; see `calib.core.fitting.fitted.Fit.rms`.
-        """
+        """Root mean square error after calibration, as `Fit.rms` [m; rad or px where no positions are measured]."""
         return self.fit.rms
 
     @property
     def sigma(self) -> float:
-        """Noise of one measured position per axis, as found [m]; of the first kind of rows where none are [SI]."""
+        """Found noise of one measured position per axis [m]; of the first kind of rows without positions [SI]."""
         sigma = self.content["sigma"]
         return np.nan if sigma is None else float(sigma)
 
@@ -177,11 +170,11 @@ class LoadedResult(HintedObject, CalibratedRobot):
 
     @property
     def errors(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Errors `before` and `after` of the poses that were used and of those that were not, in mm for positions."""
+        """Errors `before` and `after` at used and unused poses, in mm for positions."""
         return dict(self.content["errors"])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything that was found, in mm and degrees: the content of `result.json`."""
+        """Return the content of `result.json`, in mm and degrees."""
         return dict(self.content)
 
     def to_dataframe(self) -> Any:
@@ -189,8 +182,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
         return self.parameters.to_dataframe()
 
     def held_by(self, holds: Holds) -> tuple[Robot, ParameterUncertainty]:
-        """Return the robot for a kind of file (`calib.core.robots.accuracy_of_files`), with the uncertainty of its
-        parameters.
+        """Return the robot for a kind of file (`calib.core.robots.accuracy_of_files`), with its uncertainty.
 
         Raises:
             ComputationError: An earlier version wrote the result, and files lose joint terms that it has.
@@ -200,7 +192,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
         return robot, self._uncertainty_of(robot)
 
     def _uncertainty_of(self, robot: Robot) -> ParameterUncertainty:
-        """Uncertainty of parameters, of a fit that ended at these values."""
+        """Uncertainty of the parameters of a fit that ended at a robot's values."""
         if np.array_equal(robot.values, self.robot.values):
             return self.uncertainty
         for entry in self.saved["fit"]["reduced"].values():
@@ -209,9 +201,9 @@ class LoadedResult(HintedObject, CalibratedRobot):
         raise DataError(f"{self.path}: has no covariance of the robot that such a file gets; take another format")
 
     def readings(self) -> dict[str, dict[bytes, float]]:
-        """Return the readings of each set, by joint values and what was read there, with their squared errors.
+        """Return the squared error of each reading of each set, by joint values and reading.
 
-        Errors are those of the first part of the first instrument, in its unit of errors; NaN of other parts.
+        Errors are those of the first part of the first instrument, in its unit of errors; NaN for other parts.
         """
         sets = {"identification": self.fit.identification, "validation": self.fit.validation}
         return {name: _squared_errors(errors) for name, errors in sets.items() if errors is not None}
@@ -237,7 +229,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
 
 
 def reading_keys(instrument: str, joints: FloatArray, values: FloatArray) -> list[bytes]:
-    """Return a key of each reading of an instrument, the same where a reading is the same.
+    """Return a key of each reading of an instrument, equal for equal readings.
 
     Args:
         instrument: Its name.
@@ -266,7 +258,7 @@ def predict(calibrated: RobotLike | Fit | LoadedResult, poses: PosesLike) -> Pos
     """Predict positions of all targets, loops closed.
 
     Args:
-        calibrated: A fit or a loaded result. Or a robot alone: then the covariance is NaN.
+        calibrated: A fit, a loaded result, or a robot alone, whose covariance is NaN.
         poses: Poses, with their conditions (load, temperature, time); or actuated joints alone, (n, n_actuated)
             [m or rad].
 

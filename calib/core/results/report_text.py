@@ -1,4 +1,4 @@
-"""The result of a fit as text for a terminal: the answer on one screen, or all of it."""
+"""The result of a fit as text for a terminal: a summary on one screen, or all of it."""
 
 from __future__ import annotations
 
@@ -26,10 +26,9 @@ def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
     """Return a fit as text.
 
     Args:
-        fit: The fit.
         width: Width of the text, in characters.
-        verbose: All reasons, tables and remarks; otherwise the answer on at most 40 lines: the verdict, the errors
-            before and after, and the parameters that changed most.
+        verbose: All reasons, tables and remarks; otherwise at most 40 lines: the verdict, the errors before and after,
+            and the parameters that changed most.
     """
     verdict = judge(fit)
     title = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
@@ -55,11 +54,9 @@ def summary(fit: Fit) -> str:
 
 
 def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
-    """Return the verdict, its claim, its reasons, and what it does not cover, one line each.
+    """Return the verdict, its claim, its reasons, and errors that it does not cover, one line each.
 
-    Args:
-        verdict: The verdict.
-        most: Largest number of reasons; a line then counts the others. All if not given.
+    With `most`, only that many reasons are listed, and a line counts the others.
     """
     claimed = [] if verdict.claim is None else [f"  {verdict.claim.words}"]
     names = {"PASS": "remark"}

@@ -24,17 +24,12 @@ from calib.core.results.sections.parameters import parameter_rows
 from calib.core.results.sections.terms import terms_table
 
 NOMINAL_YAML, NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
-"""Files of a result folder that hold the robot as it was before."""
+"""Files of a result folder with the nominal robot."""
 
 
 @one_blas_thread
 def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
-    """Return the content of `result.json`; see the contract in docs.
-
-    Args:
-        fit: The fit.
-        forced: Whether a failed result is exported all the same.
-    """
+    """Return the content of `result.json`; `forced` says whether a failed result is exported nevertheless."""
     data = fit.identification.data
     return as_data(
         {
@@ -87,6 +82,6 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
 
 
 def comments(fit: Fit) -> list[str]:
-    """Return what the measurement files say about themselves, each line once."""
+    """Return the comment lines of the measurement files, each line once."""
     files = [fit.identification.data] + ([] if fit.validation is None else [fit.validation.data])
     return list(dict.fromkeys(line for data in files for line in data.comments))

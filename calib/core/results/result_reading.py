@@ -39,9 +39,8 @@ def load_result(folder: Path | str, robot: Robot | None = None, *, failed_too: b
     """Load a result folder of `calib fit --out`, or of `save`.
 
     Args:
-        folder: The folder.
         robot: The nominal robot that gets the values of the result; the one in the folder if not given.
-        failed_too: Whether to load a result that failed and was not forced, to look at it.
+        failed_too: Whether to load a result that failed and was not forced.
 
     Raises:
         DataError: The folder holds no result, or a damaged one, or one of another robot.
@@ -77,18 +76,14 @@ def load_result(folder: Path | str, robot: Robot | None = None, *, failed_too: b
 
 
 def read_content(folder: Path | str) -> dict[str, Any]:
-    """Return the content of `result.json` in a folder, as the fit wrote it.
-
-    Raises:
-        DataError: The folder holds no result, or a damaged one.
-    """
+    """Return the content of `result.json` in a folder, or raise `DataError` if it holds no result."""
     saved = read_saved(folder)
     content: dict[str, Any] = version_1.read_content(folder) if saved is None else saved["content"]
     return content
 
 
 def forced_lines(folder: Path | str) -> list[str]:
-    """Return the lines that an exported file must have about its result: none, unless the result failed."""
+    """Return the lines for an exported file about its result: none, unless the result failed."""
     verdict = read_content(folder)["verdict"]
     if verdict["grade"] != "FAIL":
         return []

@@ -1,12 +1,11 @@
-"""The result folder: what a fit found, in files that people and programs read.
+"""The result folder: the results of a fit, in files for people and programs.
 
 `result.json` holds everything in mm and degrees; unknown numbers are null, never zero. It, the tables, the pages and
-`calibrated.urdf` are written for others, and are not read back. What is read back is `fit.npz`
-(`calib.core.results.saved_fit`) and the nominal robot (`nominal.yaml`, `nominal.urdf`): so the folder can be moved, and
-loads like any robot, the same to the last digits, with joint terms and places. A fit with the verdict FAIL is written
-without `calibrated.urdf`, and is not read back as a calibrated robot (`calib.core.results.result_reading`), unless that
-is forced; then the files say so. Nor is `calibrated.urdf` written where it is worse than the nominal robot, unless that
-is forced.
+`calibrated.urdf` are outputs and are not read back. `fit.npz` (`calib.core.results.saved_fit`) and the nominal robot
+(`nominal.yaml`, `nominal.urdf`) are read back: so the folder can be moved, and loads like any robot, the same to the
+last digits, with joint terms and places. A fit with the verdict FAIL is written without `calibrated.urdf`, and is not
+read back as a calibrated robot (`calib.core.results.result_reading`), unless that is forced; then the files say so.
+Unless forced, `calibrated.urdf` is not written either where it is worse than the nominal robot.
 """
 
 from __future__ import annotations
@@ -55,25 +54,24 @@ _NOT_ALWAYS = (_URDF, *_PAGES, *_VERSION_1)
 """Files that a new result replaces or removes."""
 _ALWAYS = ("result.json", SAVED, "parameters.csv", "covariance.csv", "residuals.csv", NOMINAL_YAML, NOMINAL_URDF)
 RESULT_FILES = (*_ALWAYS, *_NOT_ALWAYS)
-"""What a result folder may hold of a fit."""
+"""Files that a result folder may hold of a fit."""
 
 
 @one_blas_thread
 def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[str, bytes] | None = None) -> None:
-    """Write the files of the module docstring, calibrated.urdf, residuals.csv, and pages.
+    """Write the files of the module docstring, and pages.
 
-    A failed fit gets no calibrated.urdf. One that was in the folder, and pages, are removed where they are not written
+    A failed fit gets no `calibrated.urdf`. An old `calibrated.urdf`, and pages, are removed where they are not written
     again.
 
     Args:
-        fit: The fit.
         folder: Folder to write; files of other names in it stay.
-        force: Export a failed fit all the same; its files say so. Replace what this program did not write, too.
+        force: Whether to export a failed fit, with a remark in its files, and to replace files of other programs.
         pages: Further files for people, name -> content.
 
     Raises:
-        InputError: The folder cannot be written, or holds files of these names that this program did not write, or
-            that the fit was made from; what was there is untouched.
+        InputError: The folder cannot be written, or holds files of these names that this program did not write, or from
+            which the fit was made; nothing is changed then.
     """
     verdict = judge(fit)
     failed = verdict.grade == "FAIL"
@@ -123,10 +121,11 @@ def _failure_comment(verdict: Verdict, how: str) -> list[str]:
 
 
 def _residual_table(fit: Fit) -> bytes:
-    """Return CSV: one row per reading: joints, what was read, errors before and after [mm], [mrad], [deg].
+    """Return CSV, one row per reading: joints, reading, errors before and after [mm], [mrad], [deg].
 
-    A cell is empty where there is no number: of readings that were not fitted, of robots without loops. Readings that
-    were left out as outliers are last, in a set of their own.
+    A cell is empty where there is no number: of unfitted readings, of robots without loops. Readings that were left out
+        as
+    outliers are last, in their own set.
     """
     blocks: list[tuple[IntArray, dict[str, Sequence[object] | FloatArray]]] = []
     count, sets = 0, residual_sets(fit)
@@ -201,9 +200,9 @@ def _parameter_table(fit: Fit, comments: Sequence[str]) -> str:
 
 
 def _covariance_table(fit: Fit) -> str:
-    """Return CSV: the covariance of the free parameters that people read, in their display units.
+    """Return CSV: the covariance of the free parameters in their display units, one row and one column for each.
 
-    One row and one column for each; the hundreds of coefficients of curves are left out, as in the report.
+    The hundreds of coefficients of curves are left out, as in the report.
     """
     places = [k for k, name in enumerate(fit.free_names) if not fit.parameters[name].family]
     free = [fit.parameters[fit.free_names[k]] for k in places]

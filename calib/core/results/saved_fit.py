@@ -1,11 +1,9 @@
 """The saved fit of a result folder, `fit.npz`, and the fit restored from it.
 
-Kept is what cannot be computed: description, measurements, settings, where the fit ended and what it assumed there of
-the noise, what it was judged to be, and the robots that files get. Everything else (residuals, covariance, intervals)
-comes from evaluating the model once where the fit ended, as `calib.core.fitting.fit` does there. So both are the same
-to rounding, and what is kept takes no more room than the measurements.
-
-Other starts, and what each joint term brought that was tried, stand in `result.json` and do not come back.
+It holds what cannot be computed: description, measurements, settings, end values, assumed noise, verdict, and the
+robots of files. Everything else (residuals, covariance, intervals) comes from evaluating the model once at the end
+values, as in `calib.core.fitting.fit`. So both are equal up to rounding, and the file is no larger than the
+measurements. Other starts, and trials of joint terms, stand in `result.json` and are not restored.
 """
 
 from __future__ import annotations
@@ -44,7 +42,7 @@ from calib.core.robots.terms.terms import stored_terms
 from calib.core.rows.prediction import UndecidedTerms
 
 VERSION = 2
-"""Of the format of a result folder."""
+"""Version of the format of a result folder."""
 SAVED = "fit.npz"
 """File of a result folder that is read back."""
 _MEASUREMENTS = ("joints", "labels", "names", "path", "ignored", "comments", "context", "approach", "setups", "order",
@@ -61,10 +59,9 @@ def saved_bytes(
     """Return the content of `fit.npz`.
 
     Args:
-        fit: The fit.
         content: Content of `result.json`.
         nominal: Files of the nominal robot, by name.
-        files: The robots that files of the fit get.
+        files: The robots of the fit's files.
     """
     return array_file(
         {
@@ -82,11 +79,7 @@ def saved_bytes(
 
 
 def read_saved(folder: Path | str) -> dict[str, Any] | None:
-    """Return the content of `fit.npz` of a result folder, as data; None where there is none.
-
-    Raises:
-        DataError: It is damaged, or of a later version; or a file of the nominal robot was changed.
-    """
+    """Return the content of `fit.npz` as data; None without it. Damage or another version raises `DataError`."""
     path = Path(folder) / SAVED
     if not path.is_file():
         return None
@@ -101,12 +94,7 @@ def read_saved(folder: Path | str) -> dict[str, Any] | None:
 
 
 def require_unchanged(folder: Path | str, sha256: Mapping[str, str]) -> None:
-    """Raise `DataError` if a file of a result folder is missing, or is not as the fit wrote it.
-
-    Args:
-        folder: The folder.
-        sha256: Digests of the files, by name.
-    """
+    """Raise `DataError` if a file of a result folder is missing or differs from its digest, by name."""
     for name, digest in sha256.items():
         path = Path(folder) / name
         if not path.is_file():
@@ -160,7 +148,7 @@ def _errors_entry(errors: ErrorSet) -> dict[str, Any]:
 
 
 def saved_files(saved: Mapping[str, Any]) -> dict[Holds, FileRobot]:
-    """Return the robots that files of a result get; those of a failed result were forced already."""
+    """Return the robots of the files of a result; those of a failed result were forced already."""
     failed, files = saved["content"]["verdict"]["grade"] == "FAIL", {}
     for name, entry in saved["files"].items():
         accuracy = Accuracy(**entry["accuracy"] | {"poses": PoseUse[entry["accuracy"]["poses"]]})
@@ -170,22 +158,22 @@ def saved_files(saved: Mapping[str, Any]) -> dict[Holds, FileRobot]:
 
 
 def with_saved_terms(robot: Robot, entry: Mapping[str, Any]) -> Robot:
-    """Return a nominal robot with the joint terms and the held parameters that a fit had."""
+    """Return a nominal robot with the joint terms and the held parameters of a fit."""
     robot = robot.with_terms(stored_terms(entry["terms"]))
     return replace(robot, description=robot.description.model_copy(update={"held": tuple(entry["held"])}))
 
 
 @one_blas_thread
 def evaluate_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedFit:
-    """Return a fit that was saved: the model, evaluated where it ended.
+    """Return a saved fit: the model, evaluated at its end values.
 
     Args:
         robot: The nominal robot, with or without its joint terms.
-        entry: Entry of `fit` in what `read_saved` returns.
+        entry: Entry `fit` of the content of `read_saved`.
         where: The result folder, for messages.
 
     Raises:
-        ComputationError: The fit does not come back from the folder.
+        ComputationError: The fit cannot be restored from the folder.
     """
     try:
         fit = JudgedFit.from_fit(_fit_of(robot, entry))

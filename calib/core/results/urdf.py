@@ -1,6 +1,7 @@
-"""The URDF that a robot's current values give, optionally with a comment that says where they come from.
+"""The URDF of a robot's current values, optionally with a comment on their origin.
 
 Everything but the edited origin values keeps its bytes. An export of an export is identical: where nothing is edited,
+the file stays as it was, and a comment of an earlier export is replaced.
 the file goes out as it came in, and a comment of an earlier export is replaced, never repeated.
 """
 
@@ -25,12 +26,11 @@ _EARLIER = re.compile(rb"\r?\n?<!-- " + _MARK.encode() + rb".*?-->", re.DOTALL)
 
 
 def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
-    """Return the URDF with the origins that the robot's values give.
+    """Return the URDF with the origins of the robot's values.
 
     Args:
-        robot: The robot.
-        provenance: None: no comment is added. Otherwise a comment goes behind the `<robot>` tag, with the nominal file,
-            every parameter that differs from nominal, and these lines.
+        provenance: Lines of a comment behind the `<robot>` tag, which also names the nominal file and every parameter
+            that differs from nominal; None for no comment.
     """
     edited = urdf_of_origins(robot)
     if provenance is None or edited == robot.urdf.source:
@@ -42,7 +42,7 @@ def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
 
 
 def with_mesh_prefix(source: bytes, prefix: str) -> bytes:
-    """Return URDF bytes in which this stands before every mesh path that is relative to the URDF."""
+    """Return URDF bytes with a prefix before every mesh path that is relative to the URDF."""
     start = quote_attribute(prefix.rstrip("/") + "/")[1:-1].encode("ascii", "xmlcharrefreplace")
     return _MESH.sub(lambda match: match.group() + start, source)
 
@@ -69,7 +69,7 @@ def provenance_lines(robot: Robot) -> list[str]:
 
 
 def with_inserted(urdf: UrdfText, text: str, at: int) -> bytes:
-    """Return the file with text inserted at a byte: in ASCII, with the line ends that the file has."""
+    """Return the file with text inserted at a byte, in ASCII, with the file's line ends."""
     line_end = b"\r\n" if b"\r\n" in urdf.source else b"\n"
     return apply_edits(urdf.source, [(at, at, text.encode("ascii", "xmlcharrefreplace").replace(b"\n", line_end))])
 

@@ -52,11 +52,7 @@ def _readable(read: Callable[..., Answer]) -> Callable[..., Answer]:
 
 @_readable
 def read_content(folder: Path | str) -> dict[str, Any]:
-    """Return `result.json` of a folder of version 1.
-
-    Raises:
-        DataError: It is missing, broken, or of another version.
-    """
+    """Return `result.json` of a folder of version 1, or raise `DataError` if it is missing or broken."""
     path = Path(folder) / "result.json"
     if not path.exists():
         raise DataError(f"{folder}: holds no result (no result.json); give the folder that `calib fit --out` wrote")
@@ -110,11 +106,7 @@ class EarlierResult(LoadedResult):
 
     @property
     def fit(self) -> JudgedFit:
-        """None of this version.
-
-        Raises:
-            DataError: Always.
-        """
+        """Raise `DataError`, because this version has no fit."""
         raise DataError(f"{self.path}: an earlier version wrote it, without the measurements; {_AGAIN}")
 
     @property

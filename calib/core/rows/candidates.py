@@ -1,4 +1,4 @@
-"""Candidate poses: assembled, checked, turned into whitened rows, a part at a time so that many fit in memory."""
+"""Candidate poses: assembled, checked, turned into whitened rows, in parts, so that many fit in memory."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _PART = 8192
 _SAME = 1e-9
 """Joint values that differ by less are the same pose [m, rad]."""
 _MEASURED_AGAIN = 1e-4
-"""A candidate within this of a measured pose is that pose [m, rad]."""
+"""A candidate nearer than this to a measured pose is that pose [m, rad]."""
 WHITENED = 1.0
-"""Unit of rows where no instrument measures a length, in place of its noise."""
+"""Unit of rows where no instrument measures a length, instead of its noise."""
 _SHOWN = 10
 _MIXING = 0x9E3779B97F4A7C15 - 2**64  # odd, and far from a power of two
 
@@ -43,12 +43,12 @@ class PoseRows:
 
     Attributes:
         rows: Whitened rows of all that the instruments are to read at each pose, instrument by instrument, (n,
-            n_rows_per_pose, n_parameters); 0 where one reads less there than elsewhere.
+            n_rows_per_pose, n_parameters); 0 where an instrument reads less at one pose than at others.
         read: Mask of the rows that are read, (n, n_rows_per_pose).
         blocks: Rows of each instrument, by name.
         positions: Targets at the robot's present values, (n, n_targets, 3) [m].
-        position_rows: Derivative by the scaled parameters of those whose accuracy counts
-            (`RobotData.reported_targets`), (n, 3 n_located, n_parameters) [m].
+        position_rows: Derivative of the targets in `RobotData.reported_targets` by the scaled parameters,
+            (n, 3 n_located, n_parameters) [m].
     """
 
     rows: FloatArray
@@ -59,11 +59,7 @@ class PoseRows:
 
 
 def require_free(robot: Robot) -> None:
-    """Raise unless some parameter is free.
-
-    Raises:
-        InputError: All are held.
-    """
+    """Raise `InputError` if all parameters are held."""
     if not np.any(robot.is_free):
         raise InputError(f"{robot.path}: held: names every parameter, so there is nothing to identify; free some")
 
@@ -71,14 +67,15 @@ def require_free(robot: Robot) -> None:
 def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
     """Return the noise of one measured position per axis [m] and whether some noise is only assumed.
 
-    Without instruments that measure positions: that of other lengths, such as distances; without these: `WHITENED`.
+    Without instruments that measure positions it is the noise of other lengths, such as distances; without these
+    `WHITENED`.
 
     Args:
         robot: Robot whose instruments may state their noise.
         sigma: The noise of positions, if the caller knows it [m].
 
     Raises:
-        DataError: It is not a positive number.
+        DataError: `sigma` is not a positive number.
     """
     if sigma is not None and not (np.isfinite(sigma) and sigma > 0):
         raise DataError(f"sigma {sigma:g} m: must be a positive number")
@@ -103,16 +100,15 @@ def rows_of_poses(
     looks: Mapping[str, Readings] | None = None,
     blocks: Mapping[str, slice] | None = None,
 ) -> PoseRows:
-    """Return whitened rows of what the instruments are to read at assembled poses.
+    """Return whitened rows of planned readings at assembled poses, the robot linearised at its present values.
 
     Unstated noise is assumed (`calib.core.rows.whitening.ASSUMED`).
 
     Args:
-        robot: The robot, linearised at its present values.
         configurations: The poses.
-        sigma: Noise of positions per axis in place of what is stated [m], or None.
+        sigma: Noise of positions per axis instead of the stated one [m], or None.
         unknowns: The parameters of the columns; the free ones if not given.
-        looks: Planned readings of each instrument, of `calib.core.rows.observed.planned_readings`; all that it can in
+        looks: Planned readings of each instrument, from `calib.core.rows.observed.planned_readings`; all that it can in
             the first setup, if not given.
         blocks: Places for the rows of each instrument; as needed, if not given.
     """
@@ -144,7 +140,7 @@ def rows_of_poses(
 
 
 def blocks_of(robot: Robot, looks: Mapping[str, Readings]) -> dict[str, slice]:
-    """Return where in the rows of a pose those of each instrument are, so that there is room at every pose."""
+    """Return the places of each instrument's rows among the rows of a pose, with room for its most readings."""
     result, start = dict[str, slice](), 0
     for instrument in robot.instruments:
         most = int(np.max(np.bincount(looks[instrument.name].visits), initial=0))
@@ -156,7 +152,7 @@ def blocks_of(robot: Robot, looks: Mapping[str, Readings]) -> dict[str, slice]:
 def _positions(
     robot: Robot, configurations: Configurations, data: Measurements, observed: dict[str, Observed]
 ) -> tuple[FloatArray, FloatArray]:
-    """Positions of targets and their derivative, from instruments that measure just these where there are."""
+    """Positions of targets and their derivative, from instruments that measure exactly these if there are any."""
     n = len(configurations.actuated)
     position_instruments = {
         instrument.target: instrument.name
@@ -177,9 +173,9 @@ class Candidates:
 
     Attributes:
         joints: (n, n_actuated) [m or rad].
-        pose_rows: Rows and positions of all; rows 0 and positions NaN where not usable. Of the rows of positions
-            only their R (`calib.core.numerics.identifiability.reduce_rows`), (at most n_parameters, n_parameters) [m].
-        usable: Mask of those that can be assembled far enough from singularities, (n,).
+        pose_rows: Rows and positions of all; rows 0 and positions NaN where not usable. `position_rows` is reduced to R
+            (`calib.core.numerics.identifiability.reduce_rows`), (at most n_parameters, n_parameters) [m].
+        usable: Mask of the poses that can be assembled far enough from singularities, (n,).
         skipped: Label of each pose that is not usable, and the reason.
     """
 
@@ -199,17 +195,16 @@ def configurations_at(
 def build_candidates(
     robot: Robot, poses: Poses, sigma: float | None = None, *, skip_unreachable: bool = False
 ) -> Candidates:
-    """Assemble candidates and take their rows.
+    """Assemble candidates and compute their rows, the robot linearised at its present values.
 
     Args:
-        robot: The robot, linearised at its present values.
         poses: The candidates.
-        sigma: Noise of positions per axis in place of what is stated [m], or None.
-        skip_unreachable: Leave poses out that cannot be assembled or are next to a singularity of the loops.
+        sigma: Noise of positions per axis instead of the stated one [m], or None.
+        skip_unreachable: Leave out poses that cannot be assembled or are next to a singularity of the loops.
 
     Raises:
         DataError: A pose is given twice.
-        UnreachablePoseError: There are such poses, and they are not to be skipped.
+        UnreachablePoseError: There are such poses, and `skip_unreachable` is False.
     """
     _require_different(poses)
     n, n_targets, unknowns = len(poses), len(robot.target_names), Unknowns.chosen_by_poses(robot)
@@ -242,19 +237,18 @@ def build_candidates(
         raise UnreachablePoseError(
             _list_reasons(reasons) + "; remove these poses, or leave them out with --skip-unreachable"
         )
-    rows.flags.writeable = False  # who holds it needs no copy
+    rows.flags.writeable = False  # holders need no copy
     return Candidates(poses.joints, PoseRows(rows, read, blocks, positions, position_rows), usable, tuple(reasons))
 
 
 def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return whitened rows of poses that are measured, positions of the targets there, and rows of those that count.
+    """Return whitened rows of poses, positions of their targets, and rows of the reported targets.
 
-    Of measurements: of what was really read. Of poses alone: of all that the instruments can read.
+    Measurements give the rows that were read; poses alone give all that the instruments can read.
 
     Args:
         robot: The robot, linearised at its present values.
-        poses: The poses.
-        sigma: Noise of positions per axis in place of what is stated [m], or None.
+        sigma: Noise of positions per axis instead of the stated one [m], or None.
 
     Returns:
         (n_rows, n_parameters); (n, n_targets, 3) [m]; (n, 3 n_located, n_parameters) [m].
@@ -274,11 +268,7 @@ def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[F
 
 
 def positions_at(robot: Robot, configurations: Configurations) -> tuple[FloatArray, FloatArray]:
-    """Return positions of the targets, and the rows of those that count.
-
-    Args:
-        robot: The robot, linearised at its present values.
-        configurations: The poses, assembled.
+    """Return positions of the targets, and the rows of the reported targets, at a robot's present values.
 
     Returns:
         (n, n_targets, 3) [m]; (n, 3 n_located, n_parameters) [m].
@@ -289,7 +279,7 @@ def positions_at(robot: Robot, configurations: Configurations) -> tuple[FloatArr
 
 
 def near_measured(candidates: FloatArray, measured: FloatArray) -> BoolArray:
-    """Return which candidates (n, n_actuated) are poses that were measured already, (n,)."""
+    """Return a mask (n,) of the candidates (n, n_actuated) that are measured poses (k, n_actuated)."""
     gaps, _ = scipy.spatial.cKDTree(measured).query(candidates, p=np.inf)
     result: BoolArray = gaps < _MEASURED_AGAIN
     return result
@@ -298,7 +288,7 @@ def near_measured(candidates: FloatArray, measured: FloatArray) -> BoolArray:
 def _require_different(poses: Poses) -> None:
     columns = [*poses.joints.T, *(() if poses.approach is None else poses.approach.T), *poses.context.values()]
     key = np.zeros(len(poses), dtype=np.int64)
-    for column in columns:  # a number for each pose, the same where all columns are
+    for column in columns:  # a number for each pose, equal where all columns are equal
         key = key * _MIXING + _round(column)
     ordered = np.sort(key)
     some = np.flatnonzero(np.isin(key, ordered[1:][np.diff(ordered) == 0]))
@@ -331,7 +321,7 @@ def _reasons(
         if ok[k]:
             reasons.append(near_singularity(labels[k], distance[k], limit))
             continue
-        shown = already + len(reasons) < _SHOWN  # a search each: not for thousands
+        shown = already + len(reasons) < _SHOWN  # each needs a search: not for thousands
         why = (
             f" ({why_open(robot.mechanism, robot.mode, robot.mechanism.without_tilts(q[k : k + 1])[0])})"
             if shown

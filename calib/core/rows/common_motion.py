@@ -1,22 +1,22 @@
-"""A robot aligned with another one: base and tools are moved until the two agree best at the same joint values.
+"""A robot aligned with another: base and tools are moved until the two agree best at the same joint values.
 
-Where the measurement frame or a tool on its link stands is not known, an error that moves all positions as one body,
-or the tool on its link, cannot be told from that place. So a nominal robot is compared with a calibrated one without
-such common motion. With x the positions of its targets over a set of poses, b and w a shift and a turn of all of them
-about their centroid c, t a shift of a tool on its link (and u a turn of it, where that is unknown too), L the robot's
-characteristic length, the motion m = (b, L w, t, L u) of the nominal robot is the one that makes
+Where the place of the measurement frame, or of a tool on its link, is unknown, readings cannot tell an error that moves
+all positions as one body, or the tool on its link, from that place. So a nominal robot is compared with a calibrated
+one without such common motion. Let x be the positions of its targets over a set of poses, b and w a shift and a turn of
+all of them about their centroid c, t a shift of a tool on its link (and u a turn of it, where that is unknown too), and
+L the robot's characteristic length. The motion m = (b, L w, t, L u) of the nominal robot makes
 
     mean over poses and targets of  |x_calibrated - x(m)|^2  (+ L^2 |turn between them|^2 where u is unknown)
 
-smallest. Motions that hardly move its positions, such as the base one way and the tool of a platform that never turns
-the other way, are left out: m = V z, V the right singular vectors of the derivative A of x by m (a root mean square
+smallest. Motions that hardly move its positions are left out, such as the base one way and the tool of a platform that
+never turns the other way: m = V z, with V the right singular vectors of the derivative A of x by m (a root mean square
 over poses and targets) whose singular values are above 0.03.
 
 For a small change d of the parameters of the calibrated robot, with J the derivative of its positions by them, z
 follows by z = (A V)^+ J d, so that at other poses (A', J') its positions move by (J' - A' V (A V)^+ J) d without common
-motion. A is that of the nominal robot, and so known.
+motion. A is computed from the nominal robot, and so known.
 
-When it fails. From few poses the motion is as uncertain as they leave it; that is counted.
+When it fails. The fewer the poses, the more uncertain the motion; the uncertainty counts that.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ class UnknownPlaces:
     """Unknown components of base and tools.
 
     Attributes:
-        base: Whether the measurement frame is.
-        counts: Places of the targets that are to agree, among all.
-        points: Places of those of them whose place on their link is not known.
-        frames: Places of those whose orientation there is not.
+        base: Whether the measurement frame is unknown.
+        counts: Indices of the targets that are to agree, among all.
+        points: Indices of those of them with an unknown position on their link.
+        frames: Indices of those of them with an unknown orientation on their link.
     """
 
     base: bool
@@ -60,8 +60,8 @@ class UnknownPlaces:
     def from_robot(robot: Robot) -> UnknownPlaces:
         """Return the unknown components of base and tools, by the description.
 
-        The measurement frame is held where some instrument looks, from a known place other than the base, at
-        something that motors move (or the other way round).
+        The measurement frame is known where some instrument looks from a known place outside the base at something that
+        motors move (or the other way round).
         """
         mechanism, names = robot.mechanism, ("", *robot.mechanism.origin_names)
         free = zip(robot.parameters, robot.is_free, strict=True)
@@ -106,7 +106,7 @@ class CommonMotion(ReadOnlyArrays):
         loose: The places that were moved.
         joints: The poses, (n, n_actuated) [m or rad].
         centre: c, (3,) [m].
-        basis: V, (n_motions, k); none where nothing was moved.
+        basis: V, (n_motions, k); no columns where nothing was moved.
     """
 
     robot: Robot
@@ -117,12 +117,12 @@ class CommonMotion(ReadOnlyArrays):
 
     @staticmethod
     def from_robots(robot: Robot, onto: Robot, loose: UnknownPlaces, joints: FloatArray) -> CommonMotion:
-        """Align a robot with another one.
+        """Align a robot with another.
 
         Args:
-            robot: The robot.
-            onto: The other one.
-            loose: The places of the robot that are moved, from where the other one has them.
+            robot: The robot to move.
+            onto: The other robot.
+            loose: The places of the robot that are moved, starting from their values in the other robot.
             joints: Poses that both can assemble, (n, n_actuated) [m or rad].
         """
         motion = CommonMotion(robot, loose, joints, np.zeros(3), np.zeros((loose.n_motions, 0)))
@@ -152,20 +152,11 @@ class CommonMotion(ReadOnlyArrays):
         return self.columns(*target_poses(self.robot, self.robot.assemble(self.joints)))
 
     def following(self, jacobian: FloatArray) -> FloatArray:
-        """Return dz/d(parameters of the other robot), (k, n_parameters).
-
-        Args:
-            jacobian: J with turns at the poses, (n, n_targets, 6, n_parameters).
-        """
+        """Return dz/d(parameters of `onto`), (k, n_parameters), from J with turns (n, n_targets, 6, n_parameters)."""
         return self._best_motion(self._slope, jacobian)
 
     def columns(self, positions: FloatArray, rotations: FloatArray) -> FloatArray:
-        """Return A V: how positions and turns of all targets move with z, (n, n_targets, 6, k).
-
-        Args:
-            positions: Positions of the targets, (n, n_targets, 3) [m].
-            rotations: Rotations of the targets, (n, n_targets, 3, 3).
-        """
+        """Return A V, the motion of targets with z, (n, n_targets, 6, k), at their positions (n, n_targets, 3) [m]."""
         (n, n_targets, _), length, loose = positions.shape, self.robot.mechanism.length, self.loose
         columns = np.zeros((n, n_targets, 6, loose.n_motions))
         if loose.base:
@@ -180,11 +171,11 @@ class CommonMotion(ReadOnlyArrays):
         return columns @ self.basis
 
     def _best_motion(self, columns: FloatArray, changes: FloatArray) -> FloatArray:
-        """The z that come nearest to changes (n, n_targets, 6, m) that are to be made, (k, m)."""
+        """The z whose motion comes nearest to changes (n, n_targets, 6, m), (k, m)."""
         return np.asarray(linalg.lstsq(self._fitted_rows(columns), self._fitted_rows(changes), rcond=None))
 
     def _fitted_rows(self, columns: FloatArray) -> FloatArray:
-        """Rows that are to agree, (n_rows, k), of columns (n, n_targets, 6, k)."""
+        """Rows that are to agree, (n_rows, k), from columns (n, n_targets, 6, k)."""
         parts = [columns[:, self.loose.counts, :3], self.robot.mechanism.length * columns[:, self.loose.frames, 3:]]
         return np.concatenate([part.reshape(-1, columns.shape[3]) for part in parts])
 

@@ -1,7 +1,7 @@
-"""Ranks of poses and priors: one computation, and one wording, for every command that states them.
+"""Ranks of poses and priors, and their wording for every command.
 
-Whether a combination of parameters is seen is a fact of the mechanism and the poses. How large an error the description
-expects (sigma) has no say in it, so each column is divided by its own length before ranks are judged
+Whether a combination of parameters is seen depends on the mechanism and the poses, not on the expected size of an error
+(sigma). So each column is divided by its own length before ranks are computed
 (`calib.core.numerics.identifiability.unit_columns`). A prior determines its parameter, however wide it is.
 """
 
@@ -24,11 +24,11 @@ class Determination(ReadOnlyArrays):
 
     Attributes:
         everything: Rank of all parameters, poses alone.
-        free: Rank of the free ones, poses alone.
-        together: Rank of the free ones, poses and priors.
+        free: Rank of the free parameters, poses alone.
+        together: Rank of the free parameters, poses and priors.
         columns: Unit columns of all parameters, or their triangular factor, (n, n_parameters).
         lengths: Divisor of each column, (n_parameters,) [m per m or rad].
-        open_columns: Unit columns of the free ones, and a row for each prior, (n, n_free).
+        open_columns: Unit columns of the free parameters, and a row for each prior, (n, n_free).
     """
 
     everything: Rank
@@ -39,7 +39,7 @@ class Determination(ReadOnlyArrays):
     open_columns: FloatArray
 
     def lines(self) -> list[str]:
-        """Return both ranks of the poses alone with their gaps, and where they are unclear."""
+        """Return sentences with both ranks of the poses alone, their gaps, and doubts where they are unclear."""
         lines = [f"All {self.everything.n_columns} parameters, poses alone: {self.everything}"]
         if self.free.n_columns != self.everything.n_columns:
             lines.append(f"The {self.free.n_columns} free ones, poses alone: {self.free}")
@@ -52,7 +52,7 @@ class Determination(ReadOnlyArrays):
         return self.together.n_columns - self.together.rank
 
     def words(self) -> str:
-        """Return the number of combinations of free parameters that poses and priors determine, as a clause."""
+        """Return a clause with the number of combinations of free parameters that poses and priors determine."""
         poses, n_free = self.free.rank, self.free.n_columns
         if poses == n_free:
             return f"all {n_free} free parameters can be found from these poses"
@@ -65,12 +65,11 @@ class Determination(ReadOnlyArrays):
 
 
 def determination(columns: FloatArray, parameters: Sequence[Parameter], free: BoolArray) -> Determination:
-    """Judge the derivatives of measured coordinates.
+    """Return the ranks of the derivatives of measured coordinates.
 
     Args:
         columns: d(coordinates)/d(parameters), not scaled, (n_rows, n_parameters) [m per m or rad].
-        parameters: All parameters.
-        free: Mask of those that are not held, (n_parameters,).
+        free: Mask of the parameters that are not held, (n_parameters,).
     """
     unit, lengths = unit_columns(columns)
     unit = reduce_rows(unit)

@@ -1,25 +1,22 @@
 """The frames of places, the calibrated robot in them, and the uncertainty of its positions there.
 
-The frame of a program. Where the base is known, and some instrument looks from a known place, a program is meant in
-the measurement frame: all that the robot's links are off there counts. What cannot be told from the place of a measured
-point on its link counts too, since that place is no error of the robot.
+The frame of a program. Where the base is known, and some instrument looks from a known place, a program is meant in the
+measurement frame: every error of the robot's links there counts. So does the part that readings cannot tell from the
+place of a measured point on its link, since that place is no error of the robot.
+Where the base is unknown, a tracker stood anywhere, and the place of the nominal robot's base frame on the real robot
+is unknown. Then a program is meant in the robot's own base frame, placed where the nominal and the calibrated robot
+agree best over the measured poses (`calib.core.rows.common_motion`). A measured point whose place on its link is
+unknown is placed on the nominal robot's link in the same way. So no error is corrected or counted that may as well
+belong to base or tool.
 
-Where the base is unknown, a tracker stood anywhere, and it is not known where the nominal robot's base frame is on the
-real one. Then a program is meant in the robot's own base frame, and that is laid where the nominal and the calibrated
-robot agree best over the poses that were measured (`calib.core.rows.common_motion`). In the same way a measured
-point whose place on its link is unknown is laid on the nominal robot's link. So no error is corrected that base or tool
-may as well have, and none is counted.
-
-The measurement frame. Goals in the measurement frame are places of the measured point itself, in
-the frame in which it was measured, wherever the calibration found base and target.
-
-What a fit gave an error of the robot, and readings would as well have where the measured point is on its link, is not
-corrected. If a program is in the measurement frame, it is counted: the robot is most likely off by it.
-
-With d the error of the parameters and J' the derivative of positions by them, these are off by J' d: in the measurement
-frame with all parameters; of a program there with those of the robot itself; and in its own base frame beside the
-common motion that follows d. The covariance of just this is what is promised. It counts the noise of the measurements
-and what they leave to the priors, as far as a position in this frame depends on it.
+The measurement frame. Goals in the measurement frame are places of the measured point itself, in the frame in which it
+was measured, wherever the calibration found base and target.
+An error of the robot in the fit that readings cannot tell from the place of the measured point on its link is not
+corrected. If a program is in the measurement frame, it is counted: the robot most likely has this error.
+With d the error of the parameters and J' the derivative of positions by them, positions are off by J' d. In the
+measurement frame all parameters count; for a program there, those of the robot itself; in the robot's own base frame
+the common motion that follows d is subtracted. The stated covariance is exactly this one. It counts the noise of the
+measurements and the priors of undetermined combinations, as far as a position in this frame depends on them.
 """
 
 from __future__ import annotations
@@ -41,7 +38,7 @@ from calib.core.rows.jacobian import linearise
 from calib.core.rows.known_robot import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UncertaintyJacobian
 
-_MOST = 400  # poses over which robots agree
+_MOST = 400  # poses over which robots are aligned
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +49,7 @@ class CorrectionFrame(ReadOnlyArrays):
         known: The calibrated robot with its uncertainty.
         robot: The calibrated robot; its own parameters are as near to nominal as readings allow.
         meant: The nominal robot, its base and tools where they are in this frame.
-        nominal: The robot as its description has it.
+        nominal: The robot of the description.
         words: Name of the frame in a sentence.
         counts: Mask of the free parameters that move positions in this frame, (n_free,).
         motion: The common motion that does not count; None where all counts.
@@ -68,7 +65,7 @@ class CorrectionFrame(ReadOnlyArrays):
 
     @property
     def nothing_to_correct(self) -> bool:
-        """Whether commands are those of the nominal robot, because the verdict says so."""
+        """Whether the verdict keeps the commands of the nominal robot."""
         return self.known.nothing_to_correct
 
     def predict(self, q: FloatArray, context: Context | None = None) -> PositionUncertainty:
@@ -76,7 +73,7 @@ class CorrectionFrame(ReadOnlyArrays):
 
         Args:
             q: Commands, (n, n_actuated) [m or rad].
-            context: Under which conditions they are given.
+            context: Conditions of the commands.
 
         Raises:
             UnreachablePoseError: A loop stays open.
@@ -97,11 +94,11 @@ class CorrectionFrame(ReadOnlyArrays):
         )
 
     def uncorrected_errors(self, q: FloatArray, context: Context) -> FloatArray:
-        """Return the errors of positions [m] and turns [rad] that the fit found and that are not corrected.
+        """Return the errors of positions [m] and turns [rad] that the fit found but that are not corrected.
 
         Args:
             q: Commands, (n, n_actuated) [m or rad].
-            context: Under which conditions they are given.
+            context: Conditions of the commands.
 
         Returns:
             In the axes of the frame, (n, n_targets, 6).
@@ -126,26 +123,26 @@ class CorrectionFrame(ReadOnlyArrays):
 def following_motion(
     motion: CommonMotion, robot: Robot, uncertainty: ParameterUncertainty
 ) -> Callable[[UncertaintyJacobian], FloatArray]:
-    """Return the common motion of each target by errors of uncertain parameters, (n, n_targets, 6, n_uncertain)."""
+    """Return a function for the common motion of targets by uncertain parameters, (n, n_targets, 6, n_uncertain)."""
     linear = uncertainty.linearise(robot, motion.joints, Context.neutral(*motion.joints.shape))
     following = motion.following(linear.jacobian) * uncertainty.lasting(robot)
     return partial(_common, motion, following)
 
 
 def _common(motion: CommonMotion, following: FloatArray, linear: UncertaintyJacobian) -> FloatArray:
-    """Derivative of the common motion by what is uncertain, (k, n_uncertain)."""
+    """Derivative of the common motion by the uncertain quantities, (n, n_targets, 6, n_uncertain)."""
     return motion.columns(*target_poses(linear.robot, linear.configurations)) @ following
 
 
 def as_described(robot: Robot) -> Robot:
-    """Return the robot as its description has it, without joint terms."""
+    """Return the robot of the description, without joint terms."""
     bare = robot.with_terms(())
     return bare.with_parameters([parameter.nominal_si for parameter in bare.parameters])
 
 
 @one_blas_thread
 def program_frame(known: KnownRobot) -> CorrectionFrame:
-    """Return the frame in which a program for the nominal robot means its places; see the module docstring."""
+    """Return the frame in which a program for the nominal robot is meant; see the module docstring."""
     nominal, robot = as_described(known.robot), nearest_to_nominal(known.robot)
     loose, of_robot = UnknownPlaces.from_robot(nominal), _is_of_robot(known)
     if loose.base:
@@ -182,18 +179,18 @@ def measurement_frame(known: KnownRobot) -> CorrectionFrame:
 
 
 def _is_of_robot(known: KnownRobot) -> BoolArray:
-    """Mask of the free parameters of the robot itself, without those of places, (n_free,)."""
+    """Mask of the free parameters of the robot itself, without placements, (n_free,)."""
     of_robot = np.array([not parameter.placement for parameter in known.robot.parameters])
     return of_robot[:0] if known.uncertainty is None else of_robot[known.uncertainty.free]
 
 
 def _align_nominal(nominal: Robot, robot: Robot, loose: UnknownPlaces, known: KnownRobot) -> CommonMotion:
-    """The nominal robot laid on the calibrated one, over the poses at which that was measured."""
+    """The nominal robot aligned with the calibrated one over the measured poses."""
     return CommonMotion.from_robots(nominal, robot, loose, poses_of_agreement(known, nominal))
 
 
 def poses_of_agreement(known: KnownRobot, nominal: Robot) -> FloatArray:
-    """Return the poses over which the nominal and the calibrated robot are to agree, (n, n_actuated) [m or rad]."""
+    """Return the poses over which the nominal and the calibrated robot are aligned, (n, n_actuated) [m or rad]."""
     measured = np.unique(known.joints, axis=0)
     chosen = measured[np.unique(np.linspace(0, len(measured) - 1, _MOST).astype(np.intp))] if len(measured) else None
     joints = poses_around_home(nominal) if chosen is None else chosen

@@ -1,4 +1,4 @@
-"""Poses without those at which the robot hits something, and the loss by leaving these out."""
+"""Poses without collisions, and the information that leaving out the others costs."""
 
 from __future__ import annotations
 
@@ -14,11 +14,7 @@ from calib.core.rows.candidates import rows_of_measured
 
 
 def free_poses(robot: Robot, poses: Poses) -> tuple[Poses, tuple[str, ...]]:
-    """Return the poses at which nothing is hit or hidden, and notes on the others and on what was not checked.
-
-    Raises:
-        DataError: No pose is free.
-    """
+    """Return the free poses, and notes on blocked ones and missing checks, or raise `DataError` if none is free."""
     check = check_poses(robot, poses.joints)
     if not check.n_blocked:
         return poses, check.notes
@@ -29,7 +25,7 @@ def free_poses(robot: Robot, poses: Poses) -> tuple[Poses, tuple[str, ...]]:
 
 
 def worth_sentence(robot: Robot, kept: Poses, every: Poses) -> str:
-    """Compare poses with those that there would be with nothing in the way: by O1, or by what they determine."""
+    """Compare the free poses with all of them, by O1 or by the number of combinations that they determine."""
     if not np.any(robot.is_free):
         return "nothing is free to be identified"
     ranks = [numerical_rank(rows_of_measured(robot, poses, None)[0]) for poses in (kept, every)]

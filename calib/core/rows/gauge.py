@@ -1,18 +1,18 @@
-"""Parameters that only compensate places of instruments and targets: they say nothing of the robot.
+"""Parameters that only compensate places of instruments and targets carry no information about the robot.
 
-If the base is unknown, the origin of the first joint can move and the base with it, and no measurement changes; the
-same holds for the last origin and an unknown target. A fit puts such motion where the priors have it cheapest, so that
-a reflector that sits 2 mm off its stated place leaves some hundredths of a millimetre in the last joint's origin. A
-correction of the robot must not include that.
+If the base is unknown, the origin of the first joint and the base can move together without changing a measurement; so
+can the last origin and an unknown target. A fit moves whatever the priors let move most cheaply, so that a reflector
+2 mm off its stated place leaves some hundredths of a millimetre in the last joint's origin. A correction of the robot
+must not include that.
 
-Let r be what the readings at many poses have changed, J their derivative by the scaled parameters u = (p - p_nominal) /
-s, N the combinations of u that no reading sees (J N = 0), and D what picks the parameters of the robot itself. The
+Let r be the change of the readings at many poses, J their derivative by the scaled parameters u = (p - p_nominal) / s,
+N the combinations of u that no reading sees (J N = 0), and D the selection of the parameters of the robot itself. The
 values along N are free, and chosen as
 
     u' = u - J^+ r + N z,      z minimises |D (u - J^+ r + N z)|^2
 
-again and again until that stands: the robot is then as near its nominal one as the measurements allow, base and targets
-take the rest, and no reading has changed (N alone would see to that in the first order only).
+repeatedly until u' no longer changes. The robot is then as near its nominal one as the measurements allow, base and
+targets take the rest, and no reading has changed (N alone would ensure that in the first order only).
 """
 
 from __future__ import annotations
@@ -32,16 +32,15 @@ from calib.core.rows.observed import Observed, observe, predict_readings
 
 _POSES = 256
 _ROUNDS = 10
-_STANDS = 1e-6  # change of a scaled parameter; the next one is about its square
-_AROUND_HOME = 0.5  # motion is analytic: what these poses do not show, none does [rad, or characteristic lengths]
+_STANDS = 1e-6  # change of a scaled parameter; the next change is about its square
+_AROUND_HOME = 0.5  # motion is analytic: these poses show all that any poses show [rad, or characteristic lengths]
 
 
 @one_blas_thread
 def nearest_to_nominal(robot: Robot) -> Robot:
-    """Return a robot that reads the same, whose own parameters are as near to nominal as the readings allow.
+    """Return a robot with the same readings, its own parameters as near to nominal as these allow.
 
-    Args:
-        robot: A calibrated robot; one whose base and targets are known comes back as it is.
+    A calibrated robot whose base and targets are known comes back unchanged.
     """
     parameters = robot.parameters[: robot.n_origin_parameters]
     free = np.flatnonzero(robot.is_free[: len(parameters)])
@@ -70,14 +69,14 @@ def nearest_to_nominal(robot: Robot) -> Robot:
 
 
 def _split_space(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Combinations of the columns that count, and those that vanish, orthonormal, (n_columns, n) each."""
+    """Combinations of the columns that have an effect, and those that vanish, orthonormal, (n_columns, n) each."""
     _, singular, right = linalg.svd(reduce_rows(scaled), full_matrices=True)
     rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
     return right[:rank].T, right[rank:].T
 
 
 def poses_around_home(robot: Robot) -> FloatArray:
-    """Return joints of poses that the robot can take, (n, n_actuated) [m or rad]."""
+    """Return joint values of reachable poses around home, (n, n_actuated) [m or rad]."""
     lower, upper = robot.urdf.limits(robot.joint_names)
     spread = joint_samples(robot.mode, _POSES)[:, : len(robot.home)] - 0.5
     q = np.clip(robot.home + 2 * _AROUND_HOME * robot.mechanism.joint_scale * spread, lower, upper)
@@ -85,7 +84,7 @@ def poses_around_home(robot: Robot) -> FloatArray:
 
 
 def _stack(observed: Mapping[str, Observed]) -> tuple[FloatArray, FloatArray]:
-    """Residuals (n_rows,) and Jacobian (n_rows, n_parameters) of all instruments [SI]; what was not read counts 0."""
+    """Residuals (n_rows,) and Jacobian (n_rows, n_parameters) of all instruments [SI]; 0 where not read."""
     residuals = np.concatenate([block.residuals.ravel() for block in observed.values()])
     jacobian = np.concatenate([block.jacobian.reshape(-1, block.jacobian.shape[2]) for block in observed.values()])
     return np.nan_to_num(residuals), np.nan_to_num(jacobian)

@@ -1,4 +1,4 @@
-"""The identification Jacobian: how frames seen from each other move with parameters, through closed loops, exactly.
+"""The identification Jacobian: the exact motion of frames seen from each other by parameters, through closed loops.
 
 With passive joints p decided by the closures r(xi, p) = 0, and x a frame b seen from a frame a:
 
@@ -6,11 +6,10 @@ With passive joints p decided by the closures r(xi, p) = 0, and x a frame b seen
 
 (implicit function theorem), where X and C are the derivatives of x and r by origin twists xi and passive joints. W is
 found first, so that one small solve per pose serves all frames and origins; then both terms are one sum of twist maps,
-times the twists that the parametrisation has for each origin, seen in the world. Moving an actuated joint by dq is the
-same as turning its origin by dq about the joint's own axis, so that derivatives by joints are columns of the same kind.
-
-x is the twist [dp; dw] of b seen from a, in the axes of a (`calib.core.instruments.kind`): every kind of
-measurement is differentiated by it. Poses are processed in chunks that stay in the processor's cache.
+times the twists of each parameter at each origin, seen in the world. Moving an actuated joint by dq equals turning its
+origin by dq about the joint's own axis, so derivatives by joints are columns of the same kind. x is the twist [dp; dw]
+of b seen from a, in the axes of a (`calib.core.instruments.kind`): every kind of measurement is differentiated by it.
+Poses are processed in chunks that stay in the processor's cache.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from calib.core.robots.joint_errors import driven_by
 from calib.core.robots.mechanism import Mechanism, RelativeFrame
 from calib.core.robots.robot import Robot
 
-_CHUNK_COMPILED = 256  # several times as many as compiled code computes at once; larger arrays need new pages of memory
+_CHUNK_COMPILED = 256  # several times the number that compiled code computes at once; larger arrays need new pages
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +37,9 @@ class Linearisation:
 
     Attributes:
         positions: Targets in the measurement frame, (n, n_targets, 3) [m].
-        jacobian: d(positions)/d(parameters), (n, n_targets, 3, n_parameters) [m per m or rad]; where turns were asked
-            for, dw of the targets too, in the axes of the measurement frame, (n, n_targets, 6, n_parameters).
-        joint_derivative: The same by the actuated joints, where requested.
+        jacobian: d(positions)/d(parameters), (n, n_targets, 3, n_parameters) [m per m or rad]; with `turns` also dw of
+            the targets, in the axes of the measurement frame, (n, n_targets, 6, n_parameters).
+        joint_derivative: The same by the actuated joints, with `joints`.
     """
 
     positions: FloatArray
@@ -51,13 +50,12 @@ class Linearisation:
 def linearise(
     robot: Robot, configurations: Configurations, *, turns: bool = False, joints: bool = False
 ) -> Linearisation:
-    """Positions of all targets and their derivative by every parameter, at the robot's current values.
+    """Return positions of all targets and their derivative by every parameter, at the robot's current values.
 
     Args:
-        robot: The robot.
         configurations: Assembled poses, from `robot.assemble`.
-        turns: Whether the derivative of the targets' orientations is wanted too.
-        joints: Whether derivatives by the actuated joints are wanted too.
+        turns: Whether to include the derivative of the targets' orientations.
+        joints: Whether to include derivatives by the actuated joints.
     """
     if not robot.terms and not joints:
         twists = parameter_twists(robot)
@@ -80,13 +78,12 @@ def origin_jacobian(
     *,
     turns: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
-    """Positions of all targets and their derivative by the right-perturbation twist of every origin.
+    """Return positions of all targets and their derivative by the right-perturbation twist of every origin.
 
     Args:
-        mechanism: The mechanism.
         configurations: Assembled poses.
-        twists: If given, (6 n_joints, k), the derivative is taken along these combinations instead.
-        turns: Whether dw is wanted behind dp.
+        twists: Combinations (6 n_joints, k) to take the derivative along instead.
+        turns: Whether dw follows dp.
 
     Returns:
         Positions (n, n_targets, 3) [m] and derivative (n, n_targets, 3 or 6, 6 n_joints or k), origins in the order of
@@ -106,13 +103,7 @@ def origin_jacobian(
 def sweeps(
     mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
 ) -> Iterator[tuple[slice, kinematics.Sweep]]:
-    """Yield the kinematics of chunks of poses, for these pairs and the loops.
-
-    Args:
-        mechanism: The mechanism.
-        configurations: Assembled poses.
-        pairs: Frames that are needed.
-    """
+    """Yield chunks of assembled poses and their kinematics, for these pairs of frames and the loops."""
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     needed = pairs + mechanism.loops
     functions = kernels(mechanism, len(joints))
@@ -130,13 +121,7 @@ def sweeps(
 def relative_poses(
     mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
 ) -> FloatArray:
-    """Return the poses of frames b in frames a, (n_pairs, n, 4, 4) [m].
-
-    Args:
-        mechanism: The mechanism.
-        configurations: Assembled poses.
-        pairs: The frames.
-    """
+    """Return the poses of frames b in frames a at assembled poses, (n_pairs, n, 4, 4) [m]."""
     poses = np.empty((len(pairs), len(configurations.actuated), 4, 4))
     for part, swept in sweeps(mechanism, configurations, pairs):
         for pair, to in zip(pairs, poses, strict=True):
@@ -156,11 +141,9 @@ def relative_motion(
     """Return d[dp; dw]/d(origin twists) of frames b seen from frames a, loops closed.
 
     Args:
-        mechanism: The mechanism.
         swept: Kinematics of the poses.
-        pairs: The frames.
         twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
-        angular: Whether dw is wanted too.
+        angular: Whether to include dw.
         out: Array for the result, if there is one.
 
     Returns:
@@ -184,12 +167,11 @@ def relative_motion(
 def passive_motion(
     mechanism: Mechanism, swept: kinematics.Sweep, coordinate: FloatArray, twists: FloatArray
 ) -> FloatArray:
-    """Return d(q_j)/d(origin twists) of one joint coordinate that the loops decide, (n, 1, k).
+    """Return d(q_j)/d(origin twists) of one joint coordinate that the loops determine, (n, 1, k).
 
     Args:
-        mechanism: The mechanism.
         swept: Kinematics of the poses.
-        coordinate: d(q_j)/d(passive joints), (n_passive,); zero throughout for a joint that the user gives.
+        coordinate: d(q_j)/d(passive joints), (n_passive,); all zero for a joint that the user commands.
         twists: Combinations to take the derivative along, (6 n_joints, k).
     """
     n = len(swept.rotation)
@@ -211,14 +193,7 @@ def _fill_motion_compiled(
     direct: FloatArray,
     result: FloatArray,
 ) -> None:
-    """Do the same as `_fill_motion`, by compiled code.
-
-    Args:
-        swept: Kinematics of the poses.
-        rows: Places of frames a and b, coordinate, and whether it is a turn, of each row, (4, n_rows).
-        along, direct: Twists, and rows of the passive joints (n_rows, n_passive), of `_fill_motion`.
-        result: Array to fill, (n, n_rows, k).
-    """
+    """Do the same as `_fill_motion`, by compiled code; rows (4, n_rows) are frames a and b, axis, and 1 for turns."""
     shared = swept.shared
     signs = np.ascontiguousarray(along.signs)
     shared.functions.motion(shared.tree, shared.loops, swept.poses, rows, signs, direct, along.entries, result)
@@ -232,15 +207,13 @@ def _fill_motion(
     direct: FloatArray,
     result: FloatArray,
 ) -> None:
-    """Fill in dx/dxi of the module docstring along origin twists.
+    """Fill `result` (n, n_rows, k) with dx/dxi of the module docstring along origin twists.
 
     Args:
-        mechanism: The mechanism.
         swept: Kinematics of the poses.
         mapping: From V_b - V_a to x, (n, n_rows, 6).
-        along: The twists, and what they move.
         direct: Further derivative of x by the passive joints, (n_rows, n_passive).
-        result: Array to fill, (n, n_rows, k).
+        result: Array to fill.
     """
     if not mechanism.loops:
         kinematics.origin_derivative(swept, mapping, None, along, result)
@@ -253,7 +226,7 @@ def _fill_motion(
 
 
 def parameter_twists(robot: Robot) -> FloatArray:
-    """Return twists of all origins per parameter that is no coefficient of a joint term, (6 n_joints, k)."""
+    """Return twists of all origins per parameter, without coefficients of joint terms, (6 n_joints, k)."""
     mechanism = robot.mechanism
     matrix = np.zeros((6 * mechanism.n_joints, robot.coefficients.start))
     for name, twist in robot.parametrisation.twists(robot.values[: robot.n_origin_parameters]).items():
@@ -268,7 +241,7 @@ def derivative_by_parameters(
     """Return the derivative by some of the parameters, (n, n_rows, n_index).
 
     Args:
-        robot: Knows the joints of the terms.
+        robot: Its joint terms belong to the columns.
         derivative: By the parameters that are no coefficients, then by the driven joints, (n, n_rows, k + n_driven).
         columns: phi of each joint term, (n, n_moved, n_coefficients) each.
         index: Numbers of the parameters, in rising order, (n_index,).

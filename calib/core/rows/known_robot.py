@@ -1,4 +1,4 @@
-"""A calibrated robot with its uncertainty and the poses measured, for all that corrects a robot."""
+"""A calibrated robot with its uncertainty and the measured poses, for every correction of a robot."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class KnownRobot(ReadOnlyArrays):
     """A calibrated robot.
 
     Attributes:
-        robot: With the parameters that were found.
-        uncertainty: Their uncertainty; None where not stated.
-        joints: Joint values of the visits that the fit used, (n, n_actuated) [m or rad].
-        nothing_to_correct: Whether the verdict says that the nominal values are as good as any.
+        robot: The robot with the calibrated values.
+        uncertainty: Uncertainty of its parameters; None where not stated.
+        joints: Joint values of the visits in the fit, (n, n_actuated) [m or rad].
+        nothing_to_correct: Whether the verdict finds the nominal values as good as any.
     """
 
     robot: Robot
@@ -36,15 +36,11 @@ class Calibrated(Protocol):
 
     @property
     def known_robot(self) -> KnownRobot:
-        """The robot, with how well it is known."""
+        """The calibrated robot with its uncertainty."""
 
 
 def known_robot(calibrated: RobotLike | Calibrated | KnownRobot) -> KnownRobot:
-    """Return a known robot; of a robot alone, only its values are known.
-
-    Raises:
-        InputError: It is none of them.
-    """
+    """Return a known robot, or raise `InputError`; a robot alone has values but no uncertainty."""
     if isinstance(calibrated, KnownRobot):
         return calibrated
     if isinstance(calibrated, Calibrated):

@@ -1,7 +1,7 @@
 """Predicted readings of a robot, compared with the readings, and their derivatives by parameters.
 
-For a reading of kind g at a visit, with x the motion [dp; dw] of the frame that it looks at, seen from the frame that
-it looks from (`calib.core.rows.jacobian`):
+For a reading of kind g at a visit, with x the motion [dp; dw] of the observed frame, seen from the observing frame
+(`calib.core.rows.jacobian`):
 
     d(residual)/d(parameters) = d(residual)/dx  .  dx/d(parameters)
 
@@ -35,13 +35,12 @@ from calib.core.rows.jacobian import (
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Readings of one instrument compared with what the robot predicts.
+    """Readings of one instrument compared with predicted ones.
 
     Attributes:
-        robot: The robot.
         residuals: Predicted minus read, (n, n_rows) [SI]; NaN where a component was not read.
-        derivative: Derivative of these by the parameters that are no coefficients of joint terms, then by the driven
-            joints where these were wanted, (n, n_rows, k + n_driven); (n, n_rows, 0) where no derivatives were wanted.
+        derivative: Derivative of the residuals by the parameters that are no coefficients of joint terms, then by the
+            driven joints if requested, (n, n_rows, k + n_driven); (n, n_rows, 0) without derivatives.
         term_columns: phi of each joint term at each reading, (n, n_moved, n_coefficients) each.
     """
 
@@ -51,7 +50,7 @@ class Observed:
     term_columns: tuple[FloatArray, ...]
 
     def derivative_by(self, index: IntArray) -> FloatArray:
-        """Return a new derivative by some of the parameters, in rising order (k,), (n, n_rows, k)."""
+        """Return a new array of derivatives by some parameters, in rising order (k,), (n, n_rows, k)."""
         return derivative_by_parameters(self.robot, self.derivative, self.term_columns, index)
 
     @property
@@ -61,7 +60,7 @@ class Observed:
 
     @property
     def joint_derivative(self) -> FloatArray:
-        """Derivative by the actuated joints, (n, n_rows, n_actuated); empty where not wanted."""
+        """Derivative by the actuated joints, (n, n_rows, n_actuated); empty where not requested."""
         k = self.robot.coefficients.start
         return self.derivative[:, :, k : k + len(self.robot.joint_names)]
 
@@ -76,15 +75,15 @@ def observe(
     derivatives: bool = True,
     index: IntArray | None = None,
 ) -> dict[str, Observed]:
-    """Compare readings with what the robot predicts, with derivatives.
+    """Compare readings with those that the robot predicts.
 
     Args:
         robot: The robot, at its current values.
         configurations: Its assembled visits.
         readings: Readings of each instrument, by name; visits are indices into the configurations.
-        joints: Whether derivatives by the actuated joints are wanted too.
-        derivatives: Whether derivatives are wanted.
-        index: By which parameters they are wanted, (k,), if not by all: those by the other ones are left 0.
+        joints: Whether to include derivatives by the actuated joints.
+        derivatives: Whether to compute derivatives.
+        index: Parameters (k,) of the derivatives, if not all; those by others are left 0.
     """
     mechanism = robot.mechanism
     n_driven = len(mechanism.driven) if joints or robot.terms else 0
@@ -128,7 +127,7 @@ class _Work:
         self._fill_pairs(self._readings_of_pairs(index), part, swept, twists)
 
     def _readings_of_pairs(self, index: IntArray) -> dict[int, IntArray]:
-        """Readings (n,) of each pair that they look along."""
+        """Readings (n,) of each pair of frames."""
         if len(self._numbers) == 1:
             return {self._numbers[0]: index}
         number = self.readings.pairs[index]
@@ -182,7 +181,7 @@ class _Work:
             )
 
     def _compare(self, chosen: IntArray, seen: View | FloatArray) -> Comparison | JointComparison:
-        """Ask the kind, and keep residuals."""
+        """Compare by the kind, and store the residuals."""
         unknowns = self.robot.unknowns(self.instrument.name)
         comparison = self.instrument.compare(seen, self.robot.values[unknowns], _select_readings(self.readings, chosen))
         self._residuals[as_slice(chosen)] = comparison.residuals
@@ -208,7 +207,7 @@ def _select_readings(readings: Readings, chosen: IntArray) -> Readings:
 
 
 def select_readings(readings: Readings, chosen: IntArray | slice, first: int = 0) -> Readings:
-    """Return the readings at some places (n,), with visits counted from `first`."""
+    """Return chosen readings (n,), with visits counted from `first`."""
     return Readings(
         readings.visits[chosen] - first,
         readings.pairs[chosen],
@@ -225,7 +224,7 @@ def _is_identity(matrices: FloatArray) -> bool:
 def predict_readings(
     robot: Robot, configurations: Configurations, looks: Mapping[str, Readings] | None = None
 ) -> dict[str, Readings]:
-    """Return what instruments would read, without noise.
+    """Return the readings of instruments without noise.
 
     Args:
         robot: The robot, at its current values.
@@ -274,9 +273,9 @@ def views_of_instruments(
 
 
 def planned_readings(robot: Robot, poses: Poses) -> dict[str, Readings]:
-    """Return the planned readings of each instrument at poses, no values: as stated by the poses, else all that it can.
+    """Return the planned readings of each instrument at poses, without values: all that it can unless the poses say.
 
-    Of measurements: touches that were made. A touch is of the pose, and no pose tells by itself what it touches.
+    Measurements plan the touches that were made, because no pose shows by itself what it touches.
     """
     return {instrument.name: _looks_of(robot, instrument, poses) for instrument in robot.instruments}
 

@@ -1,19 +1,19 @@
-"""The uncertainty of a calibrated robot's positions: the parameters' covariance, carried to poses.
+"""The uncertainty of a calibrated robot's positions: the parameters' covariance, propagated to poses.
 
     covariance of x(q)  =  B C B^T,      B = d(position)/d(free parameters) at the pose
 
-and in the same way that of a target's orientation, as a small turn about the axes of the measurement frame.
+The covariance of a target's orientation, as a small turn about the axes of the measurement frame, follows alike.
 
 Directions of C that no measurement determined (redundant or prior-held parameters) drop out where B does not see them,
-so a position can be known to micrometres although no single parameter is. What the model leaves out counts as an error
-of each joint that is another one at each pose, as large as residuals show it (`calib.core.fitting.unexplained`):
+so a position can be known to micrometres although no single parameter is. Errors that the model leaves out count as an
+independent error of each joint at each pose, as large as residuals show (`calib.core.fitting.unexplained`):
 
     covariance of x(q)  =  B C B^T + delta^2 K K^T,      K = d(position)/d(joints), scaled
 
-What residuals cannot tell from noise counts. What the robot does not repeat comes on top.
+The part that residuals cannot tell from noise counts. The robot's repeatability comes on top.
 
 Joint terms that a choice left out, and that the data do not exclude, have coefficients that are zero and uncertain
-(`UndecidedTerms`). They join the free parameters, in C and in B, and the free parameters follow them.
+(`UndecidedTerms`). They join the free parameters in C and in B, with their correlations.
 
 Reference: jcgm100 (GUM), section 5.2.
 """
@@ -40,10 +40,10 @@ from calib.core.robots.terms.term import Context, TermSection
 from calib.core.rows.jacobian import linearise
 
 CHUNK = 1024
-"""Poses at once."""
+"""Number of poses computed at once."""
 ROWS = (slice(3), slice(3, 6))
 """Rows of positions and of turns."""
-_DIFFERS = 1.5  # uncertainty in the measurement frame over that predicted, above which both are reported
+_DIFFERS = 1.5  # uncertainty in the measurement frame over the predicted one, above which both are reported
 _CERTAIN = 1e-12  # variance of a length that does not show, over its square
 
 
@@ -57,10 +57,10 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
         coverage_factor: Half a 95 % interval of one coordinate, in standard deviations.
         turn_covariance: Covariance of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not
             computed.
-        left_out: Targets that summaries leave out (`RobotData.unreported_targets`), and their places among the targets.
+        left_out: Targets that summaries leave out (`RobotData.unreported_targets`), and their indices.
         frame: Frame of the covariances, in words; empty for the measurement frame.
-        measured: The same positions with their covariance in the measurement frame, where that is another one.
-        contains: Contributions to the covariances; nothing where these are not known.
+        measured: The same positions with their covariance in the measurement frame, if `frame` is another.
+        contains: Contributions to the covariances; empty where these are not known.
     """
 
     positions: FloatArray
@@ -106,16 +106,16 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
 
     @property
     def reported_distance(self) -> FloatArray:
-        """`distance` without targets that are left out, (n_poses, n) [m]."""
+        """`distance` without the targets in `left_out`, (n_poses, n) [m]."""
         return np.delete(self.distance, list(self.left_out.values()), axis=1)
 
     @property
     def worst(self) -> int:
-        """The pose at which `reported_distance` is largest."""
+        """The pose with the largest `reported_distance`."""
         return int(np.argmax(np.max(self.reported_distance, axis=1)))
 
     def remark(self) -> str:
-        """Return remarks on a summary, on its frame and on targets that it leaves out; empty if there are none."""
+        """Return remarks on the frame of a summary and on targets that it leaves out; empty if there are none."""
         frame = f"; {self.frame}" if self.frame else ""
         if self.measured is not None and self.measured.summary()["mean"] > _DIFFERS * self.summary()["mean"]:
             frame += f" (in the measurement frame to {self.measured.summary()['mean']:.2g} mm on average)"
@@ -124,7 +124,7 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
         return frame + (f"; not counted: {listing(texts)}, read from unknown places only" if texts else "")
 
     def table(self) -> dict[str, object]:
-        """Return `summary` as data, with its frame, and the same in the measurement frame where that is another one."""
+        """Return `summary` as data, with its frame, and the summary in the measurement frame if that is another."""
         other = {} if self.measured is None else {"measurement_frame": self.measured.summary()}
         frame = "measurement" if self.measured is None else "robot base"
         return {**self.summary(), "frame": frame, **other, "left_out": list(self.left_out)}
@@ -141,12 +141,7 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class RootMeanSquare:
-    """A root mean square distance over a set of poses.
-
-    Attributes:
-        value: The distance, infinite where not known [m].
-        low95, high95: Its 95 % interval [m].
-    """
+    """A root mean square distance over a set of poses, infinite where not known, and its 95 % interval [m]."""
 
     value: float
     low95: float
@@ -162,7 +157,7 @@ def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor:
     Args:
         jacobian: B of each position, (n_poses, n_targets, 3, n_free).
         covariance: C, (n_free, n_free).
-        coverage_factor: Coverage factor of the fit's 95 % intervals.
+        coverage_factor: Half a 95 % interval of one coordinate, in standard deviations.
     """
     flat = jacobian.reshape(-1, jacobian.shape[-1])
     product = covariance @ (flat.T @ flat) / (len(flat) / 3)
@@ -172,10 +167,10 @@ def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor:
 
 
 def order_of_joints(q: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return an order and signs of joints that follow from poses q (n, n_actuated) alone.
+    """Return an order and signs of joints that depend on poses q (n, n_actuated) alone.
 
-    So what is sampled does not depend on the names of joints, on the order in which a description has them, and on
-    which way of an axis is called positive.
+    So samples do not depend on the names of joints, their order in a description, and the positive direction of an
+    axis.
 
     Returns:
         The place of each joint in the order, and +1 or -1 for each, (n_actuated,).
@@ -186,14 +181,10 @@ def order_of_joints(q: FloatArray) -> tuple[IntArray, FloatArray]:
 
 
 def recombined_joints(q: FloatArray, most: int) -> FloatArray:
-    """Return the joint values of poses q (n, n_actuated) in combinations that need not be among them [m or rad].
+    """Return the joint values of poses q (n, n_actuated) in new combinations, at most `most` [m or rad].
 
-    The values of each joint are moved on by another number of poses, in the order of `order_of_joints`. So every joint
-    stays where it was measured, and what the poses leave open because joints moved along with each other shows.
-
-    Args:
-        q: The poses.
-        most: Number of combinations at most.
+    The values of each joint are shifted by a different number of poses, in the order of `order_of_joints`. So every
+    joint stays in its measured range, and the uncertainty shows of joints that moved only together.
     """
     n, n_joints = q.shape
     mixed = np.stack([np.roll(q[:, j], k * n // n_joints) for j, k in enumerate(order_of_joints(q)[0])], axis=1)
@@ -203,10 +194,10 @@ def recombined_joints(q: FloatArray, most: int) -> FloatArray:
 def without_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray:
     """Return derivatives of positions without the motion of all of them as one body, in the shape of `rows`.
 
-    Where base and tool are placed anew, nothing else is seen of an error of the parameters.
+    Where base and tool are placed anew, only this part of an error of the parameters is visible.
 
     Args:
-        positions: Their positions, (n, n_targets, 3) [m].
+        positions: Positions, (n, n_targets, 3) [m].
         rows: Their derivatives, (..., n_parameters), three rows for each position.
     """
     points = positions.reshape(-1, 3)
@@ -226,8 +217,8 @@ def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | 
     """Return low and high 95 % limits of the length of vectors with these covariances and means, (2, ...).
 
     The square of the length is a sum of squares of normal numbers with mean tr(C) + |m|^2 and variance 2 tr(C^2) + 4
-    m^T C m: nearly g chi^2_h with the same two, g = (tr(C^2) + 2 m^T C m) / (tr(C) + |m|^2); where one direction
-    outweighs the others, 97 of 100 lie between them.
+    m^T C m: nearly g chi^2_h with the same two, g = (tr(C^2) + 2 m^T C m) / (tr(C) + |m|^2). Where one direction
+    outweighs the others, the limits hold 97 of 100 lengths.
 
     Args:
         covariance: C, (..., 3, 3).
@@ -263,8 +254,8 @@ class UndecidedTerms(ReadOnlyArrays):
 
     Attributes:
         terms: Their entries.
-        names: Parameters that are uncertain by them: free ones of the robot, and their own coefficients, (n,).
-        spread: S, one standard deviation in each of k independent directions, (n, k) [SI]; their covariance is S S^T.
+        names: Names of the uncertain parameters: free ones of the robot, and coefficients of the terms, (n,).
+        spread: S, one standard deviation in each of k independent directions, (n, k) [SI]; the covariance is S S^T.
     """
 
     terms: tuple[TermSection, ...]
@@ -272,11 +263,11 @@ class UndecidedTerms(ReadOnlyArrays):
     spread: FloatArray
 
     def with_terms(self, robot: Robot) -> Robot:
-        """Return a robot with these terms added, coefficients zero."""
+        """Return a robot with these terms added, their coefficients zero."""
         return robot.with_terms((*robot.description.terms, *self.terms))
 
     def sensitivity_of(self, names: Sequence[str]) -> FloatArray:
-        """Return S of some parameters, (n, k), 0 of those that do not depend on the terms."""
+        """Return S of some parameters, (n, k), 0 for those that do not depend on the terms."""
         place = {name: k for k, name in enumerate(self.names)}
         rows = np.vstack([self.spread, np.zeros((1, self.spread.shape[1]))])
         return rows[[place.get(name, -1) for name in names]]
@@ -284,14 +275,14 @@ class UndecidedTerms(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class UncertaintyJacobian(ReadOnlyArrays):
-    """A robot linearised at poses by all that is uncertain of it.
+    """A robot linearised at poses by all uncertain quantities.
 
     Attributes:
-        robot: The robot, with joint terms that are undecided, coefficients zero.
+        robot: The robot, with undecided joint terms, their coefficients zero.
         configurations: Its poses, loops closed.
         positions: (n_poses, n_targets, 3) [m].
-        jacobian: Derivative of positions and, if wanted, small turns, (n_poses, n_targets, 3 or 6, n_uncertain): by the
-            free parameters, by coefficients of undecided terms, then by the joints that are off.
+        jacobian: Derivative of positions and, if requested, small turns, (n_poses, n_targets, 3 or 6, n_uncertain): by
+            the free parameters, by coefficients of undecided terms, then by joints with an error at each pose.
     """
 
     robot: Robot
@@ -305,12 +296,12 @@ class ParameterUncertainty(ReadOnlyArrays):
     """The uncertainty of the parameters of a calibrated robot.
 
     Attributes:
-        free: Mask of those that were found, (n_parameters,); the others are taken as they are.
-        covariance: Covariance of these, if it has no other joint terms, (n_free, n_free) [m, rad].
+        free: Mask of the calibrated parameters, (n_parameters,); the others count as exact.
+        covariance: Covariance of the free parameters without undecided joint terms, (n_free, n_free) [m, rad].
         coverage_factor: Half a 95 % interval, in standard deviations.
-        undecided: Joint terms that it may have, too; None if a choice left none undecided.
-        joint_error: Standard deviation of an error of each joint, another one at each pose [rad; of a joint that slides
-            in characteristic lengths].
+        undecided: Joint terms that the data do not exclude; None without any.
+        joint_error: Standard deviation of an independent error of each joint at each pose [rad; characteristic lengths
+            of a sliding joint].
         contains: Contributions to the uncertainty of positions.
     """
 
@@ -323,32 +314,23 @@ class ParameterUncertainty(ReadOnlyArrays):
 
     @property
     def coverage_sentence(self) -> str:
-        """Say whether the uncertainty of positions counts what the model leaves out."""
+        """Clause that says whether the uncertainty of positions counts errors that the model leaves out."""
         if self.joint_error == 0.0:
             return "without what the model leaves out"
         return "counting what the model leaves out"
 
     def lasting(self, robot: Robot) -> BoolArray:
-        """Return which uncertain quantities are the same at every pose, (n_uncertain,)."""
+        """Return a mask of the uncertain quantities that are the same at every pose, (n_uncertain,)."""
         n_changing = self._n_errors(robot)
         n_lasting = int(np.sum(self.free)) + len(self._undecided_names(robot))
         return np.arange(n_lasting + n_changing) < n_lasting
 
     def counting(self, robot: Robot, counts: BoolArray) -> BoolArray:
-        """Return which of all that is uncertain counts, (n_uncertain,).
-
-        Args:
-            robot: The calibrated robot.
-            counts: Mask of the free parameters that do, (n_free,).
-        """
+        """Return a mask of the uncertain quantities that count, (n_uncertain,), from that of free ones, (n_free,)."""
         return np.append(counts, np.ones(len(self._undecided_names(robot)) + self._n_errors(robot), dtype=bool))
 
     def covariance_of(self, robot: Robot) -> FloatArray:
-        """Return the covariance of all that is uncertain, (n_uncertain, n_uncertain) [SI].
-
-        Args:
-            robot: The calibrated robot.
-        """
+        """Return the covariance of all uncertain quantities of a calibrated robot, (n_uncertain, n_uncertain) [SI]."""
         if self.undecided is None and self.joint_error == 0.0:
             return self.covariance
         total = np.diag(np.where(self.lasting(robot), 0.0, self.joint_error**2))
@@ -363,14 +345,14 @@ class ParameterUncertainty(ReadOnlyArrays):
     def linearise(
         self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None, *, turns: bool = True
     ) -> UncertaintyJacobian:
-        """Linearise positions and turns of all targets by all that is uncertain.
+        """Linearise positions and turns of all targets by all uncertain quantities.
 
         Args:
             robot: The calibrated robot.
             q: Commands, (n_poses, n_actuated) [m or rad].
-            context: Under which conditions they are given.
+            context: Conditions of the commands.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
-            turns: Whether turns are wanted.
+            turns: Whether to include turns.
 
         Raises:
             UnreachablePoseError: A loop stays open.
@@ -392,13 +374,7 @@ class ParameterUncertainty(ReadOnlyArrays):
     def linearise_in_parts(
         self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None, *, turns: bool = True
     ) -> Iterator[tuple[slice, UncertaintyJacobian]]:
-        """Yield the indices of some poses, and the result of `linearise` for these.
-
-        Args:
-            robot, context, turns: The calibrated robot, conditions of the commands, and whether turns are wanted.
-            q: Commands, (n_poses, n_actuated) [m or rad].
-            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
-        """
+        """Yield the indices of some poses, and their linearisation; see `linearise`."""
         for start in range(0, len(q), CHUNK):
             some = slice(start, start + CHUNK)
             seed = None if near is None else near[some]
@@ -410,7 +386,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         return [p.name for p, free in zip(robot.parameters, self.free, strict=True) if free]
 
     def _n_errors(self, robot: Robot) -> int:
-        """Number of joints that are off."""
+        """Number of joints with an error at each pose."""
         return len(robot.joint_names) if self.joint_error > 0.0 else 0
 
     def _undecided_names(self, robot: Robot) -> tuple[str, ...]:
@@ -429,17 +405,17 @@ class ParameterUncertainty(ReadOnlyArrays):
         counts: BoolArray | None = None,
         common: Callable[[UncertaintyJacobian], FloatArray] | None = None,
     ) -> PositionUncertainty:
-        """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
+        """Predict positions of all targets, loops closed, with the covariance of positions and orientations.
 
         Args:
             robot: The calibrated robot.
             q: Commands, (n_poses, n_actuated) [m or rad].
-            context: Under which conditions they are given; joint terms may depend on it.
+            context: Conditions of the commands; joint terms may depend on them.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
-            turns: Whether the covariance of the orientations is wanted.
-            counts: Mask of what counts of all that is uncertain, (n_uncertain,); all if not given.
-            common: Returns how positions and turns move together in a way that does not count, (n, n_targets, 6,
-                n_uncertain); then the covariance with it is `measured`.
+            turns: Whether to compute the covariance of the orientations.
+            counts: Mask of the uncertain quantities that count, (n_uncertain,); all if not given.
+            common: Function that returns the common motion of positions and turns that does not count, (n, n_targets,
+                6, n_uncertain); then the covariance with it is `measured`.
 
         Raises:
             UnreachablePoseError: A loop stays open.

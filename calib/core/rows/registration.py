@@ -1,10 +1,10 @@
 """Placing unknown measurement frames and unknown targets before anything else is fitted.
 
-Where the tracker stands and where the reflector sits on the flange are often not known beforehand. Both follow from the
-points that instruments measured and the robot as its other parameters have it, by one fit over all targets
-(`calib.core.numerics.placement`). The stated sigma of a target counts, with the noise of the residuals. What the
-measurements leave open stays where it is. Where orientations were measured too, the unknown orientation of a target is
-their mean. In later setups, a frame or target that was moved follows from the others.
+The place of the tracker, and of the reflector on the flange, are often unknown. Both follow from the measured points
+and the robot with its other parameters, by one fit over all targets (`calib.core.numerics.placement`). The stated sigma
+of a target counts, with the noise of the residuals. What the measurements leave open keeps its value. Where
+orientations were measured too, the unknown orientation of a target is their mean. In later setups, a frame or target
+that was moved follows from the others.
 """
 
 from __future__ import annotations
@@ -31,14 +31,12 @@ _SQUARED_ROUNDING = 1e-30  # squares below are rounding
 
 
 def register(robot: Robot, data: Measurements, *, rough_beyond: float = np.inf) -> Robot:
-    """Return the robot with the unknown ones of base and targets placed where its measurements show them.
+    """Return the robot with unknown base and targets placed by its measurements.
 
-    All its other parameters, and held ones of base and targets, keep their values. Without measured points, or where
-    these are too few, everything stays.
+    All other parameters, and held ones of base and targets, keep their values; so do all without enough measured
+    points.
 
     Args:
-        robot: The robot.
-        data: Its measurements.
         rough_beyond: As in `calib.core.numerics.placement.place` [m].
 
     Raises:
@@ -62,13 +60,12 @@ def register(robot: Robot, data: Measurements, *, rough_beyond: float = np.inf) 
 def registration(
     robot: Robot, data: Measurements, *, frame_known: bool, targets_known: bool = True
 ) -> tuple[Placement, tuple[str, ...]]:
-    """Return where the measurements show the measurement frame and targets, in the first setup, and which targets.
+    """Return the measurement frame and targets of the first setup by the measurements, and the names of these targets.
 
     Args:
-        robot: The robot; its current values are what an open place stays near.
-        data: Measurements.
-        frame_known: Whether the measurement frame is where the robot has it, even if the description says otherwise.
-        targets_known: Whether targets that the description calls known are where the robot has them.
+        robot: The robot; what the measurements leave open stays near its current values.
+        frame_known: Whether the measurement frame counts as known, against the description.
+        targets_known: Whether targets that the description calls known count as known.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -82,7 +79,7 @@ def registration(
 
 
 class _Frames:
-    """Places of one setup, and which of them are new in it."""
+    """Places of a setup."""
 
     def __init__(self, robot: Robot, setup: int) -> None:
         self.setup = setup
@@ -103,7 +100,7 @@ class _Frames:
 
 
 def _common_visits(robot: Robot, data: Measurements, setup: int) -> list[tuple[BoolArray, tuple[str, ...]]]:
-    """Visits of a setup at which points were seen, and which targets; most visits first."""
+    """Visits of a setup at which points were measured, and their targets; most visits first."""
     points = data.points(robot)
     n_setups = max(len(robot.description.setups), 1)
     in_setup = np.zeros(len(data), dtype=bool)
@@ -175,10 +172,10 @@ def _registration(
 def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed: list[str]) -> Robot:
     """Return the robot with the first guess of an instrument.
 
-    Of several guesses, the one is taken that best explains the readings of this instrument and of those placed before:
-    two cameras may look at one body.
+    Of several guesses, the best for the readings of this instrument and of those placed before is taken: two cameras
+    may look at one body.
     """
-    if type(instrument).first_values is FrameInstrument.first_values:  # it guesses nothing
+    if type(instrument).first_values is FrameInstrument.first_values:  # the kind has no guess
         return robot
     readings = data.readings[instrument.name]
     names = pair_names(robot.description, instrument)
@@ -209,7 +206,7 @@ def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed
 
 
 def _guess_joint_numbers(robot: Robot, data: Measurements, instrument: JointInstrument) -> Robot:
-    """Return the robot with first guesses at the unknown numbers of an instrument that reads a joint."""
+    """Return the robot with first guesses of the unknown numbers of an instrument that reads a joint."""
     readings, configurations = (
         data.readings[instrument.name],
         robot.assemble(data.joints, labels=data.labels, context=data.conditions),
@@ -245,7 +242,7 @@ def _with_guess(
 
 
 def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Frames) -> dict[str, float]:
-    """Unknown orientations of targets, from where the measurement frame is now."""
+    """Unknown orientations of targets, by the present measurement frame."""
     values: dict[str, float] = {}
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)
@@ -269,7 +266,7 @@ def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Fr
 
 
 def _expected_place(robot: Robot, target: str, origin: str, *, known: bool) -> tuple[FloatArray, FloatArray]:
-    """Expected position of a target in its link, and its sigma, (3,) each [m]; see `MovingPoint`."""
+    """Expected position of a target in its link, and its sigma, (3,) each [m], as in `MovingPoint`."""
     point, sigma = robot.mechanism.placement(origin).translation.copy(), np.zeros(3)
     if robot.description.targets[target].position == "known":
         return point, sigma if known else np.full(3, np.inf)

@@ -1,9 +1,9 @@
 """Uncertainty of positions, in the frame in which they are reported.
 
-If an instrument stands at a known place, this is the measurement frame. Otherwise the places of base and instruments
-are unknown, and the readings may hardly determine them. Distances from unknown points, for example, leave the place of
-the base to its priors, with an uncertainty of millimetres, although no motion of the robot is uncertain by as much.
-Then positions are reported in the robot's own base frame, placed where positions agree best over the measured poses.
+If an instrument stands at a known place, this is the measurement frame. Otherwise readings may hardly determine the
+places of base and instruments. Distances from unknown points, for example, leave the place of the base to its priors,
+with an uncertainty of millimetres, although no motion of the robot is that uncertain. Then positions are reported in
+the robot's own base frame, placed where positions agree best over the measured poses.
 
 Let J be the derivative of positions by the free parameters, d the error of the parameters, and C its covariance. Let
 A z(d) be the motion of all positions as one body that fits J d best over these poses (`calib.core.rows.common_motion`).
@@ -32,13 +32,7 @@ OWN_FRAME = "in the robot's own base frame, because no instrument stands at a kn
 
 @dataclass(frozen=True, eq=False)
 class ReportedUncertainty(ReadOnlyArrays):
-    """A calibrated robot, and the uncertainty of its positions.
-
-    Attributes:
-        robot: The robot.
-        uncertainty: Uncertainty of its parameters.
-        motion: Common motion of all positions, which is taken off; None in the measurement frame.
-    """
+    """A calibrated robot, its uncertainty, and the common motion to subtract; None in the measurement frame."""
 
     robot: Robot
     uncertainty: ParameterUncertainty
@@ -47,13 +41,7 @@ class ReportedUncertainty(ReadOnlyArrays):
     @staticmethod
     @one_blas_thread
     def from_robot(robot: Robot, uncertainty: ParameterUncertainty, joints: FloatArray) -> ReportedUncertainty:
-        """Return the uncertainty of a calibrated robot's positions, as reported.
-
-        Args:
-            robot: The robot.
-            uncertainty: Uncertainty of its parameters.
-            joints: Commands of the visits that it was calibrated from, (n, n_actuated) [m or rad].
-        """
+        """Return the reported uncertainty of a robot calibrated at commands `joints`, (n, n_actuated) [m or rad]."""
         loose = replace(UnknownPlaces.from_robot(robot), points=(), frames=())
         if not loose.base:
             return ReportedUncertainty(robot, uncertainty, None)
@@ -87,6 +75,6 @@ class ReportedUncertainty(ReadOnlyArrays):
 
     @cached_property
     def _common(self) -> Callable[[UncertaintyJacobian], FloatArray]:
-        """Function that gives the common motion by errors of the parameters."""
+        """Function for the common motion by errors of the parameters."""
         assert self.motion is not None
         return following_motion(self.motion, self.robot, self.uncertainty)

@@ -1,26 +1,25 @@
 """One system of whitened rows: the source of every statement about measurements.
 
-A reading of m components gives m rows. The covariance of its noise is s_g^2 C_k. C_k is the stated covariance. s_g is
+A reading of m components gives m rows. The covariance of its noise is s_g^2 C_k, with C_k the stated covariance and s_g
 the scale of its group: 1 where the noise is stated and not contradicted, else found from the residuals. Residuals r and
 scaled Jacobian J (columns times the parameters' sigma) are whitened reading by reading,
 
     [rw, Jw] = D^(-1/2) [r, J],        D = blocks s_g^2 C_k
 
 Where an instrument reads several times at a pose (markers before a camera, repeats of a point), these readings share
-the error of the model there, so that they tell less than as many readings at other poses. With e_c the change of the
-instrument's rows by an offset of component c,
+the error of the model there, so that they carry less information than as many readings at other poses. With e_c the
+change of the instrument's rows by an offset of component c,
 
     D = R (blocks s_g^2 C_k) R,        R = (I + sum of (kappa_c / s_g)^2 e_c e_c^T)^(1/2) in whitened rows, pose by pose
 
 with kappa_c^2 the variance of that offset: n readings weigh like n / (1 + n kappa^2 / s^2), so many like one or two.
 
-Estimates are weighted by R only where it predicts poses left out in turn better than R = 1 does
-(`calib.core.fitting.solving`). The reason: readings that agree within a pose may be wrong in the same way at each, as
-with a lens or a board, and would then get all the weight. An error of any shape that readings of a pose share widens
-intervals, and does not change weights (`calib.core.numerics.clusters`). To weight by a guess of its shape made
-predictions of real robots worse (UR10, full poses: 0.467 mm in place of 0.442 on rows not used; Motoman, tracker and
-cameras: 0.076 in place of 0.072). Visits that repeat one pose share one error, since the error of the model is the same
-each time.
+Estimates are weighted by R only where it predicts left-out poses better than R = 1 does (`calib.core.fitting.solving`).
+Readings that agree within a pose may be wrong in the same way at each, as with a lens or a board, and would then get
+all the weight. An error of any shape that readings of a pose share widens intervals, and does not change weights
+(`calib.core.numerics.clusters`): weights by a guess of its shape made predictions of real robots worse (UR10, full
+poses: 0.467 mm instead of 0.442 on unused rows; Motoman, tracker and cameras: 0.076 instead of 0.072). Visits that
+repeat a pose share one error, since the error of the model is the same each time.
 
 A component that was not read has a row of zeros, which has no effect and is not counted.
 """
@@ -44,9 +43,8 @@ class Group:
     """Rows whose noise has one scale.
 
     Attributes:
-        name: Name of the group of instruments.
-        part: Part of their readings that the rows are from.
-        stated: Whether their noise is stated.
+        part: Part of the readings that has the rows.
+        stated: Whether the noise is stated.
         typical: Typical standard deviation as stated, or 1 SI unit [SI].
     """
 
@@ -62,7 +60,7 @@ class Scales(ReadOnlyArrays):
 
     Attributes:
         groups: s_g of the module docstring, (n_groups,).
-        ratios: kappa_c over s_g, by which estimates are weighted, (n_offsets,); all 0 for R = 1.
+        ratios: kappa_c over s_g, which weights estimates, (n_offsets,); all 0 for R = 1.
     """
 
     groups: FloatArray
@@ -80,7 +78,7 @@ class Layout(RowGroups):
         reading: Reading of each row, (n_rows,).
         visit: Visit of each reading, (n_readings,).
         pose: Pose of each reading; visits that repeat a pose share it, (n_readings,).
-        width: Number of components that were read, of each reading, (n_readings,).
+        width: Number of components of each reading that were read, (n_readings,).
         groups: The groups of rows.
     """
 
@@ -132,23 +130,19 @@ class Layout(RowGroups):
 
 @dataclass(frozen=True, eq=False)
 class Rows(LinearModel):
-    """Whitened rows of readings.
-
-    Attributes:
-        layout: Order of the rows.
-    """
+    """Whitened rows of readings, in the order of `layout`."""
 
     layout: Layout
 
     def with_weights(self, weights: FloatArray) -> Rows:
-        """Return the rows with these weights of the readings, (n_readings,); the same object where all are 1."""
+        """Return the rows with weights of the readings, (n_readings,); the same object where all are 1."""
         if np.all(weights == 1.0):
             return self
         root = np.sqrt(weights)[self.layout.reading]
         return replace(self, residuals=root * self.residuals, jacobian=root[:, None] * self.jacobian)
 
     def whiten_shared(self, shared: SharedError | None) -> Rows:
-        """Return the rows, whitened for errors that the rows of a pose share; the same object without such errors."""
+        """Return the rows whitened for errors that the rows of a pose share; the same object without such errors."""
         if shared is None:
             return self
         return replace(self, residuals=shared.whiten(self.residuals), jacobian=shared.whiten(self.jacobian))
@@ -160,7 +154,7 @@ class Rows(LinearModel):
 
         Args:
             root: T of `calib.core.numerics.observability`, (n_free, rank).
-            weights: Weight of each reading in the fit, (n_readings,); 0 for readings that were not used.
+            weights: Weight of each reading in the fit, (n_readings,); 0 for unused readings.
             freedom: Degrees of freedom of the fit.
             scale: See `calib.core.numerics.losses`; found from these readings if not given.
         """

@@ -1,13 +1,13 @@
-"""Simulated measurements: what the instruments of a robot with known parameters read, plus normal noise.
+"""Simulated measurements: the readings of a robot's instruments at known parameters, plus normal noise.
 
-A touch has no reading that noise could be added to: the robot itself stands where it touches, and what it misses by is
-in its joints. So the joint values of a pose at which something is touched are found: those near the given ones at which
-every gap is the miss that was drawn, by damped Gauss-Newton steps of the actuated joints through the loops,
+A touch has no reading that noise could be added to: its error is in the joints of the robot. So the joint values of a
+touching pose are found near the given ones, such that every gap equals a drawn miss, by damped Gauss-Newton steps of
+the actuated joints through the loops,
 
     minimise  |gap - miss + d(gap)/dq dq|^2 + damping |dq|^2
 
 with less damping after a step that came nearer, more after one that did not, and within the joint limits. Like all
-searches from one start it may end elsewhere than at contact; then the pose is named, and nothing is returned.
+searches from one start it may end away from contact; then an error names the pose.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from calib.core.rows.whitening import stated_noise
 
 _LONGEST_STEP = 0.2  # step of a joint [rad, or characteristic lengths]
 _ROUNDS, _STEPS = 3, 100
-_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a step that gains less, further away [m], leads nowhere
+_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a search ends where a step gains less, and is still further away [m]
 MET = 1e-10
-"""Miss that is none [m]."""
+"""Distance below which the robot touches [m]."""
 _FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
 
 
@@ -56,14 +56,14 @@ def simulate(
 ) -> Measurements:
     """Return simulated measurements of a robot at its current parameter values.
 
-    Instruments read what the poses say (`calib.core.data.plan_files.read_plan`), or all that they can. Where something
-    is touched, the joint values are changed until the robot touches it. Noise that is not stated is zero.
+    Instruments read as planned (`calib.core.data.plan_files.read_plan`), else all that they can. At a touch, the joint
+    values are changed until the robot touches. Unstated noise is zero.
 
     Args:
         robot: The true robot.
         poses: Poses to measure: poses, or joint values alone, (n, n_actuated) [m or rad].
-        sigma: Standard deviation of the noise of positions per axis [m]; 0 for no noise at all; None for what the
-            description states.
+        sigma: Standard deviation of the noise of positions per axis [m]; 0 for no noise at all; None for the stated
+            noise.
         seed: Seed of the noise, or a generator of random numbers.
         joint_sigma: Standard deviation of joint errors at each visit that the joint values do not show [rad, or
             characteristic lengths].
@@ -88,7 +88,7 @@ def simulate(
         _assemble(robot, poses, commands, off)
         commands, misses = touching_configurations(robot, poses, touches, off)
         _require_contact(poses, misses)
-    configurations = _assemble(robot, poses, commands, off)  # says which pose cannot be
+    configurations = _assemble(robot, poses, commands, off)  # an error names the pose that fails
     readings = dict[str, Readings]()
     for name, predicted in predict_readings(robot, configurations, looks).items():
         instrument = robot.instrument(name)
@@ -104,11 +104,11 @@ def simulate(
 def noisy_readings(
     robot: Robot, exact: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
 ) -> dict[str, Readings]:
-    """Return readings with normal noise, without those of what cannot be seen.
+    """Return readings with normal noise, without unseen ones.
 
     Args:
-        robot: Knows the noise of its instruments.
-        exact: Readings without noise; not of touches, whose noise is in the joints.
+        robot: The robot, whose instruments state their noise.
+        exact: Readings without noise; no touches, whose noise is in the joints.
         sigma: As in `simulate`.
         rng: Source of the noise.
     """
@@ -157,13 +157,12 @@ def touching_configurations(
     """Move the robot to contact; see the module docstring.
 
     Args:
-        robot: The robot.
-        poses: Poses to start from; those that touch nothing stay, or go with a touch that repeats the same pose.
-        touches: Planned touches of each instrument that touches, and by how much it shall miss.
-        off: Errors of the joints, which their commands do not show, (n, n_actuated) [m or rad]; nothing if not given.
+        poses: Poses to start from; poses without a touch stay, or follow a touch that repeats the same pose.
+        touches: Planned touches of each touching instrument, with the distance of each miss.
+        off: Errors of the joints beside their commands, (n, n_actuated) [m or rad]; zero if not given.
 
     Returns:
-        Commands, (n, n_actuated) [m or rad]; how far each is from contact, (n,) [m]: less than `MET` where it is there.
+        Commands, (n, n_actuated) [m or rad]; distance of each from contact, (n,) [m], less than `MET` where it touches.
     """
     errors = np.zeros_like(poses.joints) if off is None else off
     (lower, upper), follows = _limits(robot, poses), _follows(poses, touches)
@@ -199,7 +198,7 @@ def touching_configurations(
 
 
 def _require_contact(poses: Poses, misses: FloatArray) -> None:
-    """Raise `UnreachablePoseError` where some pose misses (n,) [m] what it should touch."""
+    """Raise `UnreachablePoseError` where some pose misses (n,) [m] its contact."""
     worst, more = int(np.argmax(misses)), int(np.sum(misses >= MET)) - 1
     if misses[worst] >= MET:
         raise UnreachablePoseError(
@@ -209,10 +208,10 @@ def _require_contact(poses: Poses, misses: FloatArray) -> None:
 
 
 def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held: BoolArray) -> FloatArray:
-    """The step of the module docstring of joints that no limit holds, no longer than is allowed, (n, n_actuated)."""
+    """The step of the module docstring for joints that no limit holds, limited in length, (n, n_actuated)."""
     free = np.where(held[:, None, :], 0.0, slopes)
     size = np.einsum("nij,nij->n", slopes, slopes) / slopes.shape[2] + 1e-300
-    # By singular values: in J^T J, rounding over little damping would move the joints along what no gap feels.
+    # By singular values: in J^T J, rounding over little damping would move the joints along directions without a gap.
     left, values, right = linalg.svd(free, full_matrices=False)
     gradient = np.matmul(left.transpose(0, 2, 1), gaps[:, :, None])[:, :, 0]
     step: FloatArray = -np.matmul((gradient * values / (values**2 + (damping * size)[:, None]))[:, None, :], right)[
@@ -229,7 +228,7 @@ def _limits(robot: Robot, poses: Poses) -> tuple[FloatArray, FloatArray]:
 
 
 def _follows(poses: Poses, touches: Mapping[str, Readings]) -> IntArray:
-    """Whose joint values each visit takes: its own; or, touching nothing, those of a touch that repeats its pose."""
+    """The visit whose joint values each visit takes: itself, or without a touch, a touching visit of the same pose."""
     touching = np.unique(np.concatenate([readings.visits for readings in touches.values()]))
     numbers, result = poses.pose_numbers, np.arange(len(poses))
     first = dict(zip(numbers[touching[::-1]].tolist(), touching[::-1].tolist(), strict=True))
@@ -246,7 +245,7 @@ def _gaps(
     touches: Mapping[str, Readings],
     index: IntArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Gaps of some visits beyond what is missed by, and their derivative by the actuated joints.
+    """Gaps of some visits beyond the drawn miss, and their derivative by the actuated joints.
 
     Returns:
         (n, n_gaps) [m], 0 where fewer, infinite where the robot cannot be assembled; (n, n_gaps, n_actuated).
@@ -271,19 +270,19 @@ def _gaps(
 
 
 def _context(poses: Poses, commands: FloatArray) -> Context:
-    """Conditions of commands (n, n_actuated); from which side, in their order where the poses do not say."""
+    """Conditions of commands (n, n_actuated); their order gives the side of approach if the poses do not."""
     approach = directions_of_motion(commands) if poses.approach is None else poses.approach
     return Context.from_conditions(approach, poses.context, poses.setups)
 
 
 def _assemble(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray) -> Configurations:
-    """The robot at commands (n, n_actuated) that it does not quite follow."""
+    """Assemble the robot at commands (n, n_actuated) plus joint errors."""
     context = _context(poses, commands)
     return robot.assemble(commands + off, labels=poses.labels, context=context)
 
 
 def _noisy(instrument: Instrument, exact: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
-    """Readings with noise, without those of what cannot be seen."""
+    """Readings with noise, without unseen ones."""
     seen = np.flatnonzero(~np.isnan(exact.values).all(axis=1))
     visible = exact if len(seen) == len(exact) else select_readings(exact, seen)
     change = np.zeros((len(visible), instrument.n_rows))

@@ -19,14 +19,13 @@ class Unknowns(ReadOnlyArrays):
     """Parameters that may change, and their scales.
 
     Attributes:
-        names: Their names.
-        index: Their places among all parameters, (n,).
-        scales: Their sigma, (n,) [SI].
+        index: Indices among all parameters, (n,).
+        scales: Sigma of each, (n,) [SI].
         expected: Means of the priors: nominal values, or those of a fleet, (n,) [SI].
-        prior: Their prior.
+        prior: Prior of the scaled parameters.
         placement: Whether each is only a place of an instrument or a target, (n,).
         family: Number of the family of each, -1 for none, (n,).
-        families: Their names.
+        families: Names of the families.
     """
 
     names: tuple[str, ...]
@@ -42,12 +41,12 @@ class Unknowns(ReadOnlyArrays):
         return len(self.names)
 
     def has(self, others: Unknowns) -> bool:
-        """Return whether others are among these."""
+        """Return whether these include all others."""
         return bool(np.all(np.isin(others.index, self.index)))
 
     @staticmethod
     def from_robot(robot: Robot, free: BoolArray | None = None) -> Unknowns:
-        """Return the parameters of a robot that are chosen, (n_parameters,): its free ones if not given."""
+        """Return chosen parameters of a robot, by a mask (n_parameters,): its free ones if not given."""
         chosen = np.flatnonzero(robot.is_free if free is None else free)
         kept = [robot.parameters[k] for k in chosen]
         families = tuple(dict.fromkeys(p.family for p in kept if p.family))
@@ -63,7 +62,7 @@ class Unknowns(ReadOnlyArrays):
         )
 
     def select(self, chosen: BoolArray) -> Unknowns:
-        """Return some of them, (n,)."""
+        """Return the unknowns that a mask (n,) chooses."""
         return Unknowns(
             tuple(name for name, use in zip(self.names, chosen, strict=True) if use),
             self.index[chosen],
@@ -82,7 +81,7 @@ class Unknowns(ReadOnlyArrays):
 
     @staticmethod
     def chosen_by_poses(robot: Robot) -> Unknowns:
-        """Return the free parameters that a choice of poses is about: families, which priors shape, are left out."""
+        """Return the free parameters that a choice of poses should determine: without families, which priors shape."""
         unknowns = Unknowns.from_robot(robot)
         return unknowns.select(unknowns.family < 0)
 

@@ -22,16 +22,16 @@ ASSUMED: dict[Dimension, float] = {"length": 1e-4, "angle": 1e-4, "pixel": 0.5}
 """Noise of one component if it is neither stated nor shown by residuals [SI]; messages must say that it is assumed."""
 
 
-_AGAIN = 10  # readings beyond the first of their pose from which an offset that they share is looked for
+_AGAIN = 10  # readings beyond the first of their pose from which a shared offset is looked for
 
 
 class Whitening:
-    """Whitens residuals and derivatives; knows the stated noise.
+    """Whitens residuals and derivatives by the stated noise.
 
     Args:
         robot: Robot whose instruments state their noise.
         data: The readings.
-        sigma: Noise of positions per axis that replaces what is stated [m].
+        sigma: Noise of positions per axis that replaces the stated one [m].
     """
 
     def __init__(self, robot: Robot, data: Measurements, sigma: float | None = None) -> None:
@@ -60,7 +60,7 @@ class Whitening:
         self._of_all = {name: data.readings[name] for name in self._names} if alike and _are_whole(data) else None
 
     def applies_to(self, data: Measurements) -> bool:
-        """Whether the same whitening serves these readings: complete, of the same visits, with the same noise."""
+        """Whether the same whitening serves these readings: complete, at the same visits, with the same noise."""
         known, readings = self._of_all, data.readings
         if known is None or not _are_whole(data) or {name for name in readings if len(readings[name])} != known.keys():
             return False
@@ -72,11 +72,11 @@ class Whitening:
         return self.layout.groups
 
     def flatten(self, arrays: Mapping[str, FloatArray], *, in_place: bool = False) -> FloatArray:
-        """Whiten arrays of each instrument, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
+        """Whiten arrays by instrument, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
 
         Args:
             arrays: By instrument.
-            in_place: Whether the arrays may be used up, so that large ones are not copied.
+            in_place: Whether the arrays may be overwritten, so that large ones are not copied.
 
         Returns:
             (n_all_rows,) or (n_all_rows, k).
@@ -90,13 +90,12 @@ class Whitening:
     def whiten(
         self, name: str, array: FloatArray, chosen: IntArray | slice = slice(None), *, in_place: bool = False
     ) -> FloatArray:
-        """Whiten arrays of some readings of an instrument by the stated covariance, (n, n_rows) or (n, n_rows, k).
+        """Whiten an array of some readings of an instrument by the stated covariance, (n, n_rows) or (n, n_rows, k).
 
         Args:
             name: The instrument.
-            array: The array.
             chosen: Numbers of the readings, (n,); all if not given.
-            in_place: Whether the array may be used up.
+            in_place: Whether the array may be overwritten.
         """
         inverse = self._inverse[name][chosen]
         if inverse.ndim == 2:  # no correlations: divide
@@ -105,12 +104,7 @@ class Whitening:
         return np.matmul(inverse, array) if array.ndim == 3 else np.matmul(inverse, array[:, :, None])[:, :, 0]
 
     def unwhiten_rows(self, whitened: FloatArray, scales: Scales) -> dict[str, FloatArray]:
-        """Return numbers of readings, (n, n_rows) [SI] by instrument, from whitened ones of each row, (n_rows,).
-
-        Args:
-            whitened: The numbers.
-            scales: Noise by which they are whitened.
-        """
+        """Return numbers of readings, (n, n_rows) [SI] by instrument, from numbers (n_rows,) whitened by `scales`."""
         weighing = self.weighing(scales.ratios)
         numbers = self.row_scale(scales.groups) * (whitened if weighing is None else weighing.unwhiten(whitened))
         result = {}
@@ -141,14 +135,14 @@ class Whitening:
         Args:
             observed: Observed rows of each instrument, by name.
             groups: Scale of the noise of each group, (n_groups,).
-            unknowns: The parameters that count.
+            unknowns: The parameters of the columns.
             deviations: u of these, (n_free,).
         """
         residuals = self.flatten({name: observed[name].residuals for name in self._names}) / self.row_scale(groups)
         return Rows(residuals, self.columns(observed, groups, unknowns), unknowns.prior, deviations, self.layout)
 
     def columns(self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns) -> FloatArray:
-        """Return the whitened derivative of the rows by the scaled unknowns, (n_rows, n_free); as of `rows`."""
+        """Return the whitened derivative of the rows by the scaled unknowns, (n_rows, n_free), as in `rows`."""
         columns = self.flatten(
             {name: observed[name].derivative_by(unknowns.index) for name in self._names}, in_place=True
         )
@@ -158,18 +152,14 @@ class Whitening:
         return columns
 
     def weighing(self, ratios: FloatArray) -> SharedError | None:
-        """Return the offsets that estimates are weighted for; None without any.
-
-        Args:
-            ratios: Ratio of the standard deviation of each offset to the scale of its group, (n_offsets,).
-        """
+        """Return the errors shared by a pose, for ratios of offsets to group scales, (n_offsets,); None without any."""
         weighed = ratios > 0
         if not np.any(weighed):
             return None
         return SharedError(self.offset_columns[:, weighed] * ratios[weighed], self.layout.pose_of_row)
 
     def totals(self, scales: Scales) -> FloatArray:
-        """Return the scale of a reading of each group with the offsets that it is weighed for, (n_groups,)."""
+        """Return the scale of a reading of each group, including weighted offsets, (n_groups,)."""
         weighing = self.weighing(scales.ratios)
         if weighing is None:
             return scales.groups
@@ -180,7 +170,7 @@ class Whitening:
 
     @property
     def n_offsets(self) -> int:
-        """Number of components that all instruments of the robot have."""
+        """Number of components of all instruments of the robot."""
         return sum(self._n_rows.values())
 
     @cached_property
@@ -203,12 +193,12 @@ class Whitening:
         return np.array(enough) & (np.any(self.offset_columns != 0, axis=0) if any(enough) else False)
 
     def offset_scale(self, groups: FloatArray) -> FloatArray:
-        """Return the scale of the group that each offset is in, (n_offsets,); 1 for what was not read."""
+        """Return the scale of the group of each offset, (n_offsets,); 1 without readings."""
         rows = self.offset_columns != 0
         return np.where(rows.any(axis=0), self.row_scale(groups)[np.argmax(rows, axis=0)], 1.0)
 
     def without_offsets(self, ratios: FloatArray) -> BoolArray:
-        """Return which groups are of instruments without offsets (n_offsets,), (n_groups,); all, if each has one."""
+        """Return a mask (n_groups,) of groups of instruments without offsets (n_offsets,); all, if each has one."""
         ends = np.cumsum(list(self._n_rows.values()))[:-1]
         has_offsets = dict(zip(self._n_rows, (bool(np.any(part > 0)) for part in np.split(ratios, ends)), strict=True))
         weighed = [self.layout.group[self.layout.rows_of(name)] for name in self._names if has_offsets[name]]
@@ -216,11 +206,11 @@ class Whitening:
         return free if np.any(free) else ~free
 
     def joint_columns(self, observed: Mapping[str, Observed]) -> FloatArray:
-        """Return the derivative of the rows by the joints, whitened by what is stated, (n_rows, n_actuated)."""
+        """Return the derivative of the rows by the joints, whitened by the stated noise, (n_rows, n_actuated)."""
         return self.flatten({name: observed[name].joint_derivative for name in self._names})
 
     def start(self, residuals: Mapping[str, FloatArray] | None = None) -> FloatArray:
-        """Return scales to start from: 1 where noise is stated; else as the residuals (n, n_rows) are, or assumed."""
+        """Return starting scales: 1 where noise is stated; else the size of the residuals (n, n_rows), or assumed."""
         result = np.array([1.0 if group.stated else ASSUMED[group.part.dimension] for group in self.groups])
         if residuals is not None:
             flat, number = self.flatten(residuals), self.layout.group
@@ -231,7 +221,7 @@ class Whitening:
 
 
 def stated_noise(instrument: Instrument, sigma: float | None) -> Noise:
-    """Return the noise of an instrument, with another one for its positions if that is given [m]."""
+    """Return the noise of an instrument, with `sigma` as that of its positions if given [m]."""
     if sigma is None:
         return instrument.noise
     parts = [
@@ -249,7 +239,7 @@ def _covariance(instrument: Instrument, noise: Noise, readings: Readings) -> Flo
 
 
 def _are_whole(data: Measurements) -> bool:
-    """Whether every component was read, and no reading has a noise of its own."""
+    """Whether every component was read, and no reading has its own noise."""
     return all(each.covariance is None and not np.isnan(each.values).any() for each in data.readings.values())
 
 
@@ -272,7 +262,7 @@ def _group(
     covariance: FloatArray,
     part: Part,
 ) -> int:
-    """The number of the group of a part of an instrument's rows, a new one if need be."""
+    """Number of the group of a part of an instrument's rows; a new group is added."""
     index = instrument.parts.index(part)
     stated = readings.covariance is not None or noise.parts[index].stated
     key = (instrument.group, part.name, stated)

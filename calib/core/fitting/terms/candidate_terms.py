@@ -19,9 +19,9 @@ from calib.core.robots.terms.terms import TERMS
 from calib.core.rows.prediction import UndecidedTerms
 
 TELLS = 3.0
-"""Log evidence from which a kind is surely there: odds of 20 to 1 (kass1995)."""
+"""Log evidence from which a kind of term is proven: odds of 20 to 1 (kass1995)."""
 _OF_ORDER = "the data do not state the direction of approach (columns approach_JOINT)"
-_SAME_TORQUE = 1e-6  # range of the torque of gravity below which a joint always holds the same [N m or N]
+_SAME_TORQUE = 1e-6  # range of the torque of gravity below which a joint's load is constant [N m or N]
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class CandidateTerm:
     """A kind of term, for every joint that can show it and does not have it.
 
     Attributes:
-        term: Its name.
-        sections: Its entries; none where it cannot be tried.
+        term: Name of the kind.
+        sections: Entries; none where it cannot be tried.
         refusal: Why it cannot be tried; empty where it can.
         reason_against: Why it must not be added without a request, though it can be tried; empty where it may.
     """
@@ -41,23 +41,18 @@ class CandidateTerm:
     reason_against: str = ""
 
     def terms_in(self, robot: Robot) -> tuple[JointTerm, ...]:
-        """Return its terms in a robot that has them."""
+        """Return the terms of this kind in a robot."""
         joints = [section.joint for section in self.sections]
         return tuple(
             term for term in robot.terms if type(term) is TERMS[self.term] and {"all", term.joint} & set(joints)
         )
 
     def is_curve_in(self, robot: Robot) -> bool:
-        """Whether its coefficients, in a robot that has its terms, are families whose sizes a fit finds."""
+        """Whether its coefficients in a robot are families whose sizes a fit finds."""
         return any(p.family for term in self.terms_in(robot) for p in term.parameters)
 
     def scaled_sections(self, robot: Robot, factors: Mapping[str, float]) -> tuple[TermSection, ...]:
-        """Return its entries for some joints, with coefficients that are so many times as large as is usual.
-
-        Args:
-            robot: A robot that has its terms.
-            factors: Factors of each joint.
-        """
+        """Return the entries for some joints, in a robot with these terms, with sigmas times a factor of each joint."""
         terms = self.terms_in(robot)
         sigma = {t.joint: float(factors[t.joint] * t.parameters[0].sigma_si) for t in terms if t.joint in factors}
         resized: list[TermSection] = []
@@ -74,12 +69,12 @@ class TermTrial:
     """The trial of one kind of term.
 
     Attributes:
-        term: Its name.
+        term: Name of the kind.
         added: Whether it is fitted.
-        evidence: By how much the log likelihood is higher with it, given all other kinds; NaN where it was not tried.
-        size: How many times as large as is usual its coefficients are, the largest of its joints.
-        size95: The 95 % interval of that.
-        joints: For which joints it is fitted, where each has a size of its own.
+        evidence: Rise of the log likelihood with it, given all other kinds; NaN where it was not tried.
+        size: Size of its coefficients over the usual size, the largest of its joints.
+        size95: The 95 % interval of `size`.
+        joints: Joints for which it is fitted, where each has its own size.
         refusal: Why the measurements cannot show it; empty where they can.
     """
 
@@ -103,11 +98,11 @@ class TermChoice:
 
     Attributes:
         requested: `auto`, `none`, or the requested list.
-        sections: The entries that it has.
-        trials: Of `auto`, what was found about each kind of term, those that were added first.
-        undecided: Of `auto`, what the sizes of all kinds leave uncertain; None if nothing.
-        expected_rms: Of `auto`, how far off poses that are left out are expected to be: the root mean square of the
-            main part of the readings [SI]; NaN where it is not known.
+        sections: The entries of the fit.
+        trials: With `auto`, the result for each kind of term, added ones first.
+        undecided: With `auto`, the uncertainty from the sizes of all kinds; None if there is none.
+        expected_rms: With `auto`, the expected root mean square error at left-out poses, of the main part of the
+            readings [SI]; NaN where it is not known.
     """
 
     requested: str
@@ -118,7 +113,7 @@ class TermChoice:
 
     @property
     def automatic(self) -> bool:
-        """Whether the data say which terms there are."""
+        """Whether the data decide which terms the robot has."""
         return self.requested == "auto"
 
 
@@ -127,8 +122,7 @@ def candidates(robot: Robot, data: Measurements) -> tuple[CandidateTerm, ...]:
     tried.
 
     Args:
-        robot: The robot with the terms that it has anyway.
-        data: Its measurements.
+        robot: The robot with its described terms.
     """
     kinds = [_candidate(name, robot, data) for name in TERMS if _is_tried_by_auto(name)]
     uncounted = uncounted_turns(robot, data.joints)
@@ -146,7 +140,7 @@ def _is_tried_by_auto(name: str) -> bool:
 
 
 def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[TermSection, ...]:
-    """Return entries without those that a robot has already, joint by joint where it has them for some joints."""
+    """Return entries without those of terms that a robot has already, joint by joint."""
     missing: list[TermSection] = []
     for section in sections:
         kind = TERMS[section.term]
@@ -207,7 +201,7 @@ def why_term_unknown(kind: type[JointTerm], data: Measurements) -> str:
 
 
 def _shows(kind: type[JointTerm], joint: str, robot: Robot, data: Measurements) -> bool:
-    """Whether a joint can show a kind of term in these measurements; of a coupling: the joint that drives."""
+    """Whether a joint can show a kind of term in these measurements; for a coupling the joint that drives."""
     if kind.needs_more(robot.mechanism.dimensions[joint]):
         return False
     if Condition.APPROACH in kind.depends_on:

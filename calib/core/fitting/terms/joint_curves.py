@@ -14,7 +14,7 @@ from calib.core.robots.terms.term import Context
 
 _POINTS = 721
 BEYOND = 0.02
-"""How far outside the range measured, over that range, a joint value may be for its curve to hold."""
+"""Distance outside the measured range, over that range, up to which a joint's curve holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,12 +22,11 @@ class JointCurve(ReadOnlyArrays):
     """The error of one joint over its own value, as found.
 
     Attributes:
-        joint: The joint.
         dimension: Whether a length or an angle.
-        command: Commanded values over the range measured, (n,) [m or rad].
-        error: Actual minus commanded there, as far as the family says, (n,) [m or rad].
-        std: Standard deviation of that, (n,) [m or rad].
-        rms: Root mean square of the error over the visits that were used [m or rad].
+        command: Commanded values over the measured range, (n,) [m or rad].
+        error: Actual minus commanded by the family, (n,) [m or rad].
+        std: Standard deviation of `error`, (n,) [m or rad].
+        rms: Root mean square of the error over the used visits [m or rad].
         rms_std: Root mean square of its standard deviation over these [m or rad].
     """
 
@@ -73,12 +72,12 @@ def joint_curves(fit: Fit) -> tuple[JointCurve, ...]:
 
 
 def is_beyond_learned(robot: Robot, learned: FloatArray, q: FloatArray) -> BoolArray:
-    """Return which joint values q (n, n_actuated) lie outside the range of those from which curves were learned.
+    """Return a mask (n, n_actuated) of joint values q outside the range of those from which curves were learned.
 
     Args:
-        robot: Its joints that have curves count.
+        robot: The robot; only its joints with curves count.
         learned: Joint values of the fit, (n_used, n_actuated) [m or rad].
-        q: Others [m or rad].
+        q: Joint values, (n, n_actuated) [m or rad].
     """
     curved = {term.joint for term in robot.terms if term.parameters[0].family}
     low, high = learned.min(axis=0), learned.max(axis=0)

@@ -1,11 +1,11 @@
 """The mixed model of kinds of joint errors around a fit (`calib.core.numerics.mixed_model`).
 
 Around the fit, rows are linear in its free parameters and in the coefficients of joint terms that its robot lacks. Each
-kind of term is a family, or one for each joint where joints differ (`JointTerm.differs`). Each joint also has an
-error that differs from pose to pose, which stands for what no kind describes.
+kind of term is a family, or one for each joint where joints differ (`JointTerm.differs`). Each joint also has an error
+that differs from pose to pose, which stands for errors of no kind.
 
-What sizes leave uncertain. With coefficients u and covariance C of several sets of sizes, cov u = mean of C +
-covariance of u around those of the fit. The difference to the C of the fit is added to the covariance of the fit.
+Uncertainty of the sizes. With coefficients u and covariance C of several sets of sizes, cov u = mean of C + covariance
+of u around those of the fit. The difference to the C of the fit is added to the covariance of the fit.
 """
 
 from __future__ import annotations
@@ -32,25 +32,20 @@ from calib.core.rows.rows import Rows, Scales
 from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
-_POSES = 500  # number of poses that sizes are found from
+_POSES = 500  # number of poses from which sizes are found
 _LITTLE = 0.01  # part of the largest variance of readings by undecided terms; smaller directions are left out
 
 
 @dataclass(frozen=True)
 class TermFamily:
-    """Coefficients of one size.
-
-    Attributes:
-        term: Their kind.
-        joint: Their joint; empty for those of all joints.
-    """
+    """Coefficients with a common size: their kind of term and their joint, empty for those of all joints."""
 
     term: str
     joint: str = ""
 
 
 class SolvedProblem(Protocol):
-    """The attributes of a `Fit` that its unexplained errors are found from."""
+    """The attributes of a `Fit` from which its unexplained errors are found."""
 
     @property
     def robot(self) -> Robot: ...  # noqa: D102
@@ -79,7 +74,7 @@ class SolvedProblem(Protocol):
 
 
 def with_kinds(robot: Robot, kinds: Sequence[CandidateTerm]) -> Robot:
-    """Return a robot with terms of some kinds added to its own, coefficients zero."""
+    """Return a robot with terms of some kinds added to its own, their coefficients zero."""
     sections = [section for kind in kinds for section in kind.sections]
     return robot.with_terms((*robot.description.terms, *sections)) if sections else robot
 
@@ -88,10 +83,8 @@ class KindModel:
     """Rows of kinds of joint errors around a fit.
 
     Args:
-        fit: The fit.
-        kinds: The kinds.
-        scales: Sigma of its free parameters, (n_free,) [SI]: families that it has keep their sizes. They are families
-            of this model, too, if not given.
+        scales: Sigma of its free parameters, (n_free,) [SI], so that families of the fit keep their sizes; if not
+            given, they are families of this model, too.
 
     Attributes:
         robot: The robot with terms of all kinds.
@@ -122,7 +115,7 @@ class KindModel:
 
     @cached_property
     def informative_rows(self) -> IntArray:
-        """Rows that tell the sizes, (n_read,)."""
+        """Rows from which sizes are found, (n_read,)."""
         layout = self._fit.whitening.layout
         poses = np.unique(layout.pose_of_row)
         some = poses[:: -(-len(poses) // _POSES)]
@@ -133,8 +126,8 @@ class KindModel:
 
         Args:
             read: Numbers of the rows, (n_read,).
-            groups: Scales of the noise that they are whitened by, (n_groups,).
-            ratios: Ratios of the offsets that they are weighed for, (n_offsets,).
+            groups: Scales of the noise that whitens them, (n_groups,).
+            ratios: Ratios of the offsets that weight them, (n_offsets,).
             stated: Mask of the groups whose noise is stated, (n_groups,).
         """
         fit, layout = self._fit, self._fit.whitening.layout
@@ -162,9 +155,9 @@ class KindModel:
 
         Args:
             model: Model of `rows`.
-            fitted: Logarithms of the sizes that the fit has, (n_sizes,).
-            others: Logarithms of each set of sizes that may be right, (n_sets, n_sizes).
-            terms: Entries of terms that the fit does not have, and these sets have.
+            fitted: Logarithms of the sizes of the fit, (n_sizes,).
+            others: Logarithms of each possible set of sizes, (n_sets, n_sizes).
+            terms: Entries of terms that the fit lacks, and these sets have.
         """
         at = model.solve(fitted)
         added, before = -at.covariance, at.condensed_coefficients

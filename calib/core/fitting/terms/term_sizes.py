@@ -1,39 +1,39 @@
-"""Sizes of all kinds of joint errors, in one model, in place of a choice of them.
+"""Sizes of all kinds of joint errors, in one model, instead of a choice of kinds.
 
 Around the fit of the origins, the rows are linear in the coefficients of all kinds of terms that the measurements can
 show (`calib.core.fitting.terms.candidate_terms`). Each kind is a family of the mixed model
 (`calib.core.numerics.mixed_model`), or one for each joint where joints differ (`JointTerm.differs`): its coefficients
-are normal with a size that is found by restricted likelihood, together with the noise and with an error of each joint
-that is another one at each pose, which stands for what no kind describes.
+are normal with a size that is found by restricted likelihood, together with the noise and with an independent error of
+each joint at each pose, which stands for errors of no kind.
 
-Which kinds are fitted. From the model of all, kinds are left out one by one, those of most coefficients first, until
+Which kinds are fitted. From the model of all, kinds are left out one by one, those with most coefficients first, until
 all stay. A kind stays where both are true:
 
-    prediction   blocks of poses left out are predicted better, by more than one standard error over the blocks: boxes
-                 of joint space; where there are several setups, boxes of each. Squares of errors count. Likelihood
-                 trusts the model, and asks for any kind that looks like what no kind describes; poses left out at
-                 random have neighbours that were kept, so that a curve through errors of any cause seems to predict
-    evidence     the log likelihood is higher with it by odds of 20 to 1 (kass1995), times the number of kinds: of many
-                 that are not there, one looks as if it were
+    prediction   left-out blocks of poses are predicted better, by more than one standard error over the blocks: boxes
+                 of joint space; with several setups, boxes of each. Squares of errors count. Likelihood trusts the
+                 model, and supports any kind that looks like errors of no kind; poses left out at random have
+                 neighbours that were kept, so that a curve through errors of any cause seems to predict
+    evidence     the log likelihood is higher with it by odds of 20 to 1 (kass1995), times the number of kinds: among
+                 many absent kinds, one looks present by chance
 
-A kind that was left out is tried again with those that stay. One that stays is surely there if the log likelihood is
+A kind that was left out is tried again with those that stay. A kind that stays is proven if the log likelihood is
 higher by odds of 20 to 1 with it, given all other kinds: of kinds that look alike, one may stay, none is claimed.
 
-What follows:
+Results:
 
-    terms        kinds that stay are fitted, as any robot is, with the sigma that was found
-    undecided    the other kinds may be there, too, and sizes are uncertain. With coefficients u and covariance C of
-                 sizes of all kinds that are drawn from what the rows leave open, cov u = mean of C + covariance of u:
-                 the part of it beyond C of the fitted sizes is added to the covariance of the fit
-    expected     how far off poses are that are left out, each predicted by all others: from the same model
+    terms        kinds that stay are fitted like any term, with the sigma that was found
+    undecided    the other kinds may exist, too, and sizes are uncertain. With coefficients u and covariance C for
+                 drawn sizes of all kinds that the rows leave open, cov u = mean of C + covariance of u: its excess
+                 over C of the fitted sizes is added to the covariance of the fit
+    expected     error at left-out poses, each predicted by all others, by the same model
 
-What was measured on real robots (`docs/theory/joint_terms.md`). Weighing the fit itself by the error of joints was no
-better on one tracked arm and much worse where a camera reads several points of a pose, whose noise has another shape.
-Time and temperature are no kinds of this model unless they are named: an error that grows with them was worse on every
-part of a file that lay outside their range.
+Measured on real robots (`docs/theory/joint_terms.md`): weighting the fit itself by the error of joints was no better on
+one tracked arm and much worse where a camera reads several points of a pose, whose noise has another shape. Time and
+temperature are no kinds of this model unless they are named: an error that grows with them was worse on every part of
+a file that lay outside their range.
 
 When it fails. Joint errors of many milliradians look curved. Blocks of a small part of joint space are neighbours of
-each other: what predicts them need not hold elsewhere. Of kinds that look alike, one stays.
+each other: a kind that predicts them need not hold elsewhere. Of kinds that look alike, one stays.
 
 Reference: breiman1984; kass1995; patterson1971; roberts2017.
 """
@@ -70,11 +70,11 @@ from calib.core.robots.terms.term import TermSection
 from calib.core.rows.prediction import UndecidedTerms
 
 LEAST_POSES = 16
-"""Different poses below which no sizes are found."""
-_SMALL = 0.05  # part of the usual size: a family so small is fitted only if the rows show it
-_SHOWS = 1.0  # rise of the log likelihood by a family that they show
+"""Fewest different poses from which sizes are found."""
+_SMALL = 0.05  # part of the usual size: so small a family is fitted only if the rows show it
+_SHOWS = 1.0  # rise of the log likelihood by a family that the rows show
 _DRAWS = 24
-_SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is nothing beside others
+_SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, below which it is dropped
 _LIMITS = (0.025, 0.975)
 
 
@@ -83,7 +83,7 @@ def size_terms(fit: Fit) -> TermChoice:
     """Return the terms of the joints' errors with the sizes that measurements show.
 
     Args:
-        fit: The fit with the terms that its robot has anyway.
+        fit: The fit with the described terms of its robot.
 
     Raises:
         DataError: Too few poses.
@@ -109,12 +109,7 @@ def size_terms(fit: Fit) -> TermChoice:
 
 
 class _TermModel:
-    """The mixed model of all kinds around a fit.
-
-    Args:
-        fit: The fit.
-        kinds: The kinds.
-    """
+    """The mixed model of all kinds around a fit."""
 
     def __init__(self, fit: Fit, kinds: Sequence[CandidateTerm]) -> None:
         self._fit = fit
@@ -130,7 +125,7 @@ class _TermModel:
 
     @cached_property
     def _rows(self) -> MixedRows:
-        """Rows of the model, over the noise that the fit found; stated noise knows nothing of what the robot does."""
+        """Rows of the model, over the noise found by the fit; stated noise does not contain errors of the robot."""
         scales, model = self._fit.scales, self._kind_model
         found = np.zeros(len(scales.groups), dtype=bool)
         return model.rows(model.informative_rows, scales.groups, scales.ratios, found)
@@ -153,14 +148,14 @@ class _TermModel:
         return np.unique(block[visits], return_inverse=True)[1]
 
     def _solve_with_kinds(self, kinds: frozenset[str]) -> SolvedModel:
-        """The model with some of the requested kinds; sizes are searched from those of the most similar set of them."""
+        """The model with some of the requested kinds; the search starts from the most similar solved set."""
         full = self._solved_model
         self._solved.setdefault(self._requested_kinds, full)
         if kinds not in self._solved:
             near = self._solved[min(self._solved, key=lambda known: len(known ^ kinds))].logs
             absent = self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds))
             solved = likeliest_sizes(full.model, np.where(np.isneginf(near), full.logs, near), absent)
-            self._solved[kinds] = replace(solved)  # without what it remembers, which takes memory
+            self._solved[kinds] = replace(solved)  # without its cached values, which take memory
         return self._solved[kinds]
 
     def _most_evidence(self, kind: str, kinds: frozenset[str]) -> float:
@@ -170,7 +165,7 @@ class _TermModel:
         return worst - min((at.cost for known, at in self._solved.items() if known >= more), default=-np.inf)
 
     def _squares(self, at: SolvedModel) -> FloatArray:
-        """Squares of errors of blocks left out, in units of what no term leaves, (n_blocks,)."""
+        """Squares of errors of left-out blocks, over the errors of the model without terms, (n_blocks,)."""
         bare = self._solve_with_kinds(frozenset())
         rows, left = bare.model.rows, bare.whitened_residuals
         squares = bare.variance * left**2
@@ -180,7 +175,7 @@ class _TermModel:
         return at.left_out_squares(self._blocks, counts / np.where(sums > 0.0, sums, np.inf))
 
     def _earns(self, kind: str, kinds: frozenset[str]) -> bool:
-        """Whether a kind earns its place among some by the module docstring."""
+        """Whether a kind earns its place among some, by the module docstring."""
         needed = TELLS + float(np.log(len(self._requested_kinds)))
         if self._most_evidence(kind, kinds) <= needed:
             return False
@@ -236,7 +231,7 @@ class _TermModel:
         return np.array([family.term for family in self._families], dtype=np.str_)
 
     def _kinds_by_freedom(self, kinds: frozenset[str]) -> list[str]:
-        """Some kinds, that of most coefficients that rows decide first."""
+        """Some kinds, sorted by the number of coefficients that rows decide, most first."""
         at = self._solve_with_kinds(kinds)
         return sorted(kinds, key=lambda kind: -at.freedom(self._members(kind)))
 
@@ -244,7 +239,7 @@ class _TermModel:
         return np.flatnonzero(self._terms == kind)
 
     def entries(self, candidate: CandidateTerm) -> tuple[TermSection, ...]:
-        """Return the entries of a kind that are fitted, with the sigma that was found."""
+        """Return the fitted entries of a kind, with the sigma that was found."""
         factors = dict[str, float]()
         terms = candidate.terms_in(self._kind_model.robot)
         for k in (k for k in self._members(candidate.term) if self._is_fitted[k]):
@@ -278,17 +273,17 @@ class _TermModel:
         return draw_sizes(self._solved_model, _DRAWS, np.random.default_rng(self._fit.seed))
 
     def undecided(self, fitted_terms: tuple[TermSection, ...]) -> UndecidedTerms | None:
-        """Return what the sizes leave uncertain of these terms and of the others; None if that is nothing."""
+        """Return the uncertainty that the sizes leave in these terms and in the others; None without any."""
         fitted = np.append(self._is_fitted, np.ones(len(self._smallest_logs) - len(self._families), dtype=bool))
         logs = np.where(fitted, self._chosen_model.logs, self._smallest_logs)
         others = missing_terms(self._fit.robot.with_terms(fitted_terms), self._sections)
         return self._kind_model.undecided(MixedModel.from_rows(self._rows, _SHORTEST), logs, self._draws, others)
 
     def expected_rms(self) -> float:
-        """Return the expected error of poses left out: root mean square of the main part [SI].
+        """Return the expected root mean square error at left-out poses, of the main part of the readings [SI].
 
         NaN where each pose stands alone, where no terms are fitted, and where poses have several readings: the shape of
-        what these share is not known, and that of joints may be far from it.
+        their shared error is not known, and may be far from that of joint errors.
         """
         fit, layout = self._fit, self._fit.whitening.layout
         if layout.n_readings > len(np.unique(layout.pose)) or not np.any(self._is_fitted & self._kind_model.of_kinds):

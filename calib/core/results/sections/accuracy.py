@@ -17,7 +17,7 @@ from calib.core.judging.claim import Claim
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 
 NAMES = {"cross_validation": "left out in turn"}
-"""Sets of poses that people know by another name."""
+"""Display names of sets of poses."""
 _JUDGED_BY = ("validation", "left out in turn", "identification")
 
 
@@ -32,7 +32,7 @@ def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
 
 
 def judging_errors(fit: Fit) -> tuple[str, ErrorSet]:
-    """Return the errors that count, and the name of their poses: those that were not used, if there are any."""
+    """Return the decisive errors, at unused poses if there are any, and the name of their poses."""
     sets = {NAMES.get(name, name): errors for name, errors in error_sets(fit)}
     name = next(name for name in _JUDGED_BY if name in sets)
     return name, sets[name]

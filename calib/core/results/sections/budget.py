@@ -14,7 +14,7 @@ from calib.core.judging.error_budget import NOISE, PLACES, REST, UNEXPLAINED, Ca
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 
 _NOT_SEEN = "none to be seen"
-"""Remark on a difference of mean squares that chance made negative: a square that is no number for people."""
+"""Remark on a mean square that chance made negative, so that it is not shown."""
 
 
 def budget_table(fit: Fit) -> dict[str, Any] | None:
@@ -53,7 +53,7 @@ def budget_table(fit: Fit) -> dict[str, Any] | None:
 
 
 def budget_grid(fit: Fit) -> Grid | None:
-    """Return the causes, and all together; None where there is no budget."""
+    """Return a table of the causes and their sum; None where there is no budget."""
     budget = budget_table(fit)
     if budget is None:
         return None
@@ -90,15 +90,15 @@ def budget_grid(fit: Fit) -> Grid | None:
 
 
 def worst_joints(budget: ErrorBudget) -> list[CauseShare]:
-    """Return what each joint made of the error before calibration, the largest first; `findings.joint_budget`."""
+    """Return the joints' shares of the error before calibration, the largest first; see `findings.joint_budget`."""
     joints = [share for share in budget.shares if share.cause not in (PLACES, NOISE, UNEXPLAINED, REST)]
     return sorted(joints, key=lambda share: -share.mean_square)
 
 
 def worst_joint(fit: Fit) -> str:
-    """Return the joint that made most of the error before calibration, and the next; empty where there is no budget.
+    """Return the joint with the largest share of the error before calibration, and the next; empty without a budget.
 
-    Where the 95 % interval of the largest part reaches down to the next part, the worst joint is not determined.
+    Where the 95 % interval of the largest share reaches down to the next, the worst joint is not determined.
     """
     budget = findings.joint_budget(fit)
     joints = [] if budget is None else [share for share in worst_joints(budget) if share.mean_square > 0]
@@ -115,6 +115,6 @@ def worst_joint(fit: Fit) -> str:
 
 
 def budget_lines(fit: Fit) -> list[str]:
-    """Return advice, in a line; none where there is no budget."""
+    """Return the advice of the budget in a line; none without a budget."""
     budget = findings.budget(fit)
     return [] if budget is None else [f"What is left: {budget.advice}"]

@@ -28,7 +28,7 @@ def contents_table(fit: Fit) -> dict[str, list[str]]:
 
 
 def contents_lines(fit: Fit) -> list[str]:
-    """Return the same in words, one line for each number."""
+    """Return the contributions to each number in words, one line each."""
     return [
         f"{number.value[0].upper()}{number.value[1:].replace('`', '')}: counts {', '.join(names_of(contains))}"
         for number, contains in _contents(fit).items()

@@ -16,12 +16,11 @@ from calib.core.results.sections.terms import curve_lines, terms_lines, terms_no
 
 
 def details(fit: Fit, *, brief: bool = False) -> list[str]:
-    """Return what the tables do not show, one line each.
+    """Return details that the tables do not show, one line each.
 
     Args:
-        fit: The fit.
-        brief: Leave out what a page tells in sections of its own: the noise found, the residuals, what the poses
-            determine, the uncertainty of positions.
+        brief: Whether to leave out the sections of a page: found noise, residuals, determination, and the uncertainty
+            of positions.
     """
     elsewhere = (noise_lines, budget_lines, determined_lines, held_lines, position_lines)
     order = (

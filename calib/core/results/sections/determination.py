@@ -10,7 +10,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.rows.prediction import PositionUncertainty
 
 CORRELATED = 0.95
-"""Correlation coefficients from here on are listed."""
+"""Least correlation coefficient that is listed."""
 
 
 def rank_content(fit: Fit) -> dict[str, object]:
@@ -28,7 +28,7 @@ def rank_content(fit: Fit) -> dict[str, object]:
 
 
 def correlated_pairs(fit: Fit) -> list[dict[str, object]]:
-    """Return pairs of free parameters whose estimates move together, strongest first."""
+    """Return pairs of free parameters whose estimates are correlated, strongest first."""
     correlations = fit.statistics.correlations()
     names = fit.free_names
     with np.errstate(invalid="ignore"):
@@ -48,13 +48,13 @@ def determined_lines(fit: Fit) -> list[str]:
 
 
 def held_lines(fit: Fit) -> list[str]:
-    """Return which parameters were held, in a line; none where none were."""
+    """Return the held parameters in a line; no line without any."""
     held = fit.nominal.description.held
     return [f"Held at nominal: {', '.join(held)}"] if held else []
 
 
 def observability_lines(fit: Fit) -> list[str]:
-    """Return the indices, and which estimates move together, one line each."""
+    """Return the indices, and pairs of correlated estimates, one line each."""
     lines = [
         "Observability (scaled columns): "
         + ", ".join(f"{name} {value:.3g}" for name, value in fit.observability.items()),
@@ -75,7 +75,7 @@ def unsure(fit: Fit) -> dict[str, list[str]]:
 
 
 def position_uncertainty_table(fit: Fit) -> dict[str, object]:
-    """Return the uncertainty of predicted positions, over the poses that were used and those that were not [mm]."""
+    """Return the uncertainty of predicted positions, over the used and the validation poses [mm]."""
     sets: list[tuple[str, ErrorSet | None, PositionUncertainty | None]] = [
         ("identification", fit.identification, fit.identification_uncertainty),
         ("validation", fit.validation, fit.validation_uncertainty),

@@ -1,4 +1,4 @@
-"""Remarks on the robots that files of a fit get: the content of each kind of file, and its error."""
+"""The robots of a fit's files: the content of each kind of file, and its error."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def files_of(fit: Fit) -> dict[Holds, FileRobot]:
 def files_grid(fit: Fit) -> Grid | None:
     """Return the error of each kind of file, the nominal robot first and the whole model last.
 
-    None if files of joint origins hold it all and are written.
+    None if files of joint origins hold everything and are written.
     """
     files = files_of(fit)
     differs = fit.reduced is not None and (fit.reduced or lost_by(fit.robot, Holds.ORIGINS) or why_no_origins(fit))

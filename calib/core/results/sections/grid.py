@@ -16,9 +16,9 @@ class GridNumber:
 
     Attributes:
         value: The number; NaN where it is not known.
-        std: Its standard deviation, by which a page rounds; None: a page shows three significant digits.
+        std: Its standard deviation, by which a page rounds; None for three significant digits.
         decimals: Format in text.
-        page_decimals: Number of decimals on a page, where that is fixed.
+        page_decimals: Fixed number of decimals on a page, if any.
     """
 
     value: float

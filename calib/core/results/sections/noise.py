@@ -47,7 +47,7 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
 
 @dataclass(frozen=True)
 class NoiseFound:
-    """Noise of one reading as found: its quantity, unit, denominator and degrees of freedom."""
+    """Found noise of one reading: its quantity, unit, denominator and degrees of freedom."""
 
     of: str
     sigma: float
@@ -58,7 +58,7 @@ class NoiseFound:
 
 
 def noise_found(fit: Fit) -> list[NoiseFound]:
-    """Return the noise of each group of rows; its quantity is named where there are several."""
+    """Return the noise of each group of rows; its quantity is named if there are several."""
     several = {
         (instrument.name, part.name)
         for instrument in fit.nominal.instruments
@@ -82,7 +82,7 @@ def noise_found(fit: Fit) -> list[NoiseFound]:
 
 
 def noise_lines(fit: Fit) -> list[str]:
-    """Return the noise found of each group of rows, one line each."""
+    """Return the found noise of each group of rows, one line each."""
     lines = []
     for noise in noise_found(fit):
         stated = "none was stated" if noise.stated is None else f"stated: {noise.stated:.4g} {noise.unit}"
@@ -91,7 +91,7 @@ def noise_lines(fit: Fit) -> list[str]:
 
 
 def scatter_lines(fit: Fit) -> list[str]:
-    """Return errors shared by readings of a visit, and whether the scatter agrees with its statement, one line each."""
+    """Return errors shared by readings of a pose, and the test of the stated noise, one line each."""
     lines = []
     if fit.statistics.shared_scatter is not None:
         lines.append(
@@ -116,7 +116,7 @@ def scatter_lines(fit: Fit) -> list[str]:
 
 
 def repeat_lines(fit: Fit) -> list[str]:
-    """Return how repeats scatter, one line each; none without repeats."""
+    """Return the scatter of repeats, one line each; none without repeats."""
     lines = []
     scatter, _ = repeatability(fit.identification)
     if np.isfinite(scatter):

@@ -1,4 +1,4 @@
-"""Outliers: those that were found, those that were left out, and the result with these; also the sets of residuals."""
+"""Outliers: found ones, those that were left out, and the result with these; also the sets of residuals."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from calib.core.rows.rows import Rows
 LEFT_OUT = "left out"
 """Set in `residuals.csv` of the readings that were left out as outliers."""
 MOST = 50
-"""How many a page shows."""
+"""Largest number of outliers on a page."""
 
 
 @dataclass(frozen=True)
 class OutlierGrid:
-    """The outliers as a table of at most `MOST` of them, how many there are, and whether they are points."""
+    """The outliers as a table of at most `MOST`, their number, and whether all are points."""
 
     shown: Grid
     count: int
@@ -101,7 +101,7 @@ def _error_scale(errors: ErrorSet | None, outlier: Outlier) -> float:
 
 
 def outlier_grid(fit: Fit) -> OutlierGrid:
-    """Return the outliers as a table: those that were left out first."""
+    """Return the outliers as a table, with those that were left out first."""
     rows = [row | {"set": LEFT_OUT} for row in excluded_rows(fit)] + outlier_rows(fit)
     points = all(part.is_position for instrument in fit.nominal.instruments for part in instrument.parts)
     columns = (
@@ -125,7 +125,7 @@ def _cells(row: dict[str, Any], points: bool) -> tuple[str | GridNumber, ...]:
 
 
 def with_excluded(fit: Fit) -> dict[str, object] | None:
-    """Return the result of all poses, where outliers were left out of the main one."""
+    """Return the result of all poses, if the main result leaves outliers out."""
     if fit.with_all is None:
         return None
     return {
@@ -138,7 +138,7 @@ def with_excluded(fit: Fit) -> dict[str, object] | None:
 
 
 def outliers_left_out(fit: Fit) -> list[str]:
-    """Return which outliers were left out, and the fit with them; no line where none were."""
+    """Return the outliers that were left out, and the fit with them; no line without any."""
     if fit.with_all is None:
         return []
     before, after = (either.identification.table()["after"]["rms"] for either in (fit.with_all, fit))

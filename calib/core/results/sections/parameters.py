@@ -50,7 +50,7 @@ def _row(estimate: Estimate) -> tuple[str | GridNumber, ...]:
 
 
 def most_changed_lines(fit: Fit) -> list[str | Table]:
-    """Return the parameters that changed most against their standard deviation; places are no errors of the robot."""
+    """Return the parameters that changed most against their standard deviation, without places."""
     places = {parameter.name for parameter in fit.nominal.parameters if parameter.placement}
     changed = [
         estimate

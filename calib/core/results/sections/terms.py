@@ -39,7 +39,7 @@ def terms_table(fit: Fit) -> dict[str, object]:
 
 
 def terms_lines(fit: Fit) -> list[str]:
-    """Return the outcome for each kind of joint term: its size, and whether it is surely there."""
+    """Return the outcome for each kind of joint term: its size, and whether it is proven."""
     if fit.terms is None or not fit.terms.automatic:
         return [] if fit.terms is None else [f"Joint terms requested: {fit.terms.requested}"]
     tried, count = fit.terms.trials, len(fit.terms.trials)
@@ -66,7 +66,7 @@ def _size_in_words(trial: TermTrial) -> str:
 
 
 def _coefficients(fit: Fit, kind: str) -> list[str]:
-    """Return the outcome for each coefficient of a kind that has one for each joint, in a line."""
+    """Return the outcome for each coefficient of a kind with one for each joint, in a line."""
     terms = [term for term in fit.robot.terms if type(term) is TERMS[kind] and len(term.parameters) == 1]
     found = [fit.parameters[term.parameters[0].name] for term in terms]
     clear = [c for c in found if abs(c.value_si) > float(c.half95_si)]
@@ -77,7 +77,7 @@ def _coefficients(fit: Fit, kind: str) -> list[str]:
 
 
 def terms_added(fit: Fit) -> list[str]:
-    """Return which joint terms were added, in a line; none where none were looked for."""
+    """Return the added joint terms in a line; none without a choice."""
     if fit.terms is None or not fit.terms.automatic:
         return []
     added = [trial.term for trial in fit.terms.trials if trial.added]
@@ -85,7 +85,7 @@ def terms_added(fit: Fit) -> list[str]:
 
 
 def terms_not_shown(fit: Fit) -> list[str]:
-    """Return which joint terms of the robot these measurements cannot show, in a line; none where they show all."""
+    """Return the joint terms of the robot that these measurements cannot show, in a line; none if they show all."""
     data, names = fit.identification.data, dict.fromkeys(section.term for section in fit.robot.description.terms)
     reasons = {name: why for name in names if (why := why_term_unknown(TERMS[name], data))}
     words = [f"{name} ({why})" for name, why in reasons.items()]
@@ -93,7 +93,7 @@ def terms_not_shown(fit: Fit) -> list[str]:
 
 
 def curve_lines(fit: Fit) -> list[str]:
-    """Return how large the error of each joint with a curve is, and where it was measured, one line each."""
+    """Return the size of the error of each joint with a curve, and its measured range, one line each."""
     lines = []
     for curve in joint_curves(fit):
         rms, known = quantity_text(curve.rms, curve.dimension), quantity_text(curve.rms_std, curve.dimension, ".2g")

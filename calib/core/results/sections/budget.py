@@ -13,6 +13,7 @@ from calib.core.judging import findings
 from calib.core.judging.error_budget import NOISE, PLACES, REST, UNEXPLAINED, CauseShare, ErrorBudget
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 
+_FINEST = 1e-3  # part of the whole mean square that a page still shows
 _NOT_SEEN = "none to be seen"
 """Remark on a mean square that chance made negative, so that it is not shown."""
 
@@ -69,17 +70,21 @@ def budget_grid(fit: Fit) -> Grid | None:
         GridColumn("std"),
         GridColumn("share"),
     )
+
+    def square(value: float, std: float) -> GridNumber:
+        return GridNumber(value, max(std, _FINEST * before**2) if std > 0 else std, ".3g")
+
     rows = [
         (
             row["cause"],
             GridNumber(row["rms"]),
-            GridNumber(math.nan if row["remark"] == _NOT_SEEN else row["mean_square"], row["std"], ".3g"),
-            GridNumber(row["std"], row["std"], ".3g"),
+            square(math.nan if row["remark"] == _NOT_SEEN else row["mean_square"], row["std"]),
+            square(row["std"], row["std"]),
             row["remark"] or f"{100 * row['share']:.1f} %",
         )
         for row in causes
     ]
-    whole = ("together: before", GridNumber(before), GridNumber(before**2, causes[0]["std"], ".3g"), "", "100.0 %")
+    whole = ("together: before", GridNumber(before), square(before**2, causes[0]["std"]), "", "100.0 %")
     return Grid(
         f"Causes of the error before calibration ({of})",
         f"Causes of the error before calibration, over {budget['n_readings']} readings {on_page}. Mean squares add up",

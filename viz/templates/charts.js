@@ -127,7 +127,7 @@ class Chart {
     for (const [axes, { names, log }] of [[figure.xaxes, x], [figure.yaxes, y]]) {
       for (const axis of axes) {
         Object.assign(axis, { axis_label_text_color: this.ink, major_label_text_color: this.ink, axis_line_color: this.ink, major_tick_line_color: this.ink,
-          minor_tick_line_color: null, axis_label_text_font_size: "13px", axis_label_text_font_style: "normal", major_label_text_font_size: "12px" });
+          minor_tick_line_color: null, axis_label_text_font_size: "13px", axis_label_text_font_style: "normal", major_label_text_font_size: this.small ? "10px" : "12px" });
         if (names.length) {
           axis.ticker = new Bokeh.FixedTicker({ ticks: names.map((_, k) => k), minor_ticks: [] });
           axis.major_label_overrides = new Map(names.map((name, k) => [k, 16 * name.length > room ? name.replace(/(.{12,}?) /, "$1\n") : name]));

@@ -573,7 +573,7 @@ def _(shop):
 
 @situation(Code.LARGE_TERMS)
 def _(shop):
-    """Joint 2 is off by a wave of 60 times what is usual; the size told is that of four waves of six joints."""
+    """Joint 2 is off by a wave of 60 times what is usual; the size found is that of four waves of six joints."""
     there = fit_with_term("harmonics", "joint_2.sin2", 60.0)
     return Situation(there, shop.small_gain, r"harmonics \((\d+) times\)", (60.0 / np.sqrt(24),), 0.1)
 

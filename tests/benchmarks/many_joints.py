@@ -72,13 +72,13 @@ def main(n, n_poses):
     fit = calib.fit(robot, data, terms="auto")
     chosen = time.process_time()
     grade = fit.verdict.grade
-    judged = time.process_time()
+    done = time.process_time()
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     terms = ", ".join(f"{trial.term} {trial.size:.3f}" for trial in fit.terms.trials if trial.added)
     print("| joints | poses | without terms | `--terms auto` | verdict | memory | terms |")
     print("|---:|---:|---:|---:|---:|---:|---|")
     print(
-        f"| {n} | {n_poses} | {plain:.1f} s | {chosen - start:.1f} s | {judged - chosen:.1f} s ({grade})"
+        f"| {n} | {n_poses} | {plain:.1f} s | {chosen - start:.1f} s | {done - chosen:.1f} s ({grade})"
         f" | {memory:.2f} GB | {terms} |"
     )
 

@@ -40,6 +40,8 @@ NEAR = {"j3.ry": -0.006, "j4.rx": 0.004, "j5.ry": 0.005, "j3.z": 0.601}
 FREE = "  - {origin: j3, components: [ry], sigma: 20 mrad}\n  - {origin: j4, components: [rx], sigma: 20 mrad}\n"
 FREE += "  - {origin: j5, components: [ry], sigma: 20 mrad}\n  - {origin: j3, components: [z], sigma: 5 mm}\n"
 BALLS = {"near": [0.5, 0.1, 0.3], "far": [0.2, -0.6, 0.5]}
+OFF = 0.02 * np.array([[1, -1, 0.5], [-1, 1, 1], [0.5, 1, -1]])  # of the taxels' described places [m]
+TAXELS = {"palm": [0.5, 0.0, 0.3], "wrist": [0.35, 0.3, 0.1], "elbow": [0.3, -0.2, -0.1]}
 SENSOR = np.array([0.03, -0.02, 0.08, 0.1, 2.0, -0.5])
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SIGMA, ARCSEC = 2e-5, np.radians(1 / 3600)
@@ -105,6 +107,36 @@ def sighted(folder):
         noisy = values + SIGMA * rng.standard_normal(values.shape)
         readings = Readings(np.arange(60), number, noisy, None, number[:, None].astype(float))
         return calib.as_measurements(robot, q, {"eye": readings})
+
+    return robot, true, drawn
+
+
+class OwnLink:
+    """The arm as its own link l1 sees it, as `kind_checks.brought` wants it."""
+
+    def positions(self, q):
+        onto, back = six_axis_chain(np.asarray(q), NEAR), Rotation.from_rotvec(-q[:, [0]] * [0, 0, 1.0])
+        return back.apply(onto[:, :3, :3] @ BALL + onto[:, :3, 3] - [0, 0, 0.4])[:, None]
+
+
+def self_touched(folder):
+    """A finger on the hand that touches taxels of its own first link, whose places are off by centimetres."""
+    yaml = f"{ARM}targets: {{finger: {{frame: l6, xyz: {BALL.tolist()}}}}}\ninstruments:\n"
+    yaml += "  skin: {kind: touch, target: finger, sigma: 0.02 mm, places: {"
+    yaml += ", ".join(
+        f"{name}: {{frame: l1, xyz: {(np.array(at) + off).tolist()}, position: unknown, sigma: 20 mm}}"
+        for (name, at), off in zip(TAXELS.items(), OFF, strict=True)
+    )
+    robot = load(folder, "arm.yaml", f"{yaml}}}}}\nparametrisation:\n{FREE}")
+    places = {name: dict(zip("xyz", at, strict=True)) for name, at in TAXELS.items()}
+    true = NEAR | {f"{name}.{axis}": value for name, at in places.items() for axis, value in at.items()}
+
+    def drawn(rng):
+        words = np.array(list(TAXELS))[rng.integers(0, 3, 90)]
+        points = np.array([TAXELS[word] for word in words]) + SIGMA * rng.standard_normal((90, 3))
+        q, ok = brought(OwnLink(), rng.uniform(-1.5, 1.5, (90, 6)), points)
+        kept = np.flatnonzero(ok)[:50]
+        return calib.as_measurements(robot, q[kept], {"skin": [str(word) for word in words[kept]]})
 
     return robot, true, drawn
 
@@ -279,6 +311,7 @@ def spooled(folder):
 
 CASES = {
     "sighting": sighted,
+    "self_touch": self_touched,
     "pointing": pointed,
     "holes": pegged,
     "drive": driven,

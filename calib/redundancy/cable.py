@@ -12,6 +12,7 @@ together with an unknown anchor if the target hardly moves.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +93,12 @@ class Cable(Relation):
         """Return the angles at which the cable is longer by `change`, (n, 1) [rad]."""
         _, radius, growth = (own.value for own in self.lengths)
         return values + change * self.lines / (self.gear * (radius + growth * self.gear * values / (2 * np.pi)))
+
+    def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        """Yield a motor that counts the other way, or in another unit."""
+        yield f"{self.name} counts the other way: positive angles must let the cable out", -values
+        yield f"degrees of {self.name} were read as radians", np.radians(values)
+        yield f"radians of {self.name} were read as degrees", np.degrees(values)
 
     def _numbers(self, unknowns: FloatArray) -> list[float]:
         """L, R and g of the module docstring."""

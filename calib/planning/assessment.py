@@ -117,9 +117,10 @@ class Assessment(ReadOnlyArrays):
     left_out: tuple[str, ...]
 
     def __repr__(self) -> str:
+        error = f"predicted error {millimetres(self.accuracy.rms):.3g} mm RMS"
         return (
             f"<Assessment of {self.n_poses} poses: {self.determination.free.rank} of {int(np.sum(self.free))} free"
-            f" parameters determined, predicted error {millimetres(self.accuracy.rms):.3g} mm RMS>"
+            f" parameters determined, {error if self.accuracy.maximum else 'none of which moves a position'}>"
         )
 
     def __str__(self) -> str:

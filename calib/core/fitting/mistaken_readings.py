@@ -22,12 +22,14 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.column_maps import USUAL_FACTORS, ColumnMap
+from calib.core.instruments.kind import Readings
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import observe
 from calib.core.rows.registration import register
 
 _CLOSER = 0.2  # misfit with the mistake undone, over that with the data unchanged
 _AS_GOOD = 1.5  # misfit over another one, up to which it is as good
+_FITS = 0.05  # misfit up to which an instrument fits
 _POSES = 24  # poses that suffice to show a gross mistake
 _NAMED = 3
 
@@ -46,23 +48,23 @@ def jumbled_residuals(robot: Robot, data: Measurements) -> dict[str, FloatArray]
 def mistaken_readings(robot: Robot, data: Measurements) -> str:
     """Return the mistake that explains the measurements, in words; empty where none does."""
     now = _misfits(robot, _some(data))
-    tried = [(_relative_misfit(_misfits(robot, trial), now), words) for words, trial in _undone(robot, data)]
-    best = min((misfit for misfit, _ in tried), default=np.inf)
-    if not best < _CLOSER:
+    tried = [(_relative_misfits(_misfits(robot, trial), now), words) for words, trial in _undone(robot, data)]
+    closer = sorted((np.mean(parts), min(parts), words) for parts, words in tried if min(parts, default=1.0) < _CLOSER)
+    if not closer:
         return ""
-    good = sorted((misfit, words) for misfit, words in tried if misfit <= _AS_GOOD * best)
-    likely = ", or ".join(words for _, words in good[:_NAMED])
-    return f"probable mistake: {likely}. Corrected, the nominal robot fits {1 / max(best, 1e-6):.0f} times better"
+    likely = ", or ".join(words for misfit, _, words in closer[:_NAMED] if misfit <= _AS_GOOD * closer[0][0])
+    times = 1 / max(closer[0][1], 1e-6)
+    return f"probable mistake: {likely}. Corrected, the nominal robot fits {times:.0f} times better"
 
 
 def _some(data: Measurements) -> Measurements:
     return data.subset(np.unique(np.linspace(0, len(data) - 1, _POSES).astype(np.intp)))
 
 
-def _relative_misfit(misfits: dict[str, float], now: dict[str, float]) -> float:
-    """Misfit of the instrument that improves most, over that now; infinite where another one gets worse."""
-    parts = [misfits.get(name, np.inf) / misfit for name, misfit in now.items()]
-    return float(min(parts)) if max(parts, default=np.inf) < _AS_GOOD else float("inf")
+def _relative_misfits(misfits: dict[str, float], now: dict[str, float]) -> list[float]:
+    """Misfit of each instrument over that now; none where one gets worse."""
+    worse = any(misfits.get(name, np.inf) > max(_AS_GOOD * misfit, _FITS) for name, misfit in now.items())
+    return [] if worse else [misfits[name] / misfit for name, misfit in now.items()]
 
 
 def _misfits(robot: Robot, data: Measurements) -> dict[str, float]:
@@ -106,11 +108,29 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[tuple[str, Measure
         own = np.array([robot.mechanism.dimensions[name] == dimension for name in robot.joint_names])
         for factor, words in factors.items() if np.any(own) else ():
             yield f"joint values: {words}", replace(data, joints=np.where(own, factor * q, q))
-    for name, readings in data.readings.items():
-        for words, values in robot.instrument(name).other_meanings(readings.values):
-            yield words, replace(data, readings={**data.readings, name: replace(readings, values=values)})
-    for a, b in combinations(data.readings, 2):
-        one, other = robot.instrument(a), robot.instrument(b)
-        if type(one) is type(other) and one.columns() and not one.text_columns():
-            swapped = {a: data.readings[b], b: data.readings[a]}
-            yield f"the columns of {a} and {b} were swapped", replace(data, readings={**data.readings, **swapped})
+    for name in data.readings:
+        for words, readings in _meanings(robot, data, name):
+            yield words, replace(data, readings={**data.readings, name: readings})
+    for names in _alike(robot, data):
+        for meanings in zip(*(_meanings(robot, data, name) for name in names), strict=True):
+            changed = {**data.readings, **{name: each for name, (_, each) in zip(names, meanings, strict=True)}}
+            yield " and ".join(words for words, _ in meanings), replace(data, readings=changed)
+        for a, b in combinations(names, 2):
+            changed = {**data.readings, a: data.readings[b], b: data.readings[a]}
+            yield f"the columns of {a} and {b} were swapped", replace(data, readings=changed)
+
+
+def _meanings(robot: Robot, data: Measurements, name: str) -> Iterator[tuple[str, Readings]]:
+    """Yield the other meanings of an instrument's readings, in words."""
+    readings = data.readings[name]
+    for words, values in robot.instrument(name).other_meanings(readings.values):
+        yield words, replace(readings, values=values)
+
+
+def _alike(robot: Robot, data: Measurements) -> list[list[str]]:
+    """Names of instruments of one kind, two or more, that read a single thing each."""
+    kinds: dict[type, list[str]] = {}
+    for instrument in (robot.instrument(name) for name in data.readings):
+        if instrument.columns() and not instrument.text_columns():
+            kinds.setdefault(type(instrument), []).append(instrument.name)
+    return [names for names in kinds.values() if len(names) > 1]

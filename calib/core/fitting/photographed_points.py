@@ -38,7 +38,7 @@ def photographed_points(robot: Robot, data: Measurements) -> tuple[Robot, Measur
             target = TargetSection(frame=robot.description.targets[each.target].frame, position="unknown")
             return _positioned(robot, data, each.place.link, {each.target: target}, _boards(each, data))
         if isinstance(each, Relation) and each.seen_points(data.readings[each.name].values) is not None:
-            return _sightings(robot, data, each)
+            return _seen_place(robot, data, each)
     return None
 
 
@@ -53,7 +53,7 @@ def _boards(camera: Pixel, data: Measurements) -> FloatArray:
     return points
 
 
-def _sightings(robot: Robot, data: Measurements, sensor: Relation) -> tuple[Robot, Measurements]:
+def _seen_place(robot: Robot, data: Measurements, sensor: Relation) -> tuple[Robot, Measurements]:
     """The robot and its measurements with the point that the sensor saw most often as target."""
     readings = data.readings[sensor.name]
     most = int(np.argmax(np.bincount(readings.pairs)))

@@ -33,7 +33,7 @@ GROSS = 2.0
 """Noise of every instrument, over its largest usual noise, from which the result rests on errors of the model."""
 LARGE_NOISE = 0.1
 """Noise, over the spread of the measured positions, from which nothing fits."""
-NO_BETTER = 0.3
+NO_BETTER = 0.15
 """Noise, over the errors with joint values of other rows, from which nothing fits, where no positions are measured."""
 DOUBTFUL = 0.05
 """Noise, over an impossible noise of such an instrument, from which other meanings of its numbers are tried."""

@@ -48,7 +48,7 @@ def jumbled_residuals(robot: Robot, data: Measurements) -> dict[str, FloatArray]
 def mistaken_readings(robot: Robot, data: Measurements) -> str:
     """Return the mistake that explains the measurements, in words; empty where none does."""
     now = _misfits(robot, _some(data))
-    tried = [(_relative_misfits(_misfits(robot, trial), now), words) for words, trial in _undone(robot, data)]
+    tried = [(_relative_misfits(now | _misfits(robot, trial), now), words) for words, trial in _undone(robot, data)]
     closer = sorted((np.mean(parts), min(parts), words) for parts, words in tried if min(parts, default=1.0) < _CLOSER)
     if not closer:
         return ""
@@ -63,18 +63,19 @@ def _some(data: Measurements) -> Measurements:
 
 def _relative_misfits(misfits: dict[str, float], now: dict[str, float]) -> list[float]:
     """Misfit of each instrument over that now; none where one gets worse."""
-    worse = any(misfits.get(name, np.inf) > max(_AS_GOOD * misfit, _FITS) for name, misfit in now.items())
+    worse = any(misfits[name] > max(_AS_GOOD * misfit, _FITS) for name, misfit in now.items())
     return [] if worse else [misfits[name] / misfit for name, misfit in now.items()]
 
 
 def _misfits(robot: Robot, data: Measurements) -> dict[str, float]:
-    """Error of each instrument by the nominal robot, over that with joints at values of other rows; none unplaced."""
+    """Error of each instrument by the nominal robot, over that with jumbled joints; infinite where not placed."""
     try:
         placed = register(robot, data)
     except CalibrationError:
-        return {}
+        return dict.fromkeys(data.readings, np.inf)
     jumbled = {name: _rms(rows) for name, rows in jumbled_residuals(placed, data).items()}
-    return {name: _rms(rows) / jumbled[name] for name, rows in _residuals(placed, data).items() if jumbled.get(name)}
+    now = {name: _rms(rows) for name, rows in _residuals(placed, data).items()}
+    return {name: now[name] / jumbled[name] if jumbled.get(name) else np.inf for name in now}
 
 
 def _residuals(robot: Robot, data: Measurements) -> dict[str, FloatArray]:
@@ -91,7 +92,7 @@ def _rms(rows: FloatArray) -> float:
 
 
 def _undone(robot: Robot, measured: Measurements) -> Iterator[tuple[str, Measurements]]:
-    """Yield each mistake in words, and some of the measurements without it."""
+    """Yield each mistake in words, and some of the measurements without it, of the instruments that it concerns."""
     data, n = _some(measured), len(robot.joint_names)
     q, plain = data.joints, ColumnMap.plain(n)
     signs = [replace(plain, factors=tuple(-1.0 if k == j else 1.0 for k in range(n))) for j in range(n)]
@@ -110,13 +111,13 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[tuple[str, Measure
             yield f"joint values: {words}", replace(data, joints=np.where(own, factor * q, q))
     for name in data.readings:
         for words, readings in _meanings(robot, data, name):
-            yield words, replace(data, readings={**data.readings, name: readings})
+            yield words, replace(data, readings={name: readings})
     for names in _alike(robot, data):
         for meanings in zip(*(_meanings(robot, data, name) for name in names), strict=True):
-            changed = {**data.readings, **{name: each for name, (_, each) in zip(names, meanings, strict=True)}}
+            changed = {name: each for name, (_, each) in zip(names, meanings, strict=True)}
             yield " and ".join(words for words, _ in meanings), replace(data, readings=changed)
         for a, b in combinations(names, 2):
-            changed = {**data.readings, a: data.readings[b], b: data.readings[a]}
+            changed = {a: data.readings[b], b: data.readings[a]}
             yield f"the columns of {a} and {b} were swapped", replace(data, readings=changed)
 
 

@@ -23,7 +23,7 @@ from medrue.result_tables import Cell, ResultTable, TableColumn
 
 LUCK = 1e-3
 """How often luck alone may make any difference of a ranking look sure."""
-LEGEND = "Better: chance alone shows such a difference in one ranking of a thousand"
+LEGEND = "Better: if all choices were equal, one ranking in a thousand would show such a difference"
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +135,8 @@ def ranking_table(rankings: dict[str, Ranking]) -> ResultTable:
         tuple(TableColumn(header, column, 4) for header, column in cells),
         (
             f"simulated; better or worse: by paired differences over {count_noun(first.n_draws, 'draw')}, Student's t"
-            f" with"
-            f" Holm's correction; chance says so of any pair in one ranking of {1 / LUCK:.0f}; open: may be chance",
+            f" with Holm's correction; if all were equal, one ranking in {1 / LUCK:.0f} would call a pair better or"
+            " worse; open: may be chance",
         ),
     )
 

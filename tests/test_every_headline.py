@@ -257,7 +257,7 @@ def test_poses_near_a_singularity_are_counted(commands):
 
 
 def test_a_target_that_is_read_from_an_unknown_place_is_not_counted(commands):
-    assert "Not counted: other, read from unknown places only." in commands.check_texts["unknown place"]
+    assert "Not counted: other, seen only from unknown places." in commands.check_texts["unknown place"]
     assert "Not counted" not in commands.check_texts["base"]
 
 

@@ -51,7 +51,8 @@ class FitPlots:
     def residuals(self, joint: str | None = None, axes: Axes | None = None) -> Axes:
         """Draw the components of residuals against a joint.
 
-            joint: Its name; default: the first joint.
+        Args:
+            joint: Name of the joint; default: the first joint.
             axes: Axes to draw into.
 
         Raises:
@@ -74,7 +75,7 @@ class FitPlots:
         return drawn
 
     def parameters(self, axes: Axes | None = None) -> Axes:
-        """Draw the change of every free parameter of the robot with its 95 % interval, in expected sigmas.
+        """Draw the change of every free parameter of the robot with its 95 % interval, in sigmas of its prior.
 
         Poses of base and targets are left out, since they are not the robot's.
         """

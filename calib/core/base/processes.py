@@ -1,13 +1,13 @@
 """Processes of this machine as an executor without threads and locks in the program itself.
 
-Each process has a pipe of its own, and waiting for a result is what gives out work to free processes. So an exception
-can be raised anywhere, as Ctrl-C does, and the processes be ended at any moment: nothing that is locked, or half-way
-through a pipe, makes the program wait for ever. In `concurrent.futures.ProcessPoolExecutor` a thread reads the results,
-and waits for the rest of one whose process is gone.
+Each process has a pipe of its own. Free processes get work while the program waits for a result. So an exception can be
+raised anywhere, as Ctrl-C does, and the processes can be ended at any moment: no lock and no half-sent result makes the
+program wait for ever. In `concurrent.futures.ProcessPoolExecutor` a thread reads the results, and if a process dies
+while it sends a result, the thread waits for the rest of it.
 
-What many pieces of work share is sent to each process once; it holds one such function at a time.
+A function that many pieces of work share is sent to each process once. A process holds one such function at a time.
 
-A process ends with the program that started it, by itself where that died without a word.
+A process ends with the program that started it, even if the program was killed.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class Processes(Executor):
 
 
 class _PendingResult(Future[Result]):
-    """A result for which the processes proceed when it is waited for."""
+    """A result; while the program waits for it, the processes proceed."""
 
     def __init__(self, processes: Processes) -> None:
         super().__init__()

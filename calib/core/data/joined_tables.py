@@ -57,8 +57,8 @@ def _follower(table: Table, leader: Table, robot: Robot) -> Table:
     near = np.flatnonzero(apart <= lag)
     if len(near) == 0:
         raise DataError(
-            f"{table.path}: no time within {lag:g} s of one in {leader.path} (the nearest is {np.min(apart):.3g} s"
-            " away); their clocks must agree, or state a larger lag"
+            f"{table.path}: its times are {np.min(apart):.3g} s or more from those in {leader.path}, and 'lag' allows"
+            f" {lag:g} s; make their clocks agree, or give a larger 'lag' in the robot description"
         )
     warn_once(f"{table.path}: joined to {len(near)} of {len(given)} rows of {leader.path} by time, within {lag:g} s")
     return _with_poses(table, nearest[near], near)

@@ -128,8 +128,8 @@ def reading_columns(
                 column[line] = cell
         if not dimensions and np.any(readings.values):
             raise DataError(
-                f"instrument '{instrument.name}' does not reach what it touches, and no file can say by how"
-                " much; give joint values at contact"
+                f"instrument '{instrument.name}' is not in contact at these joint values, and files cannot hold the"
+                " gap; give joint values at contact"
             )
     return visits, columns
 

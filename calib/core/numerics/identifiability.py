@@ -13,9 +13,9 @@ the largest to the smallest non-zero singular value.
 
 Any column of a dependent group may be dropped: every valid choice predicts the same positions. The choices differ only
 in rounding, and the condition number depends on the scales of columns. So condition numbers within a factor `TIE`
-count as equal, and the first tied name in the robot description's `elimination_order` is dropped. Where it names none
-of them, the smallest condition number decides, and among equal ones (to six digits, so that every machine agrees) the
-later parameter is dropped.
+count as equal, and the first tied name in the robot description's `elimination_order` is dropped. If it names none of
+them, the smallest condition number decides. If these are equal too (to six digits, so that every machine agrees), the
+last parameter is dropped.
 
 Reference: Joubair, Zhao, Bigras and Bonev 2015, section Identification.
 """

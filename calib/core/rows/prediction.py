@@ -121,7 +121,7 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
             frame += f" (in the measurement frame to {self.measured.summary()['mean']:.2g} mm on average)"
         mean = np.mean(millimetres(self.distance), axis=0)
         texts = [f"{name} (known to {mean[k]:.2g} mm)" for name, k in self.left_out.items()]
-        return frame + (f"; not counted: {listing(texts)}, read from unknown places only" if texts else "")
+        return frame + (f"; not counted: {listing(texts)}, seen only from unknown places" if texts else "")
 
     def table(self) -> dict[str, object]:
         """Return `summary` as data, with its frame, and the summary in the measurement frame if that is another."""

@@ -130,7 +130,7 @@ def _noise_in_words(robot: Robot, sigma: float | None) -> str:
     words = f"normal noise, sigma {millimetres(sigma):g} mm per axis"
     if sigma == 0 or all(part.is_position for instrument in robot.instruments for part in instrument.parts):
         return words
-    return f"{words} of positions, else as the description states it"
+    return f"{words} of positions, other noise as the description states it"
 
 
 def _touches(

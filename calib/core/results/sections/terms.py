@@ -15,7 +15,7 @@ _NONE = "none, because the measurements show none"
 
 
 def terms_table(fit: Fit) -> dict[str, object]:
-    """Return the request, the entries, the choice, and where curves hold."""
+    """Return the requested terms, the entries of the description, the choice, and where curves hold."""
     choice = fit.terms
     tried = [] if choice is None else choice.trials
     return {
@@ -48,10 +48,11 @@ def terms_lines(fit: Fit) -> list[str]:
     refused = [f"{trial.term} ({trial.refusal})" for trial in tried if trial.refusal]
     lines = [f"Joint terms added: {listing(added, '; ', count) or _NONE}"]
     lines += [line for trial in tried if trial.added for line in _coefficients(fit, trial.term)]
-    lines += (
-        [f"Joint terms that the measurements neither show nor exclude: {listing(left, '; ', count)}"] if left else []
-    )
-    return lines + ([f"Joint terms that they cannot show: {listing(refused, '; ', count)}"] if refused else [])
+    if left:
+        lines.append(f"Joint terms that the measurements neither show nor exclude: {listing(left, '; ', count)}")
+    if refused:
+        lines.append(f"Joint terms that these measurements cannot show: {listing(refused, '; ', count)}")
+    return lines
 
 
 def _size_in_words(trial: TermTrial) -> str:
@@ -66,7 +67,7 @@ def _size_in_words(trial: TermTrial) -> str:
 
 
 def _coefficients(fit: Fit, kind: str) -> list[str]:
-    """Return the outcome for each coefficient of a kind with one for each joint, in a line."""
+    """Return a line on the coefficients of a kind that has one for each joint; empty for other kinds."""
     terms = [term for term in fit.robot.terms if type(term) is TERMS[kind] and len(term.parameters) == 1]
     found = [fit.parameters[term.parameters[0].name] for term in terms]
     clear = [c for c in found if abs(c.value_si) > float(c.half95_si)]

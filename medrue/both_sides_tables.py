@@ -20,7 +20,7 @@ NOISE = SIGMA / np.sqrt(REPEATS)
 GOAL = 6e-5
 """Mean x error that the extended model is to reach [m]."""
 NEAR_NOISE = 1.2
-"""Root mean square error over the noise's below which an error counts as noise."""
+"""Ratio of an RMS error to that of the noise, below which the error counts as noise."""
 BOTH_SIDES_NOTE = (
     "both sides: the same 84 poses of O1, and the others, approached from both sides, and two small errors of the rail"
     " that no model has; first with the paper's model, then with the extended one"
@@ -90,7 +90,7 @@ def pose_count_table(both_sides: BothSides) -> ResultTable:
 
 
 def extended_parameter_table(both_sides: BothSides) -> ResultTable:
-    """Parameters of the extended model about which the readings decide, of those that the paper's model lacks."""
+    """Parameters that the extended model has and the paper's lacks, if the readings determine them."""
     draw, parameters, terms = both_sides.draws[0], both_sides.extended.parameters, both_sides.extended.coefficients
     scale = np.array([parameter.per_si for parameter in parameters])
     expected = np.array([parameter.sigma_si for parameter in parameters])
@@ -150,18 +150,18 @@ def _needed_poses(both_sides: BothSides) -> str:
 
 
 def _least_poses(counts: IntArray, reached: Mapping[str, BoolArray]) -> str:
-    """The least number of poses that is enough, of every way for which one is."""
+    """The least number of poses that is enough, for each way that has one."""
     enough = [f"{counts[which].min()} ({name})" for name, which in reached.items() if np.any(which)]
     return ", ".join(enough) or f"more than {counts[-1]}"
 
 
 def mean_x(both_sides: BothSides, way: Way) -> FloatArray:
-    """Return the mean magnitude of the error along x, (n_draws, n_sets) [m]; NaN where a way cannot be."""
+    """Return the mean magnitude of the error along x, (n_draws, n_sets) [m]; NaN where a way is not possible."""
     return np.array([np.abs(both_sides.errors(way, s)[:, :, 0]).mean(axis=1) for s in range(len(both_sides.sets))]).T
 
 
 def component_rms(both_sides: BothSides, way: Way) -> FloatArray:
-    """Return the root mean square error along each axis over all draws, (n_sets, 3) [m]; NaN where a way cannot be."""
+    """Return the RMS error along each axis over all draws, (n_sets, 3) [m]; NaN where a way is not possible."""
     return np.array(
         [np.sqrt(np.mean(both_sides.errors(way, s) ** 2, axis=(0, 1))) for s in range(len(both_sides.sets))]
     )

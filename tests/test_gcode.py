@@ -259,9 +259,9 @@ FIRST = "G1 X0 Y0 Z0\n"
     [
         ("", (), "has no straight moves"),
         ("M104 S200\nG92 E0\n", (), "has no straight moves"),
-        ("G1 X10\n", (), "line 1: where the machine stands along Y is not known here; say so with --start"),
-        (FIRST + "G28\nG1 Z5\n", (), "line 3: where the machine stands along X"),
-        ("G91\nG1 X1 Y1 Z1\n", (), "line 2: where the machine stands along X"),
+        ("G1 X10\n", (), "line 1: the machine's position along Y is not known here; give the position with --start"),
+        (FIRST + "G28\nG1 Z5\n", (), "line 3: the machine's position along X"),
+        ("G91\nG1 X1 Y1 Z1\n", (), "line 2: the machine's position along X"),
         (FIRST + "G2 X10 I5\n", (), "line 2: G2: arcs are not read"),
         (FIRST + "G3 X10 R5\n", (), "line 2: G3: arcs are not read"),
         (FIRST + "G81 X10 Z-5 R1\n", (), "line 2: G81: is not read"),
@@ -340,7 +340,7 @@ def test_other_robots_and_too_sharp_bends_are_refused(tmp_path, delta):
 
 
 HERE = "G90\nG21\nG1 X100 Y100 Z10\n"
-LOST = "where the machine stands along"
+LOST = "the machine's position along"
 PERHAPS = "may have moved zero or axes, or changed the tool"
 CHANGED = "changes the meaning of X, Y and Z"
 SEVERAL = "has words of several commands"

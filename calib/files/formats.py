@@ -93,7 +93,7 @@ FORMATS = (
     OtherFormat(
         "a calibration of LeRobot's servos",
         'JSON with `"homing_offset"` and `"range_min"`, or `"motor_names"` of the first versions',
-        "no measurements: the message gives the lines of `columns` for logs of -100..100, degrees and raw ticks",
+        "it has no measurements; the message gives the `columns` that read its logs in -100..100, degrees or raw ticks",
         servos.is_calibration_of_servos,
         servos.servo_lines,
     ),

@@ -116,7 +116,7 @@ def _without_header(path: Path | str) -> Table | None:
     width = len(rows[0][1])
     odd = next((number for number, cells in rows if len(cells) != width), None)
     if odd is not None:
-        raise DataError(f"{path}, line {odd}: has another number of numbers than line {rows[0][0]} ({width})")
+        raise DataError(f"{path}, line {odd}: has more or fewer numbers than line {rows[0][0]}, which has {width}")
     names = tuple(f"number {k + 1}" for k in range(width))
     cells = tuple(cells for _, cells in rows)
     return Table(str(path), names, (None,) * width, cells, tuple(number for number, _ in rows), (), ",")
@@ -190,7 +190,7 @@ def _unit(table: Table, columns: Sequence[int]) -> str | None:
 
 
 def _step(table: Table, columns: Sequence[int], numbers: dict[int, FloatArray]) -> float:
-    """Rounding step of columns: a step that divides all numbers, else the last digit of half of the cells."""
+    """Rounding step of columns: the largest usual step that divides all numbers, or the cells' median last digit."""
     values = np.concatenate([numbers[k] for k in columns])
     decimals = [
         len(mantissa.partition(".")[2]) - int(exponent or 0)

@@ -314,5 +314,5 @@ def printer_table(printer: PrinterFile) -> str:
         if any(cell != "" for cell in read):
             columns.append((column, [*read]))
     return format_table(
-        columns, [f"from {printer.path}: carriages down from their switches, and what was measured there"]
+        columns, [f"from {printer.path}: distances of the carriages below their switches, and measurements there"]
     )

@@ -19,7 +19,7 @@ it: `fit.params`, `calib calibrate` and `calib fit ... --robust` end in an error
 
 
 def page() -> str:
-    """Return the page: a table for each package, with its names in Python, where one looks for them, and the word here."""
+    """Return the page: a table for each package, with its names in Python, what they are of, and the word here."""
     by_package: dict[str, dict[tuple[str, str], list[str]]] = {}
     for place, row in ((place, row) for place, rows in tables().items() for row in rows if row.package != _TYPED):
         known = by_package.setdefault(row.package, {}).setdefault((place, row.here), [])

@@ -84,7 +84,7 @@ class Poses(ReadOnlyArrays, HintedObject):
         """
         if isinstance(which, str):
             raise InputError(
-                f"{self.path}: rows are taken by number; here: data.to_dataframe()['{which}'] for a column"
+                f"{self.path}: brackets take numbers of rows; for a column, write data.to_dataframe()['{which}']"
             )
         try:
             return self.subset(np.atleast_1d(np.arange(len(self))[which]))

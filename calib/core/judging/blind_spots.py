@@ -23,7 +23,7 @@ NO_MATTER = 0.25
 LARGE_SCALE = 1e-3
 """Error of the scale that would be noticed otherwise."""
 LIKE_SHUFFLED = 0.8
-"""Distance from row to row, over that between distant rows, from which rows may have been shuffled."""
+"""Ratio of the distance from row to row to that between distant rows, above which rows may have been shuffled."""
 _FEW = 10  # rows from which their order shows
 
 

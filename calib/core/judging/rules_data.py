@@ -26,28 +26,28 @@ from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.numerics.losses import HIGH_LEVERAGE
 from calib.core.rows.rows import Rows
 
-FEW = 10.0 - 1e-6  # ten, also where rounding took a little
+FEW = 10.0 - 1e-6  # ten, with room for rounding
 """Degrees of freedom below which intervals are very wide."""
 FEW_SHARED = 5
-"""The same for poses whose readings share errors; poses from which distances of targets have a meaning."""
+"""The same limit if readings of a pose share errors; also the fewest poses from which distances of targets count."""
 RIGID = 1e-6
 """Scatter of the distance of two targets below which no instrument read both [m]."""
 COSTLY = 0.36
-"""Part of the squared residuals from outliers, from which errors are a fifth smaller without them."""
+"""Part of the squared residuals that outliers may have; without that part, errors are a fifth smaller."""
 FEW_OF = 0.01
-"""Largest part of validation readings whose outliers do not decide the grade."""
+"""Part of the validation readings that may be outliers without an effect on the grade."""
 EXCLUDED = 0.1
 """Part of the poses, or of the readings, that may be outliers."""
 BEYOND_REPEATS = 1.5
-"""Found noise over the scatter of repeats from which something systematic remains."""
+"""Ratio of the noise found to the scatter of repeats, above which something systematic remains."""
 ROUNDED = 0.2
-"""Least part of the noise variance from steps of the joint values at which they are named."""
+"""Part of the noise variance above which the steps of the joint values are named as its cause."""
 ALL_ROUNDED = 2.0
-"""The same, beyond which the joints really stood at these round values: rounding would have made more noise."""
+"""The same part, above which the joints really stood at round values: rounding would have made more noise."""
 COPIED = 0.03
 """Part of the readings that may be copies of others."""
 FAR = 3.0
-"""Residual over the median residual from which a reading of 0, 0, 0 is not the origin of the measurement frame."""
+"""Ratio to the median residual above which a reading of 0, 0, 0 is not the origin of the measurement frame."""
 USED_FOR_BOTH = 0.1
 """Largest part of the validation poses that may repeat poses of the fit."""
 ANOTHER = {"load": 0.05, "temperature": 2.0}

@@ -22,20 +22,20 @@ from calib.core.rows.observed import observe
 from calib.core.rows.registration import register
 
 NOISE_RATIO = 3.0
-"""Found over stated noise from which the statement, or the model, is wrong."""
+"""Ratio of found to stated noise above which the statement, or the model, is wrong."""
 MOST_LEFT_OUT = 20.0
-"""Found over stated noise beyond which better poses prove nothing: the joint origins of real robots leave up to ten
-times the noise of a tracker; a target that is described on a neighbouring link leaves seventy times."""
+"""Ratio of found to stated noise above which better poses prove nothing: the joint origins of real robots leave up to
+ten times the noise of a tracker; a target that is described on a neighbouring link leaves seventy times."""
 GROSS = 2.0
-"""Noise of every instrument, over its largest usual noise, from which the result rests on errors of the model."""
+"""Ratio of the noise of every instrument to its largest usual noise, above which errors of the model cause it."""
 LARGE_NOISE = 0.1
-"""Noise, over the spread of the measured positions, from which nothing fits."""
+"""Ratio of the noise to the spread of the measured positions, above which nothing fits."""
 DOUBTFUL = 0.05
-"""Noise, over an impossible noise of such an instrument, from which other meanings of its numbers are tried."""
+"""Ratio of the noise to an impossible noise of such an instrument, above which its numbers may mean something else."""
 GROSS_RATIO = 50.0
-"""Found over stated noise from which mistakes in the data are looked for."""
+"""Ratio of found to stated noise above which mistakes in the data are looked for."""
 LEFT_OUT = 0.01
-"""Noise, over the spread of the measured positions, that a model of a healthy robot may leave (real ones: 0.1 %)."""
+"""Ratio of noise to the spread of the measured positions that the model of a healthy robot may leave (real: 0.1 %)."""
 NOT_STATED = 2.0
 """Factor on that limit where the noise of the instrument is not stated and adds to it: a camera that observes a small
 space has 1 % of it."""

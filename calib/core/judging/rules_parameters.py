@@ -37,7 +37,7 @@ SMALLEST_SHARE = 0.05
 SCALED = 2e-3
 """Relative length error that no robot and no instrument has as a whole: heat makes a tenth of it."""
 SCALED_SIGMAS = 6.0
-"""Standard deviations of a scale, by the sigmas of the parameters, beyond which these do not explain it."""
+"""Size of a scale error above which the sigmas of the parameters do not explain it, in its standard deviations."""
 MOST = 0.5
 """Part of squared residuals and deviations, beyond noise, that a scale must explain to be the cause: other errors look
 a bit like it."""
@@ -45,7 +45,7 @@ _NOTHING = 1e-6  # part of its length at which a robot has shrunk to a point
 MANIFOLD = 0.3
 """Scale error from which messages state the ratio of lengths, not percent."""
 UNUSUAL = 10.0
-"""Size of a joint term that was chosen, over the usual size, from which something else may be the cause."""
+"""Ratio of the size of a chosen joint term to its usual size, above which something else may be the cause."""
 JOINT_SCALED = 0.01
 """Relative error of motion that no joint has: gears, belts and screws are off by a thousandth."""
 _SUREST = 0.2  # least certainty of a scale, over that of the surest: an error that bends looks like smaller scales

@@ -28,9 +28,9 @@ BEYOND_LIMIT = 0.01
 CORNER = 0.1
 """Part of the range between its limits that at least one joint must move through."""
 LESS_KNOWN = 3.0
-"""Uncertainty of positions elsewhere, over that at the used poses, beyond which the calibration does not reach."""
+"""Ratio of the uncertainty of positions elsewhere to that at the used poses, above which the calibration ends."""
 WIDENED = np.sqrt(2.0)
-"""Uncertainty of positions with joint terms over that without them, from which most of it comes from the terms."""
+"""Ratio of the uncertainty of positions with joint terms to that without, above which terms make most of it."""
 _TRIED = 50  # poses at which a joint is moved through its limits in the model
 _NO_VARIANCE = 1e-9  # part of a variance that counts as none
 _SAMPLED = 200  # poses at which uncertainties are computed
@@ -114,7 +114,7 @@ def _uncertain_at_used(fit: Fit) -> float:
 
 
 def _well_known(fit: Fit, at_used: float) -> float:
-    """Uncertainty of positions up to which they are well known [m], given that at the used poses."""
+    """Limit of the uncertainty of well known positions [m]; `at_used` is the uncertainty at the used poses [m]."""
     lengths = fit.first_noise.group.part.dimension == "length"
     return max(LESS_KNOWN * at_used, np.sqrt(3.0) * fit.sigma if lengths else 0.0)
 
@@ -207,7 +207,7 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
 
 
 def _widening_sentence(fit: Fit, q: FloatArray) -> str:
-    """A clause on the uncertainty of positions at q (n, n_actuated) against that at the used poses, if terms widen it.
+    """The uncertainty of positions at q (n, n_actuated) and at the used poses, in words; empty if terms widen neither.
 
     Base and tool are placed anew, because their place does not depend on the terms.
     """
@@ -233,7 +233,7 @@ def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
 
 
 def _uncertain(flat: FloatArray, *covariances: FloatArray) -> list[float]:
-    """Root mean square uncertainty of positions with derivatives as from `_relative`, for each covariance [m]."""
+    """Root mean square uncertainty of positions for each covariance [m]; `flat` are derivatives from `_relative`."""
     products = flat.T @ flat / len(flat)
     return [float(np.sqrt(max(3.0 * float(np.sum(products * covariance)), 0.0))) for covariance in covariances]
 

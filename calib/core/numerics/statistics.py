@@ -57,7 +57,7 @@ from calib.core.numerics.tall import Span, slices, squares_of_rows
 from calib.core.numerics.variance_components import require_freedom
 
 DECIDED_BY_DATA = 0.9
-"""Share of a parameter's expected variance that the data must remove for `identified`; up to 1 - this, `prior`."""
+"""Share of a parameter's expected variance that the data remove: `identified` from here on; `prior` up to 1 - this."""
 Status = Literal["identified", "partly", "prior", "weak", "placed", "held"]
 """The source of a parameter's value; see `status`."""
 _BY_PRIOR = 1.0 - DECIDED_BY_DATA

@@ -1,12 +1,12 @@
 """The prior from other robots of a model: the key `fleet` of a robot description, which `calib fleet` writes.
 
-Robots of a fleet differ in every parameter by its spread s_k, each by itself, from a mean that is itself known only so
-well. In units of the spreads, the mean is unsure by G z with z ~ N(0, I): a column of G is one combination of
-parameters that the fleet leaves open, a row is `unsure` of one parameter. So one more robot of the model is
+Every parameter of a robot differs from the mean of its fleet by a spread s_k, independently of its other parameters.
+The mean is uncertain too: in units of the spreads, by G z with z ~ N(0, I). A column of G is one combination of
+parameters that the fleet leaves open; a row is the entry `unsure` of one parameter. So one more robot of the model is
 
     p_k = nominal_k + offset_k + s_k u_k,        u ~ N(0, I + G G^T)
 
-which keeps apart what parameters are together (known, where poses saw their sum) and one by one (hardly known).
+which can say that a sum of parameters is known, because poses saw the sum, although each of them is hardly known.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class FleetSection(Section):
 
     Attributes:
         robots: Number of robots from which it was learned.
-        noise_freedom: With how many degrees of freedom results of the fleet confirmed the noise that is stated, so that
-            few readings need not find it; 0 where they did not.
+        noise_freedom: Degrees of freedom of the stated noise, which results of the fleet have confirmed, so that few
+            readings need not find it; 0 if they have not.
         parameters: Prior of each parameter, by name.
         unlike: Parameters in which this robot is unlike the others: they have no prior of the fleet.
     """

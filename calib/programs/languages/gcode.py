@@ -240,10 +240,10 @@ class _GcodeReader:
         given, end = line.argument_texts, list[float]()
         for axis, at in zip(AXES, self.position, strict=True):
             if at is None and (relative or axis not in given):
-                say = "" if self.home else "say so with --start X,Y,Z, or "
+                say = "" if self.home else "give the position with --start X,Y,Z, or "
                 raise line.refusal(
-                    f"where the machine stands along {axis} is not known here{self.since and f' after {self.since}'};"
-                    f" {say}give X, Y and Z in the first move and in the first after homing"
+                    f"the machine's position along {axis} is not known here{self.since and f' after {self.since}'};"
+                    f" {say}give X, Y and Z in the first move and in the first move after homing"
                 )
             value = float(given[axis]) * unit if axis in given else 0.0
             end.append(value if axis in given and not relative else (at or 0.0) + value)

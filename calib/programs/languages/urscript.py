@@ -34,7 +34,7 @@ _MOVED_ALONG = {
     "track_conveyor_linear": "stop_conveyor_tracking",
     "track_conveyor_circular": "stop_conveyor_tracking",
 }
-"""Functions that start, and that end, a motion of all targets by an amount computed at run time: names of settings."""
+"""Functions that begin to shift all targets at run time, with the functions that end it; they are names of settings."""
 
 
 @dataclass(frozen=True)

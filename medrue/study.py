@@ -39,7 +39,7 @@ COUNT = 84
 SIGMA = 4e-5
 """Measurement noise on each axis: the paper's +-120 um are three standard deviations [m]."""
 STATISTICS = ("mean", "max", "std")
-"""What Tables II, IV and V print of errors, in the order of `summary`."""
+"""Statistics of errors in Tables II, IV and V, in the order of `summary`."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def _choose(task: tuple[Robot, FloatArray, str]) -> Selection:
 
 
 STATISTICS = ("mean", "max", "std")
-"""What tables show of `summary`."""
+"""Statistics of `summary` that tables show."""
 
 
 def summary(distances: FloatArray) -> FloatArray:

@@ -64,7 +64,7 @@ class IntrinsicsSection(Section):
 
 
 class UnknownIntrinsicsSection(Section):
-    """Expected errors of intrinsics; those that are left out are right."""
+    """Expected errors of intrinsics; those without one are exact."""
 
     fx: _Positive | None = None
     fy: _Positive | None = None
@@ -90,8 +90,8 @@ class PixelSection(InstrumentSection):
         board: A printed board (`calib.core.instruments.board`), or the YAML file that describes it, in place of points;
             the target frame is then the board's.
         image: Width and height [px]; points outside are not seen. Only predictions need it.
-        focus: From which to which distance along its axis the camera sees sharply [m]. Only predictions need it.
-        columns: Begin of the columns' names: `<columns>_u`, `<columns>_v`; the instrument's name if left out.
+        focus: Smallest and largest distance along its axis at which images are sharp [m]. Only predictions need it.
+        columns: Beginning of the columns' names: `<columns>_u`, `<columns>_v`; the instrument's name if left out.
         sigma: Noise of a coordinate [px].
     """
 

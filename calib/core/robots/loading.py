@@ -38,7 +38,7 @@ from calib.core.robots.urdf.text import UrdfText, read_urdf
 from calib.core.robots.urdf.ur_kinematics import is_ur_kinematics
 
 _SAME_ORIGIN = 1e-4
-"""How far a stock origin may be from that of its model: rounded digits [m], [1]."""
+"""Difference that rounding may leave between the origins of a stock URDF and of its model [m or 1]."""
 
 
 def load(path: str | Path) -> Robot:

@@ -1,14 +1,14 @@
 """The arm's chain in a URDF, if the link with the measured point is not named.
 
 The arm is the chain with the most motors, without the fingers of a gripper; of equally long chains, the first in the
-file. Fingers are first recognised by structure: two or more joints on one link whose longest two have about the same
-reach, all shorter than a third of the way from the arm's first joint to there. (In the robots of Pinocchio's
-example-robot-data, hands reach up to a quarter of that way, the arms of a torso more than twice as far.) A gripper with
-one moving joint looks like a last axis; there names decide: the last joint and its link are both called finger, gripper
-or the like, and the joint before is not.
+file. Fingers are first recognised by structure. Two or more joints on one link are fingers if each reaches less than a
+third of the way from the arm's first joint to that link, and the longest two reach about equally far. (In the robots of
+Pinocchio's example-robot-data, hands reach up to a quarter of that way, the arms of a torso more than twice as far.) A
+gripper with one moving joint looks like a last axis, so names decide: the last joint and its link are both called
+finger, gripper or the like, and the joint before is not.
 
-When it fails. A tool changer with two short tools that have motors looks like a gripper, and of two legs and an arm
-with as many joints the first in the file is taken. Omitted joints are always reported, and `calib init --target`
+When it fails. A tool changer with two short tools that have motors looks like a gripper. If two legs and an arm have
+equally many joints, the first in the file is taken. Omitted joints are always reported, and `calib init --target`
 overrules.
 """
 
@@ -197,7 +197,7 @@ class _Tree:
         }
 
     def _end(self, body: str) -> str:
-        """The last link in the file at the end of a body: no stiff finger, and beyond a palm if there is one."""
+        """The last link in the file at an end of a body, without stiff fingers; beyond the palm if the body has one."""
         ties = {link for loop in self.urdf.mjcf.loops for link in loop.links} if self.urdf.mjcf else set()
         links = [link for link in self.urdf.links if self.body[link] == body and link not in ties]
         plain = [link for link in links if not self._is_stiff_finger(link)] or links

@@ -178,7 +178,7 @@ class TouchMethod(Method):
         touched[:, :3, 3] = origin + offset + generator.normal(0.0, SIGMA, offset.shape)
         joints = inverse(touched, actual)
         if not np.isfinite(joints).all():
-            raise ComputationError("a robot with the actual parameters does not reach one of the sockets")
+            raise ComputationError("a robot with the actual parameters does not reach all sockets")
         words = [_socket_name(k) for k in self.touches.socket]
         return as_measurements(self.robot, joints, {"probe": words})
 

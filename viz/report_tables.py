@@ -52,7 +52,7 @@ class Tolerance:
 def tolerance_of(fit: Fit) -> Tolerance | None:
     """Return whether 95 of 100 errors at poses like those measured stay below the stated tolerance; None without.
 
-    For positions, this is by the claim of the calibration; without a claim, the answer is open.
+    For positions, the claim of the calibration decides; without a claim, the answer is open.
     """
     text = tolerance(fit)
     if not text:

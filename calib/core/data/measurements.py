@@ -40,13 +40,13 @@ class Poses(ReadOnlyArrays, HintedObject):
         path: Their file.
         ignored: Columns of the file that were not used.
         comments: Comments of the file, line by line.
-        context: Conditions of each visit, (n,) [SI] by name, of `CONTEXT` of columns; NaN where not known.
+        context: Conditions of each visit, (n,) [SI], by their names in `CONTEXT`; NaN where not known.
         approach: Direction in which each joint moved last before the visit, +1 or -1, 0 where not known,
             (n, n_actuated); None: not given.
         setups: Number of the setup of each visit, as the description counts them, (n,); None: the first.
         planned: Readings that a plan asks for, without values, by instrument. It says nothing of instruments that are
             not named.
-        robot: Whose joints they are, as it was when they were made; None: not stated.
+        robot: The robot, as it was when the poses were made; None: not stated.
     """
 
     _other_words = "measurements and poses"
@@ -299,7 +299,7 @@ def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements
 
 
 def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measurements:
-    """Return measurements in which instruments that measure points saw these, (n, n_targets, 3) [m]."""
+    """Return measurements whose instruments read these points, (n, n_targets, 3) [m], if they measure points."""
     moved = dict(data.readings)
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)
@@ -321,7 +321,7 @@ def readings_of_visits(readings: Readings, index: IntArray) -> Readings:
 
 
 def setup_pairs(robot: Robot, instrument: Instrument, setups: IntArray) -> IntArray:
-    """Return the offset by each visit's setup (n,) on the number of the pair that an instrument looks along, (n,)."""
+    """Return the number of an instrument's first pair of frames in the setup of each visit, (n,)."""
     return setups * (len(robot.pairs(instrument)) // max(1, len(robot.description.setups)))
 
 

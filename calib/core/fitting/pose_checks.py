@@ -22,8 +22,8 @@ from calib.core.rows.determination import Determination, determination
 from calib.core.rows.unknowns import Unknowns
 
 _STILL = 1e-6  # range of a joint below which it never moved [m, rad]
-_TIED = 0.02  # entry of the projector onto directions that no pose shows, from which joints are tied
-_ALONE = 1e-3  # least spread of poses along a direction of joint space, over the widest one
+_TIED = 0.02  # entry of the projector onto directions that no pose shows, above which joints are tied
+_ALONE = 1e-3  # spread of poses, relative to the widest one, below which they do not show a direction of joint space
 _LINE = 1e-3  # width over length below which positions lie on one line
 
 
@@ -143,7 +143,7 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
 
     Args:
         evaluation: The point of its linear model.
-        alone: Whether to examine the free parameters alone.
+        alone: Whether to examine only the free parameters, without the held ones.
 
     Raises:
         NotIdentifiableError: The message names the parameters, and joints that never moved.
@@ -171,7 +171,7 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
 
 
 def _columns(problem: Problem, evaluation: Evaluation, index: IntArray) -> FloatArray:
-    """Return a few rows with the same products as the derivative by parameters (n,), whitened and not scaled."""
+    """Return few rows J with the same J^T J as the whitened derivative by some parameters (n,), not scaled."""
     unknowns = Unknowns.from_robot(problem.robot, np.isin(np.arange(len(problem.robot.parameters)), index))
     return problem.compressed(evaluation, problem.whitening.start(), unknowns).jacobian / unknowns.scales
 

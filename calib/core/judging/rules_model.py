@@ -28,20 +28,20 @@ from calib.core.robots.robot_files import lost_by
 from calib.core.rows.registration import registration
 
 ELSEWHERE = 0.2
-"""Largest ratio of errors of the nominal robot with base or targets placed by the data, to those with the stated ones,
-at which the statement is wrong."""
+"""Ratio of errors of the nominal robot with base or targets placed by the data to errors with the stated places, below
+which the statement is wrong."""
 NEAR = 0.1
-"""Largest of the same errors, over the spread of the measured positions, for a robot that fits."""
+"""Ratio of the errors with placed base or targets to the spread of the measured positions, below which a robot fits."""
 BELIEVED = 0.5
-"""Weight of a robust loss from which a reading counts."""
+"""Weight of a robust loss above which a reading counts."""
 AT_END = 0.55
-"""Part of all residuals that looks like a change in the course of the measurement, up to which a claim holds at its
-end. A linear growth is sqrt(3) times as large there as on average, so that the whole is 1.25 times as large at
-sqrt(0.3)."""
+"""Ratio of a change in the course of the measurement to all residuals, up to which a claim holds at its end. A linear
+growth is sqrt(3) times as large at the end as on average, so the residuals are 1.25 times as large there if the ratio
+is sqrt(0.3)."""
 AFTER = 0.3
-"""Part of all residuals that certainly changes in that course, up to which a claim holds afterwards, for half as long
-as the measurement took. A linear growth has seven times its mean square there, so that the whole is 1.25 times as large
-at sqrt(0.09)."""
+"""The same ratio for a change that is certain, up to which a claim holds after the measurement, for half as long as it
+took. A linear growth has seven times its mean square there, so the residuals are 1.25 times as large if the ratio is
+sqrt(0.09)."""
 _NOT_THE_ROBOT = (
     ". The fit describes its own measurements, not the robot. Measure more poses, spread over the space where the robot"
     " will work"
@@ -167,7 +167,7 @@ def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
 
 
 def _where(fit: Fit, accuracy: Accuracy) -> str:
-    """A clause for more validation poses unlike the measured ones than chance explains; empty without."""
+    """A clause on validation poses that are unlike the measured ones; empty if chance explains their number."""
     unlike = unlike_measured(fit)
     if accuracy.poses is not PoseUse.VALIDATION or fit.validation is None or not is_elsewhere(unlike):
         return ""
@@ -262,10 +262,10 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
 
 
 def _chance_of_gain(fit: Fit) -> float:
-    """Chance that the parameters explain as much of a robot at nominal, with only base and targets placed.
+    """Chance that parameters explain as much if the nominal robot, with base and targets placed, has no error.
 
-    With few poses their noise is uncertain, so that by it alone almost any gain may be chance. Where all noise is
-    stated, and not contradicted, the statement is a second measure: the gain is chi-square by it.
+    With few poses the noise found is uncertain, so that almost any gain may be chance. If all noise is stated, and the
+    residuals agree with it, the gain is also tested as a chi-square with the stated noise. The smaller chance counts.
     """
     layout = fit.rows.layout
     root = np.sqrt(fit.weights)[layout.reading]

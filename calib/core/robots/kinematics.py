@@ -14,8 +14,8 @@ alike drop out of V_b - V_a.
 * A twist xi of the frame before origin i, in its own axes, is V = Ad(T_before) xi in the world. So a **right**
   perturbation `placement * exp6(xi)`, xi = [linear; angular] in the joint's own frame, is Ad(T_before placement) xi.
 
-Pinocchio has no batch interface, so the poses are looped over in Python; all further algebra runs on arrays of poses.
-Joints that do not matter have left the model (`JointSubset`).
+Pinocchio has no batch interface, so a loop in Python runs over the poses; all further algebra runs on arrays of poses.
+The model has only the joints that matter (`JointSubset`).
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.robots.mechanism import JointSubset, Mechanism, RelativeFrame, flat_poses
 
 CHUNK = 64
-"""Poses at once: all arrays of theirs stay in the processor's cache, and none needs new pages of memory."""
+"""Number of poses whose arrays stay together in the processor's cache, and need no new pages of memory."""
 _JOINTS_AT_ONCE = 48 * CHUNK
 _AT_HOME = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
 
 
 def n_at_once(reduced: JointSubset) -> int:
-    """Return how many poses are good at once: more than `CHUNK` where few joints count."""
+    """Return the best number of poses to compute at once: more than `CHUNK` where few joints count."""
     return max(CHUNK, _JOINTS_AT_ONCE // max(len(reduced.joints), 1))
 
 
 def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
-    """Yield n poses in parts of about equal size, each half as many again at most: no part is hardly worth its start.
+    """Yield n poses in parts of about equal size, at most 1.5 times `size`, so that no part is very small.
 
     Args:
-        n: How many there are.
-        size: How many are good at once.
+        n: Number of poses.
+        size: Best number of poses at once.
     """
     count = max(round(n / size), min(n, 1))
     for k in range(count):
@@ -82,7 +82,7 @@ class TwistMap:
 
     Attributes:
         twists: Combinations, (6 n_joints, k); None: every origin twist.
-        signs: By which sign each origin moves each row, then each row of the loops, (n_rows + n_loop_rows, n_reduced).
+        signs: Sign with which each origin moves each row and each row of the loops, (n_rows + n_loop_rows, n_reduced).
         n_rows: Number of rows without those of the loops.
         before: The twists in the frames before the origins that count, (n_reduced, 6, k).
         reduced: The joints that count.
@@ -349,7 +349,7 @@ def twist_map(swept: Sweep, pair: RelativeFrame) -> FloatArray:
 
 
 def _with_moments(points: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return [r, p x r], what a twist moves at points p (n, 1 or k, 3) along rows r (n, k, 3): r^T (v + w x p)."""
+    """Return [r, p x r]: times a twist, the motion r^T (v + w x p) of points p (n, 1 or k, 3) along r (n, k, 3)."""
     x, y, z = points[:, :, 0], points[:, :, 1], points[:, :, 2]
     u, v, w = rows[:, :, 0], rows[:, :, 1], rows[:, :, 2]
     result = np.empty((*rows.shape[:2], 6))
@@ -375,7 +375,7 @@ def motion_map(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool)
     dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
 
     Args:
-        angular: Whether dw is wanted too.
+        angular: Whether to return dw too.
 
     Returns:
         (n, n_pairs * (3 or 6), 6), one pair's rows after the other's.
@@ -398,7 +398,7 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
         mapping: From `twist_map` or `motion_map`.
         coordinates: In the model of the same joints.
     """
-    assert swept.jacobian is not None  # compiled code has its own way
+    assert swept.jacobian is not None  # compiled code does not come here
     moved: FloatArray = np.matmul(mapping, swept.jacobian[:, :, coordinates.joints]) * coordinates.weights
     return moved if coordinates.sums is None else moved @ coordinates.sums
 
@@ -406,11 +406,11 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
 def origin_derivative(
     swept: Sweep, mapping: FloatArray, loops: tuple[FloatArray, FloatArray] | None, along: TwistMap, result: FloatArray
 ) -> None:
-    """Compute map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
+    """Compute map (V_b - V_a) along origin twists, minus their effect through the loops, (n, n_rows, k).
 
     Args:
         mapping: From V_b - V_a to the rows, (n, n_rows, 6).
-        loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
+        loops: Derivative of the rows by the opening of each loop's row, (n, n_rows, n_loop_rows), and `gap_maps`.
         along: The twists, and what they move.
         result: Array to fill, (n, n_rows, k).
     """

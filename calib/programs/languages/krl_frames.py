@@ -130,7 +130,7 @@ class KrlFrames(Reader):
             for first, stop in code.split(data.span[0] + 1, data.span[1] - 1):
                 members[code.tokens[first].text] = code.text(first + 1, stop)
         if not {"TOOL_NO", "BASE_NO"} <= set(members) or self.uses.is_set(name):
-            why = f"{name} is {'set while the program runs' if members else 'declared nowhere here'}"
+            why = f"{name} is {'set while the program runs' if members else 'not declared here'}"
             return dict.fromkeys(SELECTED, Unknown(why, whole=True))
         tool = self.frame_named(f"TOOL_DATA[{members['TOOL_NO']}]", state)
         base = self.frame_named(f"BASE_DATA[{members['BASE_NO']}]", state)

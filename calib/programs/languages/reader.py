@@ -133,13 +133,13 @@ class Reader(Statements):
                 self.note_arguments(span, f"is an argument of '{shown}', which can set it")
             self.flow.call(name, maybe=maybe)
         elif not self.read_known_call(at, span, maybe=maybe):
-            self.note_arguments(span, f"is an argument of '{shown}', which is declared nowhere here and can set it")
+            self.note_arguments(span, f"is an argument of '{shown}', which is not declared here and can set it")
             self.uses.decide(self.names(*span), self.code.line(at))
             self.call_elsewhere(shown, self.code.line(at))
 
     def call_elsewhere(self, shown: str, line: int) -> None:
         """Process a call of a routine that is declared elsewhere."""
-        called, remedy = f"'{shown}' (line {line}), which is declared nowhere here and may", f"say --harmless {shown}"
+        called, remedy = f"'{shown}' (line {line}), which is not declared here and may", f"say --harmless {shown}"
         self.flow.mark_unknown(f"is not known after {called} {self.danger}; {remedy} if it does not", self.lost)
         self.foreign = self.foreign or f"{called} set data; {remedy} if it does not"
 

@@ -200,7 +200,7 @@ class UrscriptReader(Reader):
         inside = code.bracket_content(span[0] + 1, span[1], "(")
         if word.text not in ("get_inverse_kin", "pose_trans") or word.text in self.routines or inside is None:
             single = span[1] == span[0] + 1 and word.kind == "name"
-            raise LeftOutError((self.uses.why_not(word.text) or "is declared nowhere here") if single else _AT_RUN_TIME)
+            raise LeftOutError((self.uses.why_not(word.text) or "is not declared here") if single else _AT_RUN_TIME)
         given = code.split(*inside)
         if word.text == "pose_trans":
             feature = self._pose(self._constant(given[0])) if len(given) == 2 else None

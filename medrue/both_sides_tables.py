@@ -22,7 +22,7 @@ GOAL = 6e-5
 NEAR_NOISE = 1.2
 """Ratio of an RMS error to that of the noise, below which the error counts as noise."""
 BOTH_SIDES_NOTE = (
-    "both sides: the same 84 poses of O1, and the others, approached from both sides, and two small errors of the rail"
+    "both sides: the 84 poses of O1 and all others are approached from both sides, and the rail has two small errors"
     " that no model has; first with the paper's model, then with the extended one"
 )
 _DECIDED = 0.5  # part of a parameter's expected error below which the data decide about it

@@ -22,7 +22,7 @@ from calib.core.base.words import count_noun
 from medrue.result_tables import Cell, ResultTable, TableColumn
 
 LUCK = 1e-3
-"""How often luck alone may make any difference of a ranking look sure."""
+"""Chance that luck alone makes any difference in a ranking look sure."""
 LEGEND = "Better: if all choices were equal, one ranking in a thousand would show such a difference"
 
 

@@ -58,9 +58,9 @@ SIZE = StudySize(noise_draws=50, actual_draws=20, noise_per_actual=2)
 QUICK = StudySize(noise_draws=4, actual_draws=2, noise_per_actual=1)
 BEFORE = "before"
 TOOL_KNOWN = "encoders, tool known"
-"""After the encoders, with the tool's true place on the probe: they do not see it, but it can be measured alone."""
+"""Encoders with the tool's true place on the probe, which they do not see, but which can be measured on a bench."""
 WAYS = ("world", "shape")
-"""How predictions are judged; see the module docstring."""
+"""Ways to compare predictions with the truth; see the module docstring."""
 ARTEFACTS = (
     ARTEFACT,
     Artefact((-np.radians(70.0), np.radians(70.0)), (1 / 8, 7 / 8)),
@@ -68,7 +68,7 @@ ARTEFACTS = (
     Artefact((-np.radians(30.0), 0.0, np.radians(30.0)), (3 / 8, 1 / 2, 5 / 8)),
     Artefact((0.0,), (1 / 2,)),
 )
-"""Pieces to compare beforehand: all but the first are smaller or have fewer sockets."""
+"""Artefacts to compare by theory: all but the first are smaller or have fewer sockets."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from medrue.touch_methods import ENCODER_SIGMA, Artefact
 AUTHORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {"mean": {BEFORE: 9.0, "touch": 0.2771}, "max": {BEFORE: 12.0, "touch": 0.320}}
 )
-"""What the paper's authors print for their simulated calibration by touch (joubair2016) [mm]."""
+"""Errors that the paper's authors print for their simulated calibration by touch (joubair2016) [mm]."""
 _HEADINGS = {
     "world": "Position errors in the world, by the way of measuring",
     "shape": "Position errors after the best rigid motion of the predictions, by the way of measuring",

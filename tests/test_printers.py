@@ -200,7 +200,7 @@ def test_arms_that_no_printer_has_do_not_come_out(folder):
     (folder / "saved.cfg").write_text(printer_cfg(spans=False, true=np.array([*TRUE[:4], 225, 391, 214, *TRUE[7:]])))
     done = run("init", "--klipper", "saved.cfg", "--out", "s.yaml")
     assert done.exit_code == 2
-    assert "arms of 225, 391, 214 mm are no printer's" in done.output
+    assert "has arms of 225, 391, 214 mm, and arms of a printer are alike" in done.output
     assert not (folder / "s.yaml").exists()
 
 
@@ -237,7 +237,7 @@ BAD_KLIPPER = [
         "angle: 210.12\nrotation_distance: 32\nmicrosteps: 64",
         "they fit [stepper_a] microsteps: 16 in place of 64: write",
     ),
-    ("arm_length", "gear_ratio: 5 to 1\narm_length", "gear_ratio '5 to 1' is not such as 5:1"),
+    ("arm_length", "gear_ratio: 5 to 1\narm_length", "gear_ratio '5 to 1' is not a ratio such as 5:1"),
     ("height3: 16.0", "height3: 61.0", "height3 is 61 mm, and all others are 16 mm, the offset of the probe"),
     ("height3: 16.0", "height3: 16.6", "height3 is 16.6 mm, and all others are 16 mm"),
     ("height3: 16.0", "height3: high", "height3 'high' is not a number"),

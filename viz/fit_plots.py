@@ -90,7 +90,7 @@ class FitPlots:
         drawn.errorbar(change, place, xerr=half, fmt="o", color=BLUE, markersize=3, linewidth=1)
         drawn.set_yticks(place, [estimate.name for estimate in estimates], fontsize=6)
         drawn.invert_yaxis()
-        drawn.set_xlabel("change [expected standard deviations], with 95 % interval")
+        drawn.set_xlabel("change [sigma of the prior], with 95 % interval")
         return drawn
 
     def _table(self) -> PoseTable:

@@ -72,13 +72,13 @@ def parameters(fit: Fit) -> Chart | None:
     drawn = forest(
         [one.name for one in found],
         [("change", COLOURS["after"], change, half, texts)],
-        "change [expected standard deviations]",
+        "change [sigma of the prior]",
         ("expected beforehand (95 %)", 2.0),
     )
     return Chart(
         "forest",
         "Parameters: change, 95 % interval, and what was expected",
-        "The largest change is at the top. Beyond the band, the robot is further from its drawing than expected; an"
+        "The largest change is at the top. Beyond the band, the robot is further from nominal than expected; an"
         " interval that is as wide as the band says that the measurements determined little.",
         drawn,
         440,

@@ -100,7 +100,7 @@ FORMATS = (
     OtherFormat(
         "JSON",
         'begins with `{"`, `[{`, or `[` and a number',
-        "arrays, or fields of records in a list or one a line, are columns, as NumPy arrays",
+        "arrays are columns, as NumPy arrays; so are the fields of records, in a list or one record a line",
         _begins(rb'\s*(\{\s*"|\[\s*\{|\[[\s\[]*-?\d+(\.\d*)?(e-?\d+)?\s*[],])'),
         arrays.json_columns,
     ),

@@ -126,7 +126,7 @@ def plan_route(
     names = tuple(stop.name for stop in replaced)
     given = dict(zip((*candidates.names, *poses.names), (*candidates.joints, *poses.joints), strict=True))
     round_ = [stop.name for stop in (*stops, *replaced) if np.any(stop.joints != given[stop.name])]
-    notes = (f"the same pose by joints a whole turn from those given: {listing(round_, shown=8)}",) if round_ else ()
+    notes = (f"joints were changed by whole turns, which keeps the pose: {listing(round_, shown=8)}",) if round_ else ()
     return Route(robot, start, (*stops, *replaced), left_out, names, scene.remarks + notes)
 
 
@@ -222,9 +222,9 @@ def _pass(planner: Planner, start: FloatArray, poses: Poses, searched: bool) -> 
 def _why_not_straight(planner: Planner, approach: FloatArray, touching: FloatArray) -> str:
     """Reason why a touch cannot be approached along its normal; "" for none."""
     if not np.all(np.isfinite(approach)):
-        return "no joint values are straight out from what it touches"
+        return "no joint values reach the start of its straight approach"
     hit = _why_blocked(planner.scene.robot, approach[None])[0] or planner.move(approach, touching).hit
-    return f"{hit}, straight out from what it touches" if hit else ""
+    return f"{hit}, on its straight approach" if hit else ""
 
 
 def _stop(planner: Planner, name: str, points: FloatArray) -> Stop:

@@ -169,7 +169,7 @@ class _Detector:
         if edge > _BLURRED:
             remark = f"blurred: edges are {edge:.0f} px wide"
         elif off:
-            remark = f"{count_noun(off, 'point')} left out that cannot be where the others put the board"
+            remark = f"{count_noun(off, 'point')} left out, far from where the other points put the board"
         elif len(points) >= FEWEST and self.board.dictionary:
             remark = self._strangers(_marker_numbers(image, self.board.dictionary))
         return DetectedImage(name, (image.shape[1], image.shape[0]), tuple(points), pixels, remark, edge)

@@ -128,7 +128,7 @@ def estimate(
             if before is not None and np.allclose(before.sizes, noise.sizes, _NOISE_STANDS, 1e-12):
                 break
         else:
-            raise NotConvergedError("the noise of the photographs could not be found from what is left")
+            raise NotConvergedError("the noise of the photographs could not be found from the residuals")
         weights = noise
     else:
         placed, weights = plain(scene, start, free, prior, scaled=scaled)

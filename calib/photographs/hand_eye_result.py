@@ -159,9 +159,9 @@ def report(result: HandEye, frames: Frames) -> str:
         )
     lines += [
         f"{title}: x {1e3 * pose['x']:.3f} y {1e3 * pose['y']:.3f} z {1e3 * pose['z']:.3f} mm, quaternion (x y z w)"
-        f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm,"
-        f" ± {np.rad2deg(half[key][1]):.3f} deg along and about the worst axis,"
-        " with errors of the robot that follow its pose"
+        f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm"
+        f" along and ± {np.rad2deg(half[key][1]):.3f} deg about the worst axis,"
+        " with errors of the robot that depend on its pose"
         for title, key, pose in (
             (f"Camera in {frames.parents(scene.mount)[0]}", "camera", transform(fitted.placed.camera)),
             (f"Board in {frames.parents(scene.mount)[1]}", "board", transform(fitted.placed.board)),
@@ -175,7 +175,7 @@ def _shares(result: HandEye, usable: bool) -> str:
     """Sentences on the errors of the camera alone and with the robot; with advice if `usable`."""
     all_, alone = rms(result.pixels), rms(result.residuals_without_robot)
     if not np.isfinite(alone):
-        return "What the camera alone leaves is not known: images show fewer than six points"
+        return "The error of the camera alone is not known: images show fewer than six points"
     share = max(0.0, 1.0 - (alone / all_) ** 2)
     rest = _MM * rms(result.board) * np.sqrt(share)
     text = (

@@ -238,7 +238,7 @@ def _check_move(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPri
         "moved",
         f"the {which} is elsewhere from image {scene.names[k]} on, by {1e3 * moved:.1f} mm and"
         f" {np.rad2deg(turned):.2f} deg:"
-        " fix it, and take the images again (or calibrate with those before and those after alone)",
+        " fix it, and take the images again (or calibrate twice: with the images before, and with those after)",
     )
 
 
@@ -289,8 +289,8 @@ def _mistakes_of_lens(
             continue
         name, digits = NAMES[better.free[k]], 1 if better.free[k] < 4 else 4  # px, or of the distortion
         numbers.append(
-            f"{name} is {given[better.free[k]]:.{digits}f} there and"
-            f" {better.placed.intrinsics[better.free[k]]:.{digits}f} ± {std[k]:.{digits}f} here"
+            f"{name} is given as {given[better.free[k]]:.{digits}f}, and found as"
+            f" {better.placed.intrinsics[better.free[k]]:.{digits}f} ± {std[k]:.{digits}f}"
         )
     before, after = (float(np.median(image_rms(scene, each.placed))) for each in (fitted, better))
     text = f"the intrinsics given contradict the photographs: {', '.join(numbers)}{f' ({swap})' if swap else ''}; " + (

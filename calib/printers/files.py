@@ -141,7 +141,7 @@ class _Klipper:
             pairs = [[float(number) for number in part.split(":")] for part in text.split(",")]
             return math.prod(driven / motor for driven, motor in pairs)
         except (ValueError, ZeroDivisionError):
-            raise DataError(f"{self.path}, line {line}: gear_ratio '{text:.40}' is not such as 5:1") from None
+            raise DataError(f"{self.path}, line {line}: gear_ratio '{text:.40}' is not a ratio such as 5:1") from None
 
     def rows(self, step: tuple[float, float, float]) -> tuple[PrinterReading, ...]:
         heights, spans, calibration = list[PrinterReading](), list[PrinterReading](), "delta_calibrate"

@@ -85,8 +85,8 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     if arm is None and not _are_alike(file.arms):
         shown = listing([f"{millimetres(value):.4g}" for value in file.arms])
         raise DataError(
-            f"{printer.path}: arms of {shown} mm are no printer's, which are alike; probing cannot tell them:"
-            " measure one and state it, such as --length arm=288mm"
+            f"{printer.path}: has arms of {shown} mm, and arms of a printer are alike; probing cannot find their"
+            " length: measure one and state it, such as --length arm=288mm"
         )
 
     def rounded(values: tuple[float, ...]) -> float:
@@ -130,8 +130,8 @@ def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> No
             if f != 1
         )
         raise DataError(
-            f"{printer.path}: the probed positions are steps of other microsteps than the file has; they fit {wrong}:"
-            " write these into a copy of the file, or probe again"
+            f"{printer.path}: the probed positions were counted in other microsteps than the file has; they fit"
+            f" {wrong}: write these into a copy of the file, or probe again"
         )
     shown = (
         "reach nothing" if not np.isfinite(as_stated) else f"are {millimetres(as_stated):.1f} mm from what was measured"

@@ -166,8 +166,8 @@ class ReadAsArray(np.lib.mixins.NDArrayOperatorsMixin, ABC):
         with suppress(ValueError):  # shapes that do not fit: the function says so
             if method == "__call__" and np.broadcast_shapes(*shapes) not in shapes:
                 raise InputError(
-                    f"{type(self).__name__}: shapes {' and '.join(map(str, shapes))} would repeat each along the other;"
-                    f" give an array of shape {np.shape(self)}"
+                    f"{type(self).__name__}: shapes {' and '.join(map(str, shapes))} do not match: numpy would repeat"
+                    f" both; give an array of shape {np.shape(self)}"
                 )
         return getattr(ufunc, method)(*plain, **options)
 

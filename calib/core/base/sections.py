@@ -39,7 +39,7 @@ _KEYS = ("value", "sigma")
 _MERGE = "tag:yaml.org,2002:merge"
 _OPENCV_MATRIX = "tag:yaml.org,2002:opencv-matrix"
 _MOST_BY_ALIASES = 10_000
-"""Entries that aliases may add: a few lines of them stand for more than any memory holds."""
+"""Entries that aliases may add, because a few lines with aliases can expand to more than memory holds."""
 
 
 class _ValueError(ValueError):
@@ -216,12 +216,12 @@ def _to_yaml(length: OwnLength) -> float | str | dict[str, float]:
 
 
 LengthOrUnknown = Annotated[OwnLength, PlainValidator(_read), PlainSerializer(_to_yaml)]
-"""`12 mm`: known; `{value: 12 mm, sigma: 0.1 mm}`: expected there, and found; `unknown`: found."""
+"""`12 mm`: known; `{value: 12 mm, sigma: 0.1 mm}`: found, with this prior; `unknown`: found, without a prior."""
 
 
 def _positive(length: OwnLength) -> OwnLength:
     if length.value <= 0:
-        raise ValueError("must be a positive length, or {value, sigma} of one")
+        raise ValueError("must be positive: a length, or {value, sigma}")
     return length
 
 

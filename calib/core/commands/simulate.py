@@ -114,5 +114,5 @@ def _require_noise(robot: Robot, sigma: float | None, photographing: Pixel | Non
     named = ", ".join(f"'{name}'" for name in unstated)
     remedy = "state it there, or give --sigma-mm"
     if unstated_noise(robot, 1.0):
-        remedy = "state it there, as --sigma-mm speaks of positions only, or give --sigma-mm 0 for no noise at all"
+        remedy = "state it there (--sigma-mm is for positions only), or give --sigma-mm 0 for no noise at all"
     raise InputError(f"{robot.path}: states no noise (sigma) of {named}; {remedy}")

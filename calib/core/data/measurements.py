@@ -92,7 +92,7 @@ class Poses(ReadOnlyArrays, HintedObject):
             raise DataError(f"{self.path}: {error}; it has {len(self)} rows") from None
 
     def __add__(self, other: object) -> NoReturn:
-        raise InputError(f"{self.path}: is joined in a list: calib.fit(robot, [first, 'b.csv'])")
+        raise InputError(f"{self.path}: join measurements in a list: calib.fit(robot, [first, 'b.csv'])")
 
     def __array__(self, *_: object, **__: object) -> NoReturn:
         raise InputError(f"{self.path}: {type(self).__name__} are not an array; give .joints, the joint values alone")

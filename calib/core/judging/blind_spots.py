@@ -19,9 +19,9 @@ from calib.core.judging.rules_reach import terms_beyond
 from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 NO_MATTER = 0.25
-"""Errors by a scale at which it begins to show, over the noise, below which they do not matter."""
+"""Ratio of the errors that an unseen scale error may cause to the noise, below which they do not matter."""
 LARGE_SCALE = 1e-3
-"""Error of the scale that would be noticed otherwise."""
+"""Scale error that users notice without a calibration."""
 LIKE_SHUFFLED = 0.8
 """Ratio of the distance from row to row to that between distant rows, above which rows may have been shuffled."""
 _FEW = 10  # rows from which their order shows

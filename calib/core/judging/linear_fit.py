@@ -14,8 +14,8 @@ from calib.core.numerics.tall import Span
 from calib.core.rows.rows import Rows
 
 ABSORBED = 1e-6
-"""Least part of an effect's square after the fit from which it is visible."""
-_SURELY = 5.0  # standard deviations of an effect from which it is found nine times of ten, among so many
+"""Part of an effect's square that must remain after the fit for the effect to be visible."""
+_SURELY = 5.0  # size of an effect, in standard deviations, that is found nine times of ten among so many
 
 
 @dataclass(frozen=True, eq=False)

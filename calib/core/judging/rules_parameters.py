@@ -27,23 +27,23 @@ from calib.core.robots.terms.term import Context
 from calib.core.robots.terms.terms import TERMS
 
 PLAUSIBLE = 4.0
-"""Expected errors (sigmas) that a parameter may be away from nominal."""
+"""Number of its sigmas by which a parameter may differ from nominal."""
 IMPOSSIBLE = 20.0
-"""Expected errors away from nominal that no error of the stated size explains: the limit of what is plausible, for a
-sigma that was guessed five times too small. Calibrated robots stay near 2; a joint counted the wrong way gives
-hundreds, and its prior then pulls all other parameters out of place."""
+"""Number of sigmas that no error of the stated size explains: the plausible limit if sigma was guessed five times too
+small. Calibrated robots stay near 2. A joint counted the wrong way gives hundreds, and its prior then pulls all other
+parameters out of place."""
 SMALLEST_SHARE = 0.05
-"""Share of a parameter that the data must decide for its deviation to say anything."""
+"""Share of a parameter's variance that the data must remove before its deviation counts."""
 SCALED = 2e-3
 """Relative length error that no robot and no instrument has as a whole: heat makes a tenth of it."""
 SCALED_SIGMAS = 6.0
 """Size of a scale error above which the sigmas of the parameters do not explain it, in its standard deviations."""
 MOST = 0.5
-"""Part of squared residuals and deviations, beyond noise, that a scale must explain to be the cause: other errors look
-a bit like it."""
-_NOTHING = 1e-6  # part of its length at which a robot has shrunk to a point
+"""Part of squared residuals and deviations, beyond noise, that a scale must explain to be the cause, because other
+errors look a bit like a scale."""
+_NOTHING = 1e-6  # ratio to its length below which a robot has shrunk to a point
 MANIFOLD = 0.3
-"""Scale error from which messages state the ratio of lengths, not percent."""
+"""Scale error above which messages state the ratio of lengths, not percent."""
 UNUSUAL = 10.0
 """Ratio of the size of a chosen joint term to its usual size, above which something else may be the cause."""
 JOINT_SCALED = 0.01

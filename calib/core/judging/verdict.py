@@ -85,7 +85,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
 )
 _ORDER = ("FAIL", "CHECK", "PASS")
 _IN_MISTAKE = {Code.ZERO_READINGS, Code.EQUAL_COLUMNS, Code.JOINT_SCALED}
-"""Reasons that the likely mistake contains."""
+"""Reasons that a likely mistake already names."""
 _NOTHING_FITS = {Code.NOT_CONVERGED, Code.NOT_ASSEMBLED, Code.NOISE_AS_LARGE_AS_ROBOT, Code.FAR_FROM_NOMINAL}
 _MOVED = {Code.AT_BOUNDS}  # effect of a base that is a little elsewhere
 

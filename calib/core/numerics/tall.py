@@ -11,7 +11,7 @@ from calib.core.base.arrays import FloatArray, IntArray
 
 ROWS_AT_ONCE = 1 << 13
 KEPT = 1 << 15
-"""Rows up to which a product is kept."""
+"""Largest number of rows whose product is kept."""
 Places = IntArray | slice
 """Indices or a slice of rows."""
 

@@ -40,7 +40,7 @@ TOLERANCE = 1e-12
 _EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 16  # roundings of a coordinate on the way around a loop, at most about
 LARGEST_STEP = 0.5
-"""Of any passive joint in one correction [rad, or characteristic lengths]."""
+"""Largest change of a passive joint in one correction [rad, or characteristic lengths]."""
 _MAX_NEWTON = 12
 _SURE = 0.1  # part of the tolerance that a residual which is not computed must come to
 _SMALLEST_PART = 1 / 256  # part of the way from start to goal, before continuation gives up

@@ -17,7 +17,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import lost_by, without_terms
 
 WHOLE = "the terms are in parameters.csv of the result folder, and calib predict, solve and compensate use them"
-"""Where to have what a file loses."""
+"""Place and use of the joint terms that a file loses."""
 
 
 @dataclass(frozen=True)

@@ -216,7 +216,7 @@ instruments:
         (),
     ),
 }
-"""What `calib init --measure` knows, by name."""
+"""Ways to measure of `calib init --measure`, by name."""
 
 
 def description_text(

@@ -76,7 +76,7 @@ def joint_box(
                 raise InputError(f"within: {name} lies outside its joint limits {low:.6g} to {high:.6g} [m or rad]")
             continue
         if mechanism.dimensions[name] == "length" and not high - low < _LONGEST:
-            stated = f"limits {low:g} to {high:g} m, which are none" if np.isfinite(high - low) else "no limits"
+            stated = f"limits of {low:g} to {high:g} m, too wide" if np.isfinite(high - low) else "no limits"
             raise DataError(
                 f"{path}: sliding joint '{name}' has {stated} to spread poses over; give a range (--within), or a file"
                 " of poses"

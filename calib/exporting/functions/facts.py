@@ -270,7 +270,7 @@ def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str
     if facts.base is None:
         text.append("Joints move that frame.")
     else:
-        text.append(f"{base} is the pose of that frame in the root link: {base} @ pose is a pose in the root link.")
+        text.append(f"{base} is the pose of that frame in the root link. Times a pose, it gives the pose there.")
     if facts.tree.closures:
         text.append("Where loops do not close, or not as they are assembled at home, the numbers are NaN.")
     return [" ".join(line.split()) for line in text]

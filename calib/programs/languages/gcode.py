@@ -273,8 +273,8 @@ class _GcodeReader:
             options = "--harmless" if self.dialect.name else "--dialect or --harmless"
             raise line.refusal(
                 f"{self.shifted} may have moved zero or axes, or changed the tool; if not, say so with {options}; else"
-                " compensate what is behind it by itself"
+                " compensate the lines after it as a program of their own"
             )
         if self.relative is None or self.unit is None:
-            raise line.refusal(f"{self.since} may have changed modes; write G90 or G91, and G20 or G21, behind it")
+            raise line.refusal(f"{self.since} may have changed modes; write G90 or G91, and G20 or G21, after it")
         return self.unit, self.relative

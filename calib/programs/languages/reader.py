@@ -154,7 +154,7 @@ class Reader(Statements):
     def declare(self, key: str, data: Data) -> None:
         """Process a declaration."""
         if key in self.declared:
-            self.uses.note_change(re.split(r"[\[{]", key)[0], "is declared in several places; name each otherwise")
+            self.uses.note_change(re.split(r"[\[{]", key)[0], "is declared in several places; give each its own name")
             data = replace(data, span=NO_VALUE)
         self.declared[key] = data
 
@@ -200,7 +200,7 @@ class Reader(Statements):
         try:
             goal = find()
             if state is None:
-                raise LeftOutError("is a place to which the program never comes")
+                raise LeftOutError("is never reached by the program")
             place = goal.place
             reached, frames = target(goal, state)
             self.visits.append(Visit(where, reached.name or shown, place, reached, frames=frames))

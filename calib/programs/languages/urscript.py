@@ -124,7 +124,7 @@ class UrscriptReader(Reader):
             where = self.sources[0].path, self.code.line(at)
             self.uses.decide(self.names(*span), where[1])
             if name in _MOVED_ALONG:
-                why = f"moves along by '{name}' (line {where[1]})"
+                why = f"is shifted at run time by '{name}' (line {where[1]})"
                 self.flow.note_setting(_MOVED_ALONG[name], Unknown(why))
             self.visits.append(
                 Visit(where, name, None, why="moves the robot by an amount that it computes at run time")

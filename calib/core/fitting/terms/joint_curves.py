@@ -14,7 +14,7 @@ from calib.core.robots.terms.term import Context
 
 _POINTS = 721
 BEYOND = 0.02
-"""Distance outside the measured range, over that range, up to which a joint's curve holds."""
+"""Distance outside the measured range, as a part of the range, up to which a joint's curve holds."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from calib.matching.readings import PlacedInterpretation
 FILES = {"dh": "dh.csv", "mdh": "mdh.csv", "xacro": "origins.xacro", "ur-kinematics": "default_kinematics.yaml"}
 """File beside the URDF for each format."""
 _WIDTH = 118
-_OF_DIGITS = 2.0  # ratio of the claim to the rounding of a printed position up to which they are of one size
+_OF_DIGITS = 2.0  # largest ratio of the claim to the rounding of a printed position that counts as equal size
 
 
 @dataclass(frozen=True)

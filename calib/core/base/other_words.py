@@ -99,7 +99,7 @@ class HintedObject:
             if name.startswith("_"):
                 raise AttributeError(name)
             if any(name in parent.__dict__ for parent in type(self).__mro__):
-                return object.__getattribute__(self, name)  # it has it: the error that comes is what went wrong inside
+                return object.__getattribute__(self, name)  # the attribute exists; show its own error
             hint = hint_for(name, self._other_words)
             own = [*self._own_parameters()] if hint else []
             for example, parameter in zip(EXAMPLES, own[:1] + own[-1:], strict=False):

@@ -134,7 +134,7 @@ def replace_folder(new: Path, path: Path, obsolete: Collection[str]) -> None:
             except FileNotFoundError:
                 if not new.exists():
                     raise
-                # something else has just moved what was at the place: again
+                # another program has just moved the folder: try again
 
 
 @contextmanager
@@ -214,7 +214,7 @@ def _link(source: Path, target: Path) -> None:
         return
     try:
         os.link(source, target, follow_symlinks=False)
-    except (FileNotFoundError, FileExistsError):  # gone in between; or carried before
+    except (FileNotFoundError, FileExistsError):  # deleted meanwhile, or linked already
         return
     except OSError:  # a file system without hard links
         shutil.copy2(source, target, follow_symlinks=False)

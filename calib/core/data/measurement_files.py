@@ -148,7 +148,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     """
     setups = setups_of(robot, table) if robot.description.setups and "setup" in table.names else None
     joints, sensed = _joints_of_table(table, robot, setups, robot.joint_names)
-    joints.flags.writeable = False  # who holds it needs no copy
+    joints.flags.writeable = False  # so its holders need no copy
     called = tuple(table.text("pose")) if "pose" in table.names else None
     if called is not None and "" in called:
         line = table.lines[called.index("")]

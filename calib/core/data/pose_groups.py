@@ -159,7 +159,7 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -
     def cut(part: IntArray, into: int) -> list[IntArray]:
         if into == 1:
             return [part]
-        # rounded, so that of joints that spread alike the first is cut on every processor
+        # rounded: if joints spread alike, every processor cuts the first of them
         joint = int(np.argmax(np.round(np.ptp(centres[part], axis=0), 6)))
         arranged = part[np.argsort(centres[part, joint], kind="stable")]
         left = into // 2

@@ -63,7 +63,7 @@ _NO_NOISE = (
 _ALIKE = 1e-12  # difference of residuals of robots that move alike: rounding [SI]
 STEP_LEFT = 0.05
 """Standard deviations that a converged fit may be away from its minimum."""
-_FAR = 0.5  # part of the largest remaining step, from which receding parameters are named
+_FAR = 0.5  # part of the largest remaining step above which receding parameters are named
 _BLIND = 1e-6  # part of the longest column, in expected units, below which no reading sees a place
 ROUNDING = 1e-8
 """10 nm and 10 nrad: below, rounding decides about a step."""

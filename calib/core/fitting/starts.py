@@ -26,7 +26,7 @@ from calib.core.numerics.least_squares import LeastSquaresSolution
 from calib.core.robots.robot import Robot
 
 _HALVINGS = 5
-_SAME = 0.1  # root mean square difference of predictions, over the smaller residuals, within one minimum
+_SAME = 0.1  # ratio of the RMS difference of predictions to the smaller residuals, below which two minima are one
 _ROUNDING = 1e-7  # residuals below this are rounding [m]
 
 

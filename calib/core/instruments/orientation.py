@@ -55,7 +55,7 @@ from calib.core.numerics.rigid import cross_matrices, nearest_rotation
 
 TILT = Part("tilt", ("tilt_x", "tilt_y"), "angle", largest=0.1)
 _DOWN = np.array([0.0, 0.0, -1.0])
-_SMALLEST = 1e-12  # square of the part of g that a tilt is the angle of
+_SMALLEST = 1e-12  # least square of the component of g whose angle is a tilt
 _ROUNDS = 100
 _SETTLED = 1e-10
 

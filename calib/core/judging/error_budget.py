@@ -57,7 +57,7 @@ REST = "noise and unexplained errors, not separable"
 ENOUGH_REPEATS = 10.0
 """Degrees of freedom that repeats need to count as known noise."""
 _AS_LARGE = 1.1  # ratio of rest to noise (RMS) up to which the rest counts as noise
-_SURE = 0.5  # two standard deviations of the unexplained mean square, over that of noise, must end below
+_SURE = 0.5  # largest ratio of the unexplained mean square, plus two standard deviations, to that of noise
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ def _integrate(
     steps = (members * way[unknowns.index]).T
     places, n_causes = _cause_of_places(unknowns, members), len(members)
     removed = np.zeros((layout.n_rows, n_causes))
-    pulling = np.zeros((layout.n_rows, 2 + n_causes))  # what the J of the end is multiplied with
+    pulling = np.zeros((layout.n_rows, 2 + n_causes))  # columns by which J^T of the last fit is multiplied
     of_counted = slice(None) if np.all(counted) else counted
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
@@ -214,7 +214,7 @@ def _batches(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout)
 
 def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:
     """Return h_k of the module docstring, (n_causes,)."""
-    n = rows.jacobian.shape[1]  # of rows alone that count: sums over them stay as they are
+    n = rows.jacobian.shape[1]  # `factor` has the same sums as the rows, if all count
     jacobian = rows.factor[:n, :-1] if np.all(counted) else reduce_rows(rows.jacobian[counted])
     pulled = (jacobian @ rows.posterior_information.root) @ rows.posterior_information.root.T
     placing = jacobian[:, unknowns.placement] @ _root_of_span(jacobian[:, unknowns.placement])

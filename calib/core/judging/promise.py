@@ -37,7 +37,7 @@ from calib.core.rows.whitening import Whitening
 POWER = 0.9
 """Chance with which a change shall be seen."""
 _OUTLIERS = 0.05  # largest part of the readings that is left out
-_PARALLEL = 1.0 - 1e-6  # cosine from which columns count as equal
+_PARALLEL = 1.0 - 1e-6  # cosine above which columns count as equal
 _JOINT_STEP = 1e-3  # unit of changes of joint zeros [rad, or characteristic lengths]
 
 
@@ -287,7 +287,7 @@ class System:
         """Return the reading that is furthest off, and the chance of such an error among all."""
         layout, left = self.rows.layout, self._orthogonal_part(self.rows.residuals)[: len(self.rows.residuals)]
         widths, used = np.maximum(layout.width, 1), np.ones(layout.n_readings)
-        # the scale is known with the degrees of freedom of the promise; `studentised` counts half of those it gets
+        # the scale has the degrees of freedom of the promise; `studentised` halves the ones that it is given
         tests = studentised(left, self.rows.span, layout.reading, widths, used, 2.0 * self.promise.freedom, 1.0)
         reading = int(np.argmin(tests.chance))
         n_read = len(np.unique(layout.reading[layout.group >= 0]))

@@ -39,7 +39,7 @@ LEFT_OUT = 0.01
 NOT_STATED = 2.0
 """Factor on that limit where the noise of the instrument is not stated and adds to it: a camera that observes a small
 space has 1 % of it."""
-_CLOSER = 0.2  # error with another meaning over that with the present one
+_CLOSER = 0.2  # largest ratio of the error with another meaning to that with the present one
 _TRIED = 20  # poses that are tried, of many
 _FEWEST_READINGS = 4
 

@@ -48,7 +48,7 @@ UNUSUAL = 10.0
 """Ratio of the size of a chosen joint term to its usual size, above which something else may be the cause."""
 JOINT_SCALED = 0.01
 """Relative error of motion that no joint has: gears, belts and screws are off by a thousandth."""
-_SUREST = 0.2  # least certainty of a scale, over that of the surest: an error that bends looks like smaller scales
+_SUREST = 0.2  # least ratio of a scale's certainty to the largest one: a bent error looks like several small scales
 LOOSE_ANGLE = 0.1
 """Standard deviation of an angle beyond which its effect is not linear [rad]."""
 

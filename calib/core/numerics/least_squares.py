@@ -100,10 +100,10 @@ MAX_EVALUATIONS = 200
 TOLERANCE = 1e-12
 """Promised decrease, relative to the cost, that ends the iteration: 1e-4 standard deviations at ten thousand rows."""
 _SMALL_STEP = 1e-12
-_ROUNDING = 10.0  # allowed rest where a step did not lower the cost, in tolerances
+_ROUNDING = 10.0  # promised decrease in tolerances, up to which a step that did not lower the cost ends the iteration
 _KEPT = 8  # steps whose Jacobians are remembered
 _SHORTER = 0.25  # factor of the radius after a step that failed
-_GOOD, _POOR = 0.75, 0.25  # part of the promised decrease that came, beyond which the radius changes
+_GOOD, _POOR = 0.75, 0.25  # ratio of actual to promised decrease, above and below which the radius changes
 _BEND = 0.5  # longest correction of a bend, over the length of its step
 _ABSURD = 3.5  # root mean square of a first step in units of the unknowns
 _REACH = 0.5  # first limit of the steps after that, in the same units

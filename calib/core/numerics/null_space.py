@@ -39,7 +39,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
 from calib.core.numerics.identifiability import rank_of, reduce_rows
 
-_SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter that names a group
+_SPEAKS = 0.1  # least movement of the parameter that names a group, as a part of the largest, in sigmas
 ZERO = 1e-6
 """Entries of a vector below this part of its largest are zero."""
 _DEPENDENT = 1e-9  # smallest singular value of rows of an orthonormal basis that counts as none

@@ -297,7 +297,7 @@ def statistics(
     """
     root = known.root
     share = prior_shares(known, prior)
-    core = share.copy()  # with a robust loss J counts times the root of the slope in T, and in the scatter
+    core = share.copy()  # with a robust loss, J is multiplied by the root of the slope in T and in the scatter
     shared = _scatter_beyond_chance(poses)
     if shared is not None:
         core += shared.core

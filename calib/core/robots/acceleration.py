@@ -17,9 +17,9 @@ from typing import Any
 
 from calib.core.robots.mechanism import Mechanism
 
-_MANY = 5000  # poses of robots with loops that are worth loading numba: one of a fit saves 0.1 ms
-_MANY_OPEN = 20_000  # the same of robots without loops, and of draws, which save 0.03 ms
-_TO_COMPILE = 7  # times as many are worth compiling it first
+_MANY = 5000  # number of poses, with loops, for which loading numba pays: each pose of a fit saves 0.1 ms
+_MANY_OPEN = 20_000  # the same without loops, and for draws, where a pose saves 0.03 ms
+_TO_COMPILE = 7  # factor on these numbers if the functions must be compiled first
 _AVAILABLE = find_spec("numba") is not None
 _requested: ContextVar[bool | None] = ContextVar("compiled kinematics", default=None)
 

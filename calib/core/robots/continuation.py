@@ -42,7 +42,7 @@ _ROUNDINGS = 16  # roundings of a coordinate on the way around a loop, at most a
 LARGEST_STEP = 0.5
 """Largest change of a passive joint in one correction [rad, or characteristic lengths]."""
 _MAX_NEWTON = 12
-_SURE = 0.1  # part of the tolerance that a residual which is not computed must come to
+_SURE = 0.1  # part of the tolerance that a residual must be below if it is not computed again
 _SMALLEST_PART = 1 / 256  # part of the way from start to goal, before continuation gives up
 _SMALLEST_AT_ONCE = 1 / 16  # the same where a pose that is hard to reach may be left out
 _SMALLEST_CHANGE = 1 / 64  # part of the change of the origins that is not halved any more

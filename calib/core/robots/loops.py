@@ -42,7 +42,7 @@ from calib.core.robots.mechanism import Mechanism
 
 LIMIT_MARGIN = 1e-9
 """How far beyond its limit a passive joint may be [m, rad]."""
-_OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from its drawing
+_OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from the nominal one
 _SAME_SOLUTION = 1e-6  # difference of passive joints [rad, or characteristic lengths]
 _CLOSED = 1e-6  # the search for the smallest gap ends a few nanometres from closed [m or rad]
 

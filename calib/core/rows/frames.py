@@ -104,7 +104,7 @@ class CorrectionFrame(ReadOnlyArrays):
             In the axes of the frame, (n, n_targets, 6).
         """
         uncertainty, shape = self.known.uncertainty, (len(q), len(self.robot.target_names), 6)
-        if uncertainty is None or self.motion is not None:  # common motion takes it
+        if uncertainty is None or self.motion is not None:  # the common motion absorbs it
             return np.zeros(shape)
         left = (self.known.robot.values - self.robot.values)[uncertainty.free][self.counts]
         if not np.any(left):

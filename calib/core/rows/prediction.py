@@ -43,7 +43,7 @@ CHUNK = 1024
 """Number of poses computed at once."""
 ROWS = (slice(3), slice(3, 6))
 """Rows of positions and of turns."""
-_DIFFERS = 1.5  # uncertainty in the measurement frame over the predicted one, above which both are reported
+_DIFFERS = 1.5  # ratio of the uncertainty in the measurement frame to the reported one, above which both are shown
 _CERTAIN = 1e-12  # variance of a length that does not show, over its square
 
 

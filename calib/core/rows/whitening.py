@@ -22,7 +22,7 @@ ASSUMED: dict[Dimension, float] = {"length": 1e-4, "angle": 1e-4, "pixel": 0.5}
 """Noise of one component if it is neither stated nor shown by residuals [SI]; messages must say that it is assumed."""
 
 
-_AGAIN = 10  # readings beyond the first of their pose from which a shared offset is looked for
+_AGAIN = 10  # least number of repeated readings for which a shared offset is looked for
 
 
 class Whitening:

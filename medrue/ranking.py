@@ -1,11 +1,11 @@
 """Which choice of poses is better, and whether that is more than luck.
 
 Every draw gives one error for each set of poses, on the same noise. Sets are put in the order of their mean error. That
-order alone says little, so every pair of sets is compared: the mean of their paired differences over its standard
-error is Student's t with n - 1 degrees of freedom if the two are equally good. n sets are n (n - 1) / 2 questions;
-Holm's correction keeps the chance that luck answers any of them wrongly below `LUCK`. Comparing neighbours in
-the order would not do: a set may be like the next, that one like the one after it, and the first still better than the
-third.
+order alone says little, so every pair of sets is compared: the ratio of the mean of their paired differences to its
+standard error is Student's t, with one degree of freedom less than draws, if the two are equally good. n sets are
+n (n - 1) / 2 questions; Holm's correction keeps the chance that luck answers any of them wrongly below `LUCK`. To
+compare neighbours in the order is not enough: the first may be like the second, the second like the third, and the
+first still better than the third.
 
 Reference: holm1979.
 """

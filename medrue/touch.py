@@ -6,11 +6,11 @@ poses, chosen by the smallest error that they predict over the 420 poses of the 
 the study's Table II, but at all 420 poses: the distance of the calibrated robot's prediction from the true position.
 
 Two questions are kept apart. `world`: how far the prediction is off in the world. `shape`: how far it is off after the
-best rigid motion of all predictions onto the true positions, which is what a method can know that does not see where
-the base stands.
+best rigid motion of all predictions onto the true positions; a method that does not see where the base stands can know
+only this.
 
-What a method cannot see stays near nominal: parameters are then expected within their sigmas (2 mm and 1.5 deg), and a
-fit weighs that as it weighs readings. Tracker and touched sockets of the world need no such help: the paper's eight
+Parameters that a method cannot see stay near nominal, because priors expect them within their sigmas (2 mm and 1.5
+deg). Tracker and touched sockets of the world need no such help: the paper's eight
 redundant parameters are held.
 
 Everything is simulated: the paper's robot (Table I) with many draws of the noise, and other robots, drawn as the

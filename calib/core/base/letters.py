@@ -1,7 +1,7 @@
-"""Letters that nobody sees: controls, escapes of terminals, marks of direction. No name has them, no message either.
+"""Letters that nobody sees: controls, escapes of terminals, marks of direction. No name or message contains them.
 
 A name with a line end cannot be read from the table that it is written to; two names that differ by a mark of no width
-look the same; U+202E turns around what follows, and an escape moves the cursor, wherever the text is shown.
+look the same; U+202E reverses the text that follows, and an escape moves the cursor, wherever the text is shown.
 """
 
 from __future__ import annotations

@@ -1,17 +1,17 @@
 """Files and folders that are completed under another name, and then take their place in one step.
 
-A program can be ended at any moment, and two can write to one place. So what is at a place is only ever replaced as a
+A program can be ended at any moment, and two can write to one place. So a file or folder is only ever replaced as a
 whole: by renaming where nothing is there, and otherwise by exchanging the two names, which Linux does in one step
-(renameat2 with RENAME_EXCHANGE). What others keep in a folder is in the new one too before that, as hard links.
+(renameat2 with RENAME_EXCHANGE). Before that, files of others in the old folder are linked into the new one.
 
 Where a system or a file system has no such exchange, the old folder is set aside and the new one takes its place: a
-program that is killed between these two steps leaves the old one, whole, in a folder `.calib-old-*`, and the next that
-writes there puts it back.
+program that is killed between these two steps leaves the old one, whole, in a folder `.calib-old-*`, and the next
+program that writes there puts it back.
 
-Whoever completes something holds a lock on it, which ends with the program, however it ends. What nobody holds is a
-leftover of a program that was killed, and the next one that writes there removes it. While a folder is replaced,
-the folder above it is locked, so that what one program has set aside is never missing to another. File systems without
-locks keep their leftovers, and only the exchange is safe for two programs at once there.
+A program locks the file or folder that it completes; the lock ends with the program, however it ends. One without a
+lock is a leftover of a killed program, and the next program that writes there removes it. While a folder is replaced,
+the folder above it is locked, so that no other program misses a folder that was set aside. File systems without locks
+keep their leftovers, and only the exchange is safe for two programs at once there.
 """
 
 from __future__ import annotations

@@ -3,10 +3,10 @@
 Workers are any `concurrent.futures` executor: threads, processes of this machine (a number), or those of a cluster
 (docs/howto/many_calibrations.md). Everything that shares work takes it as `executor`, and passes it through `Workers`
 to `results_in_order`. An error of the work travels as a value, so that whatever else a future raises means one thing:
-its worker was lost. What is done is kept, what was lost is sent again. Where the executor takes no more work because
-losing a worker has broken it, the rest is done here. What all pieces of work share, such as the first fit of a study,
-goes to each worker once, if the executor can hold it (processes of `Workers`, and those of Dask); otherwise with every
-piece.
+its worker was lost. Finished work is kept, lost work is sent again. Where the executor takes no more work because
+losing a worker has broken it, the rest is done here. Data that all pieces of work share, such as the first fit of a
+study, go to each worker once, if the executor can hold them (processes of `Workers`, and those of Dask); otherwise they
+go with every piece.
 
 The processes of `Workers` end with the program that started them, however it ends: after Ctrl-C, SIGTERM or SIGHUP they
 are stopped before the program is left, and where it dies without a chance to do so (SIGKILL), each of them notices by

@@ -9,7 +9,7 @@ the last axis.
 
 A robot is withheld if its fit did not converge, or if it is worse than the nominal robot, with only base and targets
 placed, at the poses of `calib.core.fitting.unseen_errors`. A larger root mean square error is enough, beyond chance or
-not: the nominal robot exists already and costs nothing, so that the doubt is against the new one.
+not: the nominal robot exists already and costs nothing, so the new one must prove itself.
 """
 
 from __future__ import annotations

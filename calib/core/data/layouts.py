@@ -1,9 +1,9 @@
-"""Begin of the table in files of other programs: lines above the header, a row of units below it, worksheets.
+"""Where the table begins in files of other programs: lines above the header, a row of units below it, worksheets.
 
 Programs of trackers and coordinate machines write facts about the measurement above the table: SpatialAnalyzer behind
 `//`, others as plain lines. A header is a line without a number, and the lines below it have as many cells, with a
-number in the first few. The first line is the header if it is one, and no other is wider; else the widest, and the
-lines above it are comments. Two that are as wide are refused.
+number in the first few. The first line is the header if it is one, and no other header is wider; else the widest header
+counts, and the lines above it are comments. Two widest headers are refused.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Visits and what was read there as columns of tables, in mm and degrees: a header and a cell for each line.
+"""Visits and their readings as columns of tables, in mm and degrees: a header and a cell for each line.
 
-A visit at which an instrument read several things (points of a camera) has a line for each of them, which repeat its
-joint values. Cells that nothing stands in are empty text.
+A visit at which an instrument read several things (points of a camera) has a line for each of them. These lines repeat
+its joint values. Empty cells are empty text.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """CSV tables with units in their headers, read with the line and column of every mistake.
 
 A column is `name` or `name [unit]`; without a unit the numbers are SI. Lines that start with # or // are comments.
-Commas, semicolons or tabs part the columns, whichever the header has; where it is not the comma, that may be the
+Commas, semicolons or tabs separate the columns; the header decides. Where they are not commas, a comma may be the
 decimal mark. `calib.core.data.layouts` knows what other programs write around a table; guesses are warnings of
 the logger.
 """

@@ -7,14 +7,14 @@ repeated with rows weighted for it, until offsets change by less than one in twe
 within a pose more than differences between poses. That is right for repeats, and wrong where the model of the readings
 within a pose is itself off (the lens of a camera, the points of a board). So they are kept only where they predict
 left-out poses better: the sum over groups of n log(RMS weighted / RMS plain), n poses each, must be
-below -1. The sum counts the readings of other instruments, which the weights are to protect, where there are any. With
-a robust loss no offsets are looked for: a gross error is one, too.
+below -1. Where there are other instruments, the sum counts their readings, because the weights are to protect these.
+With a robust loss no offsets are looked for, because a gross error looks like one.
 
-Where priors are weighed against stated noise, the errors that the model leaves out count too: for a robot with gear
-errors, the noise of a good tracker is the least part. With a statement that residuals contradict, priors would pull
-parameters hundreds of sigmas away from their expected values, and slowly, along bent valleys. So the noise of such a
-group is found as well, where chance explains the residuals in less than one case of a thousand. The linear model around
-the start decides; where its residuals are curvature, and the minimum contradicts nothing, the statement holds again.
+Where priors are weighed against stated noise, errors of the model count too: for a robot with gear errors, the noise of
+a good tracker is the least part. If residuals contradict the stated noise, parameters would move hundreds of sigmas of
+their priors, and slowly, along bent valleys. So the noise of such a group is found as well, where chance explains the
+residuals in less than one case of a thousand. The linear model around the start decides; where its residuals are only
+curvature, and the residuals of the minimum agree with the stated noise, the stated noise holds again.
 (`calib.core.judging.rules_noise` gives the verdict on the statement itself.)
 """
 

@@ -15,6 +15,7 @@ r^2 = 4 (63 degrees from the axis), since no such polynomial is valid beyond.
 
 Poses of a body in the camera follow from a few points in each view, for many views at once (`view_poses`). Each view is
 a least-squares problem in six unknowns: points X_j of the body, seen along rays m_j. Damped Gauss-Newton steps, taken
+for all problems together, start from 24 orientations of the body (those of a cube), at the depth that follows from the
 spread of the rays. Three points allow up to four solutions, and four points in a plane sometimes two. Views with fewer
 than four points are not solved, and some of the poses may be wrong (`calib.core.instruments.camera_places`).
 

@@ -7,6 +7,8 @@ For the same readings k, whitened by the noise that was found, the errors before
 A robot that needs no correction has b_k = e_k (noise) and a_k = e_k + B_k d, with d ~ N(0, C) the error of the fit from
 its own noise: the change is then positive, though nothing is wrong. With G = sum B_k^T B_k,
 
+    E T = tr(GC) = m        var of |B d|^2 = 2 tr(GCGC)        var of 2 e^T B d = 4 m
+
 The calibration is `worse`, or `better`, where the change lies above, or below, these values with a chance of 0.1 %
 each: the quadratic part as a scaled chi-square of the same mean and variance, the mixed part as normal. All is in units
 of a noise that was itself found, with f degrees of freedom: so F replaces the chi-square, and Student's t the normal
@@ -15,7 +17,6 @@ they contain errors of the model. Where poses scatter more than independent read
 (`calib.core.numerics.clusters`), the mixed part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
 Validation poses whose frame moved are compared with the frame placed anew (`calib.core.fitting.moved_frame`).
 
-Validation poses whose frame moved are compared with that placed anew (`calib.core.fitting.moved_frame`).
 
 This test asks whether the uncertainty of the fit explains the change. A fit that is uncertain at unused poses explains
 much, and harms the robot nevertheless. So a calibration is `worse`, too, where these errors are more than `HARM` times

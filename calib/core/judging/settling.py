@@ -1,12 +1,12 @@
 """Poses of a calibration that settle whether a robot has changed, if they are measured again.
 
-At a used pose the model has the same error now as then: a difference there is the robot's, whatever the model leaves
-out. Of all used poses, those are chosen one by one that increase the information on the change most, base and targets
-eliminated, which are placed anew (its determinant: `calib.core.numerics.observability`, O1), until the change shows
-with the chance `POWER`.
+At a used pose the model has the same error now as then: a difference there is a change of the robot, even if the model
+is incomplete. Used poses are chosen one by one, each time the one that increases the information on the change most
+(its determinant: `calib.core.numerics.observability`, O1), until the change shows with the chance `POWER`. Base and
+targets are eliminated, because they are placed anew.
 
-When it fails. Of more poses than `MOST`, evenly chosen ones are examined. The change is taken as large as it was found:
-a smaller one takes more poses.
+When it fails. If there are more poses than `MOST`, only that many, chosen evenly, are examined. The change is taken as
+large as it was found: a smaller one takes more poses.
 """
 
 from __future__ import annotations

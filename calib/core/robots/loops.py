@@ -4,8 +4,8 @@ Problem. Find passive joints p with r(a, p) = 0 for given actuated joints a. Sev
 up or down); only the one that can be reached from the home configuration without passing a singularity is the robot.
 
 Method. Newton from a solution under similar parameters where one is known; else the loops are followed from home
-(`calib.core.robots.continuation`). A solution beyond the limits of a passive joint does not count. On the way of a fit
-to its minimum it does: a limit would be a wall there, behind which the minimum may lie.
+(`calib.core.robots.continuation`). A solution beyond the limits of a passive joint does not count. But it counts while
+a fit is on its way to the minimum, because the way may pass outside of the limits.
 
 The home configuration itself must close and be regular; it decides the assembly mode (`check_home`).
 

@@ -14,7 +14,7 @@ with selection matrices E that also hold `<mimic>` multipliers, so that a follow
 
 Where a joint term tilts the link behind a joint (`calib.core.robots.terms.term`), that link hangs on joints of
 its own, one for each rotation that the joint itself does not make. They are given like the actuated ones and come after
-them in q_actuated; they are not commanded, and what they are follows from the commands.
+them in q_actuated; they are not commanded, and their values follow from the commands.
 """
 
 from __future__ import annotations

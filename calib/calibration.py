@@ -100,7 +100,7 @@ class Calibration(JudgedFit, CalibratedRobot):
         """Predict each part of the poses by a fit of the other parts.
 
         Args:
-            folds: Number of parts, by pose; `setups`: every setup is one, placed anew.
+            folds: Number of parts, by pose; or `setups`: every setup is a part, placed anew.
             seed: Seed of the random choice.
             executor: Executor of the fits; as in `fit`.
             progress: Called after each part with how many are done, and of how many.

@@ -134,7 +134,7 @@ class BothSides:
         return np.array([draw.after[w, s][:, others].reshape(-1, 3) for draw in self.draws])
 
     def first_measurements(self) -> Measurements:
-        """Return what was read of the first robot, all poses from both sides."""
+        """Return the readings of the first robot at all poses, from both sides."""
         n = len(self.joints)
         side, pose = np.repeat(np.arange(len(SIDES)), n), np.tile(np.arange(n), len(SIDES))
         return measurements_of_visits(self.extended, self.joints, self.draws[0].measured, side, pose)

@@ -4,8 +4,8 @@
 
 The paper prints the mean error of the nominal robot for the robot of its simulation (Table I's actual parameters,
 Table II) and for the real one (Table III's identified parameters, Table IV). At our poses the same parameters give
-larger errors. This module computes by the closed form, without noise and imperfections, what other readings of the text
-and other poses would give:
+larger errors. This module computes by the closed form, without noise and imperfections, the errors that follow from
+other readings of the text and from other poses:
 
 * the base placed by a best fit beforehand;
 * deviations of whole groups of parameters with the opposite sign;
@@ -160,7 +160,7 @@ def _robots() -> tuple[FloatArray, FloatArray]:
 
 
 def main() -> None:
-    """Print what every reading gives."""
+    """Print the errors of every reading of the text."""
     q = np.array(target_workspace().q)
     nominal = forward(q, table1().nominal).p_world_tool
     for number, parameters in zip((2, 4), _robots(), strict=True):

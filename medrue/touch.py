@@ -176,7 +176,7 @@ def choose_methods(robot: Robot, joints: FloatArray) -> tuple[tuple[Method, ...]
 def best_touches(robot: Robot, joints: FloatArray, possible: Touches) -> Selection:
     """Choose the touches with the smallest predicted errors at `joints`, (n, 6) [m, rad].
 
-    What a touch of a socket in a known place misses moves with the parameters as the position there does, so that
+    The error of a touch of a socket in a known place changes with the parameters as the position there does, so that
     touches are chosen as positions are.
 
     Raises:

@@ -19,7 +19,7 @@ BoolArray = NDArray[np.bool_]
 
 
 def as_slice(chosen: IntArray) -> IntArray | slice:
-    """Return indices (n,) that follow each other as a slice: what it selects is changed in place, not copied."""
+    """Return consecutive indices (n,) as a slice, so that the selected part is changed in place, not copied."""
     first = int(chosen[0]) if len(chosen) else 0
     span = slice(first, first + len(chosen))
     return span if np.array_equal(chosen, np.arange(span.start, span.stop)) else chosen
@@ -113,7 +113,7 @@ class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
 class ReadOnlyArrays:
     """Base of frozen dataclasses: arrays, tuples and dictionaries of them become read-only copies.
 
-    They are so after unpickling, too. What is printed of them are the shapes of arrays, not their numbers.
+    They stay read-only after unpickling. Their shapes are printed, not their numbers.
     """
 
     def __init_subclass__(cls) -> None:

@@ -135,7 +135,7 @@ def _alike(name: str, other: str) -> bool:
 def _closest(name: str, names: list[str]) -> str:
     """The name with most words in common at the beginning, then the most similar one; empty if none is close.
 
-    Beginnings count more than endings: of joints called `..._joint`, the ending says nothing.
+    Beginnings count more than endings, because many names end alike, such as `..._joint`.
     """
     words = _words(name)
     best, closest = (0, 0.0), ""

@@ -28,7 +28,7 @@ def visible(text: str) -> str:
 
 
 def unseen(name: str) -> str:
-    r"""Return what is wrong with a name that holds letters that nobody sees; nothing if it holds none.
+    r"""Return a complaint about a name with letters that nobody sees; "" if it has none.
 
     >>> unseen("P\n1"), unseen("P 1")
     ("'P\\n1' holds \\n, which nobody sees; write the name without it", '')
@@ -41,7 +41,7 @@ def unseen(name: str) -> str:
 
 
 def brief(text: str) -> str:
-    """Return a text whose longest words, and that itself, are cut down to what a person reads.
+    """Return a text with its longest words, and then the whole, cut to a length that a person reads.
 
     >>> brief("not a number: " + 50_000 * "9")[:50], len(brief(50_000 * "a b "))
     ('not a number: 999999999999999999999999999999999999', 4035)

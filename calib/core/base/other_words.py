@@ -59,7 +59,7 @@ def hint_for(word: str, section: str) -> str:
     """Return the hint for a word that another package uses, as the end of a message; empty without one.
 
     Args:
-        section: Where it is looked for, as the table has it.
+        section: Section of the table to search.
     """
     row = _row(word, section, str) or _row(word, section, _plain)
     return f"; here: {row.here.replace('`', '')}" if row else ""
@@ -113,5 +113,5 @@ def _unknown_name_error(of: str, name: str, hint: str, names: list[str]) -> str:
 
 
 def unknown_name_error(name: str, names: list[str]) -> UnknownNameError:
-    """Return the error of a name that `calib` does not have, whose names these are."""
+    """Return the error for a name that is not one of the `names` of `calib`."""
     return UnknownNameError(_unknown_name_error("module 'calib'", name, hint_for(name, "`calib` itself"), names))

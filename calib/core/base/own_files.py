@@ -56,7 +56,7 @@ def signed(content: bytes, comment: str = "") -> bytes:
 
     Args:
         content: The file: JSON, XML of any kind, or lines.
-        comment: Beginning of a comment; that of XML or of tables if not given. JSON has none.
+        comment: Beginning of a comment; default: that of XML or of tables. JSON has none.
     """
     text = _OLD_LINES.sub(b"", content)
     if not text.endswith(b"\n"):

@@ -170,7 +170,7 @@ def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
 
 
 class _Schema:
-    """The JSON schema of an entry: that of each section, with the names that mean it."""
+    """The JSON schema of an entry: the schema of each section, with the names that select it."""
 
     def __init__(self, key: str, registry: Registry[Any]) -> None:
         self._key, self._registry = key, registry

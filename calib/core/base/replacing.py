@@ -91,7 +91,7 @@ def clear_leftovers(parent: Path) -> None:
 
 
 def _discard(path: Path) -> None:
-    """Remove a file or a folder of this module; what is set aside goes back first if its place is free."""
+    """Remove a file or folder of this module; a folder in it that was set aside goes back if its place is free."""
     if not path.is_dir():
         path.unlink(missing_ok=True)
         return
@@ -139,7 +139,7 @@ def replace_folder(new: Path, path: Path, obsolete: Collection[str]) -> None:
 
 @contextmanager
 def _exclusive_in(parent: Path) -> Iterator[None]:
-    """Replace while no other program of this module does so in the same folder, as far as the file system has locks."""
+    """Lock a folder, if the file system has locks, so that only one program at a time replaces entries in it."""
     handle = os.open(parent, os.O_RDONLY)
     try:
         with suppress(OSError):
@@ -182,7 +182,7 @@ def _try_replace_folder(new: Path, path: Path) -> bool:
 
 
 def _carry(old: Path, new: Path, leave: Collection[str]) -> tuple[os.stat_result, set[str]] | None:
-    """Put what a folder has besides into the new one as well; return what folder it was, and the names seen in it."""
+    """Link the other files of a folder into the new one; return the old folder's status, and the names seen in it."""
     try:
         was, entries = old.stat(), list(old.iterdir())
     except FileNotFoundError:
@@ -194,7 +194,7 @@ def _carry(old: Path, new: Path, leave: Collection[str]) -> tuple[os.stat_result
 
 
 def _follow(old: Path, path: Path, carried: tuple[os.stat_result, set[str]] | None, leave: Collection[str]) -> None:
-    """Let what came into a folder while the other was completed follow; unless it is another program's result."""
+    """Move files that came into the old folder meanwhile, unless the old folder is now another program's result."""
     with suppress(FileNotFoundError):
         if carried is None or not os.path.samestat(old.stat(), carried[0]):
             return

@@ -110,7 +110,7 @@ class PlaceSection(FrameSection):
     Attributes:
         position: `known`: it is right there; `unknown`: found from the measurements, starting from `xyz`.
         orientation: The same for `rpy`.
-        sigma: How far an unknown position may be from `xyz`, one standard deviation [m]; left out, `xyz` says nothing.
+        sigma: Standard deviation of an unknown position from `xyz` [m]; left out, any position is as likely.
         sigma_angle: The same for an unknown orientation [rad].
     """
 
@@ -168,7 +168,7 @@ class OwnLength:
     Attributes:
         value: Its actual or expected length [m].
         unknown: Whether the measurements must find it.
-        sigma: How far an unknown one may be from `value`, one standard deviation [m]; None: the value says nothing.
+        sigma: Standard deviation of an unknown length from `value` [m]; None: any length is as likely.
     """
 
     value: float = 0.0

@@ -104,7 +104,7 @@ def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) 
 
 
 def _wrap_lines(text: str, width: int) -> str:
-    """Lines broken at a width; what follows a break stands two places further in."""
+    """Lines broken at a width; continuations are indented by two more blanks."""
     lines = []
     for line in text.split("\n"):
         further = " " * (len(line) - len(line.lstrip()) + 2)
@@ -120,7 +120,7 @@ def text_table(
 
     Args:
         headers: Headers of its columns.
-        left: Those of them whose cells stand on the left; numbers stand on the right.
+        left: Headers of columns that are aligned left; the others are aligned right.
         plain: Whether it has no lines.
     """
     style: dict[str, Any] = {"box": None, "pad_edge": False} if plain else {}

@@ -47,10 +47,10 @@ def results_in_order(
     """Yield the function's results, first item first.
 
     At most `_AHEAD` items are with the executor at a time, so that its memory does not grow with their number. The
-    function is what the pieces share.
+    function holds the data that all pieces share.
 
     Args:
-        function: Of a module, so that other processes find it. Neither it nor the caller may change what it works on.
+        function: Function of a module, so that other processes find it. Neither it nor the caller may change its input.
         items: Its arguments.
         executor: The executor; this process if not given.
         progress: Told after each item.

@@ -21,7 +21,7 @@ _TIME = "time"
 
 
 def join_by_pose_column(tables: Sequence[Table], robot: Robot) -> list[Table]:
-    """Return tables with a column `pose` each, by which they are joined, if the description asks for another way.
+    """Return tables that are all joined by a column `pose`, which they get if the description joins them otherwise.
 
     Raises:
         DataError: Not one table with joint values, another number of rows, no `time`, or none near enough.

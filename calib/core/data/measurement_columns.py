@@ -38,7 +38,7 @@ def joint_columns(robot: Robot, q: FloatArray) -> dict[str, FloatArray]:
 def cells_of(values: FloatArray) -> list[object]:
     """Return the cells of a column, (n,); empty where there is no number.
 
-    15 digits: 30 degrees come out as 30, not as what the way through radians leaves of them.
+    Numbers have 15 digits, so that 30 degrees stay 30 after the conversion to radians and back.
     """
     return [float(f"{value:.15g}") if math.isfinite(value) else "" for value in values.tolist()]
 
@@ -61,7 +61,7 @@ def condition_columns(
 def approach_columns(robot: Robot, approach: FloatArray | None) -> dict[str, list[object]]:
     """Return directions of approach (n, n_actuated), for joints with at least one known direction.
 
-    A column says that they are given, also where none is known.
+    If no direction is known, all joints have columns, to show that directions were given.
     """
     if approach is None:
         return {}

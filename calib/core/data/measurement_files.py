@@ -43,7 +43,7 @@ from calib.core.robots.terms.terms import condition_columns
 
 
 def robot_of_data(path: object, robot: RobotLike) -> Robot:
-    """Return the robot of data that are to be read; an `InputError` where it stands in their place."""
+    """Return the robot for data that are to be read; `InputError` if a robot is given in the place of the data."""
     if isinstance(path, Robot):
         raise InputError('the data come first here, then the robot: calib.read_measurements("data.csv", robot)')
     return as_robot(robot)
@@ -278,9 +278,9 @@ def conditions_of_table(
     """Return the conditions of the robot in each row of a table.
 
     Args:
-        robot: Its terms say what they depend on.
-        joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then what
-            their order would tell counts as nothing.
+        robot: Robot whose terms name their inputs.
+        joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then their
+            order tells nothing.
 
     Returns:
         Columns that terms depend on, and those of gravity where the description speaks of it, (n,) [SI] by name, NaN

@@ -75,7 +75,7 @@ def _deviation_columns(robot: Robot, table: Table, guessed: Mapping[str, str]) -
 
 
 def _check_units(robot: Robot, table: Table) -> None:
-    """Raise `DataError` if columns would be those of the joints, if their units were written as units are."""
+    """Raise `DataError` if only the spelling of units keeps columns from being those of the joints."""
     odd = _odd_units(table)
     split = [odd.get(name, (name, unit)) for name, unit in zip(table.names, table.units, strict=True)]
     names, units = tuple(name for name, _ in split), tuple(unit for _, unit in split)

@@ -276,7 +276,7 @@ def read_table(
 
 
 def _without_comments(lines: Sequence[str], above: int) -> tuple[list[str], list[int]]:
-    """Return the comments of a file, whose first `above` lines are comments too, and numbers of its header and rows."""
+    """Return the comments of a file, and line numbers of header and rows; the first `above` lines count as comments."""
     comments, numbers = list[str](), list[int]()
     for number, line in enumerate(lines, start=1):
         if is_comment(line):
@@ -291,7 +291,7 @@ def _without_comments(lines: Sequence[str], above: int) -> tuple[list[str], list
 
 
 def _check_widths(path: str, rows: Mapping[int, Sequence[str]], width: int, header: int, separator: str) -> None:
-    """Raise `DataError` for a row, by its line, that has not as many cells as the header in that line."""
+    """Raise `DataError` for a row, by its line, with more or fewer cells than the header in line `header`."""
     for number, cells in rows.items():
         if len(cells) != width:
             hint = "; write decimals with a point, or separate columns by semicolons"

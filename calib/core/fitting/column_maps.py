@@ -119,7 +119,7 @@ class ColumnMap:
     def description_line(self, robot: Robot, units: Mapping[str, str | None]) -> str:
         """Return the line of the robot's description that corrects the mistakes: `columns: {elbow: "-elbow [deg]"}`.
 
-        The line includes what the description already says of a column.
+        The line includes the maps that the description already has.
 
         Args:
             units: Units of the file's columns, by name.

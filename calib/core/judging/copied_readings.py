@@ -45,7 +45,7 @@ def copied_visits(robot: Robot, data: Measurements) -> IntArray:
 
 
 def _chance_of_same(robot: Robot, data: Measurements, pairs: list[tuple[int, int]]) -> float:
-    """Return the chance that a repeat has the same readings, by differing repeats `pairs`; 0 without numbers."""
+    """Return the chance that a repeat has the same readings, from `pairs` of unlike repeats; 0 without numbers."""
     chances = []
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)

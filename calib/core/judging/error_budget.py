@@ -255,7 +255,7 @@ def _std(parts: FloatArray, pose: IntArray) -> float:
 
 
 def _noise(errors: ErrorSet, stated: float, width: float) -> tuple[float, float, str]:
-    """Mean square of the noise of a reading with so many components, its standard deviation, and where it is from."""
+    """Mean square of the noise of a reading with `width` components, its standard deviation, and its source."""
     scatter, freedom = repeatability(errors)
     if freedom >= ENOUGH_REPEATS and errors.main_part.is_position:
         return width * scatter**2, width * scatter**2 * float(np.sqrt(2.0 / freedom)), "repeats"

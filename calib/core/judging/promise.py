@@ -87,8 +87,8 @@ class Promise:
     def with_common_error(self, n_rows: int) -> Promise:
         """Return the promise where unexplained errors may be one common error of n rows, though no larger.
 
-        In a region of its own, such an error moves parameters as if only as few rows as parameters had decided them,
-        and the rows count as so few. The equations are in `calib.core.judging.acceptance`.
+        In a region of its own, such an error moves parameters as if they were decided by only as many rows as there are
+        parameters, so only that many rows count. The equations are in `calib.core.judging.acceptance`.
         """
         decided = max(self.decided, 1.0)
         wider = max((self.freedom + self.decided) / decided, 1.0)

@@ -39,7 +39,7 @@ class IsoFigure:
     Attributes:
         name: `AP`, `RP`, `vAP`, `AD`, `RD`, `dAP` or `dRP`; for orientations with the axis, such as `AP_rx`.
         poses: The pose, or the two poses of a distance.
-        cycles: Number of cycles, of the pose with fewest.
+        cycles: Number of cycles of the pose that has the fewest.
         figure: Value and interval [m or rad].
     """
 

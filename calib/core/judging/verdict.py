@@ -134,8 +134,8 @@ def judge(fit: Fit) -> Verdict:
 def _superseded_codes(reasons: Sequence[Reason]) -> set[Code]:
     """Codes of reasons that other reasons supersede or explain.
 
-    No gain gives way to harm; patterns, and scales of joints, to residuals as large as the robot; such residuals to a
-    robot that did not move; instruments that disagree to a column that was copied over another.
+    Harm supersedes no gain; residuals as large as the robot supersede patterns and scales of joints; a robot that did
+    not move explains such residuals; a column that was copied over another explains instruments that disagree.
     """
     codes = {reason.code for reason in reasons}
     pairs = (

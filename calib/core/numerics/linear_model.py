@@ -31,7 +31,7 @@ class RowGroups(ReadOnlyArrays):
 
     Attributes:
         group: Group of each row; -1 for one that was not read, (n_rows,).
-        counts: Rows of each group, (n_groups,); all rows that were read, also where few stand for them.
+        counts: Number of rows read in each group, (n_groups,), also where fewer rows represent them.
     """
 
     group: IntArray

@@ -68,7 +68,7 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
 
     Args:
         points, lengths: The known points, and the distances from them.
-        near: A place near it, (3,) [m]: it decides between mirror images, and stands in where nothing is determined.
+        near: A place near it, (3,) [m]: it decides between mirror images, and is used where nothing is determined.
     """
     middle = points.mean(axis=0)
     q = points - middle

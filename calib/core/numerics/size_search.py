@@ -84,7 +84,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: 
 
 
 def scatter_given_noise(at: SolvedModel) -> float:
-    """Return the scatter d, enlarged by what rows cannot tell from noise; 0 where they show neither.
+    """Return the scatter d, enlarged by the part that rows cannot tell from noise; 0 where they show neither.
 
     By the rows, d^2 is normal about its likeliest value, with a standard deviation t, and not negative; with known
     noise the deviation would be t_0. With p and F the normal density and distribution, its mean is d^2 + e(t), with

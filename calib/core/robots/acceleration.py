@@ -26,10 +26,10 @@ _requested: ContextVar[bool | None] = ContextVar("compiled kinematics", default=
 
 @contextmanager
 def compile_kinematics(use: bool = True) -> Iterator[None]:
-    """Inside, compute kinematics by compiled code where numba is installed; or never.
+    """In the block, compute kinematics by compiled code if numba is installed; or never.
 
     Args:
-        use: Whether.
+        use: Whether to use compiled code.
     """
     before = _requested.set(use)
     try:
@@ -39,12 +39,12 @@ def compile_kinematics(use: bool = True) -> Iterator[None]:
 
 
 def compile_for(n_poses: int, many: int = _MANY_OPEN) -> AbstractContextManager[None]:
-    """Inside, compute kinematics by compiled code where so many poses in all are worth it, unless a caller decides
+    """In the block, compute kinematics by compiled code if that is faster for `n_poses`, unless a caller decides
     otherwise.
 
     Args:
-        n_poses: How many, one part after the other.
-        many: How many are worth loading code that is already compiled.
+        n_poses: Number of poses in all parts.
+        many: Number of poses that are worth loading code that is already compiled.
     """
     return compile_kinematics() if _requested.get() is None and pays(n_poses, many) else nullcontext()
 

@@ -98,7 +98,7 @@ class FileRobot(ReadOnlyArrays):
     Attributes:
         values: Values of all its parameters, by name [SI]; none where it is the nominal robot with joint zeros.
         accuracy: How good it is.
-        withheld: Why it is not to be used without being forced; empty where it may.
+        withheld: Why it is written only by `force`; empty if it is not withheld.
         signs, offsets: Joint zeros: joints are at sign * q + offset at command q, (n_actuated,) [m or rad];
             empty where the values say all.
     """

@@ -53,7 +53,7 @@ _STONES, _FROM_STONES = 64, 6
 
 
 def closing_tolerance(mechanism: Mechanism) -> float:
-    """Return the closure residual that can be reached [m, rad]: `TOLERANCE`, but what rounding leaves of long links.
+    """Return the closure residual that can be reached [m, rad]: `TOLERANCE`, or more for long links, because of rounding.
 
     Coordinates of the size L of the links are multiples of eps L, and some are added on the way around a loop. Where
     the robot stands plays no part: `Mechanism.reduced_to`.
@@ -100,7 +100,7 @@ def _correct(
     slope_actuated: FloatArray,
     accepted: BoolArray,
 ) -> None:
-    """Fill in what `newton` says, passive joints in place.
+    """Correct passive joints in place, and fill in the other results of `newton`.
 
     Args:
         mechanism, mode, actuated, passive: Arguments of `newton`.
@@ -189,14 +189,14 @@ def follow(
 
 
 class _Solutions:
-    """Solved poses so far: passive joints, C_p, and which."""
+    """Solved poses so far: passive joints, C_p, and a mask."""
 
     def __init__(self, n: int, n_passive: int) -> None:
         self.passive, self.slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
         self.ok = np.zeros(n, dtype=bool)
 
     def take(self, passive: FloatArray, slope: FloatArray, ok: BoolArray, index: IntArray | None = None) -> None:
-        """Keep what was solved of the poses `index`, or of all."""
+        """Store the solutions `ok` of the poses `index`, or of all poses."""
         rows = np.flatnonzero(ok) if index is None else index[ok]
         self.passive[rows], self.slope[rows], self.ok[rows] = passive[ok], slope[ok], True
 

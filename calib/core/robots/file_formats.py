@@ -66,7 +66,7 @@ def formats_that_hold(holds: Holds, robot: Robot) -> list[str]:
 def held_of(robot: Robot, file_format: str) -> Holds:
     """Return how much of a robot a file of a format holds.
 
-    What lies behind the last axis is looked at only in a fit of a robot that has such files.
+    Origins behind the last axis count as lost only in a fit of a robot that has such files.
     """
     holds = formats()[file_format].holds
     return Holds.ORIGINS if holds is Holds.TO_LAST_AXIS and holds not in robot.files else holds

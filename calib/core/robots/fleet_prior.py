@@ -71,7 +71,7 @@ class FleetSection(Section):
         return name in self.parameters and name not in self.unlike
 
     def check(self, parameters: Sequence[Parameter], where: str) -> None:
-        """Raise `DescriptionError` for a parameter that a robot does not have, or that is none of its own."""
+        """Raise `DescriptionError` for a parameter that a robot lacks, or that robots of a model do not share."""
         known = {p.name: p for p in parameters}
         for name in (*self.parameters, *self.unlike):
             require_known(name, known, f"{where}: fleet: no parameter", DescriptionError)

@@ -166,7 +166,7 @@ def accelerations(
         mechanism: The nominal mechanism.
         joints: All joints, (n, n_joints) [m or rad].
         context: Readings of sensors, and their setups.
-        turns: As they are found, (2,) [rad], or none, (0,).
+        turns: The found turns, (2,) [rad], or (0,) if they are not unknown.
 
     Returns:
         (n, 3) [m/s^2], and as many for each turn [m/s^2 per rad].
@@ -198,7 +198,7 @@ def _measured_direction(
 
 
 def contradiction_angles(description: Description, mechanism: Mechanism, q: FloatArray, context: Context) -> FloatArray:
-    """Return how far gravity as it was read is from a stated direction, where that is too far, (n,) [rad]; else NaN.
+    """Return the angle between read and stated gravity, (n,) [rad]; NaN where it is not too large.
 
     NaN, too, where the sensor's link is in a loop.
 
@@ -296,7 +296,7 @@ def gravity_torque(
         passive: Passive joints there, (n, n_passive).
         slope: C_p there, (n, n_passive, n_passive).
         load: Mass of the payload, (n,) [kg].
-        payload: Frame at whose origin it hangs; None: that of the first target that motors move.
+        payload: Frame at whose origin the payload hangs; None: that of the first target that motors move.
         acceleration: By gravity in the root link's axes, (n, 3) [m/s^2].
 
     Raises:

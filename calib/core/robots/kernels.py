@@ -35,13 +35,13 @@ _part = _JIT(no_cpython_wrapper=True, no_cfunc_wrapper=True)  # of compiled func
 
 
 class _FirstUse(event.Listener):
-    """Says once that functions of this file are being compiled, and not read from where they are kept."""
+    """Reports once that functions of this file are compiled, because no stored code was found."""
 
     def __init__(self) -> None:
         self._notified = False
 
     def on_start(self, event: Any) -> None:
-        """Say it."""
+        """Report it."""
         compiled = getattr(event.data.get("dispatcher"), "py_func", None)
         if not self._notified and getattr(compiled, "__module__", "") == __name__:
             self._notified = True
@@ -75,8 +75,8 @@ class Loops(NamedTuple):
         a, b: Frames of the loop that each row belongs to, (n_rows,).
         axis: Which coordinate, in the axes of a, (n_rows,).
         signs: Effect of each joint: +1 moves only b, -1 only a, else 0, (n_rows, n_joints).
-        leader: Which coordinate each joint follows, or -1, (n_joints,).
-        factor: And by what factor, (n_joints,).
+        leader: Coordinate that each joint follows, or -1, (n_joints,).
+        factor: Factor by which it follows, (n_joints,).
     """
 
     a: IntArray
@@ -134,7 +134,7 @@ def _twist(T: FloatArray, i: int, xi: FloatArray, V: FloatArray) -> None:
 
 @_part
 def _rows(T: FloatArray, a: IntArray, b: IntArray, axis: IntArray, rows: FloatArray) -> None:
-    """Put what a world twist moves in each row, at p_b along an axis x of frame a, into rows: [x, p x x]."""
+    """Fill `rows` with the motion of each row by a world twist, at p_b along an axis x of frame a: [x, p x x]."""
     for r in range(len(a)):
         i, k = b[r], 3 * axis[r]
         x, y, z = T[a[r], k], T[a[r], k + 1], T[a[r], k + 2]

@@ -125,12 +125,12 @@ class TwistMap:
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """Joints that follow coordinates, and by which sign they move some rows.
+    """Joints that follow coordinates, and the signs by which they move some rows.
 
     Attributes:
         joints: Place of each joint among those that count, (n_followers,).
-        weights: Its sign in each row times what it does when its coordinate grows by one, (n_rows or 1, n_followers).
-        sums: Which coordinate each of them follows, as ones, (n_followers, n_coordinates); None: one each, in order.
+        weights: Sign of each in each row, times its motion for one unit of its coordinate, (n_rows or 1, n_followers).
+        sums: 1 where a joint follows a coordinate, else 0, (n_followers, n_coordinates); None: one each, in order.
     """
 
     joints: IntArray
@@ -139,7 +139,7 @@ class Coordinates:
 
     @classmethod
     def from_signs(cls, reduced: JointSubset, signs: FloatArray, select: FloatArray) -> Coordinates:
-        """Return those of coordinates.
+        """Return the joints that follow some coordinates.
 
         Args:
             signs: Effect of each joint that counts: +1 moves only b, -1 only a, else 0, (n_rows or 1, n_reduced).
@@ -168,9 +168,9 @@ class SweepCache:
 
     @cached_property
     def pinocchio(self) -> tuple[pin.Model, pin.Data, FloatArray, FloatArray]:
-        """Pinocchio's model and data, and what it computes there.
+        """Pinocchio's model and data, and arrays for its results.
 
-        That is `flat_poses` of all joints, (n_joints, 12), and the Jacobian, (n_velocities, 6).
+        These are `flat_poses` of all joints, (n_joints, 12), and the Jacobian, (n_velocities, 6).
         """
         model = self.mechanism.model_around(self._pairs)
         data = pin.Data(model)
@@ -193,7 +193,7 @@ class SweepCache:
         return self.reduced.places[a], self.reduced.places[b], axis
 
     def twist_map(self, twists: FloatArray | None, signs: FloatArray) -> TwistMap:
-        """Return twists along which to differentiate, those of the last call without computing them again.
+        """Return twists along which to differentiate; those of the last call are kept.
 
         Args:
             twists: (6 n_joints, k), or None for every origin twist.
@@ -396,7 +396,7 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
 
     Args:
         mapping: From `twist_map` or `motion_map`.
-        coordinates: In the model of the same joints.
+        coordinates: Coordinates in the model of the same joints.
     """
     assert swept.jacobian is not None  # compiled code does not come here
     moved: FloatArray = np.matmul(mapping, swept.jacobian[:, :, coordinates.joints]) * coordinates.weights
@@ -411,7 +411,7 @@ def origin_derivative(
     Args:
         mapping: From V_b - V_a to the rows, (n, n_rows, 6).
         loops: Derivative of the rows by the opening of each loop's row, (n, n_rows, n_loop_rows), and `gap_maps`.
-        along: The twists, and what they move.
+        along: The twists, and the joints that they move.
         result: Array to fill, (n, n_rows, k).
     """
     n, n_rows = mapping.shape[:2]

@@ -116,8 +116,8 @@ def _with_loops(description: Description, urdf: UrdfText) -> Description:
 def describe(chain: ArmChain, urdf_path: str) -> Description:
     """Return the description that a plain URDF stands for.
 
-    The base is the link that the first moving joint stands on, not the root: where an unknown base is, a fixed joint
-    between the two says nothing.
+    The base is the link that the first moving joint stands on, not the root: if the base is unknown, a fixed joint
+    between the two does not matter.
 
     Args:
         chain: Its arm, or the chain to the link that carries the measured point.
@@ -177,7 +177,7 @@ def as_robot(robot: RobotLike) -> Robot:
     """Return a robot as it is, or loaded from its description or URDF.
 
     Raises:
-        InputError: It is neither, such as a fit; or a folder, whose values are not those of a description.
+        InputError: It is none of these, such as a fit; or it is a folder, whose values the description does not have.
     """
     if isinstance(robot, (Path, str)):
         if Path(robot).is_dir():

@@ -111,7 +111,7 @@ class Mechanism(ReadOnlyArrays):
     Attributes:
         model: Pinocchio model with one joint per URDF joint, then `base` and the targets.
         origin_names: Name of origin i; its joint index is i + 1.
-        frames: Joint index of every link and joint name: of a joint, that of the link behind it.
+        frames: Joint index of every link, and of every joint (the index of the link behind it), by name.
         actuated, passive: Names of the joints that the user gives, and that the loops decide.
         tilts: Names of the joints that tilt links.
         select_actuated, select_passive: E of the module docstring, (n_joints, n_driven or n_passive).

@@ -21,9 +21,9 @@ class NamedComponent:
     """A component of an origin under another name.
 
     Attributes:
-        name: In the trade.
-        origin, component: Which it is.
-        sign: +1, or -1 where the trade counts the other way.
+        name: Its usual name.
+        origin, component: Origin and component that it is.
+        sign: +1, or -1 where the usual sign is the opposite.
         sigma: Expected error [m or rad].
         unit: Unit of tables.
     """

@@ -115,8 +115,8 @@ class RobotData(ReadOnlyArrays):
     def unreported_targets(self) -> dict[str, int]:
         """Targets for which the uncertainty of positions is not reported, and their places among the targets.
 
-        Readings hardly determine where a target is that is read only from unknown places, as by a camera beside the
-        robot. It is left out if other targets are read in the measurement frame, or from known places.
+        If a target is read only from unknown places, as by a camera beside the robot, readings hardly determine its
+        position. It is left out if other targets are read in the measurement frame, or from known places.
         """
         read: dict[bool, set[str]] = {True: set(), False: set()}
         for instrument in self.instruments:

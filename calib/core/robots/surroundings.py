@@ -97,7 +97,7 @@ class SightSection(Section):
     Attributes:
         frame: The link that it stands on; the root link if left out.
         xyz: Where its beam starts [m].
-        width: Width of what must be free [m].
+        width: Width of the free space that the beam needs [m].
     """
 
     frame: str | None = None

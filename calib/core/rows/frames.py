@@ -48,7 +48,7 @@ class CorrectionFrame(ReadOnlyArrays):
     Attributes:
         known: The calibrated robot with its uncertainty.
         robot: The calibrated robot; its own parameters are as near to nominal as readings allow.
-        meant: The nominal robot, its base and tools where they are in this frame.
+        meant: The nominal robot, with its base and tools placed in this frame.
         nominal: The robot of the description.
         words: Name of the frame in a sentence.
         counts: Mask of the free parameters that move positions in this frame, (n_free,).

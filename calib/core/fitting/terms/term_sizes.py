@@ -159,7 +159,7 @@ class _TermModel:
         return self._solved[kinds]
 
     def _most_evidence(self, kind: str, kinds: frozenset[str]) -> float:
-        """The most that a kind may raise the log likelihood, by solved sets of kinds: more kinds fit better."""
+        """Upper bound of a kind's gain of log likelihood, from solved sets of kinds, because more kinds fit better."""
         fewer, more = kinds - {kind}, kinds | {kind}
         worst = min((at.cost for known, at in self._solved.items() if known <= fewer), default=np.inf)
         return worst - min((at.cost for known, at in self._solved.items() if known >= more), default=-np.inf)
@@ -282,8 +282,8 @@ class _TermModel:
     def expected_rms(self) -> float:
         """Return the expected root mean square error at left-out poses, of the main part of the readings [SI].
 
-        NaN where each pose stands alone, where no terms are fitted, and where poses have several readings: the shape of
-        their shared error is not known, and may be far from that of joint errors.
+        NaN where each pose stands alone, where no terms are fitted, and where poses have several readings: the error
+        that these share is unknown, and may be unlike errors of joints.
         """
         fit, layout = self._fit, self._fit.whitening.layout
         if layout.n_readings > len(np.unique(layout.pose)) or not np.any(self._is_fitted & self._kind_model.of_kinds):

@@ -55,7 +55,7 @@ else:
 
 
 def condition_columns(terms: Iterable[JointTerm] = ()) -> dict[str, Dimension | None]:
-    """Return the columns of a file that say under which conditions a visit was made, with what they measure.
+    """Return the columns of a file for the conditions of a visit, with their dimensions.
 
     Those of a term that cannot be loaded are left out; naming that term raises the reason.
 

@@ -98,7 +98,7 @@ def _process(xacro: Any, path: str, values: dict[str, str]) -> Any:
 
     Raises:
         _OutsideError: Arguments without a value; it names all of them.
-        Exception: Others, of xacro.
+        Exception: Any other error of xacro.
     """
     lacking: dict[str, str] = {}
     while True:

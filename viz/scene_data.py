@@ -193,7 +193,7 @@ def point_pixels(count: int) -> float:
 
 
 def _places(scene: ViewerScene) -> FloatArray:
-    """The place of each point: measured, or else as well predicted as known, (n, 3) [m]."""
+    """The place of each point: measured, or else predicted by the best known robot, (n, 3) [m]."""
     table = scene.poses
     predicted = np.where(np.isfinite(table.after), table.after, table.before)
     places: FloatArray = np.where(np.isfinite(table.measured), table.measured, predicted)

@@ -307,13 +307,13 @@ def _robot_rows(fit: JudgedFit, included: float, poses: PosesLike | None) -> lis
     scatter, freedom = repeatability(fit.identification)
     rows, claim = [], fit.verdict.claim
     if freedom:
-        note = "repeated poses; holds the noise of a reading"
+        note = "repeated poses; contains the noise of a reading"
         rows.append(BudgetRow.direct(REPEATABILITY, scatter, float(freedom), note))
         included += scatter**2
     if claim is not None and claim.at_measured_poses.is_position:
         total = claim.at_measured_poses.rms**2 / 3.0
         n = claim.at_measured_poses.n_poses
-        note = "poses left out in turn; holds the noise there"
+        note = "from poses left out in turn; contains their noise"
     else:
         known_positions = fit.identification_uncertainty
         total, n = float(np.mean(known_positions.reported_distance**2)) / 3.0, fit.identification.data.n_poses

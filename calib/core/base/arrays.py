@@ -55,7 +55,7 @@ def _read_only_copy(value: Any) -> Any:
 
 
 def _short(value: object) -> str:
-    """One value, or how many."""
+    """A value as text; of several, only their number."""
     if isinstance(value, np.ndarray):
         return str(value.shape)
     return f"of {len(value)}" if isinstance(value, (tuple, list, dict, frozenset)) else repr(value)
@@ -67,14 +67,14 @@ def _names_of_fields(of: type) -> tuple[str, ...]:
 
 
 def numbers_in(given: ArrayLike, what: str) -> FloatArray:
-    """Return an array of numbers; an `InputError` where there are others, such as text.
+    """Return an array of numbers; anything else in it, such as text, is an `InputError`.
 
     Args:
         given: The numbers, (..., n).
         what: Their name, in the message.
 
     Returns:
-        The numbers, (..., n) as they were given.
+        The numbers in the given shape, (..., n).
     """
     try:
         return np.asarray(given, dtype=float)
@@ -97,7 +97,7 @@ class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
         return result
 
     def __getitem__(self, key: Any) -> Any:
-        """Return a row by its name, or what an array has there.
+        """Return a row by its name, or as an array does.
 
         Raises:
             InputError: No row has this name.
@@ -160,7 +160,7 @@ class ReadAsArray(np.lib.mixins.NDArrayOperatorsMixin, ABC):
         """Return the array."""
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        """Compute with the arrays; an `InputError` where each would be broadcast along the other."""
+        """Compute with the arrays; `InputError` if NumPy would repeat both to a common shape."""
         plain = [np.asarray(given) if isinstance(given, ReadAsArray) else given for given in inputs]
         shapes = [np.shape(given) for given in plain]
         with suppress(ValueError):  # shapes that do not fit: the function says so

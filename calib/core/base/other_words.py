@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from calib.core.base.errors import InputError, nearest
 
 EXAMPLES = ("joint_3.z", "joint_4.x")
-"""Parameters that the table names; a robot without them has its first and last one there."""
+"""Parameters that the table names; if a robot lacks them, hints name its first and last one."""
 
 
 class UnknownNameError(InputError, AttributeError):
@@ -66,7 +66,7 @@ def hint_for(word: str, section: str) -> str:
 
 
 def _row(word: str, section: str, spelling: Callable[[str], str]) -> Words | None:
-    """The row of the table that has a word. Spellings count as the same if this function makes them the same."""
+    """The row of the table that has a word. Two words count as the same if `spelling` makes them equal."""
     spelled = spelling(word)
     return next((row for row in tables().get(section, ()) if spelled in map(spelling, row.words)), None)
 
@@ -90,7 +90,7 @@ class HintedObject:
     _other_words: ClassVar[str] = ""
 
     def _own_parameters(self) -> Sequence[str]:
-        """Names of its parameters, which hints have in place of `EXAMPLES`; none where it has none."""
+        """Names of its parameters, which hints use in place of `EXAMPLES`; empty if it has none."""
         return ()
 
     if not TYPE_CHECKING:  # type checkers know better which attributes there are

@@ -1,7 +1,7 @@
 """Measurements: the visits of a robot to its poses, and the readings of each instrument there.
 
 A visit is one row: joint values, and what else is known of that moment (context). Rows with one pose name repeat that
-pose; nothing is averaged. An instrument may have read nothing at a visit, and several may have read at one.
+pose; nothing is averaged. At a visit, an instrument may have read nothing, and several may have read something.
 """
 
 from __future__ import annotations
@@ -234,7 +234,7 @@ class Measurements(Poses):
         """Return some of the readings, visit by visit, and the visits at which they were made.
 
         Args:
-            numbers: Which readings of each instrument, by its name: indices (n,); none of others.
+            numbers: Indices of the chosen readings of each instrument, by its name, (n,); others have none.
         """
         chosen = {name: self.readings[name].subset(own) for name, own in numbers.items()}
         visits = np.unique(np.concatenate([readings.visits for readings in chosen.values()]))

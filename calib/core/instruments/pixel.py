@@ -6,8 +6,8 @@ The camera (frame a: its own place, fixed to a link of the robot or next to it) 
     p = R_ab X + p_ab          (u, v) = image of p (`calib.core.instruments.camera`)          dp = dp_ab - [R_ab X]x dw
 
 For a printed board, readings are predicted where detection would find it: its printed side faces the camera within 65
-degrees; its points lie in the image with a margin of 2 %; a chessboard and circles are seen whole, of markers six
-points or more; a marker or square has 16 px or more. Points outside `focus` are not seen.
+degrees; its points lie in the image with a margin of 2 %; all of a chessboard or circles is seen, or at least six
+points of markers; a marker or square has 16 px or more. Points outside `focus` are not seen.
 
 Points have names, in the column `point` of a file. Where several cameras share columns, the column `camera` names the
 camera. A point that the camera cannot see is NaN when predicted, and no reading.
@@ -179,7 +179,7 @@ class Pixel(FrameInstrument):
         return _points_in_camera(view, self.body(details))
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
-        """Return guesses at camera and target; `DataError` if observed points lie behind the camera in all."""
+        """Return guesses at camera and target; `DataError` if observed points lie behind the camera in all guesses."""
         result: list[dict[str, FloatArray]] = []
         for number in np.unique(scene.readings.pairs):
             names = scene.pairs[number]

@@ -22,7 +22,7 @@ from calib.core.judging.linear_fit import LinearFit
 from calib.core.numerics import linalg
 from calib.core.numerics.losses import StudentisedErrors
 
-_LEAST_FACTOR = 1e-3  # ratio of found to stated noise of a group, relative to all, below which it has no noise
+_LEAST_FACTOR = 1e-3  # ratio of found to stated noise of a group, over that of all, below which it has no noise
 
 
 @memoize
@@ -111,7 +111,7 @@ def patterns(fit: Fit) -> tuple[Pattern, ...]:
 @memoize
 @one_blas_thread
 def changes(fit: Fit) -> tuple[Pattern, ...]:
-    """Return significant changes in the course of the measurement, with effects that follow joint values as parameters.
+    """Return significant changes in the course of the measurement, tested beside effects that follow joint values.
 
     Where poses were measured in the order of their joint values, an error that follows a joint looks like a change.
     """

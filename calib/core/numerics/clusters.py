@@ -20,7 +20,7 @@ Test. With eigenvalues w of all H_b and y = r / f
 
 for independent errors; D over its mean is compared with F of the same mean and variance. Standard deviations that
 suppose independent rows are too small by the root of D over its mean. D also measures how far parameters move when
-blocks are left out in turn: with u those of the fit, u_b without block b, and A_b the information without it,
+blocks are left out in turn: with u the parameters of the fit, u_b without block b, and A_b the information without it,
 D f^2 = sum over blocks of (u - u_b)^T A_b (u - u_b). No further fit is needed.
 
 When it fails. A core of few blocks is uncertain: `freedom` counts the squares behind one of its directions. An error

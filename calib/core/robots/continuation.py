@@ -53,7 +53,7 @@ _STONES, _FROM_STONES = 64, 6
 
 
 def closing_tolerance(mechanism: Mechanism) -> float:
-    """Return the closure residual that can be reached [m, rad]: `TOLERANCE`, or more for long links, because of rounding.
+    """Return the closure residual that can be reached [m, rad]: `TOLERANCE`, or more for long links due to rounding.
 
     Coordinates of the size L of the links are multiples of eps L, and some are added on the way around a loop. Where
     the robot stands plays no part: `Mechanism.reduced_to`.

@@ -365,7 +365,7 @@ class _MjcfReader:
         return ids, [_se3(data[0:3], straight), _se3(data[3:6], straight)]
 
     def _loop_axes(self, bodies: list[int], points: list[FloatArray]) -> tuple[FloatArray, int]:
-        """Axes of a loop in its first body, (3, 3), those along which joints move first, and the number of these."""
+        """Axes of a loop in its first body, (3, 3), and how many of them, the first ones, joints move along."""
         mujoco, model = self.mujoco, self.model
         data, random = mujoco.MjData(model), np.random.default_rng(0)
         columns = []

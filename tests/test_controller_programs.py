@@ -417,7 +417,7 @@ def test_every_format_has_25_cases_and_a_good_program_has_none(suffix, cell, tmp
         (["part.ls"], "say with --third-joint whether"),
         (["part.ls", "--out", "new.mod"], "new.mod: the program has the language of part.ls, whose names end in .ls"),
         (["far.script"], "is out of the nominal robot's reach"),
-        (["other.src"], "not in its stated configuration (S 0, T 63)"),
+        (["other.src"], "not in configuration S 0, T 63"),
     ],
 )
 def test_bad_options_end_with_one_line(cell, arguments, said, tmp_path, monkeypatch):

@@ -115,8 +115,7 @@ class NominalCell:
         reached = self._nearest_solution(goals, np.vstack([before, self._probes(_STARTS[-1])]), before, None, sides)
         if reached is None:
             return None, "is out of the nominal robot's reach"
-        stated = says.text if says else ""
-        return None, f"is reached by the nominal robot, but not in its stated configuration ({stated})"
+        return None, f"is reached by the nominal robot, but not in configuration {says.text if says else ''}"
 
     def _nearest_solution(
         self, goals: Goals, starts: FloatArray, before: FloatArray, says: Configuration | None, sides: Sides

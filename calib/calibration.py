@@ -250,7 +250,7 @@ def fit(
 
 
 def _with_free(robot: Robot, free: str | Sequence[str]) -> Robot:
-    """The robot with these parameters free; that all of them are free already is an `InputError`."""
+    """The robot with these parameters free; `InputError` if all of them are free already."""
     freed = robot.free(free)
     if len(free) and bool(np.all(freed.is_free == robot.is_free)):
         names = free if isinstance(free, str) else listing(free)

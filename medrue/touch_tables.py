@@ -100,7 +100,7 @@ def artefact_table(study: TouchStudy) -> ResultTable:
             TableColumn("predicted RMS [mm]", tuple(predicted), 4),
         ),
         (
-            "the first is used; by theory, at nominal parameters, in the world: nothing measured or simulated enters",
+            "the first one is used; predicted by theory at nominal parameters, in the world, without any measurement",
             "empty: its touches do not determine the positions",
         ),
     )

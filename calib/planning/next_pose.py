@@ -29,7 +29,7 @@ from calib.planning.selection_problem import DETERMINED, TASK
 from calib.planning.selection_setting import Request, prepare
 
 ENOUGH = 0.8
-"""Part of the best pose's help that suffices for a nearer pose."""
+"""A nearer pose is chosen if it helps at least this part as much as the best one."""
 _KNOWN = 1e-6  # prior information on every direction, over the information of all candidates
 
 

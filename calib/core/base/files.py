@@ -200,7 +200,7 @@ def write_folder(
     manifest in it says what was written (`calib.core.base.own_files`).
 
     Args:
-        obsolete: Names of files that do not stay if they were there.
+        obsolete: Names of files to remove.
         inputs: Files that they were made from.
         force: Also replace files that this program did not write, or has read.
 

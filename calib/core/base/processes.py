@@ -159,9 +159,9 @@ class _PendingResult(Future[Result]):
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Let processes that are started inside never hear Ctrl-C: the program that started them decides when they end.
+    """Let processes that are started inside never get Ctrl-C: the program that started them decides when they end.
 
-    They inherit that the signal is held back. Here it is heard at the end of the block.
+    They inherit the blocked signal. This process gets it at the end of the block.
     """
     resource_tracker.ensure_running()  # which would let the signal through again when it starts
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])

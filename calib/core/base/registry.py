@@ -88,7 +88,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
 
         Raises:
             KeyError: There is none.
-            DescriptionError: Another package's cannot be loaded, or is not complete.
+            DescriptionError: The class of another package cannot be loaded, or is not complete.
         """
         known = self._built_in.get(name) or self._given.get(name)
         if known is None:

@@ -108,7 +108,7 @@ class PlaceSection(FrameSection):
     """A frame on a link; position and orientation are each known or not.
 
     Attributes:
-        position: `known`: it is right there; `unknown`: found from the measurements, starting from `xyz`.
+        position: `known`: it is exactly `xyz`; `unknown`: found from the measurements, starting from `xyz`.
         orientation: The same for `rpy`.
         sigma: Standard deviation of an unknown position from `xyz` [m]; left out, any position is as likely.
         sigma_angle: The same for an unknown orientation [rad].
@@ -139,9 +139,9 @@ class PosedSection(FrameSection):
     """A frame on a link whose pose is known or not.
 
     Attributes:
-        pose: `known`: it is right there; `unknown`: found from the measurements, starting from there.
-        sigma, sigma_angle: How far an unknown pose may be from there, one standard deviation [m], [rad]; left out, the
-            numbers say nothing.
+        pose: `known`: it is exactly `xyz` and `rpy`; `unknown`: found from the measurements, starting from these.
+        sigma, sigma_angle: Standard deviations of an unknown pose from these [m], [rad]; left out, any pose is as
+            likely.
     """
 
     what: ClassVar[str]

@@ -156,7 +156,7 @@ class Steps:
         self._total += count
 
     def advance(self, *_: int) -> None:
-        """Count one more as done; called like a `Progress`, so that it can be the one of a part of the steps."""
+        """Count one more as done; called like a `Progress`, so that it can serve as the progress of some steps."""
         self._done += 1
         if self._progress is not None:
             self._progress(self._done, self._total)

@@ -32,7 +32,7 @@ def pose_labels(joints: FloatArray) -> IntArray:
 
 
 def _may_have_neighbours(cells: FloatArray) -> BoolArray:
-    """Return which rows of whole numbers (n, k) may equal another one or differ by 1, (n,): of many, few.
+    """Return which rows of whole numbers (n, k) may equal another one or differ by 1, (n,); usually few.
 
     Two numbers that differ by 1 are halves of one number, rounded down, before or after 1 is added. So rows that are
     near each other fall together at one of four grids of the two columns that reach farthest.
@@ -176,9 +176,9 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -
 
 
 def _both_ways_alike(centres: FloatArray) -> FloatArray:
-    """Return joint values (n, k) about the middle of their range, in units of it, the same if an axis is reversed.
+    """Return joint values (n, k) minus the middle of their range, over the range; a reversed axis changes nothing.
 
-    They lean to the positive side: towards the middle of the range, or, where they lean to none, with the first pose.
+    The sign makes their mean positive or, if that is zero, the first value that is not zero.
     """
     low, high = np.min(centres, axis=0), np.max(centres, axis=0)
     spread = np.where(high > low, high - low, 1.0)

@@ -162,7 +162,7 @@ class Table:
         )
 
     def _check_marks(self, index: int) -> None:
-        """Raise `DataError` where a column has decimal commas and decimal points: which of them part thousands?"""
+        """Raise `DataError` where a column has commas and points, as it is unclear which of them are decimal."""
         comma = next((k for k, row in enumerate(self.rows) if "," in row[index] and "." not in row[index]), None)
         point = next((k for k, row in enumerate(self.rows) if "." in row[index] and "," not in row[index]), None)
         if comma is not None and point is not None:

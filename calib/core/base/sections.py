@@ -96,7 +96,7 @@ class FrameSection(Section):
 
     Attributes:
         frame: The link.
-        xyz, rpy: Where it is in that link, and how it is turned [m], [rad].
+        xyz, rpy: Position [m] and orientation [rad] in that link.
     """
 
     frame: str

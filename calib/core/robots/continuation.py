@@ -55,8 +55,8 @@ _STONES, _FROM_STONES = 64, 6
 def closing_tolerance(mechanism: Mechanism) -> float:
     """Return the closure residual that can be reached [m, rad]: `TOLERANCE`, or more for long links due to rounding.
 
-    Coordinates of the size L of the links are multiples of eps L, and some are added on the way around a loop. Where
-    the robot stands plays no part: `Mechanism.reduced_to`.
+    Coordinates of the size L of the links are multiples of eps L, and some are added on the way around a loop. The
+    position of the robot does not count: `Mechanism.reduced_to`.
     """
     return max(TOLERANCE, 10 * _ROUNDINGS * _EPS * mechanism.length)
 
@@ -104,7 +104,7 @@ def _correct(
 
     Args:
         mechanism, mode, actuated, passive: Arguments of `newton`.
-        limits: Largest residual of a closed pose, and largest one that is not computed but known from two before it.
+        limits: Largest residual of a closed pose, and largest one accepted by extrapolation from the two before it.
         slope, slope_actuated, accepted: Where to put the results.
     """
     (enough, sure), (n, n_passive), loops = limits, passive.shape, LoopRows(mechanism)

@@ -76,7 +76,7 @@ def robot_for(robot: Robot, file_format: str, *, force: bool = False) -> Robot:
     """Return the robot for a file of a format; for joint zeros, the robot itself, which knows them.
 
     Args:
-        robot: The robot; one of a fit knows which robot is best in each kind of file.
+        robot: The robot; the robot of a fit has the best robot for each kind of file.
         force: Whether the file is written even if it is worse than the nominal robot, or of unknown accuracy.
 
     Raises:

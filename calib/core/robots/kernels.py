@@ -240,15 +240,15 @@ def close(
         loops: The loops, whose gaps must be zero.
         blocks, signs: `places` and `signs` of the assembly mode.
         rest: Joint values without the passive ones, (n, n_joints).
-        passive: Where to start; where it ends, (n, n_passive).
-        scale: By what changes of passive joints are divided, (n_passive,).
+        passive: Start values, replaced by the solution, (n, n_passive).
+        scale: Divisor of changes of passive joints, (n_passive,).
         enough: Largest residual of a closed pose.
-        sure: Largest residual that is not computed but known from two before it; 0: none.
+        sure: Largest residual that is accepted by extrapolation from the two before it, not computed; 0: none.
         largest: Correction up to which a start is near.
-        rounds: How many corrections.
-        slope: Where to put C_p of closed poses, (n, n_passive, n_passive); empty: not wanted.
-        by_motor: The same for C_a, (n, n_passive, n_actuated).
-        closed: The same for which poses closed in the assembly mode, (n,).
+        rounds: Largest number of corrections.
+        slope: Array for C_p of closed poses, (n, n_passive, n_passive); empty: not wanted.
+        by_motor: Array for C_a, (n, n_passive, n_actuated).
+        closed: Array for the mask of poses that closed in the assembly mode, (n,).
     """
     (n, n_passive), n_joints = passive.shape, rest.shape[1]
     T, q, V = np.empty((n_joints + 1, 12)), np.empty(n_joints), np.empty(6)

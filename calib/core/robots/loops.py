@@ -83,7 +83,7 @@ def close(
         seed: Passive joints of the same poses solved with slightly different parameters, (n, n_passive); poses that do
             not follow from it at once are solved afresh.
         thorough: See `calib.core.robots.continuation.follow`; False may leave poses open that close.
-        limits: Whether a solution beyond the limits of a passive joint is none.
+        limits: Whether a solution beyond the limits of a passive joint counts as open.
     """
     n = len(actuated)
     if not mechanism.loops:

@@ -73,8 +73,8 @@ class JointSubset:
 def flat_poses(poses: Any) -> FloatArray:
     """Return a view of Pinocchio's vector of poses as numbers, (n, 12): rotations column by column, then positions.
 
-    The one place that looks at memory of C++, which keeps the elements of a vector one behind the other, the two parts
-    of each alike: asking Pinocchio for each pose of each joint takes several times as long as computing them.
+    Only this function reads memory of C++, where the poses lie one behind the other, all in the same layout, because
+    to ask Pinocchio for each pose takes several times as long as to compute them.
     """
     return np.lib.stride_tricks.as_strided(poses[0].rotation.T, (len(poses), 12), (_POSE_BYTES, 8))
 

@@ -98,7 +98,7 @@ class BothSidesDraw:
         after: Errors, predicted minus measured, by way, set, side and pose, (n_ways, n_sets, 2, n, 3) [m]; NaN where
             the readings were too few for the model, or the fit did not converge.
         actual: True values of the extended model's parameters, (n_parameters,) [m, rad].
-        values: Those that `EXTENDED` found from the first set, (n_parameters,) [m, rad]; NaN where it found none.
+        values: Values that `EXTENDED` found from the first set, (n_parameters,) [m, rad]; NaN where it found none.
         std: Their standard deviations as the fit states them, (n_parameters,) [m, rad].
     """
 

@@ -66,7 +66,7 @@ class Ranking:
         return "better" if self.better[row, column] else "worse" if self.better[column, row] else "open"
 
     def _losers(self, row: int) -> str:
-        """The sets that this one is surely better than; those that end the order by their first one."""
+        """The sets that this one is surely better than; if all after some set, only that set and "all after it"."""
         losers = np.flatnonzero(self.better[row])
         first = len(self.names)
         while first - 1 in losers:

@@ -70,7 +70,7 @@ def _are_alike(arms: tuple[float, ...]) -> bool:
 def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGeometry:
     """Return the geometry expected of a printer before its rows are used.
 
-    The firmware's numbers come from these rows, so they are no prior. Expected are angles as designed, a radius rounded
+    The firmware's numbers come from these rows, so they are no prior. It expects angles as designed, a radius rounded
     to the millimetre, and equal endstops. If distances were measured, all arms have the mean length, rounded to the
     millimetre. Without rows, and for arms that no distance has changed, the file's numbers are used.
 

@@ -10,8 +10,7 @@ best rigid motion of all predictions onto the true positions; a method that does
 only this.
 
 Parameters that a method cannot see stay near nominal, because priors expect them within their sigmas (2 mm and 1.5
-deg). Tracker and touched sockets of the world need no such help: the paper's eight
-redundant parameters are held.
+deg). Tracker and touched sockets of the world need no such help: the paper's eight redundant parameters are held.
 
 Everything is simulated: the paper's robot (Table I) with many draws of the noise, and other robots, drawn as the
 paper's.

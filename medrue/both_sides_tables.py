@@ -103,7 +103,7 @@ def extended_parameter_table(both_sides: BothSides) -> ResultTable:
 
     return ResultTable(
         "extended",
-        "Tilts and errors of the rail that the extended model finds from the 84 poses of O1, from both sides",
+        "Tilts and errors of the rail: the extended model finds them from the 84 poses of O1, reached from both sides",
         (
             TableColumn("parameter", tuple(parameters[k].name for k in shown)),
             TableColumn("unit", tuple(parameters[k].unit for k in shown)),

@@ -19,9 +19,8 @@ _FURTHEST = np.radians(50.0)  # rotation of the needle for the largest offset
 def corrections(fit: Fit, joints: tuple[ViewerJoint, ...]) -> Chart | None:
     """Return joint errors by fitted terms and by readings; None without terms.
 
-    The readings of a pose show an error of joint j that is larger than the fitted error by the part of their residuals
-    r
-    along its column J_j: -(J_j^T r) / (J_j^T J_j).
+    With the residuals r of a pose and the column J_j of joint j, the readings show an error of the joint that is larger
+    than the fitted error by -(J_j^T r) / (J_j^T J_j).
     """
     if not fit.robot.terms:
         return None

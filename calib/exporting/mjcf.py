@@ -8,8 +8,7 @@ float; MuJoCo's own writer would keep six digits.
 Every link is a body, even a fixed link; a root link named `world` becomes the body `world_link`, because MuJoCo
 reserves the name. Targets and the measurement frame are bodies with only a site, because not every program reads sites;
 the site of `target_tip` is `target_tip_site`. Motors are position servos whose stiffness comes from the inertia at
-home. Ties in
-a simulator are slightly soft: its poses are not exact.
+home. Ties in a simulator are slightly soft: its poses are not exact.
 
 A lamp and a floor without contacts make the robot visible; the keyframe `home` puts joints and servos at home.
 """

@@ -54,7 +54,7 @@ _READINGS = "readings.csv"
     default=20,
     show_default=True,
     metavar="PERCENT",
-    help="Speed in percent of what the controller allows; URScript, ros2: of 143 deg/s.",
+    help="Speed in percent of the controller's largest speed; for urscript and ros2, in percent of 143 deg/s.",
 )
 @click.option(
     "--dwell",

@@ -134,7 +134,7 @@ def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> No
             " write these into a copy of the file, or probe again"
         )
     shown = (
-        "reach nothing" if not np.isfinite(as_stated) else f"are {millimetres(as_stated):.1f} mm from what was measured"
+        f"are {millimetres(as_stated):.1f} mm from what was measured" if np.isfinite(as_stated) else "are out of reach"
     )
     raise DataError(
         f"{printer.path}: with the settings of the file its probed positions {shown}; they were taken before"

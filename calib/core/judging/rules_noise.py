@@ -245,7 +245,7 @@ def _noise_above_statement(fit: Fit, estimate: NoiseEstimate, text: str) -> Reas
     if better or no_worse:
         outcome = "get better by more than chance explains" if better else "get neither better nor worse"
         text += (
-            f" poses that were not used {outcome}. The rest is what the model leaves out, or outliers. The stated"
+            f" poses that were not used {outcome}. The remaining error is what the model leaves out, or outliers. The"
             " uncertainty of positions includes it. State the noise of robot and sensor together (--sigma-mm)"
         )
         if estimate.sigma > MOST_LEFT_OUT * (estimate.stated or np.inf):

@@ -182,9 +182,8 @@ def status(data_share: float, relative_std: float, *, prior: bool, placement: bo
     """Return the source of a free parameter's value.
 
     With a prior: `identified`, `partly` or `prior`, by the share of the prior's variance that the data removed. Without
-        a
-    prior: `identified` where the same share of the expected error's variance is gone, else `weak`. A parameter of an
-    unknown place of base or target has no expected error either: `placed`.
+    a prior: `identified` if the same share of the expected error's variance is gone, otherwise `weak`. A parameter of
+    an unknown place of base or target has no expected error either: `placed`.
 
     Args:
         data_share: The attribute of `Statistics`.

@@ -1,7 +1,7 @@
 """The traceability of measurements in a robot description: the key `traceability`.
 
-Nothing of it is needed, and nothing changes a fit: `calib certificate` makes an uncertainty budget of it, and writes it
-down. Free text goes through as it is.
+All of it is optional, and changes no fit: `calib certificate` computes an uncertainty budget from it, and
+writes both. Free text is written as it is.
 """
 
 from __future__ import annotations
@@ -63,11 +63,11 @@ class CertifiedInstrumentSection(ItemSection):
 
     Attributes:
         certificate, date, laboratory: Of its own calibration.
-        scale: How far lengths may be off in proportion, 1.
+        scale: How far lengths may be off, relative.
         offset: How far positions may be off along each axis, or distances [m].
         offset_angle: How far angles may be off, about each axis of orientations [rad].
-        focal_length: How far a camera's may be off in proportion, 1.
-        principal_point: How far a camera's may be off along each axis [px].
+        focal_length: How far the focal length of a camera may be off, relative.
+        principal_point: How far the principal point of a camera may be off along each axis [px].
         stated: Whether these are expanded uncertainties, or maximum permissible errors (limits, rectangular).
         k: Coverage factor of expanded ones.
     """
@@ -94,7 +94,7 @@ class ReflectorSection(Section):
 
     Attributes:
         diameter: Its diameter [m].
-        centring: Standard uncertainty of where its centre is, another one at each reading [m].
+        centring: Standard uncertainty of the place of its centre, with an independent error at each reading [m].
     """
 
     diameter: _NotNegative | None = None
@@ -102,7 +102,7 @@ class ReflectorSection(Section):
 
 
 class TemperatureSection(Section):
-    """Of the robot.
+    """Temperatures of the robot.
 
     Attributes:
         calibration, use: Mean temperatures [degC].
@@ -124,7 +124,7 @@ class TemperatureSection(Section):
 
 
 class TraceabilitySection(Section):
-    """All of it; see docs/howto/certificate.md.
+    """The whole key `traceability`; see docs/howto/certificate.md.
 
     Attributes:
         date: Day of the measurements, ISO 8601.

@@ -156,7 +156,7 @@ def program_frame(known: KnownRobot) -> CorrectionFrame:
     places = {p.name: value for p, value in zip(robot.parameters, robot.values, strict=True) if p.placement}
     words = "in the measurement frame"
     if loose.points or loose.frames:
-        words += ", and include that the place of the measured point on its link is not known"
+        words += ", and the unknown place of the measured point on its link counts as an error"
     meant = nominal.with_parameters(places) if places else nominal
     return CorrectionFrame(known, robot, meant, nominal, words, of_robot, None)
 

@@ -20,7 +20,7 @@ NOISE = SIGMA / np.sqrt(REPEATS)
 GOAL = 6e-5
 """Mean x error that the extended model is to reach [m]."""
 NEAR_NOISE = 1.2
-"""Root mean square error over the noise's below which an error counts as noise."""
+"""An error counts as noise if its root mean square is at most this many times that of the noise."""
 BOTH_SIDES_NOTE = (
     "both sides: the same 84 poses of O1, and the others, approached from both sides, and two small errors of the rail"
     " that no model has; first with the paper's model, then with the extended one"

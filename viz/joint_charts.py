@@ -12,7 +12,7 @@ from calib.core.rows.observed import observe
 from viz.charts import COLOURS, Chart, axis, layer, panel
 from viz.scene import ViewerJoint
 
-_SEEN = 0.04  # part of the best pose's squared reach below which the readings of a pose do not count for a joint
+_SEEN = 0.04  # readings of a pose count for a joint if its squared reach is more than this part of the best pose's
 _FURTHEST = np.radians(50.0)  # rotation of the needle for the largest offset
 
 

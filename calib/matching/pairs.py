@@ -44,7 +44,7 @@ class Pairs(ReadOnlyArrays):
         rotations: In the units of the file, (n, 3, 4 or 9).
         units: Units of joint values, positions and rotations, or None where the file states none.
         steps: Rounding steps of each joint, of positions and of rotations, in units of the file, (n_joints + 2,).
-        words: Key in `HEADERS` for the names of the rotation's columns; empty without.
+        words: Key in `HEADERS` for the names of the rotation's columns; empty if they have none.
     """
 
     path: str

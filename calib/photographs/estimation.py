@@ -35,7 +35,7 @@ LITTLE_TURN = np.deg2rad(15)
 _STEPS = 40
 _ENDS = 1e-13  # step size below which rounding dominates
 _NOISE_ROUNDS = 12
-_NOISE_STANDS = 1e-8
+_NOISE_CONVERGED = 1e-8
 _SINGULAR = 1e-7  # relative singular value of scaled columns below which images do not show a direction
 
 
@@ -125,7 +125,7 @@ def estimate(
             linear, before = linearise(scene, placed, free, scaled), noise
             noise = find_noise(linear, prior, placed.intrinsics[list(free)], before)
             placed = solve(scene, placed, free, noise, prior, scaled=scaled)
-            if before is not None and np.allclose(before.sizes, noise.sizes, _NOISE_STANDS, 1e-12):
+            if before is not None and np.allclose(before.sizes, noise.sizes, _NOISE_CONVERGED, 1e-12):
                 break
         else:
             raise NotConvergedError("the noise of the photographs could not be found from what is left")
@@ -159,7 +159,7 @@ def plain(
         before, weights = weights, ErrorSizes(max(float(np.sqrt(np.sum(linear.rr) / left)), 1e-6))
         if prior is not None:
             placed = solve(scene, placed, free, weights, prior, scaled=scaled)
-        if abs(before.pixel - weights.pixel) < _NOISE_STANDS * weights.pixel:
+        if abs(before.pixel - weights.pixel) < _NOISE_CONVERGED * weights.pixel:
             break
     linear = linearise(scene, placed, free, scaled)
     require_determined(normal_equations(linear, weights, prior, placed.intrinsics[list(free)])[0], scene)

@@ -21,7 +21,7 @@ _MANY = 0.1  # part of the points left out above which the photographs are wrong
 _ROBOT_SHARE = 0.5
 _MM = 1e3
 WIDE = 0.05
-"""Half width of a 95 % interval of camera or board from which its pose counts as unknown: over the distance between
+"""The pose of camera or board counts as unknown if half its 95 % interval is wider: as part of the distance between
 them, or in radians, since both move what the camera sees by as much. Good photographs give less than a third."""
 _CLAIM_ABOVE = 0.5  # relative difference of left-out from used images above which the images are too few
 

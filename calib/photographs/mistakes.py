@@ -47,7 +47,7 @@ _OTHER_UNIT = 2.0  # ratio to the described size that no print has
 _EXCHANGED = 1.5  # ratio of the camera's or board's distance on the tool to the other's on the base
 _LENS_OFF = 6.0  # standard deviations
 _ALSO_OFF = 3.0  # the same if another number is certainly wrong
-_SAME_LENS = 0.05  # difference after an exchange, over the focal length, that counts as agreement
+_SAME_LENS = 0.05  # intrinsics agree after an exchange if they differ by less than this part of the focal length
 _SWAPS = {
     "cx and cy are exchanged": (0, 1, 3, 2),
     "fx and cx are exchanged": (2, 1, 0, 3),
@@ -91,7 +91,7 @@ def find_mistakes(
         used: The images used.
         fitted: The estimate from these.
         prior: Prior of the lens.
-        given: Intrinsics as given, (9,); None without.
+        given: Intrinsics as given, (9,); None if none are given.
         first: Given intrinsics, or first values, (9,).
         better: Estimate with a fitted lens if that predicts left-out images better; else `fitted`.
         mounts: Possible mounts of the camera.

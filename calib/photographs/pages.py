@@ -24,7 +24,7 @@ class Picture:
 
     Attributes:
         image: Its detected points.
-        small: Its small copy as JPEG; empty without.
+        small: Its small copy as JPEG; empty if there is none.
         caption: Text below it.
         is_outlying: Whether it is marked as outlying.
         arrows: Arrows from detected to predicted points, (n, 2) [px]; may be empty.

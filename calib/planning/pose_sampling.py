@@ -158,7 +158,7 @@ def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
 
 
 def little_seen(robot: Robot, poses: Poses) -> str | None:
-    """Return a remark on instruments that see something at few of the poses; None without any."""
+    """Return a remark on instruments that see something at few of the poses; None if there are none."""
     few = [
         f"{name} at {int(np.sum(seen))} of {len(poses)}"
         for name, seen in visible_poses(robot, poses).items()

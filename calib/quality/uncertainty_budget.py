@@ -176,7 +176,7 @@ class ErrorPropagation:
         positions: Positions of the targets at the measured poses, (n, n_targets, 3) [m].
         derivative: B s, by the scaled free parameters, (n n_targets 3, n_free) [m].
         noise: Covariance of T^T J^T e, e the noise of the whitened readings, (rank, rank).
-        sizes: Addition to `noise` from estimated sizes of joint terms, (rank, rank); 0 without any.
+        sizes: Addition to `noise` from estimated sizes of joint terms, (rank, rank); 0 if there are none.
         systematic: Change of the whitened readings by the errors in `SYSTEMATIC`, (n_rows, 10) [per 1, m, rad or px].
     """
 

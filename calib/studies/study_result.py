@@ -156,7 +156,7 @@ class Study(ReadOnlyArrays):
 
     @property
     def position_error(self) -> float:
-        """Root mean square distance of predicted from true positions at unmeasured poses [m]; NaN without any."""
+        """Root mean square distance of predicted from true positions at unmeasured poses [m]; NaN if there are none."""
         errors = self.answered.errors
         return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1)))) if errors.size else float("nan")
 

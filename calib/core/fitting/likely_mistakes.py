@@ -35,10 +35,10 @@ from calib.core.fitting.scaled_joints import joint_scales
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
 
-_CLOSER = 0.2  # miss of the nominal robot with the mistake undone, over that with the data unchanged
-_NEAR = 0.2  # the same over the spread of the measured positions
-_HALF = 0.5  # noise of a fit with other scales of joints, over that without
-_AS_GOOD = 1.5  # miss over that of the best, up to which another mistake explains the data as well
+_CLOSER = 0.2  # with the mistake undone, the nominal robot misses by less than this part of what it missed before,
+_NEAR = 0.2  # and by less than this part of the spread of the measured positions
+_HALF = 0.5  # a fit with other scales of joints leaves less than this part of the noise
+_AS_GOOD = 1.5  # another mistake explains the data as well if it misses by at most this many times the best miss
 _POSES = 20  # poses that suffice to show a gross mistake
 _GLANCE = 4  # one in so many of these shows whether the loops close at all
 _FEW = 3  # rows that may agree by chance, or that a shift must leave

@@ -22,8 +22,8 @@ from calib.core.rows.determination import Determination, determination
 from calib.core.rows.unknowns import Unknowns
 
 _STILL = 1e-6  # range of a joint below which it never moved [m, rad]
-_TIED = 0.02  # entry of the projector onto directions that no pose shows, from which joints are tied
-_ALONE = 1e-3  # least spread of poses along a direction of joint space, over the widest one
+_TIED = 0.02  # joints are tied if their entry of the projector onto directions that no pose shows is larger
+_ALONE = 1e-3  # least spread of poses along a direction of joint space, as part of the largest spread
 _LINE = 1e-3  # width over length below which positions lie on one line
 
 

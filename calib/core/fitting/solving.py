@@ -52,10 +52,10 @@ from calib.core.rows.unknowns import Unknowns
 _LOOSE = 1e-3  # tolerance of the solver where another solve follows
 _PLACED = 1e-6  # the same for the state `before`: its errors then hold to a millionth
 _NOISE_ROUNDS = 20
-_NOISE_STANDS = 0.01  # relative change of scales below which they are found
+_NOISE_CONVERGED = 0.01  # scales are found once they change by less than this part
 _FAMILIES_STAND = 5.0  # factor of the tolerance for sizes of families
-_RATIOS_STAND = 0.05  # the same of offsets over noise, from 1 on; they change only weights
-_GAINED = 1.0  # least gain by weights in the log error of left-out poses, summed over the poses
+_RATIOS_STAND = 0.05  # the same for ratios of offsets to noise, above 1; they change only weights
+_GAINED = 1.0  # weights must lower the log error of left-out poses, summed over the poses, by this much
 _NO_NOISE = (
     "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
     " --sigma-mm)"
@@ -63,8 +63,8 @@ _NO_NOISE = (
 _ALIKE = 1e-12  # difference of residuals of robots that move alike: rounding [SI]
 STEP_LEFT = 0.05
 """Standard deviations that a converged fit may be away from its minimum."""
-_FAR = 0.5  # part of the largest remaining step, from which receding parameters are named
-_BLIND = 1e-6  # part of the longest column, in expected units, below which no reading sees a place
+_FAR = 0.5  # receding parameters are named if they still move by this part of the largest step
+_BLIND = 1e-6  # no reading sees a place whose column is below this part of the longest, in expected units
 ROUNDING = 1e-8
 """10 nm and 10 nrad: below, rounding decides about a step."""
 
@@ -89,7 +89,7 @@ def place(problem: Problem) -> Evaluation:
     for _ in range(_NOISE_ROUNDS):
         placed, solution = problem.solve(placed, groups, places, tolerance=_PLACED)
         again = _as_found(problem, placed, groups)
-        if not np.any(places.prior.has) or np.all(np.abs(again / groups - 1.0) <= _NOISE_STANDS):
+        if not np.any(places.prior.has) or np.all(np.abs(again / groups - 1.0) <= _NOISE_CONVERGED):
             break
         groups = again
     if solution is None or not solution.converged:
@@ -203,7 +203,7 @@ def _solve_with_offsets(problem: Problem, start: Evaluation) -> RobustSolution:
 
 
 def _solve_weighed(plain: RobustSolution) -> RobustSolution | None:
-    """Solve with rows weighted for the offsets that are found; None without any, or where they cannot be found."""
+    """Solve with rows weighted for the offsets that are found; None if there are none, or if they cannot be found."""
     solved = plain
     for _ in range(_NOISE_ROUNDS):
         try:
@@ -258,11 +258,11 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> R
         counts = problem.noise_found & (scales > EXACT)
         change = float(np.max(np.abs(scales / groups - 1.0)[counts], initial=0.0))
         change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_STAND)
-        if change <= _NOISE_STANDS and tolerance == exact:
+        if change <= _NOISE_CONVERGED and tolerance == exact:
             return RobustSolution(problem, at, groups, solution)
-        if change <= 10 * _NOISE_STANDS:
+        if change <= 10 * _NOISE_CONVERGED:
             tolerance = exact
-        if change > _NOISE_STANDS:
+        if change > _NOISE_CONVERGED:
             groups = scales
             problem = replace(problem, unknowns=problem.unknowns.rescale_families(sizes))
     raise NotConvergedError(_NO_NOISE)

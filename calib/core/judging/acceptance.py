@@ -78,7 +78,7 @@ from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.rows.simulate import simulate
 
 TELLING = 3.0
-"""Size of errors, over the expected size, that readings must be able to show to agree with a calibration."""
+"""Readings agree with a calibration only if they could show errors this many times as large as expected."""
 _LEVEL = FALSE_ALARM / 2  # level of each of two tests
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 

@@ -45,8 +45,8 @@ from calib.core.fitting.moved_frame import validation_errors
 from calib.core.numerics.chances import FEWEST, UNLIKELY
 
 HARM = 1.25
-"""Ratio of errors after to before from which a fit harms. With twice as many rows as parameters, the fewest allowed,
-the noise of a fit makes errors of a robot that needs no correction sqrt(1 + 1/2) = 1.22 times as large."""
+"""A fit harms if errors after it are more than this many times as large as before. With twice as many rows as
+parameters, the fewest allowed, its noise alone makes errors sqrt(1 + 1/2) = 1.22 times as large."""
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ REST = "noise and unexplained errors, not separable"
 ENOUGH_REPEATS = 10.0
 """Degrees of freedom that repeats need to count as known noise."""
 _AS_LARGE = 1.1  # ratio of rest to noise (RMS) up to which the rest counts as noise
-_SURE = 0.5  # two standard deviations of the unexplained mean square, over that of noise, must end below
+_SURE = 0.5  # the unexplained mean square plus two standard deviations must be below this part of the noise's
 
 
 @dataclass(frozen=True)

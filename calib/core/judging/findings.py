@@ -22,7 +22,7 @@ from calib.core.judging.linear_fit import LinearFit
 from calib.core.numerics import linalg
 from calib.core.numerics.losses import StudentisedErrors
 
-_LEAST_FACTOR = 1e-3  # ratio of found to stated noise of a group, relative to all, below which it has no noise
+_LEAST_FACTOR = 1e-3  # least ratio of found to stated noise of a group, as part of that of all groups
 
 
 @memoize

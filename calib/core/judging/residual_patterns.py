@@ -48,7 +48,7 @@ from calib.core.numerics.chances import EXACT, FALSE_ALARM
 from calib.core.numerics.tall import KEPT, slices
 
 SMALLEST_EFFECT = 0.1
-"""Least root mean square of an effect, over that of the noise, that counts as a finding."""
+"""An effect counts as a finding if its root mean square is more than this part of the noise."""
 _NUMBERS_AT_ONCE = 1 << 24  # numbers of what findings explain
 _VISITS_AT_ONCE = 512  # their factors stay in the processor's cache
 _ALIKE = 9.2  # times the noise squared: chance makes a sine and cosine explain more in 1 % of cases

@@ -28,12 +28,12 @@ from calib.core.robots.robot_files import lost_by
 from calib.core.rows.registration import registration
 
 ELSEWHERE = 0.2
-"""Largest ratio of errors of the nominal robot with base or targets placed by the data, to those with the stated ones,
-at which the statement is wrong."""
+"""The stated place of base or targets is wrong if placing them by the data leaves less than this part of the errors of
+the nominal robot."""
 NEAR = 0.1
-"""Largest of the same errors, over the spread of the measured positions, for a robot that fits."""
+"""The same errors are smaller than this part of the spread of the measured positions if the robot fits."""
 BELIEVED = 0.5
-"""Weight of a robust loss from which a reading counts."""
+"""A reading counts if a robust loss gives it more than this weight."""
 AT_END = 0.55
 """Part of all residuals that looks like a change in the course of the measurement, up to which a claim holds at its
 end. A linear growth is sqrt(3) times as large there as on average, so that the whole is 1.25 times as large at
@@ -167,7 +167,7 @@ def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
 
 
 def _where(fit: Fit, accuracy: Accuracy) -> str:
-    """A clause for more validation poses unlike the measured ones than chance explains; empty without."""
+    """A clause for more validation poses unlike the measured ones than chance explains; empty if there are not more."""
     unlike = unlike_measured(fit)
     if accuracy.poses is not PoseUse.VALIDATION or fit.validation is None or not is_elsewhere(unlike):
         return ""

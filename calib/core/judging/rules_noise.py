@@ -22,24 +22,24 @@ from calib.core.rows.observed import observe
 from calib.core.rows.registration import register
 
 NOISE_RATIO = 3.0
-"""Found over stated noise from which the statement, or the model, is wrong."""
+"""If the found noise is more than this many times the stated one, the statement or the model is wrong."""
 MOST_LEFT_OUT = 20.0
-"""Found over stated noise beyond which better poses prove nothing: the joint origins of real robots leave up to ten
-times the noise of a tracker; a target that is described on a neighbouring link leaves seventy times."""
+"""Beyond this ratio of found to stated noise, better poses prove nothing: the joint origins of real robots leave up to
+ten times the noise of a tracker; a target that is described on a neighbouring link leaves seventy times."""
 GROSS = 2.0
-"""Noise of every instrument, over its largest usual noise, from which the result rests on errors of the model."""
+"""If every instrument has more than this many times its largest usual noise, the model makes most of the errors."""
 LARGE_NOISE = 0.1
-"""Noise, over the spread of the measured positions, from which nothing fits."""
+"""Nothing fits if the noise is more than this part of the spread of the measured positions."""
 DOUBTFUL = 0.05
-"""Noise, over an impossible noise of such an instrument, from which other meanings of its numbers are tried."""
+"""Other meanings of an instrument's numbers are tried if the noise is more than this part of an impossible one."""
 GROSS_RATIO = 50.0
-"""Found over stated noise from which mistakes in the data are looked for."""
+"""Mistakes in the data are looked for if the found noise is more than this many times the stated one."""
 LEFT_OUT = 0.01
-"""Noise, over the spread of the measured positions, that a model of a healthy robot may leave (real ones: 0.1 %)."""
+"""A model of a healthy robot may leave this part of the spread of the measured positions (real ones: 0.1 %)."""
 NOT_STATED = 2.0
 """Factor on that limit where the noise of the instrument is not stated and adds to it: a camera that observes a small
 space has 1 % of it."""
-_CLOSER = 0.2  # error with another meaning over that with the present one
+_CLOSER = 0.2  # another meaning is better if it leaves less than this part of the error
 _TRIED = 20  # poses that are tried, of many
 _FEWEST_READINGS = 4
 
@@ -264,7 +264,7 @@ def _noise_above_statement(fit: Fit, estimate: NoiseEstimate, text: str) -> Reas
 
 @memoize
 def measured_space(fit: Fit) -> float:
-    """Root mean square distance of measured positions from their centre [m], of the widest instrument; inf without."""
+    """Root mean square distance of measured positions from their centre [m], of the widest instrument; inf if none."""
     errors = fit.identification
     sizes = []
     for instrument in errors.instruments:

@@ -28,9 +28,9 @@ BEYOND_LIMIT = 0.01
 CORNER = 0.1
 """Part of the range between its limits that at least one joint must move through."""
 LESS_KNOWN = 3.0
-"""Uncertainty of positions elsewhere, over that at the used poses, beyond which the calibration does not reach."""
+"""A calibration does not reach where positions are more than this many times as uncertain as at the used poses."""
 WIDENED = np.sqrt(2.0)
-"""Uncertainty of positions with joint terms over that without them, from which most of it comes from the terms."""
+"""If joint terms make positions this many times as uncertain, most of the uncertainty comes from the terms."""
 _TRIED = 50  # poses at which a joint is moved through its limits in the model
 _NO_VARIANCE = 1e-9  # part of a variance that counts as none
 _SAMPLED = 200  # poses at which uncertainties are computed

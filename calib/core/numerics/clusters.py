@@ -41,7 +41,7 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.tall import Span
 
-_OWN = 0.99  # part of a direction that a block decides, from which the other blocks cannot predict it
+_OWN = 0.99  # if a block decides this part of a direction, the other blocks cannot predict it
 _ROWS_AT_ONCE = 30_000
 _NONE = 1e-150  # noise of data that were computed, not measured
 

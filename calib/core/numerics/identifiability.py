@@ -39,7 +39,7 @@ RANK_TOLERANCE = 1e-9
 CLEAR_GAP = 30.0
 """Factor between the singular values around the threshold, below which the rank depends on the threshold."""
 NO_EFFECT = 1e-7
-"""Length of a column over that of the longest, in metres and radians, below which it is rounding."""
+"""A column is rounding if its length is below this part of the longest, in metres and radians."""
 TIE = 2.0
 """Condition numbers within this factor of the smallest are equally good."""
 _DIGITS = 1e-6  # relative difference of condition numbers below which they are the same number

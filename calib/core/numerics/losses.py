@@ -76,8 +76,8 @@ EFFICIENCY = 0.95
 """Part of the information of normal data that a robust loss keeps."""
 _BRACKET = (0.05, 60.0)
 HIGH_LEVERAGE = 0.9
-"""Largest leverage along any direction, above which a reading decides its own prediction and cannot be tested."""
-_SMALLEST = 1e-6  # eigenvalue of V below which a direction has no residual left
+"""A reading with a larger leverage along some direction decides its own prediction, and cannot be tested."""
+_SMALLEST = 1e-6  # a direction with a smaller eigenvalue of V has no residual left
 _NO_NOISE = 1e-12
 
 

@@ -37,7 +37,7 @@ from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.prior import Prior
 
 _ROUNDS = 100
-_STANDS = 0.01  # relative change of a size at which it is found
+_CONVERGED = 0.01  # relative change of a size at which it is found
 _SMALLEST = 1e-3  # least size of a family
 _SEEN = 0.05  # coefficients of a family that the data must decide for its size to be found
 _RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding has made singular
@@ -203,6 +203,6 @@ def find_noise_with_families(
                 if sizes[f] * growth[f] < 1.0:
                     growth[f] = min(np.sqrt((square + 1.0) / determined), 1.0 / sizes[f])
         scales, sizes = np.maximum(scales * change, EXACT / 10), np.maximum(sizes * growth, _SMALLEST)
-        if np.all(np.abs(growth - 1.0) <= _STANDS) and np.all(np.abs(change - 1.0) <= _STANDS / 10):
+        if np.all(np.abs(growth - 1.0) <= _CONVERGED) and np.all(np.abs(change - 1.0) <= _CONVERGED / 10):
             break
     return scales, sizes

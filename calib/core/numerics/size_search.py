@@ -43,7 +43,7 @@ _SMALL = 0.1  # part of the start of a search below which a falling size is set 
 _AT_BOUND = 1e-9  # difference of a logarithm from its bound
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
-_STANDS = 0.03  # gradient of twice the cost by a logarithm at which a size is found
+_CONVERGED = 0.03  # gradient of twice the cost by a logarithm at which a size is found
 _GAIN = 5e-4  # least fall of the cost for which the search continues
 _ROUNDS = 80
 _HOPELESS = 1e6  # damping beyond which no step lowers the cost
@@ -67,7 +67,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: 
     for _ in range(_ROUNDS):
         gradient = at.gradient + _slope(at)
         free = ~(none | ((at.logs <= bounds.least + _AT_BOUND) & (gradient > 0.0)))
-        if not np.any(free) or np.max(np.abs(gradient[free])) < _STANDS / 2.0:
+        if not np.any(free) or np.max(np.abs(gradient[free])) < _CONVERGED / 2.0:
             break
         information = at.average_information + np.diag(_curvature(at))
         better, damping = _try_step(at, gradient, information, free, bounds, damping)

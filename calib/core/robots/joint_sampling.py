@@ -22,7 +22,7 @@ Ranges = Mapping[str, tuple[float, float]]
 TRIES = 4
 """Number of values tried in each box, for each requested value."""
 _DRAWN_IN = 2.0 / 3.0
-_SMALLEST_BOX = 0.01  # size of the smallest box, over the joint limits
+_SMALLEST_BOX = 0.01  # size of the smallest box, as part of the joint limits
 _ROUNDS = 50  # rounds of trials where targets must stay in a range
 _AT_ONCE = 2**15  # values tried at once
 _LONGEST = 1e3  # stroke of a sliding joint [m]

@@ -32,7 +32,7 @@ from calib.core.rows.observed import Observed, observe, predict_readings
 
 _POSES = 256
 _ROUNDS = 10
-_STANDS = 1e-6  # change of a scaled parameter; the next change is about its square
+_CONVERGED = 1e-6  # change of a scaled parameter; the next change is about its square
 _AROUND_HOME = 0.5  # motion is analytic: these poses show all that any poses show [rad, or characteristic lengths]
 
 
@@ -63,7 +63,7 @@ def nearest_to_nominal(robot: Robot) -> Robot:
         values = robot.values.copy()
         values[free] += sigma * step
         robot = robot.with_parameters(values)
-        if np.max(np.abs(step), initial=0.0) < _STANDS:
+        if np.max(np.abs(step), initial=0.0) < _CONVERGED:
             break
     return robot
 

@@ -43,8 +43,8 @@ CHUNK = 1024
 """Number of poses computed at once."""
 ROWS = (slice(3), slice(3, 6))
 """Rows of positions and of turns."""
-_DIFFERS = 1.5  # uncertainty in the measurement frame over the predicted one, above which both are reported
-_CERTAIN = 1e-12  # variance of a length that does not show, over its square
+_DIFFERS = 1.5  # both are reported if positions in the measurement frame are this many times as uncertain
+_CERTAIN = 1e-12  # variance of a length that does not show, as part of its square
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -299,7 +299,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         free: Mask of the calibrated parameters, (n_parameters,); the others count as exact.
         covariance: Covariance of the free parameters without undecided joint terms, (n_free, n_free) [m, rad].
         coverage_factor: Half a 95 % interval, in standard deviations.
-        undecided: Joint terms that the data do not exclude; None without any.
+        undecided: Joint terms that the data do not exclude; None if there are none.
         joint_error: Standard deviation of an independent error of each joint at each pose [rad; characteristic lengths
             of a sliding joint].
         contains: Contributions to the uncertainty of positions.

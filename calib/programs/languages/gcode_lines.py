@@ -33,7 +33,7 @@ class GcodeLine:
 
     Attributes:
         where: Name of the line in messages.
-        counter: The line number (N word); empty without.
+        counter: The line number (N word); empty if there is none.
         name: The command, if it is a name (`START_PRINT`).
         words: Letters and their numbers.
         rest: Other text: letters without a number, or the text after the name.
@@ -54,7 +54,7 @@ class GcodeLine:
 
     @cached_property
     def tool(self) -> str:
-        """The tool with which the line begins; empty without."""
+        """The tool with which the line begins; empty if there is none."""
         return _code(*self.words[0]) if self.words and self.words[0][0] == "T" else ""
 
     @cached_property
@@ -69,7 +69,7 @@ class GcodeLine:
 
     @cached_property
     def homing(self) -> str:
-        """The command that homes or probes; empty without."""
+        """The command that homes or probes; empty if there is none."""
         return next((code for code in self.codes if code.split(".")[0] in _HOMING), "")
 
     @cached_property
@@ -84,7 +84,7 @@ class GcodeLine:
         return takers
 
     def owner(self, vouched: Collection[str]) -> str:
-        """Return the command other than a motion that takes X, Y, Z; empty without."""
+        """Return the command other than a motion that takes X, Y, Z; empty if there is none."""
         own = _OWN_WORDS | {*vouched} | {code for code in self.codes if code[0] == "M" and code not in _WITHOUT_WORDS}
         return next((code for code in self.codes if code in own), self.homing)
 

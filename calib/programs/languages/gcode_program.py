@@ -38,7 +38,7 @@ class GcodeMove:
         tail: Other words, without E.
         comments: Comments on the line, as written.
         e: E at the beginning and at the end; None without E, or where the move cannot be cut.
-        e_text: E as written; empty without.
+        e_text: E as written; empty if there is none.
         e_relative: Whether E counts from its last value.
     """
 

@@ -28,7 +28,7 @@ class ExpectedError(ReadOnlyArrays):
     Attributes:
         distance: Root mean square distance along the stated coordinates of the goal, (n,) [m].
         distance95: Limits of the distance in 95 of 100 cases, (2, n) [m].
-        angle: Root mean square angle from the orientation or z axis of the goal, (n,) [rad]; NaN without.
+        angle: Root mean square angle from the orientation or z axis of the goal, (n,) [rad]; NaN if it has none.
         angle95: Limits of the angle in 95 of 100 cases, (2, n) [rad].
         frame: Frame of the goals, in words.
         nothing_to_correct: Whether commands are the nominal robot's, because the verdict finds nothing to correct.

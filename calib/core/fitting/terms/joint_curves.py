@@ -14,7 +14,7 @@ from calib.core.robots.terms.term import Context
 
 _POINTS = 721
 BEYOND = 0.02
-"""Distance outside the measured range, over that range, up to which a joint's curve holds."""
+"""A joint's curve holds up to this part of the measured range outside of it."""
 
 
 @dataclass(frozen=True, eq=False)

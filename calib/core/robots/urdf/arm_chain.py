@@ -22,8 +22,8 @@ from calib.core.base.errors import DescriptionError, require_known
 from calib.core.base.words import listing
 from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText, require_supported
 
-_SHORT = 1 / 3  # reach of fingers over the way from the arm's first joint to them
-_ALIKE = 0.5  # reach of the second longest finger over that of the longest
+_SHORT = 1 / 3  # fingers reach less than this part of the way from the arm's first joint to them
+_ALIKE = 0.5  # the second longest finger reaches at least this part of the longest
 _FINGER = re.compile("finger|thumb|jaw|claw", re.IGNORECASE)
 _GRIPPER = re.compile(f"gripper|{_FINGER.pattern}", re.IGNORECASE)
 _SHOWN = 8

@@ -128,8 +128,7 @@ def both_sides_findings(both_sides: BothSides) -> tuple[str, ...]:
     return (
         f"From both sides at the same {len(both_sides.sets[0].chosen)} poses,"
         f" {count_noun(len(both_sides.extended.parameters), 'parameter')} (geometry in all six components, and the"
-        f" screw's"
-        f" lead, turns and backlash) leave a mean x error of {extended}, the paper's model {paper}; the"
+        f" screw's lead, turns and backlash) leave a mean x error of {extended}, the paper's model {paper}; the"
         f" tracker's noise alone is {noise * np.sqrt(2 / np.pi):.3f} mm (RMS {rms} and {noise:.3f} mm).",
         _needed_poses(both_sides),
     )

@@ -175,9 +175,8 @@ def require_determined(a: FloatArray, scene: BoardScene) -> None:
     axes = turning(scene.tool)
     raise NotIdentifiableError(
         f"these {len(scene)} images do not determine where camera and board are: the tool turned by"
-        f" {np.rad2deg(axes[0]):.1f} deg about its main axis and {np.rad2deg(axes[1]):.1f} deg about another"
-        f" one; turn it"
-        " about two axes or more, by 20 deg or more"
+        f" {np.rad2deg(axes[0]):.1f} deg about its main axis and {np.rad2deg(axes[1]):.1f} deg about another one; turn"
+        " it about two axes or more, by 20 deg or more"
     )
 
 

@@ -129,6 +129,5 @@ def require_images(count: int) -> None:
     if count < LEAST_IMAGES:
         raise DataError(
             f"{count_noun(count, 'image')} with a board and a pose of the robot; give at least {LEAST_IMAGES}, better"
-            f" 10"
-            " to 20"
+            " 10 to 20"
         )

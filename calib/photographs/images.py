@@ -135,8 +135,7 @@ def _one_of_each_stop(source: str, values: FloatArray, still: BoolArray) -> list
     if not np.any(still):
         raise DataError(
             f"{source}: at none of {count_noun(len(still), 'image')} the robot stood still, with joint states before"
-            f" and"
-            " after it"
+            " and after it"
         )
     moved, standing = np.flatnonzero(~still), np.flatnonzero(still)
     stop = stops(values[standing])

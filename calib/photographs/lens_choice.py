@@ -38,9 +38,8 @@ def unlikely(given: FloatArray, size: tuple[int, int]) -> list[tuple[str, str]]:
         exchanged = float(np.max(np.abs(given[3:1:-1] - middle))) < away / 2
         text = (
             f"the principal point given, {given[2]:.0f}, {given[3]:.0f} px, is far from the middle of images of {width}"
-            f" x {height} px:"
-            f" {'cx and cy are exchanged' if exchanged else 'the intrinsics are of another image'}, or the images were"
-            " turned, cut or scaled since"
+            f" x {height} px: {'cx and cy are exchanged' if exchanged else 'the intrinsics are of another image'}, or"
+            " the images were turned, cut or scaled since"
         )
         result.append(("principal_point", text))
     if not 1 / _MOST_ASPECT < given[0] / given[1] < _MOST_ASPECT:

@@ -140,9 +140,8 @@ def _mistakes_of_whole(
     if least < _HALVES * typical:
         return [Mistake(code, f"{text} (then {least:.1f} px are left in place of {typical:.1f})", True)]
     text = (
-        f"images are off by {typical:.0f} px, and the camera alone leaves {alone:.1f}: poses and images do not"
-        f" belong together,"
-        " or the tool of the poses, the units or the order of rotations are not what the file says"
+        f"images are off by {typical:.0f} px, and the camera alone leaves {alone:.1f}: poses and images do not belong"
+        " together, or the tool of the poses, the units or the order of rotations are not what the file says"
     )
     return [Mistake(_UNKNOWN, text, True)]
 
@@ -205,8 +204,7 @@ def _square_size(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPr
     return Mistake(
         "square_size",
         f"the board is {100 * abs(change):.1f} % {'larger' if change > 0 else 'smaller'} than described (±"
-        f" {100 * std:.1f} %):"
-        " measure it, and correct its sizes; printers shrink pages that they fit to paper",
+        f" {100 * std:.1f} %): measure it, and correct its sizes; printers shrink pages that they fit to paper",
     )
 
 

@@ -138,8 +138,7 @@ def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Sp
     if not problem.is_determined_by(helped.chosen):
         raise NotIdentifiableError(
             f"no choice of {len(start)} poses was found that determines the {problem.prior_information.rank.rank}"
-            f" combinations of"
-            " parameters that all candidates together determine; choose more poses, or hold parameters"
+            " combinations of parameters that all candidates together determine; choose more poses, or hold parameters"
         )
     final = _climb(scores(problem, index, helped.chosen), helped.chosen, spacing)
     nothing = -np.inf if index in ("O1", TASK) else 0.0

@@ -168,8 +168,7 @@ def little_seen(robot: Robot, poses: Poses) -> str | None:
         return None
     return (
         f"few of these poses see what is to be measured: {listing(few)}; check `xyz` and `rpy` of the camera and of"
-        f" what"
-        " it sees, `image` and `focus`, or keep to poses near those that see it (--within)"
+        " what it sees, `image` and `focus`, or keep to poses near those that see it (--within)"
     )
 
 

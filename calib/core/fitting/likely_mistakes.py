@@ -306,8 +306,8 @@ def zeros_in_words(data: Measurements, robot: Robot) -> str:
         return ""
     return (
         f"{count_noun(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, which some programs write when"
-        f" they"
-        f" see nothing: {listing([data.labels[k] for k in zeros])}; leave {'it' if len(zeros) == 1 else 'them'} out"
+        f" they see nothing: {listing([data.labels[k] for k in zeros])}; leave {'it' if len(zeros) == 1 else 'them'}"
+        " out"
     )
 
 

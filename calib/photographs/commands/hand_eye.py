@@ -201,8 +201,7 @@ def _pairs(
         if len(of_camera) != 1:
             raise DataError(
                 f"{path}: holds poses {listing(list(places))}, and which is the marker in the camera does not show;"
-                f" call"
-                " them camera_x, ... and tool_x, ..., or give the tool's in a file of its own (--poses)"
+                " call them camera_x, ... and tool_x, ..., or give the tool's in a file of its own (--poses)"
             )
         of_tool = next(name for name in places if name not in of_camera)
         output.say(f"{path}: taken for the marker in the camera: {of_camera[0]}; for the tool in the base: {of_tool}")

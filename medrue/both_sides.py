@@ -1,13 +1,12 @@
 """The experiment with today's methods: every pose from both sides, and a model of what was left out.
 
-The same simulated robots as in `medrue.experiment`, draw by draw, whose rails have the smaller errors of
-`medrue.imperfections.RailErrors` too, two of which no model has. The tracker reads every pose twice: after the rail
-came in the positive direction, and after it came in the negative one. From such readings of n poses are identified,
-with the same noise,
+The simulated robots are those of `medrue.experiment`, draw by draw. Their rails also have the smaller errors of
+`medrue.imperfections.RailErrors`; no model has two of these. The tracker reads every pose twice: after the rail came in
+the positive direction, and after it came in the negative one. Such readings of n poses, with the same noise, identify
 
 * the paper's model,
-* the extended model (`urdf/medrue_extended.yaml`), which is told the direction of approach, and, to see what that
-  needs, the extended model from one direction alone, and from either direction at random, one for each pose.
+* the extended model (`urdf/medrue_extended.yaml`), which knows the direction of approach. For comparison, it is also
+  identified from one direction alone, and from a random direction for each pose.
 
 All of them are judged at the other poses, from both sides. Poses are chosen by O1 of the extended model at its nominal
 parameters, which is all that is known before measuring; one set is the 84 poses of the paper's protocol.

@@ -133,8 +133,8 @@ FORMATS = (
         text.commented_header_lines,
     ),
     OtherFormat(
-        "a table parted by blanks",
-        "names parted by blanks above as many numbers in each line",
+        "a table separated by blanks",
+        "names with blanks between them, above lines with as many numbers",
         "read as if commas stood there",
         text.is_parted_by_blanks,
         text.blank_lines,

@@ -180,7 +180,7 @@ def _raw_image(message: Any) -> GreyImage:
 
 
 def with_joints(photographs: Sequence[Shot]) -> list[Shot]:
-    """Return images that all have joint values, or all have none; images without them become a reason in words.
+    """Return images that all have joint values, or all have none; others are replaced by the reason, in words.
 
     Raises:
         DataError: Bags of different robots.

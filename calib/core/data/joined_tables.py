@@ -21,7 +21,7 @@ _TIME = "time"
 
 
 def join_by_pose_column(tables: Sequence[Table], robot: Robot) -> list[Table]:
-    """Return tables with a column `pose` each, by which they are joined, if the description asks for another way.
+    """Return tables that a column `pose` joins; it is added if the description asks to join by rows or by time.
 
     Raises:
         DataError: Not one table with joint values, another number of rows, no `time`, or none near enough.
@@ -71,7 +71,7 @@ def _times(table: Table) -> FloatArray:
 
 
 def _with_poses(table: Table, rows: np.ndarray, poses: np.ndarray) -> Table:
-    """Some rows of a table, with these numbers as their poses, in place of a column that it has."""
+    """Some rows of a table, with a column `pose` of these numbers in place of its own, if it has one."""
     others = [k for k, name in enumerate(table.names) if name != "pose"]
     cells = [(*(table.rows[int(row)][k] for k in others), str(int(p) + 1)) for row, p in zip(rows, poses, strict=True)]
     return replace(

@@ -10,7 +10,7 @@ independent error of each joint at each pose, as large as residuals show (`calib
 
     covariance of x(q)  =  B C B^T + delta^2 K K^T,      K = d(position)/d(joints), scaled
 
-The part that residuals cannot tell from noise counts. The robot's repeatability comes on top.
+The part that residuals cannot tell from noise counts too. The robot's repeatability is not included.
 
 Joint terms that a choice left out, and that the data do not exclude, have coefficients that are zero and uncertain
 (`UndecidedTerms`). They join the free parameters in C and in B, with their correlations.
@@ -184,7 +184,7 @@ def recombined_joints(q: FloatArray, most: int) -> FloatArray:
     """Return the joint values of poses q (n, n_actuated) in new combinations, at most `most` [m or rad].
 
     The values of each joint are shifted by a different number of poses, in the order of `order_of_joints`. So every
-    joint stays in its measured range, and the uncertainty shows of joints that moved only together.
+    joint stays in its measured range, and joints that moved only together show their uncertainty.
     """
     n, n_joints = q.shape
     mixed = np.stack([np.roll(q[:, j], k * n // n_joints) for j, k in enumerate(order_of_joints(q)[0])], axis=1)

@@ -200,7 +200,7 @@ def _pairs(
         of_camera = [name for name in places if _OF_CAMERA.search(name)]
         if len(of_camera) != 1:
             raise DataError(
-                f"{path}: holds poses {listing(list(places))}, and which is the marker in the camera does not show;"
+                f"{path}: holds poses {listing(list(places))}, and it is not clear which is the marker in the camera;"
                 " call them camera_x, ... and tool_x, ..., or give the tool's in a file of its own (--poses)"
             )
         of_tool = next(name for name in places if name not in of_camera)

@@ -57,7 +57,7 @@ class GcodeMove:
 
     @property
     def motion(self) -> tuple[str, ...]:
-        """G0 or G1 as written; empty on a line without."""
+        """G0 or G1 as written; empty if the line has none."""
         return tuple(word for word in self.lead[-1:] if word.startswith("G"))
 
 

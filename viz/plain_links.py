@@ -92,7 +92,7 @@ class PlainLinks:
         )
 
     def _run(self, link: str) -> list[Any]:
-        """The moving joints at one place up to the joint that moves a link, from base to tip."""
+        """The joint that moves a link, after those before it that move at the same place, from base to tip."""
         run: list[Any] = []
         while link in self._moving_joints and self._moving_joints[link].type != "fixed":
             joint = self._moving_joints[link]
@@ -155,7 +155,7 @@ class PlainLinks:
         return turned
 
     def _longest_run(self, joint: Any) -> list[Any]:
-        """The moving joints at one place from a joint on."""
+        """The moving joints at the place of a joint, also those after it."""
         link = joint.child
         while len(self._carries.get(link, [])) == 1:
             following = self._carries[link][0]

@@ -153,8 +153,8 @@ def _report(route: Route) -> str:
     lines = [
         f"{count_noun(len(route.stops), 'stop')}; {around} reached around what is in the way; travel {travel:.0f} deg"
     ]
-    nearest = min(route.stops, key=lambda stop: min(stop.clearance, stop.poses_passed))
-    least = min(nearest.clearance, nearest.poses_passed)
+    nearest = min(route.stops, key=lambda stop: min(stop.clearance, stop.path_clearance))
+    least = min(nearest.clearance, nearest.path_clearance)
     if np.isfinite(least):
         lines.append(f"Smallest clearance {millimetres(least):.1f} mm, at stop {nearest.name} or on the way there")
     if route.left_out:
@@ -178,7 +178,7 @@ def _data(route: Route) -> dict[str, object]:
                 "corners": stop.corners.tolist(),
                 "clearance_mm": millimetres(stop.clearance),
                 "pair": stop.pair,
-                "clearance_on_the_way_mm": millimetres(stop.poses_passed),
+                "clearance_on_the_way_mm": millimetres(stop.path_clearance),
             }
             for stop in route.stops
         ],

@@ -155,7 +155,7 @@ def _remark(stop: Stop) -> str:
     if not np.isfinite(stop.clearance):
         return f"pose {_plain(stop.name)}"
     at_stop, on_the_way = (
-        int(millimetres(value)) for value in (stop.clearance, min(stop.clearance, stop.poses_passed))
+        int(millimetres(value)) for value in (stop.clearance, min(stop.clearance, stop.path_clearance))
     )
     clearance = f"clearance {at_stop} mm ({_plain(stop.pair)}), on the way {on_the_way} mm"
     return f"pose {_plain(stop.name)}, {clearance}"

@@ -42,7 +42,7 @@ class Stop(ReadOnlyArrays):
         corners: Corners of the path from the stop before, without both ends, (n, n_actuated) [m or rad].
         clearance: Smallest distance of any pair at the stop [m].
         pair: Name of that pair.
-        poses_passed: Smallest distance on the path [m].
+        path_clearance: Smallest distance of any pair on the path [m].
     """
 
     name: str
@@ -50,7 +50,7 @@ class Stop(ReadOnlyArrays):
     corners: FloatArray
     clearance: float
     pair: str
-    poses_passed: float
+    path_clearance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +126,7 @@ def plan_route(
     names = tuple(stop.name for stop in replaced)
     given = dict(zip((*candidates.names, *poses.names), (*candidates.joints, *poses.joints), strict=True))
     round_ = [stop.name for stop in (*stops, *replaced) if np.any(stop.joints != given[stop.name])]
-    notes = (f"the same pose by joints a whole turn from those given: {listing(round_, shown=8)}",) if round_ else ()
+    notes = (f"reached with joints a whole turn from those given: {listing(round_, shown=8)}",) if round_ else ()
     return Route(robot, start, (*stops, *replaced), left_out, names, scene.remarks + notes)
 
 

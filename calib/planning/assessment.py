@@ -250,7 +250,7 @@ def check(
         determination=determined,
         posterior_information=known,
         groups=null_groups(determined.columns, held or elimination.dropped, lengths),
-        undetermined_groups=null_groups(determined.open_columns, lengths=lengths[free]),
+        undetermined_groups=null_groups(determined.free_columns, lengths=lengths[free]),
         elimination=elimination,
         scaled=scaled,
         raw=raw,

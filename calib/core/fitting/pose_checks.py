@@ -160,7 +160,7 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
     if determined.missing == 0:
         return determined
     names = [p.name for p, use in zip(parameters, free, strict=True) if use]
-    null = linalg.svd(determined.open_columns)[2][determined.together.rank :]
+    null = linalg.svd(determined.free_columns)[2][determined.together.rank :]
     involved = [name for name, size in zip(names, np.max(np.abs(null), axis=0), strict=True) if size > 1e-3]
     doubt = f"; {determined.together.doubt}" if determined.together.unclear else ""
     raise NotIdentifiableError(

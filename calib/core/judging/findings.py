@@ -131,7 +131,7 @@ def changes(fit: Fit) -> tuple[Pattern, ...]:
 @memoize
 @one_blas_thread
 def budget(fit: Fit) -> ErrorBudget | None:
-    """Return the error budget of the validation readings, or without these of all.
+    """Return the error budget of the validation readings; of all readings if there are no validation readings.
 
     None if the robot cannot be assembled at a step between before and after.
     """
@@ -141,7 +141,7 @@ def budget(fit: Fit) -> ErrorBudget | None:
 @memoize
 @one_blas_thread
 def joint_budget(fit: Fit) -> ErrorBudget | None:
-    """Return the error budget with the joints as causes; None as for `budget`."""
+    """Return the error budget with the joints as causes; None in the same cases as `budget`."""
     return _budget(fit, joint_causes(fit.robot))
 
 

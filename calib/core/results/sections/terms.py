@@ -51,7 +51,7 @@ def terms_lines(fit: Fit) -> list[str]:
     lines += (
         [f"Joint terms that the measurements neither show nor exclude: {listing(left, '; ', count)}"] if left else []
     )
-    return lines + ([f"Joint terms that they cannot show: {listing(refused, '; ', count)}"] if refused else [])
+    return lines + ([f"Joint terms that these data cannot show: {listing(refused, '; ', count)}"] if refused else [])
 
 
 def _size_in_words(trial: TermTrial) -> str:

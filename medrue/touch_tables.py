@@ -83,7 +83,7 @@ def method_table(study: TouchStudy) -> ResultTable:
             f"simulated; noise: {micrometres(SIGMA):.0f} um on each axis, {1e6 * ENCODER_SIGMA:.0f} urad of encoders"
             f" that turn; {count_noun(len(study.noise), 'draw')} of it on Table I's robot",
             "predicted: by theory, at nominal parameters, in the world; empty where readings alone do not determine it",
-            "cannot see: parameters without effect, and those of which only a combination has one, at nominal",
+            "cannot see: parameters that have no effect, or an effect only in combination, at nominal",
         ),
     )
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import ComputationError, DataError, InputError
-from calib.core.base.registry import brought
+from calib.core.base.registry import load_entry
 from calib.core.base.words import count_noun, listing
 from calib.core.base.workers import Progress
 from calib.core.data.measurements import Poses
@@ -207,7 +207,7 @@ def _pass(planner: Planner, start: FloatArray, poses: Poses, searched: bool) -> 
     usable = np.array([k for k, name in enumerate(poses.names) if not why.get(name)], dtype=np.intp)
     if not len(usable):
         return [], why
-    order = usable[brought("calib.methods", "shortest_order")(from_where[usable], planner.nodes[planner.here])]
+    order = usable[load_entry("calib.methods", "shortest_order")(from_where[usable], planner.nodes[planner.here])]
     stops: list[Stop] = []
     for node, k in enumerate(order.tolist(), planner.add(from_where[order])):
         way = planner.free_path(planner.here, node, searched=searched)
@@ -244,6 +244,6 @@ def _next_best(robot: Robot, candidates: Poses, tried: set[str], stops: Sequence
     rest = candidates.subset(np.array(usable, dtype=np.intp))
     if len(rest) <= count or not count:
         return rest.subset(np.arange(min(len(rest), count)))
-    select = brought("calib.methods", "select")
+    select = load_entry("calib.methods", "select")
     chosen = select(robot, rest, count, measured=np.array([stop.joints for stop in stops]), checked=False)
     return rest.subset(chosen.chosen)

@@ -56,13 +56,13 @@ _SAMPLED = 100
 CORRELATION_LIMIT = 0.95
 """Larger correlations are reported: one value can replace the other."""
 HARDLY = 0.5
-"""Part of the prior sigma above which a parameter's standard deviation is hardly improved."""
+"""A parameter is hardly improved if its standard deviation is more than this part of the prior sigma."""
 _DIGITS = 9  # digits of a remainder; the rest is rounding
 _COUNTS = 8  # numbers of poses up to all of them
 _MOST_CHOSEN, _MOST_CANDIDATES = 400, 2000  # above these, the search for the best poses would take long
 _BEYOND = (2, 4)  # multiples of the number of poses
 _GROUPS = 3  # number of named groups in the printed object
-_NOTHING_NEW = 1e-3  # part of a pose's strongest direction below which a direction is rounding of similar repeats
+_NOTHING_NEW = 1e-3  # a direction below this part of a pose's strongest one is rounding of similar repeats
 
 
 @dataclass(frozen=True, eq=False, repr=False)

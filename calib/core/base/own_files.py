@@ -1,12 +1,12 @@
 """Files that may be replaced: those that this program wrote and that are unchanged since, but none that it has read.
 
-What is written alone ends in a line that names the program and the beginning of the digest of all other lines, in the
-comments of its format, or as the last entry of JSON. What is written as a folder has a file beside it with the digest
-of each (`MANIFEST`). So a file tells by itself, on any machine, whether this program wrote it, and whether it was
-changed since: a plan into which measurements were filled, a description that was edited.
+A single file ends in a line that names the program and the beginning of the digest of all other lines: a comment of its
+format, or the last entry of JSON. In a folder, one more file has the digest of each file (`MANIFEST`). So a file tells
+by itself, on any machine, whether this program wrote it, and whether it was changed since: a plan into which
+measurements were filled, a description that was edited.
 
-Other files belong to others: replacing them is an `InputError` unless it is forced, as is replacing what the same
-command has read, under whatever name. Files that are empty, and such as would not change, may always be replaced.
+Other files belong to others: replacing them is an `InputError` unless it is forced. So is replacing a file that the
+same command has read, under any name. Empty files, and files that would not change, may always be replaced.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def is_own(path: Path) -> bool:
 
 
 def read_manifest(folder: Path) -> dict[str, str]:
-    """Return the digest of each file that this program wrote into a folder; nothing where it does not say."""
+    """Return the digest of each file that this program wrote into a folder; empty if the folder has no manifest."""
     with suppress(OSError, ValueError, RecursionError):
         content = json.loads((folder / MANIFEST).read_bytes())
         if isinstance(content, dict) and isinstance(content.get("sha256"), dict):
@@ -114,7 +114,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def manifest_of(folder: Path, files: Mapping[str, bytes], obsolete: Collection[str]) -> bytes:
-    """Return the manifest of a folder once these files are in it, with what else this program wrote there."""
+    """Return the manifest of a folder once these files are in it, with the other files that this program wrote."""
     others = {name: digest for name, digest in read_manifest(folder).items() if (folder / name).is_file()}
     digests = {name: digest for name, digest in others.items() if name not in obsolete}
     digests |= {name: _digest(content) for name, content in files.items()}

@@ -36,7 +36,7 @@ def format_table(columns: Written, comments: Sequence[str] = ()) -> str:
     B,2.0
 
     Args:
-        columns: (header, values) of each column, values of equal length; of an array, cells without a number are empty.
+        columns: (header, values) of each column, values of equal length; NaN in an array gives an empty cell.
         comments: Lines to put first, behind #.
 
     Raises:

@@ -17,7 +17,7 @@ class Trait(Enum):
     """A property that some kinds of effects have."""
 
     IN_COURSE = "changes in the course of the measurement, and goes on changing after it"
-    MOVED = "is of something else than the robot that moved: its base, an instrument or a target"
+    MOVED = "comes from a motion of something other than the robot: its base, an instrument or a target"
     MISPLACED = "is of a target that sits elsewhere than the description says"
     FOLLOWS_JOINTS = "follows the values of joints: at poses like those measured it stays as it is"
     BY_THE_DOZEN = "is tried by the dozen for each joint or target, and the best is kept"

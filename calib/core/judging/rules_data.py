@@ -27,11 +27,11 @@ from calib.core.numerics.losses import HIGH_LEVERAGE
 from calib.core.rows.rows import Rows
 
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little
-"""Degrees of freedom below which intervals are very wide."""
+"""With fewer degrees of freedom, intervals are very wide."""
 FEW_SHARED = 5
-"""The same for poses whose readings share errors; poses from which distances of targets have a meaning."""
+"""The same for poses whose readings share errors. Distances of targets mean something from so many poses."""
 RIGID = 1e-6
-"""Scatter of the distance of two targets below which no instrument read both [m]."""
+"""No instrument read both of two targets if their distance scatters by less [m]."""
 COSTLY = 0.36
 """If outliers make this part of the squared residuals, errors are a fifth smaller without them."""
 FEW_OF = 0.01

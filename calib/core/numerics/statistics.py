@@ -25,10 +25,10 @@ its transpose is replaced by the scatter of the poses themselves (`calib.core.nu
 beyond the linear model. That is no part of C, nor of std; it takes longer than all the rest, so that it is computed
 with the first intervals.
 
-Intervals are value +- t std, widened as above, with Student's t at 97.5 % and the degrees of freedom above, because the
-noise is found from the same residuals; with the degrees of freedom of the scatter of poses, where that counts and they
-are fewer. The data decide the share 1 - C_kk of a parameter (prior variance 1): near 1 the measurements know the value,
-near 0 the prior holds it.
+Intervals are value +- t std, widened as above, with Student's t at 97.5 %, because the noise is found from the same
+residuals. Its degrees of freedom are those above, or those of the scatter of poses if that is used and has fewer. The
+data decide the share 1 - C_kk of a parameter (prior variance 1): near 1 the measurements know the value, near 0 the
+prior holds it.
 
 When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from pose to
 pose. Errors that the model leaves out are not noise: `calib.core.judging.residual_patterns` tests for them.
@@ -57,11 +57,11 @@ from calib.core.numerics.tall import Span, slices, squares_of_rows
 from calib.core.numerics.variance_components import require_freedom
 
 DECIDED_BY_DATA = 0.9
-"""Share of a parameter's expected variance that the data must remove for `identified`; up to 1 - this, `prior`."""
+"""`identified`: the data remove at least this share of a parameter's expected variance; `prior`: at most 1 - this."""
 Status = Literal["identified", "partly", "prior", "weak", "placed", "held"]
 """The source of a parameter's value; see `status`."""
 _BY_PRIOR = 1.0 - DECIDED_BY_DATA
-_ENOUGH = 0.5  # degrees of freedom of a group below which its own rows say nothing about its noise
+_ENOUGH = 0.5  # with fewer degrees of freedom, the rows of a group say nothing about its noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Factors(ReadOnlyArrays):
         freedom: Degrees of freedom of each group, (n_groups,).
         effective: Factor for the scatter of the parameters, in place of f in C, (n_groups,); `values`, except with a
             robust loss.
-        slope: Weight of the data against priors, over that without a robust loss; 1 without one.
+        slope: Ratio of the weight of the data against priors, with and without the robust loss; 1 if there is none.
     """
 
     values: FloatArray
@@ -296,7 +296,7 @@ def statistics(
     """
     root = known.root
     share = prior_shares(known, prior)
-    core = share.copy()  # with a robust loss J counts times the root of the slope in T, and in the scatter
+    core = share.copy()  # with a robust loss, J is multiplied by the root of the slope, in T and in the scatter
     shared = _scatter_beyond_chance(poses)
     if shared is not None:
         core += shared.core

@@ -148,7 +148,7 @@ class EarlierResult(LoadedResult):
         freedom, joint_error = float(own["interval_degrees_of_freedom"]), float(own.get("joint_error", 0.0))
         factor = float(scipy.special.stdtrit(freedom, 0.975))
         if not np.isfinite(factor) or joint_error < 0 or covariance.shape != (len(names), len(names)):
-            raise ValueError(f"{name} or degrees of freedom are no such numbers")
+            raise ValueError(f"the numbers in {name}, or the degrees of freedom, are wrong")
         free = np.array([p.name in names for p in robot.parameters])
         return ParameterUncertainty(free, covariance / scale[:, None] / scale, factor, undecided, joint_error)
 

@@ -63,7 +63,7 @@ _TRIED = (3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 65, 80, 100)
     metavar="all|each|LIST",
     default=ALL,
     show_default=True,
-    help="What reads at a chosen pose. all: every instrument; each: those that help most; LIST: one of these, such"
+    help="Instruments that read at a chosen pose. all: every one; each: those that help most; LIST: one of a list, such"
     " as tracker,sockets+ballbar (those joined by + read together).",
 )
 @click.option(

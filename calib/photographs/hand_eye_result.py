@@ -17,13 +17,13 @@ from calib.photographs.left_out_images import rms
 from calib.photographs.scene import SIDES, Mount
 
 FEW = 10  # images; a result of fewer gets CHECK
-_MANY = 0.1  # part of the points left out above which the photographs are wrong
+_MANY = 0.1  # the photographs are wrong if more than this part of the points was left out
 _ROBOT_SHARE = 0.5
 _MM = 1e3
 WIDE = 0.05
 """The pose of camera or board counts as unknown if half its 95 % interval is wider: as part of the distance between
 them, or in radians, since both move what the camera sees by as much. Good photographs give less than a third."""
-_CLAIM_ABOVE = 0.5  # relative difference of left-out from used images above which the images are too few
+_CLAIM_ABOVE = 0.5  # the images are too few if left-out ones are worse than used ones by more than this part
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from calib.core.robots.terms.one_coefficient import Gain
 SCALED = 0.01
 """Relative error of a scale beyond that of every gear, belt or screw."""
 SURE = 6.0
-"""Standard deviations of a gain beyond which it is not chance."""
+"""A gain of more standard deviations is not chance."""
 _EXPECTED = 0.3  # sigma of the gains
 
 

@@ -45,7 +45,7 @@ _POINT_WEIGHT, _TURN_WEIGHT = 1e-5, 1e-7  # weights of the distances to the gues
 _STILL = 1e-11  # step below which a descent ends [rad]
 _SAME = 1e-6  # difference of rotations below which they are one minimum
 _ITERATIONS, _LAST_STEPS, _NOISE_ROUNDS = 80, 8, 20
-_RELATIVE, _ABSOLUTE = 1e-2, 1e-12  # change of the noise at which its iteration ends: relative, and in m
+_RELATIVE, _ABSOLUTE = 1e-2, 1e-12  # the iteration of the noise ends at a smaller change: relative, and in m
 _SMALLEST = 1e-3  # extent of points below which the turn about them counts as open [m], times `_OPEN`
 
 

@@ -37,7 +37,7 @@ from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.prior import Prior
 
 _ROUNDS = 100
-_CONVERGED = 0.01  # relative change of a size at which it is found
+_CONVERGED = 0.01  # a size is found once it changes by less than this part
 _SMALLEST = 1e-3  # least size of a family
 _SEEN = 0.05  # coefficients of a family that the data must decide for its size to be found
 _RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding has made singular

@@ -32,7 +32,7 @@ from calib.core.rows.observed import Observed, observe, predict_readings
 
 _POSES = 256
 _ROUNDS = 10
-_CONVERGED = 1e-6  # change of a scaled parameter; the next change is about its square
+_CONVERGED = 1e-6  # largest change of a scaled parameter at the end; the next one is about its square
 _AROUND_HOME = 0.5  # motion is analytic: these poses show all that any poses show [rad, or characteristic lengths]
 
 

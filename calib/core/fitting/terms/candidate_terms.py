@@ -19,7 +19,7 @@ from calib.core.robots.terms.terms import TERMS
 from calib.core.rows.prediction import UndecidedTerms
 
 TELLS = 3.0
-"""Log evidence from which a kind of term is proven: odds of 20 to 1 (kass1995)."""
+"""A kind of term is proven by at least this log evidence: odds of 20 to 1 (kass1995)."""
 _OF_ORDER = "the data do not state the direction of approach (columns approach_JOINT)"
 _SAME_TORQUE = 1e-6  # range of the torque of gravity below which a joint's load is constant [N m or N]
 

@@ -95,8 +95,8 @@ def dials(fit: Fit) -> Chart | None:
     turn = _FURTHEST / max(1e-12, *(max(abs(value), half) for _, value, half in offsets))
     panels = tuple(_dial(name, value, half, unit, turn) for name, value, half in offsets)
     text = (
-        f"Straight up is the drawing; the needle is what was found, {turn * per_si:.0f} times as large as it is, with"
-        " its 95 % interval."
+        f"Straight up is nominal. The needle is the found offset, enlarged {turn * per_si:.0f} times, with its 95 %"
+        " interval."
     )
     return Chart("dials", "Joint offsets", text, panels, 150)
 

@@ -151,7 +151,7 @@ def _report(route: Route) -> str:
     around = sum(len(stop.corners) > 0 for stop in route.stops)
     travel = PER_SI["angle"]["deg"] * float(np.sum(np.max(np.abs(np.diff(corners, axis=0)), axis=1)))
     lines = [
-        f"{count_noun(len(route.stops), 'stop')}; {around} reached around what is in the way; travel {travel:.0f} deg"
+        f"{count_noun(len(route.stops), 'stop')}; {around} reached on a way around obstacles; travel {travel:.0f} deg"
     ]
     nearest = min(route.stops, key=lambda stop: min(stop.clearance, stop.path_clearance))
     least = min(nearest.clearance, nearest.path_clearance)

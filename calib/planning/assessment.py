@@ -328,9 +328,9 @@ def accuracy_by_count(
     n = len(rows)
     candidates = uniform_start(np.arange(n), min(n, _MOST_CANDIDATES))
     problem = build_problem(rows[candidates], None, priors, 0, task_rows)
-    if problem.prior_information.rank.rank == 0:  # no number of poses determines anything
+    if problem.pose_information.rank.rank == 0:  # no number of poses determines anything
         return ()
-    rank_left = problem.prior_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
+    rank_left = problem.pose_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
     strengths = linalg.singular_values(rows[candidates])
     of_a_pose = max(1, int(np.max(np.sum(strengths > _NOTHING_NEW * strengths[:, :1], axis=1))))  # directions, at most
     least = max(1, -(-rank_left // of_a_pose))

@@ -143,15 +143,15 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
             )
 
 
-def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
-    """Compare errors on unused poses with the claim; `needless` says that the robot needs no correction."""
+def claim_broken(fit: Fit, claim: Claim, *, no_correction: bool) -> Iterator[Reason]:
+    """Compare errors on unused poses with the claim; `no_correction` says that the robot needs no correction."""
     moved = moved_frame(fit)
     misplaced = moved is not None and moved.errors is None  # errors are those of the frame
     worse, further = ("", "") if misplaced else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
     anew = "" if moved is None or misplaced else ", their frame placed anew,"
     for accuracy in (seen.accuracy for seen in claim.unused if not seen.holds):
         times, claimed = accuracy.rms / claim.at_measured_poses.rms, claim.at_measured_poses
-        if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not needless:
+        if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not no_correction:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse at {accuracy.pose_words}{anew}:"
                 f" {accuracy.in_unit(accuracy.rms)} RMS after, {accuracy.in_unit(accuracy.before)} before, and"

@@ -189,7 +189,7 @@ class LeftOutBlocks:
             residuals: r, whitened, (n_rows,).
             further_columns: Further columns of U, (n_rows, n_further); none if not given.
             seen: U without the weights of a robust loss, (n_rows, k), of the rows that move; U if not given.
-            alone: Part of a direction that a block decides, from which nothing moves along it.
+            alone: Nothing moves along a direction of which a block decides at least this part.
         """
         moved, largest = np.zeros(len(residuals)), np.zeros(int(self._block.max(initial=-1)) + 1)
         for rows, hat in self._hats:

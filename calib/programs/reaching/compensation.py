@@ -170,7 +170,7 @@ def compensate(
     if keep is not None and keep not in KEEP:
         raise InputError(f"keep '{keep}'{nearest(keep, KEEP)}")
     if keep is not None and isinstance(program, Goals):
-        raise InputError("keep: a program of poses or positions says itself what it asks for; leave it out")
+        raise InputError("keep: is for programs of joints, not of poses or positions; leave it out")
     shape = () if isinstance(program, (Goals, Poses)) else np.shape(program)
     if shape[-2:] == (4, 4) and (len(shape) == 3 or len(known.robot.joint_names) != 4):
         program = goals_of_poses(cast(ArrayLike, program))

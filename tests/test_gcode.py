@@ -278,7 +278,7 @@ FIRST = "G1 X0 Y0 Z0\n"
         ("G20 G21\n" + FIRST, (), "line 1: has G20 and G21"),
         (FIRST + "G91 G90 X1\n", (), "line 2: has G90 and G91"),
         (FIRST + "G1 X1 A5\n", (), "line 2: 'A' does not belong"),
-        (FIRST + "/G1 X1\n", (), "line 2: whether lines with / are run"),
+        (FIRST + "/G1 X1\n", (), "line 2: it is not known whether lines with / are run"),
         ("X1 Y1 Z1\n", (), "line 1: moves without G0 or G1"),
         (FIRST + "G1 X1" + 300 * "0" + "\n", (), "line 2: 'X10000000000000000000' is beyond what any machine reads"),
         (FIRST + "G1 X1 \x07\n", (), "line 2: is not text"),

@@ -93,7 +93,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     return Chart(
         "coverage",
         "Where the joints were",
-        "Each pair of joints within its limits or, without near ones, its measured range. Empty: not measured.",
+        "Each pair of joints within its limits, or if these are far, its measured range. Empty: not measured.",
         tuple(panels),
         170,
     )

@@ -87,7 +87,7 @@ FORMATS = (
     OtherFormat(
         "YAML",
         "`.yaml` or `.yml`",
-        f"a robot description comes first, then measurements; for those, {_CSV}, or record a bag where ROS is",
+        f"a robot description comes first, then measurements; for those, {_CSV}, or record a bag with ROS",
         lambda file: file.path.suffix.lower() in (".yaml", ".yml"),
     ),
     OtherFormat(

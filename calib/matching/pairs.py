@@ -116,7 +116,7 @@ def _without_header(path: Path | str) -> Table | None:
     width = len(rows[0][1])
     odd = next((number for number, cells in rows if len(cells) != width), None)
     if odd is not None:
-        raise DataError(f"{path}, line {odd}: has another number of numbers than line {rows[0][0]} ({width})")
+        raise DataError(f"{path}, line {odd}: has a different count of numbers than line {rows[0][0]} ({width})")
     names = tuple(f"number {k + 1}" for k in range(width))
     cells = tuple(cells for _, cells in rows)
     return Table(str(path), names, (None,) * width, cells, tuple(number for number, _ in rows), (), ",")

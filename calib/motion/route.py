@@ -222,7 +222,7 @@ def _pass(planner: Planner, start: FloatArray, poses: Poses, searched: bool) -> 
 def _why_not_straight(planner: Planner, approach: FloatArray, touching: FloatArray) -> str:
     """Reason why a touch cannot be approached along its normal; "" for none."""
     if not np.all(np.isfinite(approach)):
-        return "no joint values are straight out from what it touches"
+        return "no joint values bring it straight out from what it touches"
     hit = _why_blocked(planner.scene.robot, approach[None])[0] or planner.move(approach, touching).hit
     return f"{hit}, straight out from what it touches" if hit else ""
 

@@ -27,7 +27,7 @@ def judge_pairs(result: PosePairs) -> HandEyeJudgement:
                 "turn the tool about two axes or more; or measure by hand what is not determined, such as a height"
             )
         if not np.all(known < WIDE):
-            reasons.append(("CHECK", f"where the {name} is, is poorly known: see its intervals"))
+            reasons.append(("CHECK", f"the place of the {name} is poorly known: see its intervals"))
             advice.append("turn the tool further, about two axes or more, at more poses")
     if len(result.names) < FEW:
         reasons.append(("CHECK", f"{len(result.names)} pairs are few to judge by"))

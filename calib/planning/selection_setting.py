@@ -146,7 +146,7 @@ def prepare(
     if request.index not in CERTIFIED or request.minimum_distance > 0:
         require_memory(
             2 * pairs.rows.size,
-            "an index without a bound, or a least distance, looks at all at once; it",
+            "an index without a bound, or a least distance, looks at all candidates at once; it",
             "choose from each part of the candidates, and then from what was chosen",
         )
     done_rows, n_before, again = None, 0, 0

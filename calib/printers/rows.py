@@ -85,8 +85,8 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     if arm is None and not _are_alike(file.arms):
         shown = listing([f"{millimetres(value):.4g}" for value in file.arms])
         raise DataError(
-            f"{printer.path}: arms of {shown} mm are no printer's, which are alike; probing cannot tell them:"
-            " measure one and state it, such as --length arm=288mm"
+            f"{printer.path}: has arms of {shown} mm, but those of a printer are alike, and probing cannot show their"
+            " length: measure one and state it, such as --length arm=288mm"
         )
 
     def rounded(values: tuple[float, ...]) -> float:

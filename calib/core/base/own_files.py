@@ -140,7 +140,7 @@ def require_replaceable(
     with suppress(FileNotFoundError):  # another program replaces the folder just now
         state = path.stat()
         if (state.st_dev, state.st_ino) in noted:
-            raise InputError(f"{path}: is read here, and would be replaced by what is made from it; {choose}")
+            raise InputError(f"{path}: is read by this command, which would replace it; {choose}")
         if state.st_size and not is_own(path) and (content is None or path.read_bytes() != content):
             raise InputError(f"{path}: was not written by this program, or was changed since; {choose}")
 

@@ -43,8 +43,8 @@ def _follower(table: Table, leader: Table, robot: Robot) -> Table:
     if robot.description.join == "rows":
         if len(table.rows) != len(leader.rows):
             raise DataError(
-                f"{table.path}: has {len(table.rows)} rows and {leader.path} {len(leader.rows)}; join: rows needs as"
-                " many"
+                f"{table.path}: has {len(table.rows)} rows, and {leader.path} has {len(leader.rows)}; join: rows needs"
+                " the same number"
             )
         warn_once(f"{table.path}: joined row by row with {leader.path}, as the description asks")
         return _with_poses(table, np.arange(len(table.rows)), np.arange(len(table.rows)))

@@ -204,9 +204,7 @@ def _notes(first: _Result, other: _Result) -> list[str]:
     notes = ["tested as measurements with independent noise; no reading is in both."]
     only = sorted(set(first.free) ^ set(other.free))
     if only:
-        notes.append(
-            f"{count_noun(len(only), 'parameter')} free in one alone ({only[0]}); this may make others differ."
-        )
+        notes.append(f"{count_noun(len(only), 'parameter')} free in only one ({only[0]}); this may make others differ.")
     if "CHECK" in {result.grade for result in (first, other)}:
         notes.append("a verdict is CHECK; where errors are systematic, too many differences count as real.")
     return notes

@@ -77,8 +77,8 @@ class FleetSection(Section):
             require_known(name, known, f"{where}: fleet: no parameter", DescriptionError)
             if known[name].placement or known[name].family:
                 raise DescriptionError(
-                    f"{where}: fleet: '{name}' is not a parameter that robots of a model share: places differ by where"
-                    " each was measured, and the size of curves is found; leave it out"
+                    f"{where}: fleet: '{name}' is not a parameter that robots of a model share: places depend on where"
+                    " each was measured, and sizes of curves are found from data; leave it out"
                 )
 
     def expected(self, parameters: Iterable[Parameter], where: str) -> tuple[Parameter, ...]:

@@ -113,7 +113,7 @@ def read_line(line: str, where: str, dialect: Dialect) -> GcodeLine | None:
     if unsure and not dialect.parentheses:
         raise DataError(f"{where}: '{unsure:.40}' is code for some firmwares; remove it, or say --dialect cnc or rrf")
     if code.startswith("/"):
-        raise DataError(f"{where}: whether lines with / are run is not known; remove the line, or the mark")
+        raise DataError(f"{where}: it is not known whether lines with / are run; remove the line, or the mark")
     words, end = [], 0
     while match := _WORD.match(code, end):
         words.append((match[1].upper(), match[2]))

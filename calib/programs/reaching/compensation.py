@@ -282,7 +282,7 @@ def _reasons(
         if not (why or reached):
             degrees = f" and {np.degrees(angle[k]):.3f} deg" if angle[k] > TOLERANCE else ""
             why = f"is out of reach by {millimetres(float(miss[k])):.3f} mm{degrees}"
-        result.append(why or ("" if closed[k] else "is reached on no way from home in its assembly mode"))
+        result.append(why or ("" if closed[k] else "cannot be reached from home in its assembly mode"))
     return result
 
 

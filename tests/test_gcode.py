@@ -488,7 +488,7 @@ def test_a_word_that_the_user_calls_harmless_is(tmp_path, calibrated):
 
 def test_a_macro_before_the_first_move_leaves_modes_to_be_set(tmp_path):
     for text, why in (
-        ("START\nG1 X1 Y2 Z3\n", "START (line 1) may have changed modes; write G90 or G91, and G20 or G21, behind it"),
+        ("START\nG1 X1 Y2 Z3\n", "START (line 1) may have changed modes; write G90 or G91, and G20 or G21, after it"),
         ("START\nG90\nG1 X1 Y2 Z3\n", "may have changed modes"),
         ("START\nG90\nG21\nG1 X1\n", "along Y is not known here after START (line 1)"),
         ("START\nG90\nG21\nG1 X1 Y2 Z3\nG28\nG1 X1 Y2 Z3\n", PERHAPS),  # homing may take back its zero

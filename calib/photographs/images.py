@@ -194,7 +194,7 @@ def with_joints(photographs: Sequence[Shot]) -> list[Shot]:
                 f"{shot.path}: has the joints {listing(list(shot.joints))}, and {first.path} has"
                 f" {listing(list(first.joints or ()))}; give bags of one robot"
             )
-    words = f"has no joint values, unlike images of {first.path}; give it without that bag"
+    words = f"has no joint values, unlike images of {first.path}; give one of the two alone"
     return [shot if shot.joints else replace(shot, image=words) for shot in photographs]
 
 

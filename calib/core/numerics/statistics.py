@@ -1,7 +1,7 @@
 """The uncertainty of parameters: covariance, intervals and the found noise of a least-squares fit with priors.
 
 Unknowns are u = (p - p_expected) / s with scales s (the parameters' sigma). Whitened data rows have J u ~ N(r, f^2),
-with f the factor by which the assumed noise was off (1 where it was found from the residuals, about 1 where it was
+with f the true noise over the assumed noise (1 where it was found from the residuals, about 1 where it was
 stated well). Parameters with a prior have P u ~ N(0, I) (`calib.core.numerics.prior`: mostly u ~ N(0, 1) for each).
 With T T^T = (J^T J + P^T P)^-1 (`calib.core.numerics.observability`):
 
@@ -21,16 +21,16 @@ Where the readings of a pose share errors, or some poses scatter more than other
 its transpose is replaced by the scatter of the poses themselves (`calib.core.numerics.clusters`).
 `calib.core.numerics.prior_sizes` adds to C where the size of some priors was found from the same data.
 `calib.core.fitting.robust` gives f and its counterpart in C with a robust loss.
-`calib.core.fitting.curvature` adds to the variance in intervals where readings see a direction that only a prior holds,
-beyond the linear model. That is no part of C, nor of std; it takes longer than all the rest, so that it is computed
-with the first intervals.
+`calib.core.fitting.curvature` adds to the variance in intervals if only a prior holds a direction in the linear model,
+but readings see it beyond that. The addition is no part of C, nor of std. It takes longer than all the rest, and is
+therefore computed only when intervals are asked for.
 
 Intervals are value +- t std, widened as above, with Student's t at 97.5 %, because the noise is found from the same
 residuals. Its degrees of freedom are those above, or those of the scatter of poses if that is used and has fewer. The
 data decide the share 1 - C_kk of a parameter (prior variance 1): near 1 the measurements know the value, near 0 the
 prior holds it.
 
-When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from pose to
+When it fails. The rest is linear in the parameters at the solution, and counts noise that is independent from pose to
 pose. Errors that the model leaves out are not noise: `calib.core.judging.residual_patterns` tests for them.
 
 Reference: jcgm100 (GUM), sections 4.2 and G.3; tarantola2005, section 3.2, for the resolution.
@@ -120,7 +120,7 @@ class Statistics(ReadOnlyArrays):
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
         effective_parameters: Number of parameters that the data decide, n_eff of the module docstring.
         poses: Common scatter of the readings of each pose; None if readings are independent.
-        beyond_linear: Errors beyond the linear model, which enter `half_width` only; None for none.
+        beyond_linear: Errors beyond the linear model, which enter `half_width` only; None if there are none.
         wider: Further factor on standard deviations and intervals, (n_free,).
     """
 
@@ -300,7 +300,7 @@ def statistics(
     shared = _scatter_beyond_chance(poses)
     if shared is not None:
         core += shared.core
-    elif len(factors.effective) == 1:  # the rows have all that is not the share of the priors
+    elif len(factors.effective) == 1:  # the rows have the rest of the information
         core += factors.slope * factors.effective[0] ** 2 * (np.eye(len(share)) - share)
     else:
         for part in slices(len(span)):

@@ -76,9 +76,9 @@ def joint_box(
                 raise InputError(f"within: {name} lies outside its joint limits {low:.6g} to {high:.6g} [m or rad]")
             continue
         if mechanism.dimensions[name] == "length" and not high - low < _LONGEST:
-            stated = f"limits {low:g} to {high:g} m, which are none" if np.isfinite(high - low) else "no limits"
+            stated = f"limits as wide as {low:g} to {high:g} m" if np.isfinite(high - low) else "no limits"
             raise DataError(
-                f"{path}: sliding joint '{name}' has {stated} to spread poses over; give a range (--within), or a file"
+                f"{path}: sliding joint '{name}' has {stated}; give a range to spread poses over (--within), or a file"
                 " of poses"
             )
         if np.isfinite(high - low) and high - low > _MOST_TURNS * 2 * np.pi:

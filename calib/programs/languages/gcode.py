@@ -276,5 +276,5 @@ class _GcodeReader:
                 " write the part after it into a file of its own"
             )
         if self.relative is None or self.unit is None:
-            raise line.refusal(f"{self.since} may have changed modes; write G90 or G91, and G20 or G21, behind it")
+            raise line.refusal(f"{self.since} may have changed modes; write G90 or G91, and G20 or G21, after it")
         return self.unit, self.relative

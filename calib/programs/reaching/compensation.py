@@ -143,8 +143,8 @@ class Compensation(ReadOnlyArrays):
         with np.errstate(invalid="ignore"):
             rows = np.flatnonzero(steps[1] > steps[0] + _JUMP) + 1
         return [
-            f"{self.labels[k]}: a joint goes {steps[1][k - 1]:.2f} rad from the row before, in the program"
-            f" {steps[0][k - 1]:.2f}; the robot is near a singular pose there"
+            f"{self.labels[k]}: a joint goes {steps[1][k - 1]:.2f} rad from the row before, but only"
+            f" {steps[0][k - 1]:.2f} rad in the program; the robot is near a singular pose there"
             for k in map(int, rows)
         ]
 

@@ -75,7 +75,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     if not pairs or not first:
         return None
     every, number = np.concatenate(values), np.concatenate(rows)
-    _, one = np.unique(every, axis=0, return_index=True)  # a pose once
+    _, one = np.unique(every, axis=0, return_index=True)  # each pose only once
     limits = {joint.name: (joint.lower, joint.upper) for joint in fit.nominal.urdf.joints}
 
     def coverage_of(k: int) -> Any:
@@ -242,7 +242,7 @@ class _Part:
                 panel(axis(f"{joint.name} [{joint.unit}]"), axis(f"residual [{self._unit}]"), layers, height=240)
             )
         return Chart(
-            *self._chart_name("by-joint", "What is left against each joint"),
+            *self._chart_name("by-joint", "Residuals against each joint"),
             "Predicted minus measured, with its local mean: a line that bends away from zero is an error of that joint"
             " that no parameter describes.",
             tuple(panels),

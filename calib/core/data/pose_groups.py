@@ -137,8 +137,8 @@ def are_drawn_alike(joints: FloatArray, used: FloatArray) -> bool:
 def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -> list[IntArray]:
     """Cut joint space into boxes of about equally many poses, always across the joint that spreads widest.
 
-    Nothing here depends on the order of the joints, or on the side on which their values are positive. Of joints that
-    spread alike, the one nearest to the base is cut; of these, the one whose values differ first, pose by pose. Where
+    The result depends neither on the order of the joints nor on the direction of their axes. If joints spread alike,
+    the one nearest to the base is cut; if several are as near, the one whose values differ first, pose by pose. If
     the poses cannot be halved, the side to which a joint's values lean has one more.
 
     Args:

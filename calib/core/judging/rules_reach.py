@@ -55,7 +55,7 @@ def check_joint_motion(fit: Fit) -> Iterator[Reason]:
     allowed = _joint_ranges(robot)
     part = np.ptp(data.joints, axis=0) / allowed
     still = np.isin(robot.joint_names, unmoved_joints(robot, data.joints))
-    if np.all(part[~still] < CORNER):  # that is one corner
+    if np.all(part[~still] < CORNER):  # `one_corner` reports this
         return
     for j in np.flatnonzero((part < CORNER) & ~still):
         elsewhere = _poses_over_range(fit, int(j), float(allowed[j]))
@@ -114,7 +114,7 @@ def _uncertain_at_used(fit: Fit) -> float:
 
 
 def _well_known(fit: Fit, at_used: float) -> float:
-    """Uncertainty of positions up to which they are well known [m], given that at the used poses."""
+    """Largest uncertainty of well-known positions [m], from the uncertainty `at_used` at the used poses."""
     lengths = fit.first_noise.group.part.dimension == "length"
     return max(LESS_KNOWN * at_used, np.sqrt(3.0) * fit.sigma if lengths else 0.0)
 
@@ -264,7 +264,7 @@ def check_tolerance(fit: Fit, claim: Claim) -> Iterator[Reason]:
     measured, allowed = claim.at_measured_poses, f"the tolerance of {millimetres(known[path]):.4g} mm ({path})"
     if not measured.is_position or measured.dimension != "length":
         yield Code.TOLERANCE.says(
-            f"whether the tool is within {allowed} is not known: positions were not measured", answer=Answer.LOOK
+            f"it is not known whether the tool is within {allowed}: positions were not measured", answer=Answer.LOOK
         )
     elif not np.isfinite(measured.limit95):
         yield Code.TOLERANCE.says(

@@ -32,22 +32,22 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.robots.mechanism import JointSubset, Mechanism, RelativeFrame, flat_poses
 
 CHUNK = 64
-"""Poses at once: all arrays of theirs stay in the processor's cache, and none needs new pages of memory."""
+"""Number of poses to compute at a time: their arrays stay in the processor's cache, without new pages of memory."""
 _JOINTS_AT_ONCE = 48 * CHUNK
 _AT_HOME = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
 
 
 def n_at_once(reduced: JointSubset) -> int:
-    """Return how many poses are good at once: more than `CHUNK` where few joints count."""
+    """Return how many poses to compute at a time: more than `CHUNK` if few joints count."""
     return max(CHUNK, _JOINTS_AT_ONCE // max(len(reduced.joints), 1))
 
 
 def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
-    """Yield n poses in parts of about equal size, each half as many again at most: no part is hardly worth its start.
+    """Yield n poses in parts of about equal size, at most 1.5 times `size`, so that no part is small.
 
     Args:
-        n: How many there are.
-        size: How many are good at once.
+        n: Number of poses.
+        size: Number of poses to compute at a time.
     """
     count = max(round(n / size), min(n, 1))
     for k in range(count):

@@ -319,6 +319,6 @@ def _join_states(one: State, other: State) -> State:
     both = dict(one)
     for key, value in one.items():
         if value != other.get(key) and not isinstance(value, Unknown):
-            differs = Unknown("depends on the way on which the program comes here")
+            differs = Unknown("depends on the path by which the program comes here")
             both[key] = other[key] if isinstance(other.get(key), Unknown) else differs
     return both

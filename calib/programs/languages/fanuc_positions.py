@@ -76,9 +76,9 @@ class FanucPosition:
         return f"P[{number_at(self.code, self.text_start)}]"
 
     def target(self) -> ProgramTarget:
-        """Return the target, in its frame and of its tool.
+        """Return the target, with the numbers of its frame and tool.
 
-        Letters of CONFIG compare with the reference pose: N, U, T are the same sides as there; F: wrist flipped, D:
+        Letters of CONFIG compare with the reference pose. N, U, T: the same side as in that pose; F: wrist flipped, D:
         elbow down, B: behind axis 1. All turns must be 0.
 
         Raises:

@@ -25,7 +25,7 @@ BOTH_SIDES_NOTE = (
     "both sides: the same 84 poses of O1, and the others, approached from both sides, and two small errors of the rail"
     " that no model has; first with the paper's model, then with the extended one"
 )
-_DECIDED = 0.5  # part of a parameter's expected error below which the data decide about it
+_DECIDED = 0.5  # the data decide about a parameter if this part of its expected error, or less, is left
 
 
 def error_columns(both_sides: BothSides) -> list[TableColumn]:

@@ -55,7 +55,7 @@ GROUPS = (
 """Parameters that one convention would reverse together."""
 ELBOWS = ((1, -1), (1, 1), (-1, -1), (-1, 1))
 NEAR = 0.1
-"""Relative difference up to which a figure counts as the paper's."""
+"""A figure counts as the paper's if the relative difference is at most this."""
 
 
 @dataclass(frozen=True)

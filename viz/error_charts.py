@@ -23,7 +23,7 @@ _MM = PER_SI["length"]["mm"]
 _MEANS = 12  # places along a joint at which residuals are averaged
 _CELLS = 9  # cells along the longer side of a plane
 _FLAT = 0.05  # places are a surface if they extend across a plane by less than this part of their extent in it
-_ALONG_AN_AXIS = 0.999  # cosine above which the surface is parallel to one of the three planes
+_ALONG_AN_AXIS = 0.999  # the surface is parallel to one of the three planes if the cosine is more
 _AT_REST = 1e-3  # mm
 _PAIRED = 6  # largest number of joints whose ranges are drawn in all pairs; for more, neighbours only
 

@@ -26,7 +26,7 @@ from viz.shapes import DARK, Shape, mesh, primitive, rotation_onto_z
 
 _RADIUS = 0.045  # of the typical distance between two anchors
 _THIN = 0.6  # factor on the radius of bodies that passive joints move, such as rods
-_SAME = 1e-3  # of the robot's length: distance below which anchors coincide
+_SAME = 1e-3  # of the robot's length: anchors that are closer coincide
 _TURNING = ("revolute", "continuous")
 _BALL = [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)]
 

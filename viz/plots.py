@@ -15,7 +15,7 @@ from viz.svg import AXES, STATES, plain_ticks
 
 _MM = PER_SI["length"]["mm"]
 _GROUP_MARKS = {IDENTIFICATION: ("o", None), VALIDATION: ("D", "white")}  # as in the viewer; None: filled in colour
-_STILL = 0.01  # range of a joint [deg, mm] below which it did not move
+_STILL = 0.01  # a joint did not move if its range is less [deg, mm]
 
 
 def draw_histogram(axes: Any, table: PoseTable) -> None:

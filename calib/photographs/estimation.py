@@ -31,12 +31,12 @@ from calib.photographs.scene import BoardScene, HandEyePlacement, linearise
 from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, find_noise, normal_equations
 
 LITTLE_TURN = np.deg2rad(15)
-"""Spread of rotations about the second axis below which photographs hardly determine the camera's pose."""
+"""Photographs hardly determine the camera's pose if rotations about the second axis spread less."""
 _STEPS = 40
-_ENDS = 1e-13  # step size below which rounding dominates
+_ENDS = 1e-13  # rounding dominates smaller steps
 _NOISE_ROUNDS = 12
 _NOISE_CONVERGED = 1e-8
-_SINGULAR = 1e-7  # relative singular value of scaled columns below which images do not show a direction
+_SINGULAR = 1e-7  # images do not show a direction with a smaller relative singular value of scaled columns
 
 
 @dataclass(frozen=True, eq=False)

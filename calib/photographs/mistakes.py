@@ -36,7 +36,7 @@ from calib.photographs.starts import Start, image_rms, start
 _UNKNOWN = "not_explained"
 _FAR_PIXELS = 4.0
 _HALVES = 0.5
-_SURE = 0.1  # relative residual below which no other reading is tried
+_SURE = 0.1  # no other reading is tried if the relative residual is less
 _BETTER = 0.6  # ratio of the squares of left-out images
 _CHANCE = 1e-4
 _SCALE = 0.004  # least relevant relative error of a board's size

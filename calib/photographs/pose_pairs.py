@@ -49,7 +49,7 @@ from calib.core.rows.unknowns import Unknowns
 from calib.photographs.scene import SIDES, Mount
 
 LEAST_PAIRS = 3
-_MUCH_BETTER = 3.0  # ratio of residuals above which the inverted poses are the right ones
+_MUCH_BETTER = 3.0  # inverted poses are the right ones if residuals are more than this many times smaller with them
 _OPEN = 0.05  # a component is undetermined if an unseen change moves it by more than this part of its largest one
 _NAMED = 1e-3  # components of such a change that are smaller than this part of its largest one are not named
 _STEP = 1e-6  # step of parameters for differences [m or rad]

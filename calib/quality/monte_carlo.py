@@ -33,7 +33,7 @@ from calib.core.rows.unknowns import Unknowns
 from calib.quality.uncertainty_budget import ELSEWHERE, MODEL, REPEATABILITY, SYSTEMATIC, Budget, ErrorPropagation
 
 _TOLERANCE = 1e-7  # relative change of the cost
-_SEEN = 1e-4  # part of a direction below which only priors determine it
+_SEEN = 1e-4  # only priors determine a direction if the data's part of it is less
 _ADDED = (REPEATABILITY, MODEL, ELSEWHERE)
 
 

@@ -21,10 +21,10 @@ from calib.core.robots.terms.term import Condition
 from calib.core.rows.determination import Determination, determination
 from calib.core.rows.unknowns import Unknowns
 
-_STILL = 1e-6  # range of a joint below which it never moved [m, rad]
+_STILL = 1e-6  # a joint never moved if its range is less [m, rad]
 _TIED = 0.02  # joints are tied if their entry of the projector onto directions that no pose shows is larger
 _ALONE = 1e-3  # least spread of poses along a direction of joint space, as part of the largest spread
-_LINE = 1e-3  # width over length below which positions lie on one line
+_LINE = 1e-3  # positions lie on one line if width over length is less
 
 
 def keeps_limits(data: Measurements, final: Evaluation) -> bool:

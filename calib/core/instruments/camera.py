@@ -35,8 +35,8 @@ from calib.core.numerics.rigid import cross_matrices, nearest_rotation
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 """Intrinsics in OpenCV's order."""
-_GRAZING = 0.05  # cosine to the optical axis below which there is no image: 87 degrees
-_WIDEST = 4.0  # r^2 beyond which distortion no longer grows
+_GRAZING = 0.05  # no image if the cosine to the optical axis is less: 87 degrees
+_WIDEST = 4.0  # distortion does not grow for larger r^2
 _SETTLED = 1e-13
 LEAST_POINTS = 4
 """Least number of points of a view for its pose."""

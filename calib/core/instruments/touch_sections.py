@@ -22,7 +22,7 @@ from calib.core.instruments.kind import InstrumentSection, Place, placed
 from calib.core.numerics import linalg
 
 Surface = Literal["socket", "plane", "sphere"]
-_ON_A_LINE = 1e-6  # width of points below which they are on one line [m]
+_ON_A_LINE = 1e-6  # points whose width is less are on one line [m]
 
 
 class TouchedSection(PlaceSection):

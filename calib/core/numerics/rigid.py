@@ -31,7 +31,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
 
 _DETERMINED = 1e-3  # singular values below this part of the largest count as zero
-_SMALLEST = 1e-9  # length below which there is none [m]
+_SMALLEST = 1e-9  # a smaller length counts as zero [m]
 _AS_GOOD = 2.0  # misses within this factor of the smallest do not distinguish mirror images
 
 

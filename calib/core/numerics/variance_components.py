@@ -41,7 +41,7 @@ from calib.core.numerics.linear_model import LinearModel
 
 _ROUNDS = 60
 _SETTLED = 1e-4
-_GONE = 0.03  # size of a shared error, relative to the scales, below which a shrinking one is dropped
+_GONE = 0.03  # a shrinking shared error is dropped below this size, relative to the scales
 _CONVERGED = 0.01  # the iteration of a shared error ends once it changes by less than this part
 
 

@@ -21,7 +21,7 @@ from calib.core.robots.urdf.writing import quote_attribute
 _MARK = "calib: calibrated origins"
 _MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")
 _ROUNDING = 1e-9
-"""Change of a parameter in its unit [mm, deg], up to which it is not shown: 1e-3 nm or 2e-11 rad."""
+"""A parameter is not shown if its change is at most this in its unit [mm, deg]: 1e-3 nm or 2e-11 rad."""
 _EARLIER = re.compile(rb"\r?\n?<!-- " + _MARK.encode() + rb".*?-->", re.DOTALL)
 
 

@@ -46,7 +46,7 @@ Kind = Literal["revolute", "prismatic", "fixed"]
 CONVENTIONS: tuple[Convention, ...] = ("standard", "modified")
 KINDS: tuple[Kind, ...] = ("revolute", "prismatic", "fixed")
 NEARLY_PARALLEL = 0.05
-"""Sine of the angle between two axes below which Hayati's form is used."""
+"""Hayati's form is used if the sine of the angle between two axes is less."""
 _FAR_AWAY = 5.0  # distance of an origin, along the joint's axis, from the joint before it [m]
 _COINCIDENT = 1e-12  # axes with a smaller distance have no common normal with a direction [m]
 _ROUNDING = 1e-14  # smaller numbers are rounding errors of 0 [m or rad]

@@ -218,7 +218,7 @@ def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
 def measurements_of_visits(
     robot: Robot, joints: FloatArray, measured: FloatArray, side: IntArray, pose: IntArray
 ) -> Measurements:
-    """Return visits as measurements; a pose from another side is another pose, for errors are averaged over repeats.
+    """Return visits as measurements; both sides of a pose have different names, so that errors are not averaged.
 
     Args:
         robot: The model that they are for.

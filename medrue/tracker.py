@@ -23,7 +23,7 @@ PLACE = pin.SE3(pin.rpy.rpyToMatrix(0.02, -0.03, 2.4), np.array([0.4, 2.6, 0.9])
 
 @dataclass(frozen=True, eq=False)
 class TrackerPoints:
-    """Points as the tracker saw them, brought to the world.
+    """Points as the tracker saw them, transformed to the world.
 
     Attributes:
         positions: Mean of the repeats, in the world, (n, 3) [m].

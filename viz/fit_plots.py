@@ -49,10 +49,7 @@ class FitPlots:
         return drawn
 
     def residuals(self, joint: str | None = None, axes: Axes | None = None) -> Axes:
-        """Draw the components of residuals against a joint.
-
-            joint: Its name; default: the first joint.
-            axes: Axes to draw into.
+        """Draw the components of residuals against a joint; default: the first joint.
 
         Raises:
             InputError: There is no such joint.

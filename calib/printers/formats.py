@@ -25,8 +25,8 @@ def geometry_of(robot: Robot) -> DeltaGeometry:
     """
     if not is_linear_delta(robot.description):
         raise InputError(
-            f"{robot.path}: is not a delta printer; formats {', '.join(COMMENTS)} hold robots of the parametrisation"
-            " linear_delta, such as calib init --klipper writes"
+            f"{robot.path}: is not a delta printer; formats {', '.join(COMMENTS)} need the parametrisation"
+            " linear_delta, as calib init --klipper writes it"
         )
     value = {parameter.name: float(v) for parameter, v in zip(robot.parameters, robot.values, strict=True)}
     angle_c = next(joint.rpy[2] for joint in robot.urdf.joints if joint.name == "tower_c")

@@ -64,7 +64,7 @@ class Parameter:
 
         Args:
             value: Its present value [m or rad].
-            free: Whether it is not held.
+            free: Whether it is free, not held.
         """
         shown = {"nominal": self.nominal, "value": float(value) * self.per_si, "sigma": self.sigma}
         return {"name": self.name, "unit": self.unit, **shown, "free": "free" if free else "held"}

@@ -13,7 +13,7 @@ from calib.core.base.errors import CalibrationError
 from calib.core.base.letters import brief, visible
 from calib.core.base.other_words import hint_for
 
-_COLLECTED_AFTER = 50_000  # new objects; Python's 700 make a command look through all that it imported dozens of times
+_COLLECTED_AFTER = 50_000  # new objects; after each 700, Python's default, all imported objects would be searched
 
 
 def _one_line(message: str) -> str:

@@ -10,10 +10,10 @@ mean contribution of cause k over all orders of adding the causes (the Shapley v
 numbers, because causes such as a gain and a length partly explain the same error.
 Three Gauss points integrate it. A part is negative where a cause makes these readings worse.
 
-The robot before has its unknown base and targets placed as well as possible. These places can absorb a part of the
-change J_k d_k of another cause: its projection on their columns. That part counts as theirs: a base that stands lower
-and a first joint that is higher are the same robot, and the split must not depend on which was found. The part of the
-places is then near zero, because their errors are not in the error before.
+Before calibration, unknown base and targets are placed as well as possible. These places can absorb a part of the
+change J_k d_k of another cause: its projection on their columns. That part counts as one of the places: a base that
+is lower and a first joint that is higher are the same robot, and the split must not depend on which was found. The
+part of the places is then near zero, because their errors are not in the error before.
 
 On unused readings (validation), s_k is the error that the calibration really removes, and e(1) the rest. On the used
 readings, noise was fitted too: with m rows, leverage h_k of the parameters of cause k (the sum over the rows of
@@ -25,8 +25,8 @@ contain the robot's repeatability too), or as stated. Noise that was found from 
 
 Standard deviations come from the choice of poses (by the sum of each pose, since its repeats share errors). Those of
 causes also come from their parameters: s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own parameters) +
-J^T J_k d_k, with J_k projected if there are places. J^T is taken after calibration (t = 1): there, directions that the
-readings leave open move no reading, so that they do not count, however uncertain they are.
+J^T J_k d_k, with J_k projected if there are places. J^T is taken after calibration (t = 1). There, directions that the
+readings do not determine move no reading. So they do not count, however uncertain they are.
 
 When it fails. With few poses the split of the rest is uncertain. Parameters of a named parametrisation all count as
 geometry.
@@ -74,9 +74,9 @@ class ErrorBudget:
     """Causes of the error before calibration.
 
     Attributes:
-        used: Whether it covers the used readings, corrected for that; else the validation readings.
+        used: Whether it covers the used readings, corrected for the fit to them; else the validation readings.
         part: Part of the readings that it covers.
-        n_readings, n_poses: How many.
+        n_readings, n_poses: Number of these readings, and of their poses.
         before, after: Mean square error of a reading before and after [SI, squared].
         shares: The causes, then the rest; they add up to `before`.
         noise_from: `repeats` or `stated`; empty where the noise is not known.
@@ -225,7 +225,7 @@ def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolA
 
 
 def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
-    """Number of the cause of unknown places; if there are none, any cause: nothing is added to it then."""
+    """Number of the cause of unknown places; any cause if there are no places, since nothing is added then."""
     return int(np.argmax(members[:, int(np.argmax(unknowns.placement))]))
 
 
@@ -266,8 +266,8 @@ def _advice(left: float, noise: float, beyond: CauseShare, source: str) -> str:
     """One sentence on whether to go on modelling."""
     if not source:
         return (
-            "Whether more modelling would help is unknown without the noise: state it (--sigma-mm), or read some poses"
-            " several times"
+            "Without the noise, it is unknown whether more modelling would help: state it (--sigma-mm), or read some"
+            " poses several times"
         )
     known = "repeatability (the scatter of repeats)" if source == "repeats" else "the stated noise"
     if left <= _AS_LARGE**2 * noise and beyond.mean_square + 2.0 * beyond.std <= _SURE * noise:

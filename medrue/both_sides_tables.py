@@ -18,7 +18,7 @@ from medrue.tracker import REPEATS, SIGMA
 NOISE = SIGMA / np.sqrt(REPEATS)
 """Noise of a coordinate that the tracker reads, its readings averaged [m]."""
 GOAL = 6e-5
-"""Mean x error that the extended model is to reach [m]."""
+"""Goal for the mean x error of the extended model [m]."""
 NEAR_NOISE = 1.2
 """An error counts as noise if its root mean square is at most this many times that of the noise."""
 BOTH_SIDES_NOTE = (

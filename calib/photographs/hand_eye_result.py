@@ -21,8 +21,8 @@ _MANY = 0.1  # the photographs are wrong if more than this part of the points wa
 _ROBOT_SHARE = 0.5
 _MM = 1e3
 WIDE = 0.05
-"""The pose of camera or board counts as unknown if half its 95 % interval is wider: as part of the distance between
-them, or in radians, since both move what the camera sees by as much. Good photographs give less than a third."""
+"""The pose of camera or board counts as unknown if half its 95 % interval is wider, in radians, or as a part of the
+distance between them: both move what the camera sees equally far. Good photographs give less than a third of this."""
 _CLAIM_ABOVE = 0.5  # the images are too few if left-out ones are worse than used ones by more than this part
 
 

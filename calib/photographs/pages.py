@@ -38,7 +38,7 @@ class Picture:
 
 
 def small_copy(image: GreyImage | str) -> bytes:
-    """Return a small copy of an image as JPEG; empty for a reason in place of an image."""
+    """Return a small copy of an image as JPEG; empty if there is only the reason why it is missing."""
     if isinstance(image, str):
         return b""
     factor = min(1.0, _WIDTH / image.shape[1])

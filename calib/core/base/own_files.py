@@ -5,8 +5,8 @@ format, or the last entry of JSON. In a folder, one more file has the digest of 
 by itself, on any machine, whether this program wrote it, and whether it was changed since: a plan into which
 measurements were filled, a description that was edited.
 
-Other files belong to others: replacing them is an `InputError` unless it is forced. So is replacing a file that the
-same command has read, under any name. Empty files, and files that would not change, may always be replaced.
+Other files belong to others. Replacing them is an `InputError` unless it is forced; the same holds for a file that the
+command has read, under any name. Empty files, and files that would not change, may always be replaced.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _inputs: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=
 
 @contextmanager
 def inputs_noted() -> Iterator[None]:
-    """Within the block, a command runs: what it reads, it will not replace."""
+    """Note the files that a command reads within the block, so that the command does not replace them."""
     token = _inputs.set(set())
     try:
         yield
@@ -56,7 +56,7 @@ def signed(content: bytes, comment: str = "") -> bytes:
 
     Args:
         content: The file: JSON, XML of any kind, or lines.
-        comment: How a comment begins; of XML and of tables if not given. JSON has none.
+        comment: Begin of a comment; if not given, that of XML or of tables. JSON has no comments.
     """
     text = _OLD_LINES.sub(b"", content)
     if not text.endswith(b"\n"):
@@ -114,7 +114,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def manifest_of(folder: Path, files: Mapping[str, bytes], obsolete: Collection[str]) -> bytes:
-    """Return the manifest of a folder once these files are in it, with the other files that this program wrote."""
+    """Return the manifest of a folder with these new files, and with other files that this program wrote before."""
     others = {name: digest for name, digest in read_manifest(folder).items() if (folder / name).is_file()}
     digests = {name: digest for name, digest in others.items() if name not in obsolete}
     digests |= {name: _digest(content) for name, content in files.items()}

@@ -50,7 +50,7 @@ _FURTHER_ERRORS = ". There the robot has errors that the poses used do not show.
 _AT_LIMIT = 1e-6  # distance from its limit at which a passive joint stopped a fit [m, rad]
 _MOST_PATTERNS = 3  # named in the sentence
 OTHER_MINIMUM = 10.0
-"""Difference of the cost within which another minimum explains the data as well."""
+"""Another minimum explains the data as well if its cost is larger by at most this."""
 
 
 def check_convergence(fit: Fit) -> Iterator[Reason]:

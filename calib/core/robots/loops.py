@@ -37,7 +37,7 @@ from calib.core.robots.closure import (
     scale_closure,
     singular_values,
 )
-from calib.core.robots.continuation import closing_tolerance, follow, hangs_together, newton
+from calib.core.robots.continuation import closing_tolerance, follow, follow_from_nearer, newton
 from calib.core.robots.mechanism import Mechanism
 
 LIMIT_MARGIN = 1e-9
@@ -112,10 +112,10 @@ def close(
 
 
 def reached_from_home(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray) -> bool:
-    """Whether closed poses (n, n_actuated), (n, n_passive) surely follow from home; False where that is not known."""
+    """Whether closed poses (n, n_actuated), (n, n_passive) can surely be reached from home; False if unknown."""
     if not mechanism.loops:
         return True
-    arrived, ok = hangs_together(mechanism, mode, actuated, passive)
+    arrived, ok = follow_from_nearer(mechanism, mode, actuated, passive)
     if not np.all(ok) or not np.all(are_within_limits(mechanism, passive)):
         return False
     apart = (wrap_turns(mechanism, mode, arrived) - passive) / mechanism.passive_scale

@@ -14,8 +14,8 @@ of the description's tool, the only tool that a controller has.
 No correction. If the verdict of the calibration finds nothing to correct, q' = q, and the error of the calibrated robot
 counts into the expected error.
 
-Kept components. The full pose, if the joints can reach it. For a robot with less freedom the position, with the
-orientation as near as the joints allow. Joints with freedom to spare stay near the program's.
+Kept components. The full pose is kept if the joints can reach it. A robot with less freedom keeps the position, with
+the orientation as near as the joints allow. Redundant joints stay near those of the program.
 
 Method. Each row starts at its own nominal joints and follows the loops from there (`reaching.descend`), which keeps the
 program's branch of the inverse kinematics and its assembly mode. Goals given as poses are first solved for the nominal

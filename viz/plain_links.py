@@ -92,7 +92,7 @@ class PlainLinks:
         )
 
     def _run(self, link: str) -> list[Any]:
-        """The joint that moves a link, after those before it that move at the same place, from base to tip."""
+        """The joints at one place that move a link, from base to tip; the link's own joint is the last."""
         run: list[Any] = []
         while link in self._moving_joints and self._moving_joints[link].type != "fixed":
             joint = self._moving_joints[link]

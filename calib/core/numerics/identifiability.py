@@ -32,8 +32,8 @@ from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 
 _AT_ONCE = 1 << 14  # rows of one factorisation
-_BLOCK = 32  # columns that it works on at a time
-_INVERTED = 96  # columns of a triangle that LAPACK inverts as fast
+_BLOCK = 32  # columns of a block in a factorisation
+_INVERTED = 96  # LAPACK inverts a triangle with at most this many columns as fast as by halves
 RANK_TOLERANCE = 1e-9
 """Singular values of the scaled Jacobian below this part of the largest count as zero."""
 CLEAR_GAP = 30.0

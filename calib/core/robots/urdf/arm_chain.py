@@ -1,14 +1,14 @@
 """The arm's chain in a URDF, if the link with the measured point is not named.
 
-The arm is the chain with the most motors, without the fingers of a gripper; of equally long chains, the first in the
-file. Fingers are first recognised by structure: two or more joints on one link whose longest two have about the same
-reach, all shorter than a third of the way from the arm's first joint to there. (In the robots of Pinocchio's
+The arm is the chain with the most motors, without the fingers of a gripper; if chains are equally long, the first in
+the file. Fingers are first recognised by structure: two or more joints on one link whose longest two have about the
+same reach, all shorter than a third of the way from the arm's first joint to that link. (In the robots of Pinocchio's
 example-robot-data, hands reach up to a quarter of that way, the arms of a torso more than twice as far.) A gripper with
 one moving joint looks like a last axis; there names decide: the last joint and its link are both called finger, gripper
 or the like, and the joint before is not.
 
-When it fails. A tool changer with two short tools that have motors looks like a gripper, and of two legs and an arm
-with as many joints the first in the file is taken. Omitted joints are always reported, and `calib init --target`
+When it fails. A tool changer with two short tools that have motors looks like a gripper. If legs and an arm have
+equally many joints, the first in the file is taken. Omitted joints are always reported, and `calib init --target`
 overrules.
 """
 

@@ -100,7 +100,7 @@ FORMATS = (
     OtherFormat(
         "JSON",
         'begins with `{"`, `[{`, or `[` and a number',
-        "arrays, or fields of records in a list or one a line, are columns, as NumPy arrays",
+        "arrays are columns, as NumPy arrays; so are fields of records, in a list or one in each line",
         _begins(rb'\s*(\{\s*"|\[\s*\{|\[[\s\[]*-?\d+(\.\d*)?(e-?\d+)?\s*[],])'),
         arrays.json_columns,
     ),

@@ -4,14 +4,14 @@ Problem. Find passive joints p with r(a, p) = 0 for given actuated joints a. Sev
 up or down); only the one that can be reached from the home configuration without passing a singularity is the robot.
 
 Method. Newton from a solution under similar parameters where one is known; else the loops are followed from home
-(`calib.core.robots.continuation`). A solution beyond the limits of a passive joint does not count. On the way of a fit
-to its minimum it does: a limit would be a wall there, behind which the minimum may lie.
+(`calib.core.robots.continuation`). A solution beyond the limits of a passive joint does not count, except while a fit
+moves to its minimum: there, a limit would be a wall in front of the minimum.
 
 The home configuration itself must close and be regular; it decides the assembly mode (`check_home`).
 
-When it fails. A pose without a solution, or one that no way reaches without passing a singularity, is not closed, and
-the error says why: a loop stays open, a passive joint passes its limit, or the assembly mode differs. Closures must be
-as many as passive joints and independent at home.
+When it fails. A pose is not closed if it has no solution, or if every way to it passes a singularity. The error says
+why: a loop stays open, a passive joint passes its limit, or the assembly mode differs. There must be as many closures
+as passive joints, and they must be independent at home.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def close(
         seed: Passive joints of the same poses solved with slightly different parameters, (n, n_passive); poses that do
             not follow from it at once are solved afresh.
         thorough: See `calib.core.robots.continuation.follow`; False may leave poses open that close.
-        limits: Whether a solution beyond the limits of a passive joint is none.
+        limits: Whether solutions beyond the limits of a passive joint are refused.
     """
     n = len(actuated)
     if not mechanism.loops:

@@ -180,7 +180,7 @@ class KrlFrames(Reader):
         elif what in BAS_FORMS and not maybe:
             self.flow.change(SELECTED, lambda state: {**state, **self._form(state["FDAT_ACT"], state)})
         elif what not in BAS_HARMLESS:
-            self.flow.mark_unknown(f"is not selected behind {code.excerpt(at, span[1] + 1)}", SELECTED)
+            self.flow.mark_unknown(f"is not selected after {code.excerpt(at, span[1] + 1)}", SELECTED)
         return True
 
     # selections for one motion or spline

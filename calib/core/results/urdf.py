@@ -1,8 +1,7 @@
 """The URDF of a robot's current values, optionally with a comment on their origin.
 
 Everything but the edited origin values keeps its bytes. An export of an export is identical: where nothing is edited,
-the file stays as it was, and a comment of an earlier export is replaced.
-the file goes out as it came in, and a comment of an earlier export is replaced, never repeated.
+the file stays as it was, and a comment of an earlier export is replaced, never repeated.
 """
 
 from __future__ import annotations

@@ -128,7 +128,7 @@ FORMATS = (
     OtherFormat(
         "a table whose header is a comment, as SpatialAnalyzer and np.savetxt write it",
         "the last comment (`//`, `#`, `%`) names the columns of the numbers below it",
-        "that comment is the header; a unit behind Z is that of X and Y",
+        "that comment is the header; a unit after Z is that of X and Y",
         text.has_header_in_comment,
         text.commented_header_lines,
     ),

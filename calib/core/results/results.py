@@ -192,7 +192,7 @@ def _residual_columns(
 
 
 def _parameter_table(fit: Fit, comments: Sequence[str]) -> str:
-    """Return CSV: a row for each parameter in its display unit, behind comments; also a parameter file."""
+    """Return CSV: a row for each parameter in its display unit, after comments; also a parameter file."""
     rows = fit.parameters.rows()
     columns = [("parameter" if key == "name" else key, [row[key] for row in rows]) for key in _PARAMETER_COLUMNS]
     return format_table(columns, comments)

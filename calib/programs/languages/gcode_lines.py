@@ -165,7 +165,7 @@ def require_order(line: GcodeLine, owner: str, dialect: Dialect) -> None:
         raise line.refusal(f"{dialect.name} may not run lines without a command; write G0 or G1")
     if dialect.at_once:
         mixed = owner not in ("", line.homing) and bool(moving or "" in takers)
-    else:  # words belong to the command before them, and E is written behind all others
+    else:  # words belong to the command before them, and E is written after all others
         mixed = not takers <= {owner or "".join(moving)} or bool(owner and moving and takers)
         behind = codes[max((codes.index(code) + 1 for code in takers if code), default=0) :] if takers else []
         mixed = (

@@ -206,7 +206,7 @@ class KrlFrames(Reader):
 
         def restored(state: State) -> State:
             saved = state.get(key)
-            values = saved if isinstance(saved, tuple) else [Unknown("is not known behind a spline")] * 3
+            values = saved if isinstance(saved, tuple) else [Unknown("is not known after a spline")] * 3
             return {**state, **dict(zip(SELECTED, values, strict=True))}
 
         self.flow.change(SELECTED, restored)

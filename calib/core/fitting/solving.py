@@ -354,12 +354,12 @@ def convergence_at(solved: RobustSolution, rows: Rows, std: FloatArray) -> Conve
     left = unknowns.scales * away / (std + ROUNDING)
     largest = int(np.argmax(left))
     name, step, message = unknowns.names[largest], float(left[largest]), solved.solution.message
-    converged = step < STEP_LEFT
-    if converged and not solved.solution.converged:
+    close = step < STEP_LEFT
+    if close and not solved.solution.converged:
         message = f"no parameter would still move by more than {step:.2g} standard deviations ({name})"
-    elif solved.solution.converged and not converged:
+    elif solved.solution.converged and not close:
         message += f", but {name} would still move by {step:.2g} standard deviations"
-    recedes = solved.solution.recedes and not converged
+    recedes = solved.solution.recedes and not close
     far = np.flatnonzero(away >= _FAR * np.max(away)) if recedes else np.zeros(0, dtype=np.intp)
     receding = tuple(unknowns.names[k] for k in far[np.argsort(-away[far])])
-    return Convergence(solved.has_settled_weights and converged, message, step, name, solved.has_settled_weights, receding)
+    return Convergence(solved.has_settled_weights and close, message, step, name, solved.has_settled_weights, receding)

@@ -118,7 +118,7 @@ class Claim:
         gain: Change of the errors at these poses.
         region: Poses of the claim, in words.
         joints_moved_little: Joints that moved through less than half of their range, and the part.
-        find_known: Function that returns `rms`, which takes as long as half of the rest of a verdict.
+        find_known: Function that returns `rms`; this is slow, and takes half as long as the rest of a verdict.
     """
 
     at_measured_poses: Accuracy

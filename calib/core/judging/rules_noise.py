@@ -40,7 +40,7 @@ NOT_STATED = 2.0
 """Factor on that limit where the noise of the instrument is not stated and adds to it: a camera that observes a small
 space has 1 % of it."""
 _CLOSER = 0.2  # another meaning is better if it leaves less than this part of the error
-_TRIED = 20  # poses that are tried, of many
+_TRIED = 20  # largest number of poses that are tried
 _FEWEST_READINGS = 4
 
 
@@ -197,7 +197,7 @@ def _stated_noise_text(estimate: NoiseEstimate) -> str:
 
 
 def _first_answer(fit: Fit) -> Answer:
-    """First answer to noise that no healthy robot leaves: a few readings can make all of it."""
+    """First answer to noise that no healthy robot leaves, since a few wrong readings can cause all of it."""
     return Answer.LEAVE_OUT if findings.outliers(fit) else Answer.CORRECT
 
 

@@ -35,7 +35,7 @@ from calib.core.robots.mechanism import RelativeFrame
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import relative_poses
 
-_HARDLY_MOVES = 0.03  # positions, of a motion of 1 [m per m]
+_HARDLY_MOVES = 0.03  # a motion is left out if positions move less per unit of it [m per m]
 _ROUNDS = 50
 _CONVERGED = 1e-12  # motion left [m]
 

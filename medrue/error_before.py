@@ -134,7 +134,7 @@ def placements(step: float = 0.1, turns: int = 8) -> Iterator[tuple[DistanceSumm
 
     Args:
         step: Distance of the places tried for its axis [m].
-        turns: How many directions of its middle.
+        turns: Number of directions of its middle.
     """
     n = 60
     steps = np.arange(n)

@@ -93,7 +93,7 @@ class Touches:
 
     Attributes:
         T_world_tool: Poses of the tool, (n, 4, 4) [m].
-        socket: Which socket each is in, (n,).
+        socket: Number of the socket of each touch, (n,).
         joints: Joint values that reach them, (n, 6) [m, rad].
     """
 

@@ -113,7 +113,7 @@ def nearest_column(name: str, columns: Collection[str], taken: Collection[str] =
 
     Args:
         columns: Columns of the file.
-        taken: Of these, columns that mean something else and are not offered.
+        taken: Columns among these that mean something else and are not offered.
     """
     hint = nearest(name, [column for column in columns if column not in taken], "the file has")
     if not hint.endswith("?"):

@@ -234,7 +234,7 @@ class Measurements(Poses):
         """Return some of the readings, visit by visit, and the visits at which they were made.
 
         Args:
-            numbers: Which readings of each instrument, by its name: indices (n,); none of others.
+            numbers: Indices (n,) of the readings of each instrument, by its name; other instruments get none.
         """
         chosen = {name: self.readings[name].subset(own) for name, own in numbers.items()}
         visits = np.unique(np.concatenate([readings.visits for readings in chosen.values()]))

@@ -80,7 +80,7 @@ class _EffectTests:
         p_values: Chance of such a gain if readings are independent, (m,).
         ratios: F of the module docstring, (m,).
         ranks: Columns left after M, (m,).
-        gains: By how much |r|^2 would fall, (m,).
+        gains: Decrease of |r|^2, (m,).
         coefficients: c, (m, k).
         absorbed: (J T)^T Z, (m, rank, k).
     """

@@ -38,7 +38,7 @@ class Format:
     """A format of files.
 
     Attributes:
-        name: As `calib export --format` has it.
+        name: Its name for `calib export --format`.
         holds: How much of a robot it holds.
         fits: Whether it can hold a robot with its loops and terms.
         write: The robot with its current values and lines for the comment in, the file out; raises `InputError` where

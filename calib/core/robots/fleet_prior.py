@@ -105,7 +105,7 @@ class FleetSection(Section):
         """Return it with all uncertainties multiplied by a factor.
 
         Args:
-            factor: How many times.
+            factor: The factor.
             parameters: Parameters of the robot, whose dimensions tell what spreads mean.
         """
         dimension = {p.name: p.dimension for p in parameters}

@@ -73,9 +73,9 @@ class Loops(NamedTuple):
 
     Attributes:
         a, b: Frames of the loop that each row belongs to, (n_rows,).
-        axis: Which coordinate, in the axes of a, (n_rows,).
+        axis: Number of the coordinate, in the axes of a, (n_rows,).
         signs: Effect of each joint: +1 moves only b, -1 only a, else 0, (n_rows, n_joints).
-        leader: Which coordinate each joint follows, or -1, (n_joints,).
+        leader: Coordinate that each joint follows, or -1, (n_joints,).
         factor: Factor on that coordinate, (n_joints,).
     """
 

@@ -395,8 +395,8 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
     """Return d(value)/d(coordinates), (n, n_rows, n_coordinates).
 
     Args:
-        mapping: From `twist_map` or `motion_map`.
-        coordinates: In the model of the same joints.
+        mapping: Result of `twist_map` or `motion_map`.
+        coordinates: Coordinates in the model of the same joints.
     """
     assert swept.jacobian is not None  # compiled code has its own way
     moved: FloatArray = np.matmul(mapping, swept.jacobian[:, :, coordinates.joints]) * coordinates.weights
@@ -409,7 +409,7 @@ def origin_derivative(
     """Compute map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
 
     Args:
-        mapping: From V_b - V_a to the rows, (n, n_rows, 6).
+        mapping: Map from V_b - V_a to the rows, (n, n_rows, 6).
         loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
         along: The twists, and what they move.
         result: Array to fill, (n, n_rows, k).

@@ -53,7 +53,7 @@ class LoopSolution:
 
     Attributes:
         passive: Passive joints, NaN where a pose does not close, (n, n_passive) [m or rad].
-        ok: Which poses closed, (n,).
+        ok: Mask of the poses that closed, (n,).
         slope: C_p at the solution, NaN where open, (n, n_passive, n_passive); None where there was a seed.
     """
 

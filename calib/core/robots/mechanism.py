@@ -58,7 +58,7 @@ class JointSubset:
     the root link's origin would otherwise lose the digits that closed loops need. Joints of other branches cost time.
 
     Attributes:
-        joints: Which origins stay, parents first, (n_reduced,).
+        joints: Indices of the origins that stay, parents first, (n_reduced,).
         places: Number of each frame among them, from 1; 0 for a frame that does not move, (n_joints + 1,).
         parents: `places` of the frame before each origin that stays, (n_reduced,).
         model: The model of these alone, all origins at zero.

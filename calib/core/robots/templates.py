@@ -46,7 +46,7 @@ TEMPLATES = {
         stewart,
     ),
 }
-"""By the name that the command line gives them."""
+"""Templates by their names on the command line."""
 
 
 def read_lengths(name: str, given: Iterable[str]) -> dict[str, float]:

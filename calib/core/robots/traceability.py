@@ -62,7 +62,7 @@ class CertifiedInstrumentSection(ItemSection):
     """An instrument, and the error that its calibration certificate allows, the same in all readings.
 
     Attributes:
-        certificate, date, laboratory: Of its own calibration.
+        certificate, date, laboratory: Those of its own calibration.
         scale: How far lengths may be off, relative.
         offset: How far positions may be off along each axis, or distances [m].
         offset_angle: How far angles may be off, about each axis of orientations [rad].

@@ -75,7 +75,7 @@ class Whitening:
         """Whiten arrays by instrument, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
 
         Args:
-            arrays: By instrument.
+            arrays: Arrays by instrument.
             in_place: Whether the arrays may be overwritten, so that large ones are not copied.
 
         Returns:

@@ -63,7 +63,7 @@ class JointShare:
         driven: Index of the driven joint.
         source: The quantity x.
         place: Index of the joint, if x has a value for each.
-        knee: As above; 0: x itself.
+        knee: The constant under the root; 0: x itself is used.
         rate: The coefficient, with all constants.
     """
 

@@ -42,7 +42,7 @@ def measure(points: FloatArray, sigma: float, repeats: int, generator: np.random
     """Measure points.
 
     Args:
-        points: In the world, (n, 3) [m].
+        points: Points in the world, (n, 3) [m].
         sigma: Noise of one reading on each axis [m].
         repeats: Readings of each nest and each point, to be averaged.
         generator: Source of the noise.

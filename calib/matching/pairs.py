@@ -40,8 +40,8 @@ class Pairs(ReadOnlyArrays):
         path: The file.
         rows: Name of each row in messages, (n,).
         joints: (n, n_joints), in units of the file.
-        positions: In the units of the file, (n, 3).
-        rotations: In the units of the file, (n, 3, 4 or 9).
+        positions: Positions in the units of the file, (n, 3).
+        rotations: Rotations in the units of the file, (n, 3, 4 or 9).
         units: Units of joint values, positions and rotations, or None where the file states none.
         steps: Rounding steps of each joint, of positions and of rotations, in units of the file, (n_joints + 2,).
         words: Key in `HEADERS` for the names of the rotation's columns; empty if they have none.

@@ -300,9 +300,9 @@ class CountRow:
 
     Attributes:
         count: Number of poses.
-        uniform: With as many of the given poses, spread uniformly; None beyond their number.
-        chosen: With the best of the given poses; beyond their number, with all measured several times. None where the
-            search would take long.
+        uniform: Accuracy with so many of the given poses, spread uniformly; None beyond their number.
+        chosen: Accuracy with the best of the given poses; beyond their number, with all measured several times. None if
+            the search would take long.
     """
 
     count: int

@@ -110,7 +110,7 @@ class PlaceSection(FrameSection):
     Attributes:
         position: `known`: it is right there; `unknown`: found from the measurements, starting from `xyz`.
         orientation: The same for `rpy`.
-        sigma: How far an unknown position may be from `xyz`, one standard deviation [m]; left out, `xyz` says nothing.
+        sigma: How far an unknown position may be from `xyz`, one standard deviation [m]; without it, `xyz` is only a start.
         sigma_angle: The same for an unknown orientation [rad].
     """
 
@@ -140,8 +140,8 @@ class PosedSection(FrameSection):
 
     Attributes:
         pose: `known`: it is right there; `unknown`: found from the measurements, starting from there.
-        sigma, sigma_angle: How far an unknown pose may be from there, one standard deviation [m], [rad]; left out, the
-            numbers say nothing.
+        sigma, sigma_angle: How far an unknown pose may be from there, one standard deviation [m], [rad]; without
+            them, the numbers are only a start.
     """
 
     what: ClassVar[str]
@@ -168,7 +168,7 @@ class OwnLength:
     Attributes:
         value: Its actual or expected length [m].
         unknown: Whether the measurements must find it.
-        sigma: How far an unknown one may be from `value`, one standard deviation [m]; None: the value says nothing.
+        sigma: How far an unknown one may be from `value`, one standard deviation [m]; None: `value` is only a start.
     """
 
     value: float = 0.0

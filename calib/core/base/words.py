@@ -91,7 +91,7 @@ def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) 
     `[mm]`, or a name in brackets, is no markup here, and `:name:` no picture.
 
     Args:
-        parts: In the order of printing.
+        parts: Parts in the order of printing.
         width: Width of the tables, in characters.
         wrap: Whether lines of text are broken at this width too.
     """

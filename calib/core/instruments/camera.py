@@ -52,7 +52,7 @@ def project(points: FloatArray, intrinsics: FloatArray) -> tuple[FloatArray, Flo
     """Return pixels, and their derivatives by points and intrinsics.
 
     Args:
-        points: In the camera's frame, (n, 3) [m].
+        points: Points in the camera's frame, (n, 3) [m].
         intrinsics: (9,) [px and numbers].
 
     Returns:

@@ -34,7 +34,7 @@ class JointReadingSection(InstrumentSection):
         sigma: Noise of a reading.
         offset: Its reading where the joint is at zero.
         zero: Whether `offset` is right, or must be found from the measurements.
-        sigma_zero: Expected distance of an unknown zero from `offset`; if not given, `offset` is not used.
+        sigma_zero: Expected distance of an unknown zero from `offset`; without it, `offset` is only a start.
     """
 
     joint: str

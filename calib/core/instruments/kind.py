@@ -76,7 +76,7 @@ class Place:
         link: Link or joint frame that carries it.
         xyz, rpy: Pose of the place in that link, or with `inverted` of that link in the place [m], [rad].
         unknown: Components that the measurements must find.
-        sigma, sigma_angle: Expected errors of these [m], [rad]; None: the numbers say nothing.
+        sigma, sigma_angle: Expected errors of these [m], [rad]; None: the numbers are only a start.
         inverted: Whether the pose is that of the link in the place.
     """
 

@@ -193,7 +193,7 @@ class RobotProgram:
     Attributes:
         language: Name of its language.
         sources: Its files, the given file first.
-        targets: In the order in which the text first goes to them.
+        targets: Targets in the order in which the text first goes to them.
         left_out: Targets that stay unchanged.
     """
 

@@ -82,7 +82,7 @@ class UrdfReader:
 
     Attributes:
         name: The robot's name.
-        links, joints: In file order.
+        links, joints: Links and joints in file order.
         root_span: Bytes of the `<robot>` start tag.
         end: Byte at which `</robot>` starts.
 

@@ -110,7 +110,7 @@ class PlaceSection(FrameSection):
     Attributes:
         position: `known`: it is right there; `unknown`: found from the measurements, starting from `xyz`.
         orientation: The same for `rpy`.
-        sigma: Expected distance of an unknown position from `xyz`, one standard deviation [m]; None: `xyz` is only a start.
+        sigma: Expected distance of an unknown position from `xyz`, one sigma [m]; None: `xyz` is only a start.
         sigma_angle: The same for an unknown orientation [rad].
     """
 

@@ -1,13 +1,12 @@
 """The experiment with today's methods: every pose from both sides, and a model of what was left out.
 
-The same simulated robots as in `medrue.experiment`, draw by draw. Their rails also have the smaller errors of
-`medrue.imperfections.RailErrors`, two of which no model has. The tracker reads every pose twice: after the rail
-came in the positive direction, and after it came in the negative one. Such readings of n poses, with the same noise,
-identify
+The simulated robots are those of `medrue.experiment`, draw by draw. Their rails also have the smaller errors of
+`medrue.imperfections.RailErrors`; no model has two of these. The tracker reads every pose twice: after the rail came in
+the positive direction, and after it came in the negative one. Such readings of n poses, with the same noise, identify
 
 * the paper's model,
-* the extended model (`urdf/medrue_extended.yaml`), which knows the direction of approach,
-* for comparison, the extended model from one direction alone, and from a random direction for each pose.
+* the extended model (`urdf/medrue_extended.yaml`), which knows the direction of approach. For comparison, it is also
+  identified from one direction alone, and from a random direction for each pose.
 
 All of them are judged at the other poses, from both sides. Poses are chosen by O1 of the extended model at its nominal
 parameters, which is all that is known before measuring; one set is the 84 poses of the paper's protocol.
@@ -219,7 +218,7 @@ def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
 def measurements_of_visits(
     robot: Robot, joints: FloatArray, measured: FloatArray, side: IntArray, pose: IntArray
 ) -> Measurements:
-    """Return visits as measurements; a pose from another side is another pose, for errors are averaged over repeats.
+    """Return visits as measurements; both sides of a pose have different names, so that errors are not averaged.
 
     Args:
         robot: The model that they are for.

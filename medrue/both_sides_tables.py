@@ -18,14 +18,14 @@ from medrue.tracker import REPEATS, SIGMA
 NOISE = SIGMA / np.sqrt(REPEATS)
 """Noise of a coordinate that the tracker reads, its readings averaged [m]."""
 GOAL = 6e-5
-"""Mean x error that the extended model is to reach [m]."""
+"""Goal for the mean x error of the extended model [m]."""
 NEAR_NOISE = 1.2
-"""Ratio of an RMS error to that of the noise, below which the error counts as noise."""
+"""An error counts as noise if its root mean square is at most this many times that of the noise."""
 BOTH_SIDES_NOTE = (
     "both sides: the 84 poses of O1 and all others are approached from both sides, and the rail has two small errors"
     " that no model has; first with the paper's model, then with the extended one"
 )
-_DECIDED = 0.5  # part of a parameter's expected error below which the data decide about it
+_DECIDED = 0.5  # the data decide about a parameter if this part of its expected error, or less, is left
 
 
 def error_columns(both_sides: BothSides) -> list[TableColumn]:
@@ -103,7 +103,7 @@ def extended_parameter_table(both_sides: BothSides) -> ResultTable:
 
     return ResultTable(
         "extended",
-        "Tilts and errors of the rail that the extended model finds from the 84 poses of O1, from both sides",
+        "Tilts and errors of the rail: the extended model finds them from the 84 poses of O1, reached from both sides",
         (
             TableColumn("parameter", tuple(parameters[k].name for k in shown)),
             TableColumn("unit", tuple(parameters[k].unit for k in shown)),
@@ -128,8 +128,7 @@ def both_sides_findings(both_sides: BothSides) -> tuple[str, ...]:
     return (
         f"From both sides at the same {len(both_sides.sets[0].chosen)} poses,"
         f" {count_noun(len(both_sides.extended.parameters), 'parameter')} (geometry in all six components, and the"
-        f" screw's"
-        f" lead, turns and backlash) leave a mean x error of {extended}, the paper's model {paper}; the"
+        f" screw's lead, turns and backlash) leave a mean x error of {extended}, the paper's model {paper}; the"
         f" tracker's noise alone is {noise * np.sqrt(2 / np.pi):.3f} mm (RMS {rms} and {noise:.3f} mm).",
         _needed_poses(both_sides),
     )

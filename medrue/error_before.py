@@ -55,7 +55,7 @@ GROUPS = (
 """Parameters that one convention would reverse together."""
 ELBOWS = ((1, -1), (1, 1), (-1, -1), (-1, 1))
 NEAR = 0.1
-"""Relative difference up to which a figure counts as the paper's."""
+"""A figure counts as the paper's if the relative difference is at most this."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def placements(step: float = 0.1, turns: int = 8) -> Iterator[tuple[DistanceSumm
 
     Args:
         step: Distance of the places tried for its axis [m].
-        turns: How many directions of its middle.
+        turns: Number of directions of its middle.
     """
     n = 60
     steps = np.arange(n)

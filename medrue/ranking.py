@@ -135,8 +135,8 @@ def ranking_table(rankings: dict[str, Ranking]) -> ResultTable:
         tuple(TableColumn(header, column, 4) for header, column in cells),
         (
             f"simulated; better or worse: by paired differences over {count_noun(first.n_draws, 'draw')}, Student's t"
-            f" with Holm's correction; if all were equal, one ranking in {1 / LUCK:.0f} would call a pair better or"
-            " worse; open: may be chance",
+            f" with Holm's correction; chance says so of any pair in one ranking of {1 / LUCK:.0f}; open: may be"
+            " chance",
         ),
     )
 

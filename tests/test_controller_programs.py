@@ -418,7 +418,7 @@ def test_every_format_has_25_cases_and_a_good_program_has_none(suffix, cell, tmp
         (["part.ls", "--keep", "pose"], "--keep: not for controllers' programs"),
         (["part.csv", "--third-joint", "j3"], "--third-joint: not for tables"),
         (["part.ls"], "say with --third-joint whether"),
-        (["part.ls", "--out", "new.mod"], "new.mod: the program has the language of part.ls, whose names end in .ls"),
+        (["part.ls", "--out", "new.mod"], "the language of part.ls; give the output the same ending"),
         (["far.script"], "is out of the nominal robot's reach"),
         (["other.src"], "not in configuration S 0, T 63"),
     ],

@@ -143,7 +143,7 @@ def test_exports_of_instruments_are_read_row_by_row(tmp_path, arm, content, capl
     assert "joined row by row with" in caplog.text
     short = "\n".join(content.splitlines()[: -3 if content is POLYWORKS else -1])
     (tmp_path / "fewer.txt").write_text(short)
-    with pytest.raises(calib.DataError, match=r"has 2 rows and .* 3; join: rows needs as many"):
+    with pytest.raises(calib.DataError, match=r"has 2 rows, and .* has 3; join: rows needs the same number"):
         calib.read_measurements([tmp_path / "joints.csv", tmp_path / "fewer.txt"], robot)
     with pytest.raises(calib.DataError, match=r"fewer.txt.*(no file with joint values has a pose 'p1'|join: rows, or)"):
         calib.read_measurements([tmp_path / "joints.csv", tmp_path / "fewer.txt"], arm())

@@ -280,7 +280,7 @@ FIRST = "G1 X0 Y0 Z0\n"
         ("G20 G21\n" + FIRST, (), "line 1: has G20 and G21"),
         (FIRST + "G91 G90 X1\n", (), "line 2: has G90 and G91"),
         (FIRST + "G1 X1 A5\n", (), "line 2: 'A' does not belong"),
-        (FIRST + "/G1 X1\n", (), "line 2: whether lines with / are run"),
+        (FIRST + "/G1 X1\n", (), "line 2: it is not known whether lines with / are run"),
         ("X1 Y1 Z1\n", (), "line 1: moves without G0 or G1"),
         (FIRST + "G1 X1" + 300 * "0" + "\n", (), "line 2: 'X10000000000000000000' is beyond what any machine reads"),
         (FIRST + "G1 X1 \x07\n", (), "line 2: is not text"),
@@ -490,7 +490,7 @@ def test_a_word_that_the_user_calls_harmless_is(tmp_path, calibrated):
 
 def test_a_macro_before_the_first_move_leaves_modes_to_be_set(tmp_path):
     for text, why in (
-        ("START\nG1 X1 Y2 Z3\n", "START (line 1) may have changed modes; write G90 or G91, and G20 or G21, behind it"),
+        ("START\nG1 X1 Y2 Z3\n", "START (line 1) may have changed modes; write G90 or G91, and G20 or G21, after it"),
         ("START\nG90\nG1 X1 Y2 Z3\n", "may have changed modes"),
         ("START\nG90\nG21\nG1 X1\n", "along Y is not known here after START (line 1)"),
         ("START\nG90\nG21\nG1 X1 Y2 Z3\nG28\nG1 X1 Y2 Z3\n", PERHAPS),  # homing may take back its zero

@@ -197,11 +197,11 @@ def test_a_mistyped_distance_is_named_though_a_firmware_made_its_settings_of_it(
 
 
 def test_arms_that_no_printer_has_do_not_come_out(folder):
-    """A firmware that fitted arms to heights alone may have saved such; its file agrees with itself."""
+    """A firmware that fitted arms to heights alone may have saved such arms; its file agrees with itself."""
     (folder / "saved.cfg").write_text(printer_cfg(spans=False, true=np.array([*TRUE[:4], 225, 391, 214, *TRUE[7:]])))
     done = run("init", "--klipper", "saved.cfg", "--out", "s.yaml")
     assert done.exit_code == 2
-    assert "has arms of 225, 391, 214 mm, and arms of a printer are alike" in done.output
+    assert "arms of 225, 391, 214 mm, but those of a printer are alike" in done.output
     assert not (folder / "s.yaml").exists()
 
 

@@ -23,7 +23,7 @@ from calib.core.robots.mechanism import RelativeFrame
 from calib.core.robots.terms.term import Condition, Context
 from viz.bodies import Bodies
 
-_TABLE_STEP = 5e-3  # of a motor [rad, or characteristic lengths]: 60 waves a turn of 1 mrad are met to 2e-7 rad
+_TABLE_STEP = 5e-3  # of a motor [rad, or characteristic lengths]; errs by 2e-7 rad for 60 waves a turn of 1 mrad
 _NEGLIGIBLE = 1e-12  # largest joint error without a table [m or rad]
 
 

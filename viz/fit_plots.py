@@ -49,11 +49,7 @@ class FitPlots:
         return drawn
 
     def residuals(self, joint: str | None = None, axes: Axes | None = None) -> Axes:
-        """Draw the components of residuals against a joint.
-
-        Args:
-            joint: Name of the joint; default: the first joint.
-            axes: Axes to draw into.
+        """Draw the components of residuals against a joint; default: the first joint.
 
         Raises:
             InputError: There is no such joint.

@@ -27,7 +27,7 @@ def forest(
 
     Args:
         names: Names, the first at the top.
-        groups: For each set of marks its label, its colour, values (n,) and half intervals (n,), NaN without, and
+        groups: For each set of marks its label, its colour, values (n,), half intervals (n,), NaN if unknown, and
             hover texts.
         label: Label of the axis of values.
         band: Legend and half width of a band around zero, or None.

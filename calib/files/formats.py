@@ -87,7 +87,7 @@ FORMATS = (
     OtherFormat(
         "YAML",
         "`.yaml` or `.yml`",
-        f"a robot description comes first, then measurements; for those, {_CSV}, or record a bag where ROS is",
+        f"a robot description comes first, then measurements; for those, {_CSV}, or record a bag with ROS",
         lambda file: file.path.suffix.lower() in (".yaml", ".yml"),
     ),
     OtherFormat(
@@ -100,7 +100,7 @@ FORMATS = (
     OtherFormat(
         "JSON",
         'begins with `{"`, `[{`, or `[` and a number',
-        "arrays are columns, as NumPy arrays; so are the fields of records, in a list or one record a line",
+        "arrays are columns, as NumPy arrays; so are fields of records, in a list or one in each line",
         _begins(rb'\s*(\{\s*"|\[\s*\{|\[[\s\[]*-?\d+(\.\d*)?(e-?\d+)?\s*[],])'),
         arrays.json_columns,
     ),
@@ -128,13 +128,13 @@ FORMATS = (
     OtherFormat(
         "a table whose header is a comment, as SpatialAnalyzer and np.savetxt write it",
         "the last comment (`//`, `#`, `%`) names the columns of the numbers below it",
-        "that comment is the header; a unit behind Z is that of X and Y",
+        "that comment is the header; a unit after Z is that of X and Y",
         text.has_header_in_comment,
         text.commented_header_lines,
     ),
     OtherFormat(
-        "a table parted by blanks",
-        "names parted by blanks above as many numbers in each line",
+        "a table separated by blanks",
+        "names with blanks between them, above lines with as many numbers",
         "read as if commas stood there",
         text.is_parted_by_blanks,
         text.blank_lines,

@@ -46,7 +46,7 @@ class Member:
         name: The part of its folder's name that the others do not have.
         folder: Path of its result.
         verdict, n_poses: Verdict and number of poses of its result.
-        is_unlike: Whether it is unlike the others, whose mean and spread then do not contain it.
+        is_unlike: Whether it is unlike the others; mean and spread are then computed without it.
         combined_rms: Root mean square deviation from the others' prediction, 1 on average; NaN if not tested.
         p_value: Probability of such a deviation, over all tests of this robot; NaN if not tested.
         unlike_parameters: Parameters of an unlike robot with significant deviations, the largest first, in standard

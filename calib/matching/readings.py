@@ -34,9 +34,9 @@ from calib.matching.pairs import Pairs
 
 _SAME = 1e-9  # differences of joint values and poses that count as zero [m], [rad]
 _FINEST = 1e-6  # finest own rounding of a controller [m or rad]
-_FIT = 0.08  # miss over the spread of the robot's positions below which a reading fits
-_STILL = 0.005  # spread of the robot's positions below which pairs determine nothing [m]
-_ALIKE = 3.0  # ratio to the best miss below which a fit must decide
+_FIT = 0.08  # a reading fits if it misses by less than this part of the spread of the robot's positions
+_STILL = 0.005  # pairs determine nothing if the robot's positions spread less [m]
+_ALIKE = 3.0  # a fit must decide if another miss is less than this many times the best
 _SHORT = 12  # best readings by rotations for each joint unit and direction: six sequences agree equally
 _MIRRORED = 4  # best readings whose columns of positions are tried in other orders
 _MOST = 4  # largest number of readings that fits decide between

@@ -50,7 +50,9 @@ def report_pairs(result: PosePairs, frames: Frames) -> str:
         _pose_in_words(f"Camera in {above[0]}", result.camera),
         _pose_in_words(f"Marker in {above[1]}", result.marker),
     ]
-    lines += [f"No pair shows this common change; measure one of its quantities: {change}" for change in result.unseen]
+    lines += [
+        f"No pair shows this common change; measure one of the quantities in it: {change}" for change in result.unseen
+    ]
     return "\n".join([*lines, *(f"Next: {text}" for text in judgement.advice)])
 
 

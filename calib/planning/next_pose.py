@@ -29,8 +29,8 @@ from calib.planning.selection_problem import DETERMINED, TASK
 from calib.planning.selection_setting import Request, prepare
 
 ENOUGH = 0.8
-"""A nearer pose is chosen if it helps at least this part as much as the best one."""
-_KNOWN = 1e-6  # prior information on every direction, over the information of all candidates
+"""Part of the best pose's help that suffices for a nearer pose."""
+_KNOWN = 1e-6  # prior information on every direction, as part of the information of all candidates
 
 
 @dataclass(frozen=True, eq=False)

@@ -158,7 +158,7 @@ def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
 
 
 def little_seen(robot: Robot, poses: Poses) -> str | None:
-    """Return a remark on instruments that see something at few of the poses; None without any."""
+    """Return a remark on instruments that see something at few of the poses; None if there are none."""
     few = [
         f"{name} at {int(np.sum(seen))} of {len(poses)}"
         for name, seen in visible_poses(robot, poses).items()
@@ -168,8 +168,7 @@ def little_seen(robot: Robot, poses: Poses) -> str | None:
         return None
     return (
         f"few of these poses see what is to be measured: {listing(few)}; check `xyz` and `rpy` of the camera and of"
-        f" what"
-        " it sees, `image` and `focus`, or keep to poses near those that see it (--within)"
+        " what it sees, `image` and `focus`, or keep to poses near those that see it (--within)"
     )
 
 

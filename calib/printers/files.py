@@ -231,9 +231,8 @@ def _require_own_words(path: Path | str) -> None:
             trims = [known.get(f"{axis}_trim", "0") for axis in ("alpha", "beta", "gamma")]
             ends = f"M666 X{trims[0]} Y{trims[1]} Z{trims[2]}" if firmware == "Smoothieware" else "M666 X0 Y0 Z0"
             raise DataError(
-                f"{path}: these are settings of {firmware}; write the lines 'M665 {example}' and '{ends}' into a"
-                f" file, and"
-                " give that with --marlin (check that the numbers are those that the printer uses)"
+                f"{path}: these are settings of {firmware}; write the lines 'M665 {example}' and '{ends}' into a file,"
+                " and give that with --marlin (check that the numbers are those that the printer uses)"
             )
 
 

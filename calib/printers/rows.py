@@ -85,7 +85,7 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     if arm is None and not _are_alike(file.arms):
         shown = listing([f"{millimetres(value):.4g}" for value in file.arms])
         raise DataError(
-            f"{printer.path}: has arms of {shown} mm, and arms of a printer are alike; probing cannot find their"
+            f"{printer.path}: has arms of {shown} mm, but those of a printer are alike, and probing cannot show their"
             " length: measure one and state it, such as --length arm=288mm"
         )
 
@@ -134,7 +134,7 @@ def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> No
             f" {wrong}: write these into a copy of the file, or probe again"
         )
     shown = (
-        "reach nothing" if not np.isfinite(as_stated) else f"are {millimetres(as_stated):.1f} mm from what was measured"
+        f"are {millimetres(as_stated):.1f} mm from what was measured" if np.isfinite(as_stated) else "are out of reach"
     )
     raise DataError(
         f"{printer.path}: with the settings of the file its probed positions {shown}; they were taken before"

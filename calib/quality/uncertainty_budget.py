@@ -68,7 +68,7 @@ class Systematic:
         quantity: Name of the quantity.
         attribute: Name in `traceability.instrument`.
         unit: Its unit.
-        axes: Number of independent numbers.
+        axes: Number of its independent components.
     """
 
     quantity: str
@@ -176,7 +176,7 @@ class ErrorPropagation:
         positions: Positions of the targets at the measured poses, (n, n_targets, 3) [m].
         derivative: B s, by the scaled free parameters, (n n_targets 3, n_free) [m].
         noise: Covariance of T^T J^T e, e the noise of the whitened readings, (rank, rank).
-        sizes: Addition to `noise` from estimated sizes of joint terms, (rank, rank); 0 without any.
+        sizes: Addition to `noise` from estimated sizes of joint terms, (rank, rank); 0 if there are none.
         systematic: Change of the whitened readings by the errors in `SYSTEMATIC`, (n_rows, 10) [per 1, m, rad or px].
     """
 
@@ -262,7 +262,7 @@ def budget(linear: ErrorPropagation, stated: TraceabilitySection, poses: PosesLi
     freedom = fit.statistics.interval_freedom
     noise, prior, reading = linear.coordinate_rms(linear.noise), linear.coordinate_rms(shares), fit.first_noise
     unit = {"length": "m", "angle": "rad"}.get(reading.group.part.dimension, "px")
-    counted = "scatter of residuals" if fit.interval_factor == 1.0 else "scatter of residuals, and of regions"
+    counted = "scatter of residuals" if fit.interval_factor == 1.0 else "scatter of residuals, and between regions"
     by_noise = noise / reading.sigma if reading.sigma > 0 else 0.0
     rows = [
         BudgetRow(NOISE, reading.sigma, unit, by_noise, counted, freedom, "A"),

@@ -142,7 +142,7 @@ def simulated_draws(
     if unstated:
         raise InputError(
             f"{robot.path}: states no noise (sigma) of {', '.join(unstated)}, so that none can be simulated; state it"
-            " there, or give sigma, which is that of positions (--sigma-mm), or a function noise"
+            " there, or give sigma, the noise of positions (--sigma-mm), or a function noise"
         )
     if not (truth is None or truth == "priors" or isinstance(truth, Robot)):
         raise InputError(f"truth {truth!r:.60}: must be a robot, or 'priors'")

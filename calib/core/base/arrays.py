@@ -55,7 +55,7 @@ def _read_only_copy(value: Any) -> Any:
 
 
 def _short(value: object) -> str:
-    """A value as text; of several, only their number."""
+    """Text of one value, or the number of values."""
     if isinstance(value, np.ndarray):
         return str(value.shape)
     return f"of {len(value)}" if isinstance(value, (tuple, list, dict, frozenset)) else repr(value)
@@ -97,7 +97,7 @@ class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
         return result
 
     def __getitem__(self, key: Any) -> Any:
-        """Return a row by its name, or as an array does.
+        """Return a row by its name, or anything else as an array does.
 
         Raises:
             InputError: No row has this name.
@@ -113,7 +113,7 @@ class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
 class ReadOnlyArrays:
     """Base of frozen dataclasses: arrays, tuples and dictionaries of them become read-only copies.
 
-    They stay read-only after unpickling. Their shapes are printed, not their numbers.
+    They are read-only after unpickling, too. `repr` shows the shapes of arrays, not their numbers.
     """
 
     def __init_subclass__(cls) -> None:

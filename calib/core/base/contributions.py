@@ -62,7 +62,7 @@ class Contribution(Enum):
     )
     UNDECIDED = (
         "undecided terms",
-        "joint terms that the fit lacks although the data show them, or do not exclude them; sizes of its joint terms",
+        "joint terms that the data show or do not exclude, but that the fit does not have; sizes of those that it has",
         "fitting.terms.kind_model",
         (Uncertainty.INTERVAL, Uncertainty.POSITION),
     )

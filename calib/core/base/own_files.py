@@ -1,12 +1,12 @@
 """Files that may be replaced: those that this program wrote and that are unchanged since, but none that it has read.
 
-A single file ends in a line with the program's name and the first digits of the digest of all other lines: a comment in
-its format, or the last entry of JSON. A folder has a file with the digests of its files (`MANIFEST`). So a file tells
+A single file ends in a line that names the program and the beginning of the digest of all other lines: a comment of its
+format, or the last entry of JSON. In a folder, one more file has the digest of each file (`MANIFEST`). So a file tells
 by itself, on any machine, whether this program wrote it, and whether it was changed since: a plan into which
 measurements were filled, a description that was edited.
 
-Other files belong to others: replacing them is an `InputError` unless it is forced. The same holds for files that the
-command has read, by any name. Empty files, and files that would not change, may always be replaced.
+Other files belong to others. Replacing them is an `InputError` unless it is forced; the same holds for a file that the
+command has read, under any name. Empty files, and files that would not change, may always be replaced.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _inputs: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=
 
 @contextmanager
 def inputs_noted() -> Iterator[None]:
-    """Note the files that a command reads within the block, so that it does not replace them."""
+    """Note the files that a command reads within the block, so that the command does not replace them."""
     token = _inputs.set(set())
     try:
         yield
@@ -56,7 +56,7 @@ def signed(content: bytes, comment: str = "") -> bytes:
 
     Args:
         content: The file: JSON, XML of any kind, or lines.
-        comment: Beginning of a comment; default: that of XML or of tables. JSON has none.
+        comment: Begin of a comment; if not given, that of XML or of tables. JSON has no comments.
     """
     text = _OLD_LINES.sub(b"", content)
     if not text.endswith(b"\n"):
@@ -105,7 +105,7 @@ def is_own(path: Path) -> bool:
 
 
 def read_manifest(folder: Path) -> dict[str, str]:
-    """Return the digest of each file that this program wrote into a folder; empty without a manifest."""
+    """Return the digest of each file that this program wrote into a folder; empty if the folder has no manifest."""
     with suppress(OSError, ValueError, RecursionError):
         content = json.loads((folder / MANIFEST).read_bytes())
         if isinstance(content, dict) and isinstance(content.get("sha256"), dict):
@@ -114,7 +114,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def manifest_of(folder: Path, files: Mapping[str, bytes], obsolete: Collection[str]) -> bytes:
-    """Return the manifest of a folder for these files and earlier ones of this program, except the `obsolete` ones."""
+    """Return the manifest of a folder with these new files, and with other files that this program wrote before."""
     others = {name: digest for name, digest in read_manifest(folder).items() if (folder / name).is_file()}
     digests = {name: digest for name, digest in others.items() if name not in obsolete}
     digests |= {name: _digest(content) for name, content in files.items()}
@@ -140,7 +140,7 @@ def require_replaceable(
     with suppress(FileNotFoundError):  # another program replaces the folder just now
         state = path.stat()
         if (state.st_dev, state.st_ino) in noted:
-            raise InputError(f"{path}: is an input here, and the output would replace it; {choose}")
+            raise InputError(f"{path}: is read by this command, which would replace it; {choose}")
         if state.st_size and not is_own(path) and (content is None or path.read_bytes() != content):
             raise InputError(f"{path}: was not written by this program, or was changed since; {choose}")
 

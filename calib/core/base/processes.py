@@ -36,7 +36,7 @@ class Processes(Executor):
     """Processes that work while a result is awaited; lost ones are replaced.
 
     Args:
-        jobs: How many.
+        jobs: Number of processes.
     """
 
     def __init__(self, jobs: int) -> None:

@@ -110,7 +110,7 @@ class PlaceSection(FrameSection):
     Attributes:
         position: `known`: it is exactly `xyz`; `unknown`: found from the measurements, starting from `xyz`.
         orientation: The same for `rpy`.
-        sigma: Standard deviation of an unknown position from `xyz` [m]; left out, any position is as likely.
+        sigma: Expected distance of an unknown position from `xyz`, one sigma [m]; None: `xyz` is only a start.
         sigma_angle: The same for an unknown orientation [rad].
     """
 
@@ -139,9 +139,9 @@ class PosedSection(FrameSection):
     """A frame on a link whose pose is known or not.
 
     Attributes:
-        pose: `known`: it is exactly `xyz` and `rpy`; `unknown`: found from the measurements, starting from these.
-        sigma, sigma_angle: Standard deviations of an unknown pose from these [m], [rad]; left out, any pose is as
-            likely.
+        pose: `known`: it is right there; `unknown`: found from the measurements, starting from there.
+        sigma, sigma_angle: How far an unknown pose may be from there, one standard deviation [m], [rad]; without
+            them, the numbers are only a start.
     """
 
     what: ClassVar[str]
@@ -168,7 +168,7 @@ class OwnLength:
     Attributes:
         value: Its actual or expected length [m].
         unknown: Whether the measurements must find it.
-        sigma: Standard deviation of an unknown length from `value` [m]; None: any length is as likely.
+        sigma: How far an unknown one may be from `value`, one standard deviation [m]; None: `value` is only a start.
     """
 
     value: float = 0.0

@@ -32,7 +32,7 @@ def count_noun(number: int, singular: str, plural: str | None = None) -> str:
     """Return a number with its noun.
 
     Args:
-        number: How many.
+        number: The number.
         singular: The noun for one.
         plural: For any other number; the singular with an s if not given.
 
@@ -54,7 +54,7 @@ def joints_named(*names: str, separator: str = ", ", shown: int = _LISTED) -> st
     Args:
         names: Names of the joints.
         separator: Text between them.
-        shown: How many are named.
+        shown: Largest number of joints to name.
 
     Examples:
         >>> joints_named("elbow"), joints_named("elbow", "wrist"), joints_named("joint_2")
@@ -91,7 +91,7 @@ def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) 
     `[mm]`, or a name in brackets, is no markup here, and `:name:` no picture.
 
     Args:
-        parts: In the order of printing.
+        parts: Parts in the order of printing.
         width: Width of the tables, in characters.
         wrap: Whether lines of text are broken at this width too.
     """

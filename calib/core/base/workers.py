@@ -156,7 +156,7 @@ class Steps:
         self._total += count
 
     def advance(self, *_: int) -> None:
-        """Count one more as done; called like a `Progress`, so that it can serve as the progress of some steps."""
+        """Count one more step as done; may be given as the `Progress` of a part of the call."""
         self._done += 1
         if self._progress is not None:
             self._progress(self._done, self._total)
@@ -174,7 +174,7 @@ class Workers:
         pieces: How many pieces of work there will be at most, if that is known: no more processes than these start.
 
     Raises:
-        InputError: It is neither.
+        InputError: The executor is neither of them.
     """
 
     def __init__(self, executor: Executor | int | None, pieces: int | None = None) -> None:

@@ -148,7 +148,7 @@ def _line_now_and_then(what: str) -> Progress:
 def shared_options(
     *, json_output: bool = False, forced: str = FORCED
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command --quiet, --debug, --force (and --json) and an `output: Output`; make each error a single line.
+    """Give a command --quiet, --debug, --force (and --json) and an argument `output`; print errors in a single line.
 
     Args:
         json_output: Whether the command takes --json FILE.
@@ -311,7 +311,7 @@ def different_poses(poses: Poses) -> Poses:
 
 
 def _each_once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Readings:
-    """Planned readings of visits that count (n,), by the numbers of their poses (n,), without repeats."""
+    """Planned readings of the visits that count, each once, with the visits' new numbers (n,)."""
     looks = np.column_stack([numbers[readings.visits], readings.pairs, readings.details, counts[readings.visits]])
     kept = np.sort(np.unique(looks, axis=0, return_index=True)[1])
     kept = kept[counts[readings.visits[kept]]]

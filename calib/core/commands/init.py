@@ -10,7 +10,7 @@ import click
 
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.files import write_files
-from calib.core.base.registry import brought, list_entry_points
+from calib.core.base.registry import list_entry_points, load_entry
 from calib.core.base.sections import parse_yaml
 from calib.core.base.units import millimetres
 from calib.core.commands.common import Output, shared_options
@@ -166,7 +166,7 @@ def command(
     files, words = {urdf_out: text.source} if urdf_out else {}, None
     if measure == "camera":
         plain = _load_unwritten(text, description_text(text, described))
-        boards, words = brought("calib.measures", measure)(plain, board, camera, to_print, Path(out))
+        boards, words = load_entry("calib.measures", measure)(plain, board, camera, to_print, Path(out))
         files |= boards
     description = description_text(text, described, remark, measure, words).encode()
     files[Path(out)] = description

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.core.base.errors import InputError
 from calib.core.base.files import write_folder
-from calib.core.base.registry import brought
+from calib.core.base.registry import load_entry
 from calib.core.base.words import count_noun
 from calib.core.commands.common import (
     SIGMA_HELP,
@@ -76,7 +76,7 @@ def command(
         comments += (f"joint values of {count_noun(len(moved), 'visit')} are changed so that the robot touches",)
     if photographs and camera:
         with output.working("rendering photographs"):
-            photographs_of = brought("calib.methods", "photographs")
+            photographs_of = load_entry("calib.methods", "photographs")
             images = photographs_of(model, camera, measured, np.random.default_rng(seed))
         others = {name: readings for name, readings in measured.readings.items() if name != camera.name}
         measured = replace(measured, readings=others)

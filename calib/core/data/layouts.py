@@ -107,7 +107,7 @@ def _header_width(lines: Sequence[str], line_numbers: Sequence[int]) -> int:
 
 
 def _has_only_numbers(cells: Sequence[str]) -> bool:
-    """Whether a line is one of numbers, behind a name perhaps: three or more, as no header has."""
+    """Whether a line has three or more numbers, perhaps after a name, as no header has."""
     filled = [cell.strip() for cell in cells[1:] if cell.strip()]
     numbers = [_NUMBER.fullmatch(cell) for cell in filled[-3:]]
     return len(numbers) == 3 and all(numbers) and any("." in cell for cell in filled[-3:])

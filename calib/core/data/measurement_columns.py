@@ -1,7 +1,7 @@
 """Visits and their readings as columns of tables, in mm and degrees: a header and a cell for each line.
 
-A visit at which an instrument read several things (points of a camera) has a line for each of them. These lines repeat
-its joint values. Empty cells are empty text.
+A visit at which an instrument read several things (points of a camera) has a line for each of them, with the same joint
+values. Cells without a value are empty text.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def condition_columns(
 def approach_columns(robot: Robot, approach: FloatArray | None) -> dict[str, list[object]]:
     """Return directions of approach (n, n_actuated), for joints with at least one known direction.
 
-    If no direction is known, all joints have columns, to show that directions were given.
+    If no direction is known, every joint has a column, which says that directions are stated.
     """
     if approach is None:
         return {}
@@ -157,7 +157,7 @@ def _lines(robot: Robot, n_visits: int, all_readings: Mapping[str, Readings]) ->
 
 
 def rank_in_visit(visits: IntArray) -> IntArray:
-    """Return how many readings before it each reading's visit has, (n,) -> (n,)."""
+    """Return the number of earlier readings of the same visit, for each reading, (n,), from the visits (n,)."""
     order = np.argsort(visits, kind="stable")
     sorted_visits = visits[order]
     result = np.empty(len(visits), dtype=np.intp)

@@ -68,7 +68,7 @@ def read_measurements(
     Args:
         path: The file, or several that belong together; see the module docstring. Or data frames of pandas or polars,
             or dictionaries of columns, with the headers that files have.
-        robot: Robot with these joints and instruments; loaded, or its description or URDF.
+        robot: Robot with these joints and instruments: loaded, or its description or URDF.
         growing: For one file that is still being written: its lines so far, which may have no reading yet.
 
     Raises:

@@ -46,7 +46,7 @@ class Poses(ReadOnlyArrays, HintedObject):
         setups: Number of the setup of each visit, as the description counts them, (n,); None: the first.
         planned: Readings that a plan asks for, without values, by instrument. It says nothing of instruments that are
             not named.
-        robot: The robot, as it was when the poses were made; None: not stated.
+        robot: The robot for which the poses were read or made, as it was then; None if not stated.
     """
 
     _other_words = "measurements and poses"
@@ -101,7 +101,7 @@ class Poses(ReadOnlyArrays, HintedObject):
         return (self[k] for k in range(len(self)))
 
     def _robot(self, robot: Robot | None) -> Robot:
-        """The robot that is given, or that they were made for."""
+        """The given robot, or else the robot of these poses."""
         known = self.robot if robot is None else robot
         if known is None:
             raise InputError(f"{self.path}: does not have its robot; give the robot as an argument")
@@ -234,7 +234,7 @@ class Measurements(Poses):
         """Return some of the readings, visit by visit, and the visits at which they were made.
 
         Args:
-            numbers: Indices of the chosen readings of each instrument, by its name, (n,); others have none.
+            numbers: Indices (n,) of the readings of each instrument, by its name; other instruments get none.
         """
         chosen = {name: self.readings[name].subset(own) for name, own in numbers.items()}
         visits = np.unique(np.concatenate([readings.visits for readings in chosen.values()]))
@@ -299,7 +299,7 @@ def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements
 
 
 def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measurements:
-    """Return measurements whose instruments read these points, (n, n_targets, 3) [m], if they measure points."""
+    """Return measurements with other measured points of each visit and target, (n, n_targets, 3) [m]."""
     moved = dict(data.readings)
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)
@@ -321,12 +321,12 @@ def readings_of_visits(readings: Readings, index: IntArray) -> Readings:
 
 
 def setup_pairs(robot: Robot, instrument: Instrument, setups: IntArray) -> IntArray:
-    """Return the number of an instrument's first pair of frames in the setup of each visit, (n,)."""
+    """Return the number to add to the pair numbers of an instrument at each visit (n,), for its setup (n,)."""
     return setups * (len(robot.pairs(instrument)) // max(1, len(robot.description.setups)))
 
 
 def states_by_order(robot: Robot, joints: FloatArray) -> dict[str, FloatArray]:
-    """Return the states of joint terms that follow from the order of commands (n, n_actuated), (n,) each by column."""
+    """Return the states of joint terms by column, (n,) each, computed from the order of commands (n, n_actuated)."""
     commands = dict(zip(robot.joint_names, joints.T, strict=True))  # no one commands passive joints
     states = [term.states_by_order(commands[term.joint]) for term in robot.terms if term.joint in commands]
     return {column: values for own in states for column, values in own.items()}

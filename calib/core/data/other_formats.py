@@ -1,7 +1,7 @@
-"""Files of measurements in formats of other programs: recognised by their head, and read, or refused with advice.
+"""Other formats of measurements: known by their head, and converted to a table, or a message says what to do.
 
-Capabilities and other packages bring formats under the group `calib.readers`: each entry is a tuple of `OtherFormat`,
-and the first that fits counts. A warning of the logger `calib` names the format of a file that was read.
+Capabilities and other packages add formats in the group `calib.readers`: each entry is a tuple of `OtherFormat`,
+and the first that fits counts. What a file was taken for is a warning of the logger `calib`.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class SomeFile:
 
     @cached_property
     def first_lines(self) -> list[str]:
-        """Lines of its head; none for a file that is no text."""
+        """Lines of its head; none if the file is no text."""
         binary = b"\0" in self.head or len(self.head.decode("ascii", "ignore")) < _ASCII * len(self.head)
         if binary and self.encoding != "utf-16":
             return []
@@ -68,11 +68,11 @@ class OtherFormat:
     """A format of files.
 
     Attributes:
-        name: Name of the format in messages.
-        head: Marks by which the format is recognised, in words.
-        taken: How such a file is read, in words; for a format that is not read, what to do.
-        fits: Whether a file has this format.
-        read: Returns lines of a table of this program, or its columns by header; None: the format is not read.
+        name: Name of the format, as messages have it.
+        head: Marks by which it is known, in words.
+        taken: How it is read, in words; or if it is not, what to do.
+        fits: Whether a file is one.
+        read: Returns lines of a table of this program, or its columns by header; None if it cannot be read.
     """
 
     name: str
@@ -88,10 +88,10 @@ def other_formats() -> list[OtherFormat]:
 
 
 def read_other(path: Path | str, renamed: Mapping[str, str]) -> list[str] | dict[str, Sequence[object]] | None:
-    """Return the content of a file as lines of a table or columns by header; None if it has none of these formats.
+    """Return the content of a file of another format, as lines of a table or columns by header; None for no format.
 
     Raises:
-        DataError: The file has a format that is not read; the message says which one, and what to do.
+        DataError: The format cannot be read: the message says which it is, and what to do.
     """
     if not Path(path).is_file():
         return None

@@ -383,7 +383,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @property
     def undecided(self) -> UndecidedTerms | None:
-        """Joint terms that the data do not exclude, and the robot lacks; None without any."""
+        """Joint terms that the data do not exclude, and that the robot lacks; None if there are none."""
         if self.terms is not None and self.terms.automatic:
             return self.terms.undecided
         return self.unexplained.terms

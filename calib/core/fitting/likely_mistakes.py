@@ -35,10 +35,10 @@ from calib.core.fitting.scaled_joints import joint_scales
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
 
-_CLOSER = 0.2  # largest ratio of the nominal robot's miss with the mistake undone to its miss with the data unchanged
-_NEAR = 0.2  # largest ratio of the miss to the spread of the measured positions
-_HALF = 0.5  # largest ratio of the noise of a fit with other scales of joints to that without
-_AS_GOOD = 1.5  # largest ratio to the best miss at which another mistake explains the data as well
+_CLOSER = 0.2  # with the mistake undone, the nominal robot misses by less than this part of what it missed before,
+_NEAR = 0.2  # and by less than this part of the spread of the measured positions
+_HALF = 0.5  # a fit with other scales of joints leaves less than this part of the noise
+_AS_GOOD = 1.5  # another mistake explains the data as well if it misses by at most this many times the best miss
 _POSES = 20  # poses that suffice to show a gross mistake
 _GLANCE = 4  # one in so many of these shows whether the loops close at all
 _FEW = 3  # rows that may agree by chance, or that a shift must leave
@@ -306,8 +306,8 @@ def zeros_in_words(data: Measurements, robot: Robot) -> str:
         return ""
     return (
         f"{count_noun(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, which some programs write when"
-        f" they"
-        f" see nothing: {listing([data.labels[k] for k in zeros])}; leave {'it' if len(zeros) == 1 else 'them'} out"
+        f" they see nothing: {listing([data.labels[k] for k in zeros])}; leave {'it' if len(zeros) == 1 else 'them'}"
+        " out"
     )
 
 

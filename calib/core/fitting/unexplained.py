@@ -46,7 +46,7 @@ from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.size_search import least_sizes, likeliest_sizes, scatter_given_noise
 from calib.core.rows.prediction import UndecidedTerms
 
-_SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is negligible
+_SHORTEST = 0.3  # a component of usual size is negligible if its length is below this part of the fit's noise
 
 
 @dataclass(frozen=True)

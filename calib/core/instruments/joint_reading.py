@@ -22,7 +22,7 @@ from calib.core.base.units import DISPLAY_UNIT, Dimension, quantity
 from calib.core.instruments.kind import Column, InstrumentSection, JointComparison, JointInstrument, Part, Readings
 from calib.core.instruments.noise import Noise, PartNoise
 
-_SCALE: dict[str, float] = {"angle": 1e-2, "length": 1e-2}  # of an unknown zero without a prior [rad, m]
+_SCALE: dict[str, float] = {"angle": 1e-2, "length": 1e-2}  # of an unknown zero without `sigma_zero` [rad, m]
 
 
 class JointReadingSection(InstrumentSection):
@@ -33,8 +33,8 @@ class JointReadingSection(InstrumentSection):
         dimension: `angle` for a joint that turns, `length` for one that slides.
         sigma: Noise of a reading.
         offset: Its reading where the joint is at zero.
-        zero: Whether `offset` is known, or found from the measurements.
-        sigma_zero: Expected distance of an unknown zero from `offset`; without it, the zero has no prior.
+        zero: Whether `offset` is right, or must be found from the measurements.
+        sigma_zero: Expected distance of an unknown zero from `offset`; without it, `offset` is only a start.
     """
 
     joint: str

@@ -76,7 +76,7 @@ class Place:
         link: Link or joint frame that carries it.
         xyz, rpy: Pose of the place in that link, or with `inverted` of that link in the place [m], [rad].
         unknown: Components that the measurements must find.
-        sigma, sigma_angle: Expected errors of these [m], [rad]; None: the numbers say nothing.
+        sigma, sigma_angle: Expected errors of these [m], [rad]; None: the numbers are only a start.
         inverted: Whether the pose is that of the link in the place.
     """
 
@@ -358,7 +358,7 @@ class Instrument(ABC):
         return None
 
     def doubts(self, readings: Readings) -> tuple[str, ...]:
-        """Return doubts about the readings by themselves, in words; empty without any."""
+        """Return doubts about the readings by themselves, in words; empty if there are none."""
         return ()
 
     def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
@@ -399,7 +399,7 @@ class FrameInstrument(Instrument, ABC):
         return None
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
-        """Return first guesses at unknown places and numbers, of which the best is kept; empty without any.
+        """Return first guesses at unknown places and numbers, of which the best is kept; empty if there are none.
 
         Measurement frame and targets that points show are placed before (`calib.core.rows.registration`).
         """

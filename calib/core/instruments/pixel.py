@@ -45,7 +45,7 @@ from calib.core.numerics.rigid import cross_matrices
 
 PIXEL = Part("pixel", ("u", "v"), "pixel", usual=2.0)
 _STEEPEST = np.cos(np.deg2rad(65.0))
-_MARGIN = 0.02  # margin, over the larger side of the image
+_MARGIN = 0.02  # margin, as part of the larger side of the image
 _LEAST_SEEN = 6  # points
 _SMALLEST = 16.0  # side of a marker, square or spacing of dots [px]
 _WIDER = 1.1  # factor on the half width of an image whose middle is only guessed

@@ -22,15 +22,15 @@ from calib.core.instruments.kind import InstrumentSection, Place, placed
 from calib.core.numerics import linalg
 
 Surface = Literal["socket", "plane", "sphere"]
-_ON_A_LINE = 1e-6  # width of points below which they are on one line [m]
+_ON_A_LINE = 1e-6  # points whose width is less are on one line [m]
 
 
 class TouchedSection(PlaceSection):
-    """A socket, plane or sphere that is touched; a plane's position is along its normal, its orientation the normal's.
+    """A socket, plane or sphere that is touched; a plane has a position along its normal, and the normal's orientation.
 
     Attributes:
         xyz: Socket or centre of a sphere, or a point of a plane, in its link [m].
-        rpy: Turns the z axis to where the ball is above a plane [rad].
+        rpy: Rotation whose z axis is the normal of a plane, on the side of the ball [rad].
         radius: Radius of a sphere: a length; `{value, sigma}`; or `unknown`.
     """
 
@@ -63,7 +63,7 @@ class ArtefactSection(PosedSection):
     Attributes:
         pose: `known`, or `unknown`: found from the measurements, as far as its points determine it.
         points: Each socket, or centre of a sphere, in the artefact [m].
-        tolerance: Expected error of each coordinate of the points, one standard deviation [m]; they are found then.
+        tolerance: Standard deviation of each coordinate of the points [m]; if given, the points are found.
         radius: Radius of its spheres, all alike: a length; `{value, sigma}`; or `unknown`.
     """
 

@@ -31,9 +31,9 @@ chance of 90 %, or the number of poses that a given change takes, are known befo
 Unlike poses. The noise of a calibration contains mostly errors that its model leaves out. At poses drawn like the used
 ones they differ from pose to pose, as noise does. Elsewhere, or where poses crowd together
 (`calib.core.data.pose_groups.are_drawn_alike`), they may be one common error, though no larger. Then the n rows read
-there count as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And C grows to N / k times
-C, as if only k of the N rows used had decided the parameters. If the readings agree by this, nothing shows that the
-robot has changed, and the verdict is about the poses. If a change stands out even so, the robot has drifted.
+there count as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be off
+there as if k of the N rows used had decided them: N / k times C. If the readings agree then, nothing shows that the
+robot has changed, and the verdict is about the poses. If a change is significant even then, the robot has drifted.
 
 Few readings. With m degrees of freedom, errors s times as large as expected are seen with a chance of 90 % if s^2 times
 the 10 % point of F(m, nu) reaches its limit: 1.6 times with 30, 22 times with one. Readings that would not even show
@@ -78,7 +78,7 @@ from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.rows.simulate import simulate
 
 TELLING = 3.0
-"""Ratio of errors to expected ones that readings must be able to show before they can agree with a calibration."""
+"""Readings are too few for a verdict if they would not show errors this many times as large as expected."""
 _LEVEL = FALSE_ALARM / 2  # level of each of two tests
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
@@ -108,7 +108,7 @@ class Acceptance:
             [m].
         limit: Distance that is exceeded in one of a thousand cases, if the robot is as calibrated [m].
         coverage_factor: Half the 95 % interval of a change, in standard deviations.
-        has_unlike_poses: Whether the poses are unlike those of the calibration, and this changed the tests.
+        has_unlike_poses: Whether the poses are unlike those of the calibration, and the tests allow for it.
         repeated_visits: Poses of the calibration to measure again for a decision; none if the verdict is settled.
     """
 
@@ -284,8 +284,7 @@ def visible_changes(
 def poses_needed(
     calibrated: Fit | HasPromise | Promise, poses: PosesLike, name: str, size: float, *, same_setup: bool = False
 ) -> int | None:
-    """Return how many of these poses, from the first, show a change with the chance `POWER`; None if all do not
-    suffice.
+    """Return the number of poses, from the first, that show a change with the chance `POWER`; None if all are too few.
 
     Args:
         calibrated: The promise of the calibration, or the fit itself.

@@ -21,7 +21,7 @@ from calib.core.robots.robot import Robot
 
 _SCATTER: dict[Dimension | None, float] = {"length": 5e-6, "angle": 1e-5, "pixel": 0.02}
 """Scatter of the readings of the most repeatable robots [m, rad, px]."""
-_DIGIT = 1e-3  # part of this scatter below which steps make no difference
+_DIGIT = 1e-3  # steps below this part of this scatter make no difference
 
 
 def copied_visits(robot: Robot, data: Measurements) -> IntArray:

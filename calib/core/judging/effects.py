@@ -49,7 +49,7 @@ SLIPS = 15
 """Number of places in the course of the measurement at which a slip of a target is tested."""
 _DEGREE = 3
 _SAME = 1e-6  # cycles that rounding may add
-_ON_GRID = 0.99  # |mean of exp(i phase)| over the visits from which the phase counts as the same at all of them
+_ON_GRID = 0.99  # a wave of length 1 is the same at all visits if its mean is longer than this
 _VISITS_LOOKED_AT = 256
 
 

@@ -14,8 +14,8 @@ from calib.core.numerics.tall import Span
 from calib.core.rows.rows import Rows
 
 ABSORBED = 1e-6
-"""Part of an effect's square that must remain after the fit for the effect to be visible."""
-_SURELY = 5.0  # size of an effect, in standard deviations, that is found nine times of ten among so many
+"""An effect is visible if at least this part of its square remains after the fit."""
+_SURELY = 5.0  # an effect of so many standard deviations is found nine times of ten, although many are tested
 
 
 @dataclass(frozen=True, eq=False)

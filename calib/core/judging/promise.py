@@ -37,7 +37,7 @@ from calib.core.rows.whitening import Whitening
 POWER = 0.9
 """Chance with which a change shall be seen."""
 _OUTLIERS = 0.05  # largest part of the readings that is left out
-_PARALLEL = 1.0 - 1e-6  # cosine above which columns count as equal
+_PARALLEL = 1.0 - 1e-6  # columns with a larger cosine count as equal
 _JOINT_STEP = 1e-3  # unit of changes of joint zeros [rad, or characteristic lengths]
 
 

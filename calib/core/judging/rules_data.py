@@ -26,32 +26,32 @@ from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.numerics.losses import HIGH_LEVERAGE
 from calib.core.rows.rows import Rows
 
-FEW = 10.0 - 1e-6  # ten, with room for rounding
-"""Degrees of freedom below which intervals are very wide."""
+FEW = 10.0 - 1e-6  # ten, also where rounding took a little
+"""With fewer degrees of freedom, intervals are very wide."""
 FEW_SHARED = 5
-"""The same limit if readings of a pose share errors; also the fewest poses from which distances of targets count."""
+"""The same for poses whose readings share errors. Distances of targets mean something from so many poses."""
 RIGID = 1e-6
-"""Scatter of the distance of two targets below which no instrument read both [m]."""
+"""No instrument read both of two targets if their distance scatters by less [m]."""
 COSTLY = 0.36
-"""Part of the squared residuals that outliers may have; without that part, errors are a fifth smaller."""
+"""If outliers make this part of the squared residuals, errors are a fifth smaller without them."""
 FEW_OF = 0.01
 """Part of the validation readings that may be outliers without an effect on the grade."""
 EXCLUDED = 0.1
 """Part of the poses, or of the readings, that may be outliers."""
 BEYOND_REPEATS = 1.5
-"""Ratio of the noise found to the scatter of repeats, above which something systematic remains."""
+"""If the found noise is more than this many times the scatter of repeats, something systematic remains."""
 ROUNDED = 0.2
-"""Part of the noise variance above which the steps of the joint values are named as its cause."""
+"""Steps of the joint values are named if they make more than this part of the noise variance."""
 ALL_ROUNDED = 2.0
-"""The same part, above which the joints really stood at round values: rounding would have made more noise."""
+"""If steps would make more than this part, the joints really stood at these round values."""
 COPIED = 0.03
 """Part of the readings that may be copies of others."""
 FAR = 3.0
-"""Ratio to the median residual above which a reading of 0, 0, 0 is not the origin of the measurement frame."""
+"""A reading of 0, 0, 0 with a residual this many times the median is not the origin of the measurement frame."""
 USED_FOR_BOTH = 0.1
 """Largest part of the validation poses that may repeat poses of the fit."""
 ANOTHER = {"load": 0.05, "temperature": 2.0}
-"""Differences in stated conditions [kg, K] from which a measurement at the same joint values is a different one."""
+"""With larger differences in stated conditions [kg, K], measurements at the same joint values are different ones."""
 
 
 def poses_that_say_little(fit: Fit) -> Iterator[Reason]:

@@ -28,12 +28,12 @@ from calib.core.robots.robot_files import lost_by
 from calib.core.rows.registration import registration
 
 ELSEWHERE = 0.2
-"""Ratio of errors of the nominal robot with base or targets placed by the data to errors with the stated places, below
-which the statement is wrong."""
+"""The stated place of base or targets is wrong if placing them by the data leaves less than this part of the errors of
+the nominal robot."""
 NEAR = 0.1
-"""Ratio of the errors with placed base or targets to the spread of the measured positions, below which a robot fits."""
+"""The same errors are smaller than this part of the spread of the measured positions if the robot fits."""
 BELIEVED = 0.5
-"""Weight of a robust loss above which a reading counts."""
+"""A reading counts if a robust loss gives it more than this weight."""
 AT_END = 0.55
 """Ratio of a change in the course of the measurement to all residuals, up to which a claim holds at its end. A linear
 growth is sqrt(3) times as large at the end as on average, so the residuals are 1.25 times as large there if the ratio
@@ -50,7 +50,7 @@ _FURTHER_ERRORS = ". There the robot has errors that the poses used do not show.
 _AT_LIMIT = 1e-6  # distance from its limit at which a passive joint stopped a fit [m, rad]
 _MOST_PATTERNS = 3  # named in the sentence
 OTHER_MINIMUM = 10.0
-"""Difference of the cost within which another minimum explains the data as well."""
+"""Another minimum explains the data as well if its cost is larger by at most this."""
 
 
 def check_convergence(fit: Fit) -> Iterator[Reason]:
@@ -143,15 +143,15 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
             )
 
 
-def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
-    """Compare errors on unused poses with the claim; `needless` says that the robot needs no correction."""
+def claim_broken(fit: Fit, claim: Claim, *, no_correction: bool) -> Iterator[Reason]:
+    """Compare errors on unused poses with the claim; `no_correction` says that the robot needs no correction."""
     moved = moved_frame(fit)
     misplaced = moved is not None and moved.errors is None  # errors are those of the frame
     worse, further = ("", "") if misplaced else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
     anew = "" if moved is None or misplaced else ", their frame placed anew,"
     for accuracy in (seen.accuracy for seen in claim.unused if not seen.holds):
         times, claimed = accuracy.rms / claim.at_measured_poses.rms, claim.at_measured_poses
-        if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not needless:
+        if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not no_correction:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse at {accuracy.pose_words}{anew}:"
                 f" {accuracy.in_unit(accuracy.rms)} RMS after, {accuracy.in_unit(accuracy.before)} before, and"
@@ -167,7 +167,7 @@ def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
 
 
 def _where(fit: Fit, accuracy: Accuracy) -> str:
-    """A clause on validation poses that are unlike the measured ones; empty if chance explains their number."""
+    """A clause for more validation poses unlike the measured ones than chance explains; empty if there are not more."""
     unlike = unlike_measured(fit)
     if accuracy.poses is not PoseUse.VALIDATION or fit.validation is None or not is_elsewhere(unlike):
         return ""
@@ -231,7 +231,7 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
     placed = ""
     if moved.errors is not None:
         before, after = (millimetres(errors.rms("after")) for errors in (fit.validation, moved.errors))
-        placed = f". Placed anew, the error falls from {before:.3g} to {after:.3g} mm RMS, and this error counts here"
+        placed = f". With the frame placed anew, the judged RMS error falls from {before:.3g} to {after:.3g} mm"
     yield Code.FRAME_MOVED.says(
         f"the tracker, the base or its frame probably moved between the two files, by {millimetres(moved.shift):.3g} mm"
         f" and {np.degrees(moved.angle):.2g} deg: this explains all but {millimetres(moved.rms_after):.3g} mm"

@@ -41,7 +41,7 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.tall import Span
 
-_OWN = 0.99  # part of a direction that a block decides, above which the other blocks cannot predict it
+_OWN = 0.99  # if a block decides this part of a direction, the other blocks cannot predict it
 _ROWS_AT_ONCE = 30_000
 _NONE = 1e-150  # noise of data that were computed, not measured
 
@@ -189,7 +189,7 @@ class LeftOutBlocks:
             residuals: r, whitened, (n_rows,).
             further_columns: Further columns of U, (n_rows, n_further); none if not given.
             seen: U without the weights of a robust loss, (n_rows, k), of the rows that move; U if not given.
-            alone: If a block decides this part of a direction or more, nothing moves along it.
+            alone: Nothing moves along a direction of which a block decides at least this part.
         """
         moved, largest = np.zeros(len(residuals)), np.zeros(int(self._block.max(initial=-1)) + 1)
         for rows, hat in self._hats:

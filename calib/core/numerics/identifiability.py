@@ -32,17 +32,17 @@ from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 
 _AT_ONCE = 1 << 14  # rows of one factorisation
-_BLOCK = 32  # columns that it works on at a time
-_INVERTED = 96  # columns of a triangle that LAPACK inverts as fast
+_BLOCK = 32  # columns of a block in a factorisation
+_INVERTED = 96  # LAPACK inverts a triangle with at most this many columns as fast as by halves
 RANK_TOLERANCE = 1e-9
 """Singular values of the scaled Jacobian below this part of the largest count as zero."""
 CLEAR_GAP = 30.0
-"""Factor between the singular values around the threshold, below which the rank depends on the threshold."""
+"""The rank depends on the threshold if the singular values around it differ by a smaller factor."""
 NO_EFFECT = 1e-7
-"""Length of a column over that of the longest, in metres and radians, below which it is rounding."""
+"""A column is rounding if its length is below this part of the longest, in metres and radians."""
 TIE = 2.0
 """Condition numbers within this factor of the smallest are equally good."""
-_DIGITS = 1e-6  # relative difference of condition numbers below which they are the same number
+_DIGITS = 1e-6  # condition numbers with a smaller relative difference are the same
 
 
 @dataclass(frozen=True, eq=False)

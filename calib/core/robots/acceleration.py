@@ -43,8 +43,8 @@ def compile_for(n_poses: int, many: int = _MANY_OPEN) -> AbstractContextManager[
     otherwise.
 
     Args:
-        n_poses: Number of poses in all parts.
-        many: Number of poses that are worth loading code that is already compiled.
+        n_poses: Number of poses, one part after the other.
+        many: Number of poses that is worth loading code that is already compiled.
     """
     return compile_kinematics() if _requested.get() is None and pays(n_poses, many) else nullcontext()
 
@@ -53,8 +53,8 @@ def pays(n_poses: int, many: int = _MANY_OPEN) -> bool:
     """Whether compiled code saves more time than it takes, if so many poses have to be computed.
 
     Args:
-        n_poses: How many.
-        many: How many are worth loading code that is already compiled.
+        n_poses: Number of these poses.
+        many: Number of poses that is worth loading code that is already compiled.
     """
     return _AVAILABLE and n_poses >= many and (n_poses >= _TO_COMPILE * many or _functions().is_compiled())
 
@@ -74,7 +74,7 @@ def kernels(mechanism: Mechanism, n_poses: int) -> Any:
 
     Args:
         mechanism: The robot; loops that constrain directions are left to the reference.
-        n_poses: How many poses are computed at once.
+        n_poses: Number of poses that are computed at once.
     """
     requested = _requested.get()
     use = pays(n_poses, many(mechanism)) if requested is None else requested

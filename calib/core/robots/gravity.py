@@ -167,7 +167,7 @@ def accelerations(
         mechanism: The nominal mechanism.
         joints: All joints, (n, n_joints) [m or rad].
         context: Readings of sensors, and their setups.
-        turns: The found turns, (2,) [rad], or (0,) if they are not unknown.
+        turns: Found turns of gravity, (2,) [rad], or none, (0,).
 
     Returns:
         (n, 3) [m/s^2], and as many for each turn [m/s^2 per rad].
@@ -297,8 +297,8 @@ def gravity_torque(
         passive: Passive joints there, (n, n_passive).
         slope: C_p there, (n, n_passive, n_passive).
         load: Mass of the payload, (n,) [kg].
-        payload: Frame at whose origin the payload hangs; None: that of the first target that motors move.
-        acceleration: By gravity in the root link's axes, (n, 3) [m/s^2].
+        payload: Frame at whose origin it hangs; None: that of the first target that motors move.
+        acceleration: Acceleration of gravity in the root link's axes, (n, 3) [m/s^2].
 
     Raises:
         DescriptionError: The URDF has no masses, and it is not stated that a payload alone loads the joints.

@@ -73,10 +73,10 @@ class Loops(NamedTuple):
 
     Attributes:
         a, b: Frames of the loop that each row belongs to, (n_rows,).
-        axis: Which coordinate, in the axes of a, (n_rows,).
+        axis: Number of the coordinate, in the axes of a, (n_rows,).
         signs: Effect of each joint: +1 moves only b, -1 only a, else 0, (n_rows, n_joints).
         leader: Coordinate that each joint follows, or -1, (n_joints,).
-        factor: Factor by which it follows, (n_joints,).
+        factor: Factor on that coordinate, (n_joints,).
     """
 
     a: IntArray
@@ -88,7 +88,7 @@ class Loops(NamedTuple):
 
 
 def tree(mechanism: Mechanism, reduced: JointSubset) -> Tree:
-    """Return the joints that count of a mechanism as arrays."""
+    """Return those joints of a mechanism that count, as arrays."""
     return Tree(reduced.parents, mechanism.placements[reduced.joints], mechanism.axes[reduced.joints])
 
 
@@ -240,15 +240,15 @@ def close(
         loops: The loops, whose gaps must be zero.
         blocks, signs: `places` and `signs` of the assembly mode.
         rest: Joint values without the passive ones, (n, n_joints).
-        passive: Start values, replaced by the solution, (n, n_passive).
-        scale: Divisor of changes of passive joints, (n_passive,).
+        passive: Where to start; where it ends, (n, n_passive).
+        scale: Divisor of changes of each passive joint, (n_passive,).
         enough: Largest residual of a closed pose.
-        sure: Largest residual that is accepted by extrapolation from the two before it, not computed; 0: none.
-        largest: Correction up to which a start is near.
+        sure: Largest residual of a closed pose if predicted from the two before it; 0: none is predicted.
+        largest: Largest first correction from a start that is near enough.
         rounds: Largest number of corrections.
-        slope: Array for C_p of closed poses, (n, n_passive, n_passive); empty: not wanted.
-        by_motor: Array for C_a, (n, n_passive, n_actuated).
-        closed: Array for the mask of poses that closed in the assembly mode, (n,).
+        slope: Where to put C_p of closed poses, (n, n_passive, n_passive); empty: not wanted.
+        by_motor: The same for C_a, (n, n_passive, n_actuated).
+        closed: Where to put the mask of the poses that closed in the assembly mode, (n,).
     """
     (n, n_passive), n_joints = passive.shape, rest.shape[1]
     T, q, V = np.empty((n_joints + 1, 12)), np.empty(n_joints), np.empty(6)

@@ -32,22 +32,22 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.robots.mechanism import JointSubset, Mechanism, RelativeFrame, flat_poses
 
 CHUNK = 64
-"""Number of poses whose arrays stay together in the processor's cache, and need no new pages of memory."""
+"""Number of poses to compute at a time: their arrays stay in the processor's cache, without new pages of memory."""
 _JOINTS_AT_ONCE = 48 * CHUNK
 _AT_HOME = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
 
 
 def n_at_once(reduced: JointSubset) -> int:
-    """Return the best number of poses to compute at once: more than `CHUNK` where few joints count."""
+    """Return how many poses to compute at a time: more than `CHUNK` if few joints count."""
     return max(CHUNK, _JOINTS_AT_ONCE // max(len(reduced.joints), 1))
 
 
 def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
-    """Yield n poses in parts of about equal size, at most 1.5 times `size`, so that no part is very small.
+    """Yield n poses in parts of about equal size, at most 1.5 times `size`, so that no part is small.
 
     Args:
         n: Number of poses.
-        size: Best number of poses at once.
+        size: Number of poses to compute at a time.
     """
     count = max(round(n / size), min(n, 1))
     for k in range(count):
@@ -395,7 +395,7 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
     """Return d(value)/d(coordinates), (n, n_rows, n_coordinates).
 
     Args:
-        mapping: From `twist_map` or `motion_map`.
+        mapping: Result of `twist_map` or `motion_map`.
         coordinates: Coordinates in the model of the same joints.
     """
     assert swept.jacobian is not None  # compiled code does not come here
@@ -409,9 +409,9 @@ def origin_derivative(
     """Compute map (V_b - V_a) along origin twists, minus their effect through the loops, (n, n_rows, k).
 
     Args:
-        mapping: From V_b - V_a to the rows, (n, n_rows, 6).
-        loops: Derivative of the rows by the opening of each loop's row, (n, n_rows, n_loop_rows), and `gap_maps`.
-        along: The twists, and the joints that they move.
+        mapping: Map from V_b - V_a to the rows, (n, n_rows, 6).
+        loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
+        along: The twists, and what they move.
         result: Array to fill, (n, n_rows, k).
     """
     n, n_rows = mapping.shape[:2]

@@ -83,7 +83,7 @@ def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None)
     if not mjcf.motors:
         raise DescriptionError(
             f"{urdf.path}: has loops, and no joint has an actuator; add actuators to its motors"
-            " (of SDF: a plugin with their joint_name)"
+            " (in SDF: a plugin with their joint_name)"
         )
     open_loops = describe(chain, urdf_path).model_copy(update={"name_mot": mjcf.motors})
     description, remarks = _with_loops(open_loops, urdf), [*mjcf.remarks]

@@ -58,8 +58,8 @@ class JointSubset:
     the root link's origin would otherwise lose the digits that closed loops need. Joints of other branches cost time.
 
     Attributes:
-        joints: Which origins stay, parents first, (n_reduced,).
-        places: Where each frame is among them, 1 and up, or 0: it does not move, (n_joints + 1,).
+        joints: Indices of the origins that stay, parents first, (n_reduced,).
+        places: Number of each frame among them, from 1; 0 for a frame that does not move, (n_joints + 1,).
         parents: `places` of the frame before each origin that stays, (n_reduced,).
         model: The model of these alone, all origins at zero.
     """
@@ -73,8 +73,8 @@ class JointSubset:
 def flat_poses(poses: Any) -> FloatArray:
     """Return a view of Pinocchio's vector of poses as numbers, (n, 12): rotations column by column, then positions.
 
-    Only this function reads memory of C++, where the poses lie one behind the other, all in the same layout, because
-    to ask Pinocchio for each pose takes several times as long as to compute them.
+    No other function reads the memory of C++, where the elements of a vector follow each other, and so do the two parts
+    of each. Asking Pinocchio for each pose of each joint takes several times as long as computing them.
     """
     return np.lib.stride_tricks.as_strided(poses[0].rotation.T, (len(poses), 12), (_POSE_BYTES, 8))
 
@@ -207,7 +207,7 @@ class Mechanism(ReadOnlyArrays):
         return self._reductions[pairs]
 
     def model_around(self, pairs: tuple[RelativeFrame, ...]) -> pin.Model:
-        """Return Pinocchio's model of this part, with the origins of this mechanism; nobody may change it."""
+        """Return Pinocchio's model of `reduced_to`, with the origins of this mechanism; nobody may change it."""
         if pairs not in self._models:
             reduced = self.reduced_to(pairs)
             model = reduced.model.copy()

@@ -21,9 +21,9 @@ class NamedComponent:
     """A component of an origin under another name.
 
     Attributes:
-        name: Its usual name.
-        origin, component: Origin and component that it is.
-        sign: +1, or -1 where the usual sign is the opposite.
+        name: Name in the trade.
+        origin, component: The component.
+        sign: +1, or -1 where the trade counts the other way.
         sigma: Expected error [m or rad].
         unit: Unit of tables.
     """

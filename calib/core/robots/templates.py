@@ -17,7 +17,7 @@ class LoopTemplate:
     """A kind of mechanism.
 
     Attributes:
-        what: In a few words.
+        what: The robot in a few words.
         lengths: Every length with its default [m].
         build: Its function.
     """

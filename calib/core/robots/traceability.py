@@ -1,7 +1,7 @@
 """The traceability of measurements in a robot description: the key `traceability`.
 
-All entries are optional, and none changes a fit: `calib certificate` makes an uncertainty budget of them, and prints
-them. Free text is printed as it is.
+All of it is optional, and changes no fit: `calib certificate` computes an uncertainty budget from it, and
+writes both. Free text is written as it is.
 """
 
 from __future__ import annotations
@@ -62,12 +62,12 @@ class CertifiedInstrumentSection(ItemSection):
     """An instrument, and the error that its calibration certificate allows, the same in all readings.
 
     Attributes:
-        certificate, date, laboratory: Record of the instrument's own calibration.
-        scale: Error of lengths in proportion [1].
-        offset: Error of positions along each axis, or of distances [m].
-        offset_angle: Error of angles, about each axis of orientations [rad].
-        focal_length: Error of a camera's focal length in proportion [1].
-        principal_point: Error of a camera's principal point along each axis [px].
+        certificate, date, laboratory: Those of its own calibration.
+        scale: How far lengths may be off, relative.
+        offset: How far positions may be off along each axis, or distances [m].
+        offset_angle: How far angles may be off, about each axis of orientations [rad].
+        focal_length: How far the focal length of a camera may be off, relative.
+        principal_point: How far the principal point of a camera may be off along each axis [px].
         stated: Whether these are expanded uncertainties, or maximum permissible errors (limits, rectangular).
         k: Coverage factor of expanded uncertainties.
     """
@@ -94,7 +94,7 @@ class ReflectorSection(Section):
 
     Attributes:
         diameter: Its diameter [m].
-        centring: Standard uncertainty of the place of its centre, which differs from reading to reading [m].
+        centring: Standard uncertainty of the place of its centre, with an independent error at each reading [m].
     """
 
     diameter: _NotNegative | None = None
@@ -102,7 +102,7 @@ class ReflectorSection(Section):
 
 
 class TemperatureSection(Section):
-    """Temperature of the robot.
+    """Temperatures of the robot.
 
     Attributes:
         calibration, use: Mean temperatures [degC].
@@ -124,7 +124,7 @@ class TemperatureSection(Section):
 
 
 class TraceabilitySection(Section):
-    """The key `traceability`; see docs/howto/certificate.md.
+    """The whole key `traceability`; see docs/howto/certificate.md.
 
     Attributes:
         date: Day of the measurements, ISO 8601.

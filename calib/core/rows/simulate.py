@@ -40,9 +40,9 @@ from calib.core.rows.whitening import stated_noise
 
 _LONGEST_STEP = 0.2  # step of a joint [rad, or characteristic lengths]
 _ROUNDS, _STEPS = 3, 100
-_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a search ends if a step gains less and ends further away than this [1, m]
+_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a search ends at a smaller gain of a step, if it is further from contact [m]
 MET = 1e-10
-"""Distance below which the robot touches [m]."""
+"""The robot touches if the distance is less [m]."""
 _FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
 
 
@@ -56,8 +56,8 @@ def simulate(
 ) -> Measurements:
     """Return simulated measurements of a robot at its current parameter values.
 
-    Instruments read as planned (`calib.core.data.plan_files.read_plan`), else all that they can. At a touch, the joint
-    values are changed until the robot touches. Unstated noise is zero.
+    Instruments read what is planned (`calib.core.data.plan_files.read_plan`); without a plan, all that they can. At a
+    touch, the joint values are changed until the robot touches. Unstated noise is zero.
 
     Args:
         robot: The true robot.
@@ -159,7 +159,7 @@ def touching_configurations(
     Args:
         poses: Poses to start from; poses without a touch stay, or follow a touch that repeats the same pose.
         touches: Planned touches of each touching instrument, with the distance of each miss.
-        off: Errors of the joints beside their commands, (n, n_actuated) [m or rad]; zero if not given.
+        off: Errors of the joints in addition to their commands, (n, n_actuated) [m or rad]; zero if not given.
 
     Returns:
         Commands, (n, n_actuated) [m or rad]; distance of each from contact, (n,) [m], less than `MET` where it touches.

@@ -63,8 +63,8 @@ _TRIED = (3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 65, 80, 100)
     metavar="all|each|LIST",
     default=ALL,
     show_default=True,
-    help="Instruments that read at a chosen pose. all: every one; each: those that help most; LIST: one entry of the"
-    " list, such as tracker,sockets+ballbar (+ joins instruments that read together).",
+    help="Instruments that read at a chosen pose. all: every one; each: those that help most; LIST: one of a list, such"
+    " as tracker,sockets+ballbar (those joined by + read together).",
 )
 @click.option(
     "--index",

@@ -76,10 +76,10 @@ class FanucPosition:
         return f"P[{number_at(self.code, self.text_start)}]"
 
     def target(self) -> ProgramTarget:
-        """Return the target, in its user frame and for its tool.
+        """Return the target, with the numbers of its frame and tool.
 
-        CONFIG compares with the reference pose. N, U and T mean the same side; F means that the wrist is flipped, D
-        that the elbow is down, B that the wrist is behind axis 1. All turns must be 0.
+        Letters of CONFIG compare with the reference pose. N, U, T: the same side as in that pose; F: wrist flipped, D:
+        elbow down, B: behind axis 1. All turns must be 0.
 
         Raises:
             LeftOutError: External axes or other motion groups move, or the configuration counts turns.

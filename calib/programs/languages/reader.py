@@ -75,7 +75,7 @@ class Reader(Statements):
 
     Attributes:
         declared: Data by name.
-        foreign: The first call that may set shared data, and the remedy, in words; empty without.
+        foreign: The first call that may set shared data, and the remedy, in words; empty if there is none.
     """
 
     language: str

@@ -168,7 +168,7 @@ class UrscriptReader(Reader):
         return (self._pose(self._constant(span)) if span else None) or Unknown(_NO_TOOL, whole=True)
 
     def _named_argument(self, span: Span) -> tuple[str, Span]:
-        """The name of an argument, empty without, and the span of its value."""
+        """The name of an argument, empty if it has none, and the span of its value."""
         named = span[1] > span[0] + 1 and self.code.is_mark(span[0] + 1, "=")
         return (self.code.tokens[span[0]].text, (span[0] + 2, span[1])) if named else ("", span)
 

@@ -48,11 +48,10 @@ def terms_lines(fit: Fit) -> list[str]:
     refused = [f"{trial.term} ({trial.refusal})" for trial in tried if trial.refusal]
     lines = [f"Joint terms added: {listing(added, '; ', count) or _NONE}"]
     lines += [line for trial in tried if trial.added for line in _coefficients(fit, trial.term)]
-    if left:
-        lines.append(f"Joint terms that the measurements neither show nor exclude: {listing(left, '; ', count)}")
-    if refused:
-        lines.append(f"Joint terms that these measurements cannot show: {listing(refused, '; ', count)}")
-    return lines
+    lines += (
+        [f"Joint terms that the measurements neither show nor exclude: {listing(left, '; ', count)}"] if left else []
+    )
+    return lines + ([f"Joint terms that these data cannot show: {listing(refused, '; ', count)}"] if refused else [])
 
 
 def _size_in_words(trial: TermTrial) -> str:
@@ -67,7 +66,7 @@ def _size_in_words(trial: TermTrial) -> str:
 
 
 def _coefficients(fit: Fit, kind: str) -> list[str]:
-    """Return a line on the coefficients of a kind that has one for each joint; empty for other kinds."""
+    """Return the coefficients of a kind that has one for each joint, in a line."""
     terms = [term for term in fit.robot.terms if type(term) is TERMS[kind] and len(term.parameters) == 1]
     found = [fit.parameters[term.parameters[0].name] for term in terms]
     clear = [c for c in found if abs(c.value_si) > float(c.half95_si)]
@@ -78,7 +77,7 @@ def _coefficients(fit: Fit, kind: str) -> list[str]:
 
 
 def terms_added(fit: Fit) -> list[str]:
-    """Return the added joint terms in a line; none without a choice."""
+    """Return the added joint terms in a line; no line if there was no choice."""
     if fit.terms is None or not fit.terms.automatic:
         return []
     added = [trial.term for trial in fit.terms.trials if trial.added]

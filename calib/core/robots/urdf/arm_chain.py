@@ -1,13 +1,13 @@
 """The arm's chain in a URDF, if the link with the measured point is not named.
 
-The arm is the chain with the most motors, without the fingers of a gripper; of equally long chains, the first in the
-file. Fingers are first recognised by structure. Two or more joints on one link are fingers if each reaches less than a
-third of the way from the arm's first joint to that link, and the longest two reach about equally far. (In the robots of
-Pinocchio's example-robot-data, hands reach up to a quarter of that way, the arms of a torso more than twice as far.) A
-gripper with one moving joint looks like a last axis, so names decide: the last joint and its link are both called
-finger, gripper or the like, and the joint before is not.
+The arm is the chain with the most motors, without the fingers of a gripper; if chains are equally long, the first in
+the file. Fingers are first recognised by structure: two or more joints on one link whose longest two have about the
+same reach, all shorter than a third of the way from the arm's first joint to that link. (In the robots of Pinocchio's
+example-robot-data, hands reach up to a quarter of that way, the arms of a torso more than twice as far.) A gripper with
+one moving joint looks like a last axis; there names decide: the last joint and its link are both called finger, gripper
+or the like, and the joint before is not.
 
-When it fails. A tool changer with two short tools that have motors looks like a gripper. If two legs and an arm have
+When it fails. A tool changer with two short tools that have motors looks like a gripper. If legs and an arm have
 equally many joints, the first in the file is taken. Omitted joints are always reported, and `calib init --target`
 overrules.
 """
@@ -22,8 +22,8 @@ from calib.core.base.errors import DescriptionError, require_known
 from calib.core.base.words import listing
 from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText, require_supported
 
-_SHORT = 1 / 3  # reach of fingers over the way from the arm's first joint to them
-_ALIKE = 0.5  # reach of the second longest finger over that of the longest
+_SHORT = 1 / 3  # fingers reach less than this part of the way from the arm's first joint to them
+_ALIKE = 0.5  # the second longest finger reaches at least this part of the longest
 _FINGER = re.compile("finger|thumb|jaw|claw", re.IGNORECASE)
 _GRIPPER = re.compile(f"gripper|{_FINGER.pattern}", re.IGNORECASE)
 _SHOWN = 8

@@ -53,7 +53,7 @@ from calib.core.robots.urdf.writing import (
 
 _DRAWN = 12  # configurations for the directions of a loop
 _SPREAD = 0.3  # standard deviation from the file's configuration [m, rad]
-_MOVES = 1e-7  # singular value over the largest above which joints move along a direction
+_MOVES = 1e-7  # joints move along a direction whose singular value is more than this part of the largest
 _SHOWN_GROUPS = 3  # number of shape groups: MuJoCo draws groups 0, 1 and 2
 _NOT_HELD = "a URDF cannot hold it; take it out of the file, or its joints if the arm does not need them"
 _MESHES = (".stl", ".obj", ".dae", ".ply")

@@ -50,7 +50,7 @@ def read_sdf(source: bytes, path: str) -> MjcfRobot:
     model = next(root.iter("model"), None)
     if model is None or model.find("link") is None:
         what = "it includes others" if root.find(".//include") is not None else "it has no model with links"
-        raise UrdfError(f"{path}: {what}; write one whole model, such as by gz sdf -p, or give the URDF")
+        raise UrdfError(f"{path}: {what}; write one whole model, such as with gz sdf -p, or give the URDF")
     for tag in ("include", "model"):
         if model.find(tag) is not None:
             raise UrdfError(

@@ -3,8 +3,7 @@
     pairs shifted     images belong to the poses one or two rows later or earlier
     mirrored          the camera mirrors its images (a chessboard does not show it)
     poses inverted    the file has the base in the tool. With the other mount, the same images fit as well, so this
-    shows
-                      only if the mount is stated
+                      shows only if the mount is stated
     rotations         the numbers of a rotation in another order, or of the base in the tool
     units             lengths of poses and board differ by a factor between units
 

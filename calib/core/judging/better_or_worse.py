@@ -15,8 +15,6 @@ they contain errors of the model. Where poses scatter more than independent read
 (`calib.core.numerics.clusters`), the mixed part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
 Validation poses whose frame moved are compared with the frame placed anew (`calib.core.fitting.moved_frame`).
 
-Validation poses whose frame moved are compared with that placed anew (`calib.core.fitting.moved_frame`).
-
 This test asks whether the uncertainty of the fit explains the change. A fit that is uncertain at unused poses explains
 much, and harms the robot nevertheless. So a calibration is `worse`, too, where these errors are more than `HARM` times
 as large as before, and the differences |a_k|^2 - |b_k|^2, summed pose by pose, have a mean above zero with a chance of

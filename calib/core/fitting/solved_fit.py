@@ -224,7 +224,7 @@ class SolvedFit(ReadOnlyArrays):
         before, after, whitening, factors = self._whitened(errors)
         configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
         observed = observe(self.robot, configurations, data.readings)
-        rows = whitening.rows(observed, factors, self.unknowns, self.unknowns.deviations(self.robot.values))
+        rows = whitening.rows(observed, factors, self.unknowns, self.robot.values)
         return before, replace(rows, residuals=after)
 
     def whitened_errors(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray]:

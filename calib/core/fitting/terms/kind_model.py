@@ -102,9 +102,9 @@ class KindModel:
         same = self.robot is fit.robot
         poses = fit.configurations if same else self.robot.assemble(data.joints, near, data.labels, data.conditions)
         observed = observe(self.robot, poses, data.readings, joints=True)
-        weighing, deviations = fit.whitening.weighing(ratios), self._unknowns.deviations(self.robot.values)
+        weighing = fit.whitening.weighing(ratios)
         rows = (
-            fit.whitening.rows(observed, groups, self._unknowns, deviations)
+            fit.whitening.rows(observed, groups, self._unknowns, self.robot.values)
             .with_weights(fit.weights)
             .whiten_shared(weighing)
         )

@@ -29,7 +29,7 @@ from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit(SolvedFit, HintedObject):
-    """A finished identification. `SolvedFit` has its values, rows and noise.
+    """A finished identification. `calib.core.fitting.solved_fit.SolvedFit` lists its values, rows and noise.
 
     Attributes:
         starts: Ends of perturbed starts, if requested.

@@ -31,7 +31,7 @@ from calib.core.robots.robot import Robot
 
 
 def robot_of_data(path: object, robot: RobotLike) -> Robot:
-    """Return the robot of data that are to be read; an `InputError` where it stands in their place."""
+    """Return the robot for data that are to be read; `InputError` if a robot is given in the place of the data."""
     if isinstance(path, Robot):
         raise InputError('the data come first here, then the robot: calib.read_measurements("data.csv", robot)')
     return as_robot(robot)
@@ -56,7 +56,7 @@ def read_measurements(
     Args:
         path: The file, or several that belong together; see the module docstring. Or data frames of pandas or polars,
             or dictionaries of columns, with the headers that files have.
-        robot: Whose joints and instruments they are; loaded, or its description or URDF.
+        robot: Robot with these joints and instruments: loaded, or its description or URDF.
         growing: For one file that is still being written: its lines so far, which may have no reading yet.
 
     Raises:

@@ -34,7 +34,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     """
     setups = setups_of(robot, table) if robot.description.setups and "setup" in table.names else None
     joints, sensed = _joints_of_table(table, robot, setups, robot.joint_names)
-    joints.flags.writeable = False  # who holds it needs no copy
+    joints.flags.writeable = False  # so its holders need no copy
     called = tuple(table.text("pose")) if "pose" in table.names else None
     if called is not None and "" in called:
         line = table.lines[called.index("")]
@@ -164,9 +164,9 @@ def conditions_of_table(
     """Return the conditions of the robot in each row of a table.
 
     Args:
-        robot: Its terms say what they depend on.
-        joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then what
-            their order would tell counts as nothing.
+        robot: Robot whose terms name their inputs.
+        joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then their
+            order tells nothing.
 
     Returns:
         Columns that terms depend on, and those of gravity where the description speaks of it, (n,) [SI] by name, NaN

@@ -77,9 +77,9 @@ class Fit(SolvedFit, HintedObject):
 
     @cached_property
     def covariance(self) -> Covariance:
-        """Covariance of the free parameters of the robot with its joint terms, by name.
+        """Covariance of the free parameters, by name.
 
-        Intervals of parameters also include terms that `--terms auto` left undecided.
+        It omits joint terms that `--terms auto` left undecided; intervals of parameters include them.
         """
         values = self.interval_factor**2 * self.statistics.covariance
         return Covariance(self.free_names, values, self.contains(Uncertainty.COVARIANCE))
@@ -187,7 +187,7 @@ class Fit(SolvedFit, HintedObject):
 
     @property
     def undecided(self) -> UndecidedTerms | None:
-        """Joint terms that the data do not exclude, and the robot lacks; None without any."""
+        """Joint terms that the data do not exclude, and that the robot lacks; None if there are none."""
         if self.terms is not None and self.terms.automatic:
             return self.terms.undecided
         return self.unexplained.terms

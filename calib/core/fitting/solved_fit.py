@@ -35,7 +35,7 @@ class Convergence:
 
     Attributes:
         converged: Whether the weights of a robust loss have settled, and `step_left` is small enough.
-        message: The rule that ended it; or the step left, where this decides.
+        message: The rule that ended it, or the step left if that shows that it has not converged.
         step_left: Largest Gauss-Newton step left, over the standard deviation of its parameter.
         parameter: The parameter of that step.
         has_settled_weights: Whether the weights of a robust loss have settled; True without one.
@@ -161,7 +161,7 @@ class SolvedFit(ReadOnlyArrays):
 
     @property
     def first_noise(self) -> NoiseEstimate:
-        """Noise of measured positions; of the first group of rows where none are."""
+        """Noise of measured positions; of the first group of rows if no positions are measured."""
         return next((estimate for estimate in self.noise if estimate.group.part.is_position), self.noise[0])
 
     @property

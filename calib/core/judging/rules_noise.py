@@ -12,8 +12,9 @@ from calib.core.base.errors import CalibrationError
 from calib.core.base.memoize import memoize
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.data.measurements import Measurements
-from calib.core.fitting.fitted import Fit, NoiseEstimate
+from calib.core.fitting.fitted import Fit
 from calib.core.fitting.mistaken_readings import jumbled_residuals
+from calib.core.fitting.solved_fit import NoiseEstimate
 from calib.core.instruments.kind import Part
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import comparisons

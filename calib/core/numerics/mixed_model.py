@@ -63,7 +63,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
-from calib.core.numerics.clusters import blocks_of_equal_length
+from calib.core.numerics.clusters import LeftOutBlocks, blocks_of_equal_length
 from calib.core.numerics.identifiability import inverse_of_triangle
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
@@ -313,23 +313,13 @@ class SolvedModel(ReadOnlyArrays):
         Directions that a block alone decides, such as the place of a setup, are not counted.
 
         Args:
-            block: Block of each pose in the order of `MixedModel.poses`, from 0 on, (n_poses,).
+            block: Block of each row, from 0 on, (n_rows,).
             weight: Weight of each group of rows, (n_groups,).
         """
-        weights, squares = weight[self.model.rows.group], np.zeros(int(np.max(block)) + 1)
-        for k in range(len(squares)):
-            places = np.concatenate([self.model.poses[pose] for pose in np.flatnonzero(block == k)])
-            values, vectors = self._remaining_rows(places)
-            determined = values > _DECIDES
-            error = (vectors[:, determined] / values[determined]) @ (
-                vectors[:, determined].T @ self.whitened_residuals[places]
-            )
-            squares[k] = np.sum(weights[places] * self.variance[places] * error**2)
-        return squares
-
-    def _remaining_rows(self, places: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Eigenvalues (k,) and eigenvectors (k, k) of V^1/2 Q V^1/2 of some rows."""
-        return linalg.eigh(np.eye(len(places)) - self._spread[places] @ self._spread[places].T)
+        left = self.whitened_residuals
+        shifts, _ = LeftOutBlocks(self._spread, block).shifts_without_block(left, alone=1.0 - _DECIDES)
+        squares = weight[self.model.rows.group] * self.variance * (left + shifts) ** 2
+        return np.asarray(np.bincount(block, squares))
 
     def left_out_errors(self) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
         """Yield for each pose its rows (k,), the error of its prediction by all others (k,), and its covariance (k, k).
@@ -337,7 +327,7 @@ class SolvedModel(ReadOnlyArrays):
         A pose that alone decides a direction is left out.
         """
         for places, turn in zip(self.model.poses, self.model.turns, strict=True):
-            values, vectors = self._remaining_rows(places)
+            values, vectors = linalg.eigh(np.eye(len(places)) - self._spread[places] @ self._spread[places].T)
             if values[0] > _DECIDES:
                 unit = np.sqrt(self.variance[places])
                 root = turn @ (unit[:, None] * vectors / np.sqrt(values))

@@ -132,13 +132,11 @@ class _TermModel:
 
     @cached_property
     def _blocks(self) -> IntArray:
-        """Block of each pose of the model by the module docstring, (n_poses,)."""
+        """Block of each row of the model by the module docstring, (n_rows,)."""
         data, depths = self._fit.identification.data, self._fit.robot.mechanism.depths
         setups = np.zeros(len(data), dtype=np.intp) if data.setups is None else data.setups
         layout, block, start = self._fit.whitening.layout, np.zeros(len(data), dtype=np.intp), 0
-        visits = layout.visit[
-            layout.reading[self._kind_model.informative_rows[[places[0] for places in self._solved_model.model.poses]]]
-        ]
+        visits = layout.visit[layout.reading[self._kind_model.informative_rows]]
         each = np.unique(setups[visits])
         for setup in each:
             there = np.flatnonzero(setups == setup)

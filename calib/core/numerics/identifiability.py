@@ -133,9 +133,7 @@ def extend_reduced(factor: FloatArray, rows: FloatArray, right: FloatArray | Non
 
 
 def factor_products(products: FloatArray) -> FloatArray | None:
-    """Return the triangular factor R with R^T R = products, (n, n), of many columns; None where it loses digits."""
-    if len(products) < MANY_COLUMNS:
-        return None
+    """Return the triangular factor R with R^T R = products, (n, n); None where it would lose too many digits."""
     upper, failed = scipy.linalg.lapack.dpotrf(products.T)  # LAPACK's order: not copied twice
     return None if failed or scipy.linalg.lapack.dtrcon(upper)[0] < _EXACT else np.asarray(upper)
 

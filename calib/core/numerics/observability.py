@@ -27,9 +27,9 @@ place with scaled derivative B is normal with covariance (B T)(B T)^T; where B r
 noise is counted, not what the model leaves out.
 
 Method: QR of the rows, then SVD of the small factor, so that small singular values keep their digits (R^T R would lose
-half of them; with many columns and priors, the products are taken where the condition shows that digits suffice). Where
-that factor is far from singular, its inverse is a T as well, in a thirtieth of the time: T and
-T Q, with a rotation Q, have the same products.
+half of them; it is taken for many columns with priors, where the condition shows that this does no harm). Where that
+factor is far from singular, its inverse is a T as well, in a thirtieth of the time: T and T Q, with a rotation Q, have
+the same products.
 """
 
 from __future__ import annotations
@@ -233,13 +233,10 @@ def information(rows: FloatArray, priors: FloatArray | None = None) -> Informati
         rows: Whitened, of scaled parameters, (..., n_parameters); leading axes are flattened.
         priors: P, (n_priors, n_parameters), of `calib.core.numerics.prior`; none if not given.
     """
-    rows = rows.reshape(-1, rows.shape[-1])
-    if priors is None or not len(priors):
-        factor = reduce_rows(rows)
-    else:
-        many = rows.shape[1] >= MANY_COLUMNS
-        quick = factor_products(rows.T @ rows + priors.T @ priors) if many else None
-        few = rows if len(rows) <= rows.shape[1] or quick is not None else reduce_rows(rows)
-        factor = reduce_rows(np.vstack([few, priors])) if quick is None else quick
+    rows, above = rows.reshape(-1, rows.shape[-1]), priors is not None and len(priors) > 0
+    factor = rows if above and len(rows) <= rows.shape[1] else reduce_rows(rows)
+    if priors is not None and above:
+        quick = factor_products(factor.T @ factor + priors.T @ priors) if rows.shape[1] >= MANY_COLUMNS else None
+        factor = reduce_rows(np.vstack([factor, priors])) if quick is None else quick
     hold(factor)
     return Information(factor)

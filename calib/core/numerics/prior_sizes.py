@@ -188,13 +188,12 @@ def find_noise_with_families(
     Returns:
         Scales of the groups (n_groups,), and a_f of the families (n_families,).
     """
-    products, prior, deviations, members = _without_unseen(products, prior, deviations, family, start)
-    known, scales, sizes = prior.together, start.copy(), np.ones(len(members))
+    products, prior, deviations, family = _combine_seen(products, prior, deviations, family, start)
+    members, known = _members(family), prior.together
+    scales, sizes = start.copy(), np.ones(len(members))
     alone = int(np.sum(products.count > 0)) == 1
     for _ in range(_ROUNDS):
-        factor = np.ones(len(deviations))  # everything else is over these
-        for size, in_family in zip(sizes, members, strict=True):
-            factor[in_family] = size
+        factor = np.append(sizes, 1.0)[family]  # everything else is over these
         gram, pull = products.weigh(scales)
         root = inverse_root(prior.add_to(gram, factor))
         step = -root @ (root.T @ (pull + prior.gradient(deviations / factor) / factor))
@@ -222,25 +221,20 @@ def find_noise_with_families(
     return scales, sizes
 
 
-def _without_unseen(
+def _combine_seen(
     products: Products, prior: Prior, deviations: FloatArray, family: IntArray, scales: FloatArray
-) -> tuple[Products, Prior, FloatArray, list[IntArray]]:
-    """Columns of families as principal components, without those that rows do not see, and the places of each family.
+) -> tuple[Products, Prior, FloatArray, IntArray]:
+    """Products, prior, deviations and family of principal components of families, after the other parameters.
 
-    Coefficients of unseen components have their prior, whatever its size: they say nothing about it.
+    Components that rows do not see are left out: they have their prior, whatever the size is.
     """
-    gram, alone = products.weigh(scales)[0], ~np.isin(np.arange(len(family)), prior.together)
-    others = np.flatnonzero((family < 0) | ~alone)
+    gram, others = products.weigh(scales)[0], np.flatnonzero(family < 0)
     parts: list[tuple[IntArray, FloatArray]] = [(others, np.eye(len(others)))]
-    places, start = list[IntArray](), len(others)
-    for number, index in enumerate(_members(family)):
-        values, vectors = linalg.eigh(gram[np.ix_(index[alone[index]], index[alone[index]])])
-        seen = values > _ASIDE**2 * np.max(values, initial=0.0)
-        parts.append((index[alone[index]], vectors[:, seen]))
-        new = np.arange(start, start + int(np.sum(seen)))
-        places.append(np.concatenate([np.flatnonzero(family[others] == number), new]))
-        start += len(new)
-    kept = prior.select(others)
-    kept = replace(kept, has=np.append(kept.has, np.ones(start - len(others), dtype=bool)))
+    for index in _members(family):
+        values, vectors = linalg.eigh(gram[np.ix_(index, index)])
+        parts.append((index, vectors[:, values >= _ASIDE**2 * values[-1]]))
+    numbers = np.repeat(np.arange(len(parts)) - 1, [combinations.shape[1] for _, combinations in parts])
+    known = prior.select(others)  # families have independent priors
+    known = replace(known, has=np.append(known.has, numbers[numbers >= 0] >= 0))
     deviations = np.concatenate([deviations[index] @ combinations for index, combinations in parts])
-    return products.combine_columns(parts), kept, deviations, places
+    return products.combine_columns(parts), known, deviations, numbers

@@ -3,7 +3,6 @@
 Residuals larger than the noise show that the model leaves something out: gears, play, a bending link. Its effect at
 another pose is unknown, but its size is known. It is stated as an independent error of each joint at each pose, so that
 a position has it by its lever, in the directions in which joints move it:
-so that a position feels it by its lever, in the directions in which joints move it:
 
     covariance of x(q) = B C B^T + delta^2 sum over joints of (s_j dx/dq_j)(s_j dx/dq_j)^T
 

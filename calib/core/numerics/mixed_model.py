@@ -162,9 +162,7 @@ class MixedModel(ReadOnlyArrays):
         z, y = self.whiten_columns(seen, scale, variance), self.y / root
         matrix, prior = z.T @ z, self.has_prior[seen]  # a product with its own transpose: half of the work
         matrix[np.diag_indices_from(matrix)] += prior + _RIDGE * np.diag(matrix)
-        upper, failed = scipy.linalg.lapack.dpotrf(matrix.T, overwrite_a=1)  # LAPACK's order: not copied
-        if failed:
-            raise np.linalg.LinAlgError("the products of the columns are not positive definite")
+        upper = scipy.linalg.cholesky(matrix.T, overwrite_a=True, check_finite=False)  # LAPACK's order: not copied
         v = scipy.linalg.cho_solve((upper, False), z.T @ y, check_finite=False)
         left = y - z @ v
         determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(np.sum(np.log(variance)))

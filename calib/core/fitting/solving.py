@@ -316,9 +316,7 @@ def uncertainty_at(
         unknowns.scales,
         unknowns.prior,
         scatter_of_poses(rows, span, factors, solved.weights),
-        variance_by_sizes(
-            slowed.posterior_information.root @ slowed.posterior_information.root.T, unknowns.family, rows.deviations
-        ),
+        variance_by_sizes(slowed.posterior_information.covariance, unknowns.family, rows.deviations),
         beyond_linear,
     )
     return rows, scales, uncertainty

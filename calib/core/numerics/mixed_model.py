@@ -64,7 +64,7 @@ import scipy
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import LeftOutBlocks, blocks_of_equal_length
-from calib.core.numerics.identifiability import inverse_of_triangle
+from calib.core.numerics.identifiability import inverse_of_triangle, square_of_triangle
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
 _DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
@@ -162,16 +162,21 @@ class MixedModel(ReadOnlyArrays):
         z, y = self.whiten_columns(seen, scale, variance), self.y / root
         matrix, prior = z.T @ z, self.has_prior[seen]  # a product with its own transpose: half of the work
         matrix[np.diag_indices_from(matrix)] += prior + _RIDGE * np.diag(matrix)
-        upper = np.linalg.cholesky(matrix).T
+        upper = scipy.linalg.cholesky(matrix.T, overwrite_a=True, check_finite=False)  # LAPACK's order: not copied
         v = scipy.linalg.cho_solve((upper, False), z.T @ y, check_finite=False)
         left = y - z @ v
         determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(np.sum(np.log(variance)))
         cost = float(np.sum(left**2) + np.sum(prior * v**2))
-        return SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (determinant + cost))
+        solved = SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (determinant + cost))
+        vars(solved)["z"] = z  # its derivatives use it next
+        return solved
 
     def whiten_columns(self, seen: IntArray, scale: FloatArray, variance: FloatArray) -> FloatArray:
         """Return V^-1/2 Z of the columns `seen`, (n_rows, n_seen)."""
-        return self.x[:, seen] * scale[seen] / np.sqrt(variance)[:, None]
+        columns = self.x[:, seen]
+        columns *= scale[seen]
+        columns /= np.sqrt(variance)[:, None]
+        return columns
 
 
 def _rotate_rows(rows: MixedRows) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
@@ -214,7 +219,7 @@ class SolvedModel(ReadOnlyArrays):
     whitened_residuals: FloatArray
     cost: float
 
-    @property
+    @cached_property
     def z(self) -> FloatArray:
         """V^-1/2 Z, (n_rows, n_seen)."""
         return self.model.whiten_columns(self.seen, self.scale, self.variance)
@@ -232,7 +237,7 @@ class SolvedModel(ReadOnlyArrays):
     @cached_property
     def _spread(self) -> FloatArray:
         """V^-1/2 Z R^-1, (n_rows, n_seen)."""
-        return np.asarray(scipy.linalg.blas.dtrmm(1.0, self._root, self.z, side=1))
+        return np.asarray(scipy.linalg.blas.dtrmm(1.0, self._root, self.z.T, trans_a=1).T)
 
     @cached_property
     def _leverage(self) -> FloatArray:
@@ -265,7 +270,7 @@ class SolvedModel(ReadOnlyArrays):
     def information(self) -> FloatArray:
         """Fisher's information of the logarithms of the sizes, (n_sizes, n_sizes)."""
         shares, members = self._shares, self._members
-        families = 2.0 * members @ (self._root @ self._root.T) ** 2 @ members.T
+        families = 2.0 * members @ square_of_triangle(self._root) ** 2 @ members.T
         families += np.diag(2.0 * members @ (1.0 - 2.0 * self._unseen_part))
         span = scipy.linalg.blas.dtrmm(1.0, self._root, self._spread, side=1, trans_a=1)  # V^-1/2 T
         mixed = members @ (shares @ span**2).T
@@ -303,8 +308,7 @@ class SolvedModel(ReadOnlyArrays):
     def covariance(self) -> FloatArray:
         """Covariance of u of the component columns, (n, n)."""
         result = np.diag(self.scale**2)
-        root = self.scale[self.seen, None] * self._root
-        result[np.ix_(self.seen, self.seen)] = root @ root.T
+        result[np.ix_(self.seen, self.seen)] = square_of_triangle(self.scale[self.seen, None] * self._root)
         return result
 
     def left_out_squares(self, block: IntArray, weight: FloatArray) -> FloatArray:

@@ -387,7 +387,8 @@ def test_outliers_do_not_hide_what_is_left_at_the_joints_nor_colour_a_square():
     for panel in charts["by-joint"].panels:
         low, high = panel["y"]["ends"]
         sizes = sorted(abs(y) for layer in panel["layers"] if layer["kind"] == "points" for y in layer["y"])
-        assert panel["y"]["beyond"] and -low == high
+        assert panel["y"]["beyond"]
+        assert -low == high
         assert sizes[-2] < high < 2 * sizes[-2] < sizes[-1]  # all but the spoiled reading, and not much more
     for panel in charts["planes"].panels:
         cells, points = panel["layers"]
@@ -399,21 +400,24 @@ def test_a_cause_that_makes_the_error_larger_has_a_bar_back(fit, monkeypatch):
     """Made up: 4 = 2 + 1.5 - 1 + 1.5 mm^2 of four causes."""
     causes = [{"cause": name, "mean_square": part, "rms": 1.0, "share": 0.1, "remark": ""}
               for name, part in zip("abcd", (2.0, 1.5, -1.0, 1.5), strict=True)]  # fmt: skip
-    monkeypatch.setattr(
-        "viz.result_charts.budget_table", lambda _: {"causes": causes, "unit": "mm", "rms_before": 2.0}
-    )
+    monkeypatch.setattr("viz.result_charts.budget_table", lambda _: {"causes": causes, "unit": "mm", "rms_before": 2.0})
     chart = waterfall(fit)
     (bars,) = chart.panels[0]["layers"]
     assert bars["right"][0] == pytest.approx(2.0)
     assert np.square(bars["right"]) - np.square(bars["left"]) == pytest.approx([2.0, 1.5, 1.0, 1.5], abs=1e-3)
-    assert len(set(bars["colours"])) == 2 and bars["colours"][0] == bars["colours"][1] != bars["colours"][2]
+    assert len(set(bars["colours"])) == 2
+    assert bars["colours"][0] == bars["colours"][1] != bars["colours"][2]
     assert "makes it larger" in chart.text
 
 
 @pytest.mark.parametrize(
     ("grade", "command", "words"),
     [
-        ("PASS", COMMAND, "calibrated.urdf, beside this page, for simulators and ROS; for a controller: calib export c "),
+        (
+            "PASS",
+            COMMAND,
+            "calibrated.urdf, beside this page, for simulators and ROS; for a controller: calib export c",
+        ),
         ("CHECK", "", "calibrated.urdf, beside this page, for simulators and ROS"),
         ("FAIL", COMMAND, "none: the verdict is FAIL (--force writes calibrated.urdf)"),
     ],

@@ -1,5 +1,7 @@
 """The report in a real Chromium: opens offline, asks nobody, text can be found and selected, prints."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from browser_tab import Tab
@@ -152,7 +154,7 @@ def test_texts_of_plots_are_whole_and_numbers_at_an_axis_do_not_touch(show, size
             lines.setdefault((plot, round(y)), []).append((x, x1, text))
     for texts in lines.values():
         apart = sorted(set(texts))
-        for (_, end, one), (begin, _, two) in zip(apart, apart[1:], strict=False):
+        for (_, end, one), (begin, _, two) in pairwise(apart):
             assert begin > end + 2, (plot, one, two)
 
 
@@ -243,6 +245,12 @@ def test_compared_results_fit_the_window_and_print(show, tmp_path):
         assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
         assert tab.page.locator("#intervals[data-drawn]").count() == 1
         assert tab.page.locator("#same-rows[data-drawn]").count() == 1
+
+
+def test_small_numbers_of_a_logarithmic_axis_are_not_rounded_to_zero(small_report):
+    shown = small_report.page.evaluate("""() => { const { views } = calibrationReport.charts[0];
+      return views[0].model.below[0].formatter.doFormat([1e-6, 1e-4, 0.01, 1000], {}); }""")
+    assert shown == ["0.000001", "0.0001", "0.01", "1000"]
 
 
 def test_plots_take_the_colours_of_a_dark_page(small_report):

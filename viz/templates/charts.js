@@ -121,11 +121,12 @@ class Chart {
   /** @param room width that the panel has [px] */
   figure({ x, y, layers, title, height, equal, bare }, room) {
     const letter = this.small ? 6.2 : 7.2; // width of one in the name of an axis [px]
-    const frame = room - Math.max(this.small ? 90 : 70, ...y.names.map((name) => 40 + letter * name.length)); // about
+    const names = y.names.map((name) => inLines(name, room / 15).split("\n"));
+    const frame = room - Math.max(this.small ? 90 : 70, ...names.flat().map((line) => 40 + letter * line.length)); // about
     const range = ({ log, ends, names }, turned) => (names.length ? new Bokeh.Range1d({ start: turned ? names.length - 0.5 : -0.5, end: turned ? -0.5 : names.length - 0.5 })
       : ends ? new Bokeh.Range1d({ start: ends[0], end: ends[1] }) : new Bokeh.DataRange1d({ range_padding: 0.12 }));
     const figure = new Bokeh.Plotting.Figure({
-      height, sizing_mode: "stretch_width", title: inLines(title, room / 7.8) || null, x_axis_label: inLines(x.label, frame / letter) || null, y_axis_label: inLines(y.label, (height - 60) / letter) || null,
+      height: height + 13 * names.length * Math.max(0, ...names.map((name) => name.length - 1)), sizing_mode: "stretch_width", title: inLines(title, room / 7.8) || null, x_axis_label: inLines(x.label, frame / letter) || null, y_axis_label: inLines(y.label, (height - 60) / letter) || null,
       x_axis_type: x.log ? "log" : "linear", y_axis_type: y.log ? "log" : "linear",
       x_range: range(x, false), y_range: range(y, true), match_aspect: equal, tools: "pan,wheel_zoom,box_zoom,box_select,tap,reset,save",
       toolbar_location: "above", background_fill_color: null, border_fill_color: null, outline_line_color: null,
@@ -171,9 +172,9 @@ class Chart {
           minor_tick_line_color: null, axis_label_text_font_size: this.small ? "11px" : "13px", axis_label_text_font_style: "normal", major_label_text_font_size: this.small ? "10px" : "12px" });
         if (names.length) {
           axis.ticker = new Bokeh.FixedTicker({ ticks: names.map((_, k) => k), minor_ticks: [] });
-          axis.major_label_overrides = new Map(names.map((name, k) => [k, 16 * name.length > room ? name.replace(/(.{12,}?) /, "$1\n") : name]));
+          axis.major_label_overrides = new Map(names.map((name, k) => [k, inLines(name, room / 15)]));
         } else if (!log && height < 220) axis.ticker.desired_num_ticks = 3;
-        axis.formatter = new Bokeh.BasicTickFormatter({ use_scientific: !log, power_limit_high: 7 });
+        axis.formatter = log ? new Bokeh.PrintfTickFormatter({ format: "%g" }) : new Bokeh.BasicTickFormatter({ power_limit_high: 7 });
       }
     }
     for (const grid of figure.center.filter((part) => part.type === "Grid")) Object.assign(grid, { grid_line_color: this.line, grid_line_alpha: 0.7 });
@@ -209,7 +210,7 @@ class Chart {
       drawn = figure.scatter({ x: field("x"), y: field("y"), source, marker: field("mark"), size: n > 300 ? 4 : this.small ? 5 : 7, fill_color: field("colour"), fill_alpha: 0.75,
         line_color: columns.colours ? this.ink : field("colour"), line_width: columns.colours ? 0.4 : 1.2, nonselection_alpha: 0.12, ...known });
     } else if (kind === "bars") {
-      drawn = figure.hbar({ y: field("y"), source, left: field("left"), right: field("right"), height: columns.thick[0], fill_color: field("colour"), fill_alpha: 0.7,
+      drawn = figure.hbar({ y: field("y"), source, left: field("left"), right: field("right"), height: columns.thick[0], fill_color: field("colour"), fill_alpha: 0.9,
         line_color: null, ...known });
     } else {
       drawn = figure.rect({ x: field("x"), y: field("y"), width: field("width"), height: field("height"), source, fill_color: field("colour"), fill_alpha: 0.45, line_color: null });

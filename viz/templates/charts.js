@@ -37,6 +37,21 @@ function tickDistance(start, end, room, digit) {
   }
 }
 
+/** Ticks of a logarithmic axis whose numbers do not touch: powers of ten first; room and digit as above. */
+function logarithmicTicks(start, end, room, digit) {
+  const at = (value) => room * Math.log(value / start) / Math.log(end / start);
+  const half = (value) => digit * (String(value).length + 1) / 2;
+  const chosen = [];
+  for (const mantissa of [1, 5, 2, 3, 7]) {
+    for (let power = Math.floor(Math.log10(start)); power <= Math.log10(end); power += 1) {
+      const value = Number(`${mantissa}e${power}`);
+      const free = chosen.every((other) => Math.abs(at(other) - at(value)) > half(other) + half(value));
+      if (value >= start && value <= end && free) chosen.push(value);
+    }
+  }
+  return chosen.sort((a, b) => a - b);
+}
+
 /** The poses that are selected, and who shows them. */
 class Selection {
   /** @param rows of the page's table: texts, poses, marks */
@@ -133,7 +148,7 @@ class Chart {
       lod_threshold: null,
     });
     this.look(figure, x, y, height, room);
-    if (!x.log && !x.names.length) this.spaceTicks(figure, Math.max(40, frame));
+    if (!x.names.length) this.spaceTicks(figure, x.log, Math.max(40, frame));
     if (bare) [...figure.xaxes, ...figure.yaxes, ...figure.center.filter((part) => part.type === "Grid")].forEach((part) => { part.visible = false; });
     const own = []; // what a selection in this panel changes
     const hovered = layers.flatMap((layer) => this.layer(figure, layer, own, y.beyond && y.ends));
@@ -152,12 +167,15 @@ class Chart {
   }
 
   /** Space the ticks of the lower axis, also after zoom, so that its numbers do not touch. */
-  spaceTicks(figure, room) {
-    const ticker = new Bokeh.SingleIntervalTicker({ interval: 1, num_minor_ticks: 0 });
+  spaceTicks(figure, log, room) {
+    const ticker = log ? new Bokeh.FixedTicker({ ticks: [], minor_ticks: [] }) : new Bokeh.SingleIntervalTicker({ interval: 1, num_minor_ticks: 0 });
+    const digit = this.small ? 6 : 7;
     const { start, end } = figure.x_range.properties;
     const space = () => {
       const [low, high] = [figure.x_range.start, figure.x_range.end];
-      if (high > low) ticker.interval = tickDistance(low, high, room, this.small ? 6 : 7);
+      if (!(high > low)) return;
+      if (log) ticker.ticks = logarithmicTicks(low, high, room, digit);
+      else ticker.interval = tickDistance(low, high, room, digit);
     };
     [start, end].forEach((property) => property.change.connect(space));
     space();
@@ -174,7 +192,7 @@ class Chart {
           axis.ticker = new Bokeh.FixedTicker({ ticks: names.map((_, k) => k), minor_ticks: [] });
           axis.major_label_overrides = new Map(names.map((name, k) => [k, inLines(name, room / 15)]));
         } else if (!log && height < 220) axis.ticker.desired_num_ticks = 3;
-        axis.formatter = log ? new Bokeh.PrintfTickFormatter({ format: "%g" }) : new Bokeh.BasicTickFormatter({ power_limit_high: 7 });
+        axis.formatter = log ? new Bokeh.PrintfTickFormatter({ format: "%.3g" }) : new Bokeh.BasicTickFormatter({ power_limit_low: -5, power_limit_high: 7 });
       }
     }
     for (const grid of figure.center.filter((part) => part.type === "Grid")) Object.assign(grid, { grid_line_color: this.line, grid_line_alpha: 0.7 });

@@ -249,7 +249,8 @@ def test_compared_results_fit_the_window_and_print(show, tmp_path):
 
 
 def test_small_numbers_of_a_logarithmic_axis_are_not_rounded_to_zero(small_report):
-    shown = small_report.page.evaluate("""() => { const { views } = calibrationReport.charts.find(({ node }) => node.id === "errors");
+    shown = small_report.page.evaluate("""() => {
+      const { views } = calibrationReport.charts.find(({ node }) => node.id === "errors");
       return views[0].model.below[0].formatter.doFormat([1e-6, 1e-4, 0.1 * 7, 1000], {}); }""")
     assert shown == ["0.000001", "0.0001", "0.7", "1000"]
 

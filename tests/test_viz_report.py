@@ -421,7 +421,7 @@ def test_a_cause_that_makes_the_error_larger_has_a_bar_back(fit, monkeypatch):
             COMMAND,
             "calibrated.urdf, beside this page, for simulators and ROS; for a controller: calib export c",
         ),
-        ("CHECK", "", "calibrated.urdf, beside this page, for simulators and ROS"),
+        ("CHECK", "", "calibrated.urdf, beside this page, for simulators and ROS; preliminary: see Next"),
         ("FAIL", COMMAND, "none: the verdict is FAIL (--force writes calibrated.urdf)"),
     ],
 )

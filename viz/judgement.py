@@ -46,13 +46,14 @@ def following_words(fit: Fit, command: str) -> str:
 
 def robot_to_load(fit: Fit, command: str) -> str:
     """Return which file of the result holds the robot, or why there is none, and the command for a controller's."""
-    failed = judge(fit).grade == "FAIL"
-    why = "the verdict is FAIL" if failed else why_no_origins(fit)
+    grade = judge(fit).grade
+    why = "the verdict is FAIL" if grade == "FAIL" else why_no_origins(fit)
     if why:
         return f"none: {why} (--force writes calibrated.urdf)"
     folder = _folder(command)
     more = f"; for a controller: calib export {folder} (its --help lists the formats)" if folder else ""
-    return f"calibrated.urdf, beside this page, for simulators and ROS{more}"
+    doubt = "; preliminary: see Next" if grade == "CHECK" else ""
+    return f"calibrated.urdf, beside this page, for simulators and ROS{more}{doubt}"
 
 
 def _folder(command: str) -> str:

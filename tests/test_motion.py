@@ -391,6 +391,39 @@ def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_pa
         assert not (tmp_path / "out").exists()
 
 
+def test_only_what_touches_at_a_home_within_the_limits_is_left_unchecked(tmp_path):
+    folded, near = np.array(
+        [[0, 0, 0, 0, -2.4, 0], [0, 0, 0, 0, -2.0, 0]]
+    )  # the wrist hits the forearm; 17 mm are left
+    home = "self_clearance: 20 mm\nhome: {j5: %s}\n"
+    touching = calib.load(_write(tmp_path, home % folded[4]))
+    assert check_poses(touching, folded[None]).is_free
+    assert "not checked, as they touch at home: l4 - l6" in surroundings(touching).scene.remarks
+    close = calib.load(_write(tmp_path, home % near[4]))
+    assert check_poses(close, np.array([folded, near])).hits == ("l4 - l6", "")
+    assert "checked without clearance, as they are nearer at home: l4 - l6" in surroundings(close).scene.remarks
+    assert not check_move(surroundings(close).scene, near, np.zeros(6)).hit
+    parts = _shaped().rsplit('lower="-3"', 2)  # of the fifth joint
+    shorter = parts[0] + 'lower="-2.2"' + parts[1] + 'lower="-3"' + parts[2]
+    impossible = calib.load(_write(tmp_path, home % folded[4], shorter))
+    assert check_poses(impossible, folded[None]).hits == ("l4 - l6",)
+    with pytest.raises(InputError, match=r"j5 = -137\.5 deg, beyond its limits \(-126\.1 deg to 171\.9 deg\)"):
+        plan_route(impossible, as_poses(impossible, np.zeros((1, 6)), ["up"]))
+
+
+@needs_ompl
+def test_a_pose_that_no_way_leads_to_is_left_out_with_the_pair_that_blocks_the_straight_one(tmp_path):
+    post = {"post": ((0.06, 0.06, 3.0), (0.0, 0.5, 1.0))}  # only the first joint moves, and the post is in its way
+    first, *others = _shaped().split('lower="-3" upper="3"')
+    urdf = 'lower="-3" upper="3"'.join([first, 'lower="1.1" upper="1.3"'.join(others[:2])])
+    urdf = 'lower="-0.1" upper="0.1"'.join([urdf, *others[2:]])
+    robot = calib.load(_write(tmp_path, _obstacles("1 mm", post) + "home: {j2: 1.2}\n", urdf))
+    poses = as_poses(robot, np.array([[-1, 1.2, 0, 0, 0, 0], [2.6, 1.2, 0, 0, 0, 0]]), ["before", "behind"])
+    route = plan_route(robot, poses)
+    assert [stop.name for stop in route.stops] == ["before"]
+    assert re.fullmatch(r"no free way leads there, l\d - post blocks the straight one", route.left_out["behind"])
+
+
 def test_a_wall_and_a_turned_reflector_are_in_sight(tmp_path):
     sight = "sight: {xyz: [3 m, 0, 1.1 m]}\nobstacles:\n  wall: {box: [0.05, 1, 1], xyz: [2 m, 0, 1.1 m]}\n"
     robot = calib.load(_write(tmp_path, sight))

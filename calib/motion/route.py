@@ -16,6 +16,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import ComputationError, DataError, InputError
 from calib.core.base.registry import brought
+from calib.core.base.units import DISPLAY_UNIT, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.base.workers import Progress
 from calib.core.data.measurements import Poses
@@ -23,7 +24,7 @@ from calib.core.robots.robot import Robot
 from calib.motion.approach import approaches
 from calib.motion.planner import Planner
 from calib.motion.poses import surroundings, what_hits
-from calib.motion.scene import CollisionScene
+from calib.motion.scene import CollisionScene, beyond_limits
 
 _NODES = 150  # poses of the roadmap in addition to the stops
 _ROUNDS = 4  # rounds of tries with the next best candidates
@@ -103,12 +104,17 @@ def plan_route(
         progress: Called with the number of tried poses.
 
     Raises:
-        InputError: The robot collides at the start.
+        InputError: The robot collides at the start, or cannot be there.
         ComputationError: None of the poses can be visited.
         DescriptionError: The scene cannot be built; see `calib.motion.poses.surroundings`.
     """
     start = np.array(robot.home if start is None else start)
     scene = surroundings(robot).scene
+    if any_beyond := _beyond_limits(robot, start):
+        raise InputError(
+            f"{robot.path}: the robot cannot start at {any_beyond}; write a 'home' into the description, or give"
+            " --start FILE"
+        )
     if hit := scene.hits(start[None])[0]:
         raise InputError(f"{robot.path}: the robot collides where it starts ({hit}); give another start (--start FILE)")
     planner = Planner(scene, np.vstack([start, _more_free_poses(robot, scene, seed)]), robot.joint_limits, seed)
@@ -130,10 +136,21 @@ def plan_route(
     return Route(robot, start, (*stops, *replaced), left_out, names, scene.remarks + notes)
 
 
+def _beyond_limits(robot: Robot, q: FloatArray) -> str:
+    """The first of joint values (n_actuated,) beyond its limits, as text; "" for none."""
+    outside = np.flatnonzero(beyond_limits(robot, q)).tolist()
+    if not outside:
+        return ""
+    name, limits = robot.joint_names[outside[0]], robot.joint_limits[outside[0]].tolist()
+    value, low, high = (
+        quantity_text(each, robot.mechanism.dimensions[name], ".4g", DISPLAY_UNIT) for each in (q[outside[0]], *limits)
+    )
+    return f"{name} = {value}, beyond its limits ({low} to {high})"
+
+
 def _why_blocked(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
     """Reasons why poses cannot be visited, "" for none."""
-    low, high = robot.joint_limits.T
-    outside = np.any((joints < low - 1e-9) | (joints > high + 1e-9), axis=1)
+    outside = np.any(beyond_limits(robot, joints), axis=1)
     hits = what_hits(robot, joints)
     return tuple("outside the joint limits" if out else hit for out, hit in zip(outside, hits, strict=True))
 
@@ -173,6 +190,9 @@ def _visit(
         left = np.flatnonzero(np.array(why) == _NO_WAY)
         if progress is not None:
             progress(len(poses) - len(left), len(poses))
+    for k in left.tolist():
+        if blocking := planner.move(planner.nodes[planner.here], poses.joints[k]).hit:
+            why[k] = f"{_NO_WAY}, {blocking} blocks the straight one"
     return stops, {name: reason for name, reason in zip(poses.names, why, strict=True) if reason}
 
 

@@ -323,6 +323,7 @@ def test_the_route_command_writes_programs_and_a_table_that_joins_by_pose(tmp_pa
         ("obstacles:\n  rock: {mesh: rock.stl}\n", "rock.stl' is not there"),
         ("obstacles:\n  rock: {plane: true, frame: l3}\n", "a plane cannot move"),
         ("obstacles:\n  rock: {sphere: 1 mm, frame: l33}\n", "no link or joint 'l33'"),
+        ("obstacles: unchecked\n", "nobody should drive a way without a check"),
     ],
 )
 def test_scenes_that_cannot_be_are_one_line(tmp_path, run_calib, more, said):
@@ -340,6 +341,10 @@ def test_no_free_candidate_and_a_missing_mesh_are_said(tmp_path, run_calib):
     run = run_calib("select", yaml, tmp_path / "p.csv", "-n", 1, "--out", tmp_path / "c.csv")
     assert run.code == 2
     assert "none of the candidates is free: 2 of 2 poses not free" in run.err
+    (tmp_path / "f.csv").write_text((tmp_path / "p.csv").read_text() + "c,0.1,0,0,0,0,0\n")
+    run = run_calib("select", yaml, tmp_path / "f.csv", "-n", 2, "--out", tmp_path / "c.csv")
+    assert (run.code, run.err.count("\n")) == (2, 1)
+    assert "only 1 of the candidates are free, and 2 are to be chosen: 2 of 3 poses not free (2 " in run.err
     run = run_calib("route", yaml, tmp_path / "p.csv", "--out", tmp_path / "r")
     assert run.code == 3
     assert "none of 2 poses can be visited" in run.err
@@ -381,6 +386,10 @@ def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_pa
     (tmp_path / "arm.srdf").write_text("<robot name='other'/>")
     with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
         surroundings(calib.load(yaml))
+    (tmp_path / "arm.srdf").write_text("<robot name='six axes'>")
+    with pytest.raises(DescriptionError, match=r"arm.srdf: is not XML \(no element found"):
+        surroundings(calib.load(yaml))
+    (tmp_path / "arm.srdf").write_text("<robot name='other'/>")
     (tmp_path / "p.csv").write_text("pose,j1,j2,j3,j4,j5,j6\na,0.5,0,0,0,0,0\n")
     for command in ("route", "sample", "select"):
         given = () if command == "sample" else (tmp_path / "p.csv",)
@@ -399,6 +408,8 @@ def test_only_what_touches_at_a_home_within_the_limits_is_left_unchecked(tmp_pat
     touching = calib.load(_write(tmp_path, home % folded[4]))
     assert check_poses(touching, folded[None]).is_free
     assert "not checked, as they touch at home: l4 - l6" in surroundings(touching).scene.remarks
+    up = as_poses(touching, np.zeros((1, 6)), ["up"])
+    assert any("nothing around the robot is checked" in remark for remark in plan_route(touching, up).remarks)
     close = calib.load(_write(tmp_path, home % near[4]))
     assert check_poses(close, np.array([folded, near])).hits == ("l4 - l6", "")
     assert "checked without clearance, as they are nearer at home: l4 - l6" in surroundings(close).scene.remarks
@@ -408,7 +419,7 @@ def test_only_what_touches_at_a_home_within_the_limits_is_left_unchecked(tmp_pat
     impossible = calib.load(_write(tmp_path, home % folded[4], shorter))
     assert check_poses(impossible, folded[None]).hits == ("l4 - l6",)
     with pytest.raises(InputError, match=r"j5 = -137\.5 deg, beyond its limits \(-126\.1 deg to 171\.9 deg\)"):
-        plan_route(impossible, as_poses(impossible, np.zeros((1, 6)), ["up"]))
+        plan_route(impossible, up)
 
 
 @needs_ompl

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from xml.parsers.expat import ExpatError
 
 import numpy as np
 
@@ -118,7 +119,10 @@ def _disabled_pairs(robot: Robot) -> set[frozenset[str]]:
     """Pairs of links that an SRDF of this robot disables."""
     pairs: set[frozenset[str]] = set()
     for path in _srdf_files(robot):
-        root = element_tree(read_text(path, "an SRDF", DescriptionError).encode())
+        try:
+            root = element_tree(read_text(path, "an SRDF", DescriptionError).encode())
+        except ExpatError as error:
+            raise DescriptionError(f"{path}: is not XML ({error}); correct it, or take it away") from None
         own, same = path.stem == Path(robot.urdf.path).stem, root.get("name") == robot.urdf.name
         named = [
             frozenset(str(element.get(key)) for key in ("link1", "link2"))

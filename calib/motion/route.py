@@ -21,6 +21,7 @@ from calib.core.base.words import count_noun, listing
 from calib.core.base.workers import Progress
 from calib.core.data.measurements import Poses
 from calib.core.robots.robot import Robot
+from calib.core.robots.surroundings import FLOOR, UNCHECKED
 from calib.motion.approach import approaches
 from calib.motion.planner import Planner
 from calib.motion.poses import surroundings, what_hits
@@ -104,10 +105,15 @@ def plan_route(
         progress: Called with the number of tried poses.
 
     Raises:
-        InputError: The robot collides at the start, or cannot be there.
+        InputError: The robot collides at the start, or cannot be there; or the description wants no checks.
         ComputationError: None of the poses can be visited.
         DescriptionError: The scene cannot be built; see `calib.motion.poses.surroundings`.
     """
+    if robot.description.obstacles == UNCHECKED:
+        raise InputError(
+            f"{robot.path}: the description says 'obstacles: {UNCHECKED}', and nobody should drive a way without a check;"
+            f" write what is around the robot, such as 'obstacles: {FLOOR}'"
+        )
     start = np.array(robot.home if start is None else start)
     scene = surroundings(robot).scene
     if any_beyond := _beyond_limits(robot, start):
@@ -133,6 +139,8 @@ def plan_route(
     given = dict(zip((*candidates.names, *poses.names), (*candidates.joints, *poses.joints), strict=True))
     round_ = [stop.name for stop in (*stops, *replaced) if np.any(stop.joints != given[stop.name])]
     notes = (f"the same pose by joints a whole turn from those given: {listing(round_, shown=8)}",) if round_ else ()
+    if robot.description.obstacles is None:
+        notes += ("the description has no 'obstacles': nothing around the robot is checked, not even a floor",)
     return Route(robot, start, (*stops, *replaced), left_out, names, scene.remarks + notes)
 
 

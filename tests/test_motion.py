@@ -323,7 +323,7 @@ def test_the_route_command_writes_programs_and_a_table_that_joins_by_pose(tmp_pa
         ("obstacles:\n  rock: {mesh: rock.stl}\n", "rock.stl' is not there"),
         ("obstacles:\n  rock: {plane: true, frame: l3}\n", "a plane cannot move"),
         ("obstacles:\n  rock: {sphere: 1 mm, frame: l33}\n", "no link or joint 'l33'"),
-        ("obstacles: unchecked\n", "nobody should drive a way without a check"),
+        ("obstacles: unchecked\n", "nobody should drive an unchecked way"),
     ],
 )
 def test_scenes_that_cannot_be_are_one_line(tmp_path, run_calib, more, said):

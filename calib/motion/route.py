@@ -111,7 +111,7 @@ def plan_route(
     """
     if robot.description.obstacles == UNCHECKED:
         raise InputError(
-            f"{robot.path}: the description says 'obstacles: {UNCHECKED}', and nobody should drive a way without a check;"
+            f"{robot.path}: the description says 'obstacles: {UNCHECKED}', and nobody should drive an unchecked way;"
             f" write what is around the robot, such as 'obstacles: {FLOOR}'"
         )
     start = np.array(robot.home if start is None else start)

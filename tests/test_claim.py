@@ -23,6 +23,7 @@ def sagging(arm, truth, q, seed, *, by=1e-3):
     return measurements(arm, q, noisy(truth, actual, SIGMA, seed).points(arm))
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("by", [0.0, 1e-3])
 def test_95_of_100_new_poses_are_as_close_as_claimed(arm, truth, by):
     """With the noise of readings alone, and with an error of the robot that no parameter describes."""

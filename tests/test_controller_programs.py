@@ -67,6 +67,7 @@ def written(folder, suffix, make, q=Q):
     return paths, texts
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_the_true_robot_goes_where_the_program_means_and_only_numbers_of_targets_differ(cell, language):
     folder, robot, true, fit = cell
@@ -161,6 +162,7 @@ def test_numbers_of_orientations_stay_the_same_turn_and_near():
             assert np.allclose(pose_of(numbers_of(moved, kind, values), kind).homogeneous, moved.homogeneous)
 
 
+@pytest.mark.quick(0)
 def test_the_command_writes_the_program_and_tells_what_holds(cell, tmp_path, monkeypatch):
     folder = cell[0]
     src, dat = programs.krl(Q[:3])
@@ -402,6 +404,7 @@ def test_every_format_has_25_cases_and_a_good_program_has_none(suffix, cell, tmp
     assert not any(result.reasons)
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -147,6 +147,7 @@ def test_a_gain_alone_is_all_of_the_error_as_computed_by_hand(tmp_path):
     assert abs(parts[GEOMETRY].mean_square) < 0.01 * expected
 
 
+@pytest.mark.quick(0)
 def test_on_readings_that_were_used_noise_that_was_fitted_is_set_right(tmp_path):
     nominal = arm(tmp_path, "", ARM_YAML + f"priors: false\nheld: [{HELD}]\n")
     geometry, left = [], []

@@ -47,6 +47,7 @@ def by_hand(commands):
     return fit, errors, base, spread, whitened, by
 
 
+@pytest.mark.quick(0)
 def test_residuals_are_as_many_times_as_large_as_said(commands, by_hand):
     fit, errors, base, spread, whitened, by = by_hand
     square, m = np.linalg.lstsq(by[:, :6], whitened)[1][0], len(errors) - 6
@@ -145,6 +146,7 @@ def test_base_and_target_are_said_to_take_degrees_of_freedom_where_they_do(comma
     assert "degrees of freedom less" not in commands.verify_texts["same setup"]
 
 
+@pytest.mark.quick(0)
 def test_a_plan_says_which_changes_show_and_which_never_do(commands, run_calib, tmp_path):
     _, results = commands.results
     lines = [",".join(commands.robot.joint_names), *(",".join(map(str, q)) for q in joints(20, 6))]
@@ -186,6 +188,7 @@ def uncertainty(robot, names, q, task, sigma, priors=()):
     return there @ np.linalg.inv(information) @ there.T
 
 
+@pytest.mark.quick(0)
 def test_the_predicted_error_counts_noise_and_where_there_are_any_expected_errors(commands):
     base = commands.checked["base"]
     names = [p.name for p in base.parameters]
@@ -412,6 +415,7 @@ def test_notes_say_what_was_used_and_why_others_may_differ(commands):
 # watch
 
 
+@pytest.mark.quick(0)
 def test_the_predicted_error_is_that_of_the_covariance(commands):
     told, robot = commands.watched["twelve"], commands.few_free[0]
     by = derivative(told.fit.robot, joints(30, 8), told.fit.covariance.names)
@@ -472,6 +476,7 @@ def test_the_next_pose_is_offered_while_there_is_one(commands):
     assert "as far as" not in texts["met"]
 
 
+@pytest.mark.quick(0)
 def test_candidates_that_cannot_be_reached_are_not_counted(commands):
     robot = calib.load(Path(__file__).parents[1] / "docs" / "examples" / "five_bar.yaml")
     turned = np.stack(np.meshgrid(*2 * [np.radians(np.arange(0, 360, 30.0))]), axis=-1).reshape(-1, 2)

@@ -405,6 +405,7 @@ def test_the_page_has_the_table_of_formats(monkeypatch):
     assert make_files_table.page() == make_files_table.PAGE.read_text(encoding="utf-8"), "run make_files_table.py"
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("unit", ["deg", pytest.param(None, marks=pytest.mark.amount(0, 1))])
 def test_the_line_that_a_wrong_sign_prints_corrects_it(tmp_path, run_calib, unit):
     examples = Path(__file__).parents[1] / "docs" / "examples"

@@ -156,6 +156,7 @@ XACRO = (
 )
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("inside", "message"),
     [

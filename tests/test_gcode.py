@@ -111,6 +111,7 @@ def delta(tmp_path_factory):
     return calib.load(folder / "delta.yaml"), calib.load(folder / "known.yaml")
 
 
+@pytest.mark.quick(0)
 def test_a_delta_goes_straight_within_tolerance_and_calibration(delta, tmp_path):
     robot = delta[1]
     rng = np.random.default_rng(1)
@@ -254,6 +255,7 @@ def test_the_command_writes_a_program_and_its_figures(tmp_path, calibrated):
 FIRST = "G1 X0 Y0 Z0\n"
 
 
+@pytest.mark.quick(5)
 @pytest.mark.parametrize(
     ("text", "options", "message"),
     [

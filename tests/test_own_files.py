@@ -88,6 +88,7 @@ def commands():
     }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", commands())
 def test_a_file_of_somebody_else_stays_and_its_own_is_written_again(here, run_calib, name):
     command = commands()[name]
@@ -112,6 +113,7 @@ def test_a_program_is_not_compensated_in_place(here, run_calib, fitted):
         assert run_calib(*command, "told.csv", cwd=here).code == 0
 
 
+@pytest.mark.quick(0)
 def test_g_code_that_was_compensated_is_known_again_and_its_program_stays(tmp_path, run_calib):
     for name in ("delta.yaml", "delta.urdf"):
         shutil.copy(EXAMPLES / name, tmp_path)
@@ -124,6 +126,7 @@ def test_g_code_that_was_compensated_is_known_again_and_its_program_stays(tmp_pa
     refused(run_calib(*command, "--out", "part.gcode", cwd=tmp_path), tmp_path, before, "is read here")
 
 
+@pytest.mark.quick(0)
 def test_a_fit_leaves_parameters_of_somebody_else(here, run_calib):
     out = here / "out"
     out.mkdir()

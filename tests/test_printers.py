@@ -177,6 +177,7 @@ def test_the_design_is_expected_and_not_what_a_firmware_made_of_the_same_rows(fo
     assert np.allclose(expected_geometry(read_printer("printer.cfg", "klipper"), 0.2085).arms, 0.2085)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("k", "off"), [(0, 0.0), (1, -1.0), (4, 0.7), (9, -0.7)])
 def test_a_mistyped_distance_is_named_though_a_firmware_made_its_settings_of_it(folder, k, off):
     """Klipper's fit takes in most of it: it is 0.5 mm off or less in the saved settings, and 0.7 or 1 mm to others."""
@@ -347,6 +348,7 @@ def test_check_looks_at_what_was_measured_heights_and_distances(folder):
     assert done.output.startswith("25 poses (p.csv), 25 measured values")
 
 
+@pytest.mark.quick(0)
 def test_another_probing_verifies_a_fit_whatever_its_offset_and_its_rows(folder):
     """The fit has distances and heights with an offset of 16 mm; the later probing has heights alone, with 15.5 mm."""
     assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0

@@ -131,6 +131,7 @@ def test_touches_are_planned_as_positions_are(robot: Robot, by_touch: TouchMetho
     assert np.abs(touched.jacobian - position).max() < 1e-12
 
 
+@pytest.mark.quick(0)
 def test_ranks_are_those_of_the_closed_form(
     by_touch: TouchMethod, by_touch_anywhere: TouchMethod, by_encoders: EncoderMethod
 ) -> None:

@@ -206,6 +206,7 @@ def with_terms(folder, name, terms, generator):
     return robot, robot.with_parameters(values)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize(
     ("name", "terms", "remark"),
     [

@@ -96,6 +96,7 @@ def test_the_contributors_guide_has_a_paragraph_for_each_room():
         assert f"**{room.name}.**" in CONTRIBUTING
 
 
+@pytest.mark.quick(0)
 def test_a_fit_with_its_pages_loads_nothing_that_other_commands_need(tmp_path):
     """Of a robot of boxes and cylinders; SciPy's statistics, IPython and web clients take longer than such a fit.
 

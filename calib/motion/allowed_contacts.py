@@ -27,7 +27,7 @@ from calib.core.base.files import read_text
 from calib.core.base.words import count_noun
 from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.links import element_tree
-from calib.motion.scene import CollisionScene, all_shapes, beyond_limits, moving_between
+from calib.motion.scene import CollisionScene, all_shapes, exceeds_limits, moving_between
 from calib.motion.shapes import is_moved_frame
 
 _SAMPLES = 400
@@ -78,7 +78,7 @@ def _without_permanent_contacts(scene: CollisionScene) -> CollisionScene:
         return np.stack([np.any(mask[:, order == k], axis=1) for k in range(order.max() + 1)], axis=1)[:, order]
 
     near = any_of_name(apart <= 0)
-    at_home = ~given & (not np.any(beyond_limits(scene.robot, scene.robot.home)))
+    at_home = ~given & (not np.any(exceeds_limits(scene.robot, scene.robot.home)))
     always = np.mean(near, axis=0) >= _ALWAYS
     touching = at_home & ~always & any_of_name(apart[:1] + scene.margins <= _TOUCH)[0]
     close = at_home & ~always & ~touching & near[0]

@@ -25,7 +25,7 @@ from calib.core.robots.surroundings import FLOOR, UNCHECKED
 from calib.motion.approach import approaches
 from calib.motion.planner import Planner
 from calib.motion.poses import surroundings, what_hits
-from calib.motion.scene import CollisionScene, beyond_limits
+from calib.motion.scene import CollisionScene, exceeds_limits
 
 _NODES = 150  # poses of the roadmap in addition to the stops
 _ROUNDS = 4  # rounds of tries with the next best candidates
@@ -116,9 +116,9 @@ def plan_route(
         )
     start = np.array(robot.home if start is None else start)
     scene = surroundings(robot).scene
-    if any_beyond := _beyond_limits(robot, start):
+    if excess := _excess_of_limits(robot, start):
         raise InputError(
-            f"{robot.path}: the robot cannot start at {any_beyond}; write a 'home' into the description, or give"
+            f"{robot.path}: the robot cannot start at {excess}; write a 'home' into the description, or give"
             " --start FILE"
         )
     if hit := scene.hits(start[None])[0]:
@@ -138,15 +138,17 @@ def plan_route(
     names = tuple(stop.name for stop in replaced)
     given = dict(zip((*candidates.names, *poses.names), (*candidates.joints, *poses.joints), strict=True))
     round_ = [stop.name for stop in (*stops, *replaced) if np.any(stop.joints != given[stop.name])]
-    notes = (f"the same pose by joints a whole turn from those given: {listing(round_, shown=8)}",) if round_ else ()
+    notes: tuple[str, ...] = (
+        (f"the same pose by joints a whole turn from those given: {listing(round_, shown=8)}",) if round_ else ()
+    )
     if robot.description.obstacles is None:
         notes += ("the description has no 'obstacles': nothing around the robot is checked, not even a floor",)
     return Route(robot, start, (*stops, *replaced), left_out, names, scene.remarks + notes)
 
 
-def _beyond_limits(robot: Robot, q: FloatArray) -> str:
+def _excess_of_limits(robot: Robot, q: FloatArray) -> str:
     """The first of joint values (n_actuated,) beyond its limits, as text; "" for none."""
-    outside = np.flatnonzero(beyond_limits(robot, q)).tolist()
+    outside = np.flatnonzero(exceeds_limits(robot, q)).tolist()
     if not outside:
         return ""
     name, limits = robot.joint_names[outside[0]], robot.joint_limits[outside[0]].tolist()
@@ -158,7 +160,7 @@ def _beyond_limits(robot: Robot, q: FloatArray) -> str:
 
 def _why_blocked(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
     """Reasons why poses cannot be visited, "" for none."""
-    outside = np.any(beyond_limits(robot, joints), axis=1)
+    outside = np.any(exceeds_limits(robot, joints), axis=1)
     hits = what_hits(robot, joints)
     return tuple("outside the joint limits" if out else hit for out, hit in zip(outside, hits, strict=True))
 

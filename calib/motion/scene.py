@@ -196,7 +196,7 @@ def _point_inside(body: Body) -> FloatArray:
     return np.array(body.hull.points(0)) if hasattr(body.hull, "points") else np.zeros(3)
 
 
-def beyond_limits(robot: Robot, q: FloatArray) -> BoolArray:
+def exceeds_limits(robot: Robot, q: FloatArray) -> BoolArray:
     """Return the mask of commands (..., n_actuated) [m or rad] that are outside the joint limits."""
     low, high = robot.joint_limits.T
     return (q < low - _ROUND) | (q > high + _ROUND)

@@ -172,7 +172,7 @@ def test_the_advice_is_only_as_sure_as_the_noise_is_known(tmp_path, stated, repe
     parts = shares(fit.budget)
     if repeats == 1 and not stated:
         assert set(parts) == {GEOMETRY, REST}
-        assert "unknown without the noise" in fit.budget.advice
+        assert "Without the noise, it is unknown" in fit.budget.advice
         assert to_dict(fit)["error_budget"]["noise_from"] is None
     else:
         known = "repeatability" if repeats > 1 else "the stated noise"

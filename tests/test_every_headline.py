@@ -167,7 +167,7 @@ def test_a_plan_says_which_changes_show_and_which_never_do(commands, run_calib, 
     assert [any(c.name == "flange.z" and c.visible <= 5e-5 for c in by[count]) for count in (n - 1, n)] == [False, True]
     assert "All 20 poses are too few to show flange.z=0.001 mm with a chance of 90 %; add" in said("flange.z=0.001 mm")
     never = said("turn.x=5 mm")
-    assert "No number of such poses shows a change of turn.x: readings do not depend on it, or base and" in never
+    assert "No number of such poses shows a change of turn.x: readings do not depend on it, or new" in never
     by_turn, by_base = (
         derivative(commands.fit.robot, joints(20, 6), ["turn.x"]),
         derivative(commands.fit.robot, joints(20, 6), [f"base.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")]),
@@ -260,7 +260,7 @@ def test_poses_near_a_singularity_are_counted(commands):
 
 
 def test_a_target_that_is_read_from_an_unknown_place_is_not_counted(commands):
-    assert "Not counted: other, read from unknown places only." in commands.check_texts["unknown place"]
+    assert "Not counted: other, seen only from unknown places." in commands.check_texts["unknown place"]
     assert "Not counted" not in commands.check_texts["base"]
 
 
@@ -402,8 +402,8 @@ def test_notes_say_what_was_used_and_why_others_may_differ(commands):
     assert "fit 1 and fit 2: not tested." in texts["same readings, page"]
     assert "tested as measurements with independent noise; no reading is in both" in texts["first and again"]
     assert "not tested" not in texts["first and again, page"]
-    assert "1 parameter free in one alone (wrist.x)" in texts["first and held"]
-    assert "free in one alone" not in texts["first and again"]
+    assert "1 parameter free in only one (wrist.x)" in texts["first and held"]
+    assert "free in only one" not in texts["first and again"]
     assert "on readings that it did not use" in texts["first and held"]
     assert "on poses left out in turn" in texts["first and again"]
     assert "left out in turn" not in texts["first and longer"]

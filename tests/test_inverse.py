@@ -220,7 +220,7 @@ def test_a_coordinate_that_is_not_asked_for_is_left_as_it_comes(tmp_path: Path) 
     with pytest.raises(DataError, match="goal 1: positions are not finite"):
         Goals(np.full((1, 3), np.nan))
     flat[4, 2] = 0.02
-    with pytest.raises(DataError, match="goal 5: other coordinates are NaN than in the first goal"):
+    with pytest.raises(DataError, match="goal 5: its NaN coordinates are not those of the first goal"):
         solve(robot, flat)
     assert len(solve(robot, Goals(flat)).q) == 8
     flat[4, 2] = np.nan

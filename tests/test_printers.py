@@ -197,11 +197,11 @@ def test_a_mistyped_distance_is_named_though_a_firmware_made_its_settings_of_it(
 
 
 def test_arms_that_no_printer_has_do_not_come_out(folder):
-    """A firmware that fitted arms to heights alone may have saved such; its file agrees with itself."""
+    """A firmware that fitted arms to heights alone may have saved such arms; its file agrees with itself."""
     (folder / "saved.cfg").write_text(printer_cfg(spans=False, true=np.array([*TRUE[:4], 225, 391, 214, *TRUE[7:]])))
     done = run("init", "--klipper", "saved.cfg", "--out", "s.yaml")
     assert done.exit_code == 2
-    assert "arms of 225, 391, 214 mm are no printer's" in done.output
+    assert "arms of 225, 391, 214 mm, but those of a printer are alike" in done.output
     assert not (folder / "s.yaml").exists()
 
 
@@ -238,7 +238,7 @@ BAD_KLIPPER = [
         "angle: 210.12\nrotation_distance: 32\nmicrosteps: 64",
         "they fit [stepper_a] microsteps: 16 in place of 64: write",
     ),
-    ("arm_length", "gear_ratio: 5 to 1\narm_length", "gear_ratio '5 to 1' is not such as 5:1"),
+    ("arm_length", "gear_ratio: 5 to 1\narm_length", "gear_ratio '5 to 1' is not a ratio such as 5:1"),
     ("height3: 16.0", "height3: 61.0", "height3 is 61 mm, and all others are 16 mm, the offset of the probe"),
     ("height3: 16.0", "height3: 16.6", "height3 is 16.6 mm, and all others are 16 mm"),
     ("height3: 16.0", "height3: high", "height3 'high' is not a number"),
@@ -355,7 +355,7 @@ def test_another_probing_verifies_a_fit_whatever_its_offset_and_its_rows(folder)
     assert run("fit", "p.yaml", "p.csv", "--out", "out", "--no-pages").exit_code == 0
     (folder / "later.cfg").write_text(printer_cfg(spans=False, offset=15.5))
     done = run("init", "--klipper", "later.cfg", "--out", "later.yaml")
-    assert re.search(r"the settings of later.cfg leave: heights \d+\.\d{4} mm RMS; they were made from", done.output)
+    assert re.search(r"errors of the settings in later.cfg: heights \d+\.\d{4} mm RMS; the firmware", done.output)
     done = run("verify", "out", "later.csv")
     assert done.exit_code == 0
     assert "AGREES" in done.output

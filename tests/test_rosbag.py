@@ -159,8 +159,8 @@ def wrong_bags(q):
     return {
         "no joints": (still(q)[10:], "their topic too; the bag has /reflector (geometry_msgs/msg/PointStamped)"),
         "no measurement": (still(q)[:10], "their topic too; the bag has /js (sensor_msgs/msg/JointState)"),
-        "moving": (moving + still(q)[10:], "at none of 1 measurement the robot stood still"),
-        "apart": (still(q, at=(5.0,)), "at none of 1 measurement the robot stood still"),
+        "moving": (moving + still(q)[10:], "the robot stood still at none of 1 measurement"),
+        "apart": (still(q, at=(5.0,)), "the robot stood still at none of 1 measurement"),
         "joints twice": (
             [*still(q), ("/js2", "sensor_msgs/msg/JointState", START, joint_state(START, q))],
             "joint 'joint_1' is in /js and in /js2",

@@ -248,7 +248,7 @@ def test_candidates_that_do_not_fit_into_memory_go_through_a_file(medrue, monkey
 
 def test_what_has_no_room_says_where_it_would_have_been(medrue, monkeypatch):
     monkeypatch.setattr("calib.core.base.memory.free_memory", lambda: 1e5)
-    with pytest.raises(InputError, match=r"looks at all at once; it needs about .* GB of memory, and .* are free"):
+    with pytest.raises(InputError, match=r"looks at all candidates at once; it needs about .* GB of memory, and"):
         select(medrue, Q[:100], 20, "O3")
 
     def full(*_):

@@ -139,8 +139,8 @@ WIRE = "  wire: {kind: distance, target: tip, end: {frame: world}}\n"
     ("more", "options", "words"),
     [
         ("", (), "states no noise (sigma) of 'unstated'; state it there, or give --sigma-mm"),
-        (WIRE, (), "of 'unstated', 'wire'; state it there, as --sigma-mm speaks of positions only"),
-        (WIRE, ("--sigma-mm", "0.1"), "of 'wire'; state it there, as --sigma-mm speaks of positions only"),
+        (WIRE, (), "of 'unstated', 'wire'; state it there (--sigma-mm is for positions only)"),
+        (WIRE, ("--sigma-mm", "0.1"), "of 'wire'; state it there (--sigma-mm is for positions only)"),
         ("", ("--sigma-mm", "-1"), "--sigma-mm -1: must be zero or a positive number"),
     ],
 )

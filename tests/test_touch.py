@@ -168,7 +168,7 @@ def test_encoders_do_not_see_base_and_tool_and_read_what_the_joints_are(by_encod
 def test_a_socket_out_of_reach_is_an_error(by_touch: TouchMethod) -> None:
     actual = table1().actual.copy()
     actual[PARAMETERS.index("L11")] = 0.2
-    with pytest.raises(ComputationError, match="does not reach one of the sockets"):
+    with pytest.raises(ComputationError, match="does not reach all sockets"):
         by_touch.measured(actual, np.random.default_rng(0))
 
 

@@ -11,7 +11,7 @@ import pytest
 from architecture import CAPABILITIES, CORE, FRONT, ROOMS, imported, modules, room_of
 
 import calib
-from calib.capabilities import BROUGHT
+from calib.capabilities import ENTRY_POINTS
 
 CONTRIBUTING = (architecture.ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
@@ -51,9 +51,9 @@ def test_a_capability_imports_only_from_itself_and_from_the_core(room):
 
 
 def test_what_capabilities_bring_is_there():
-    names = [(entry.group, entry.name) for entry in BROUGHT]
+    names = [(entry.group, entry.name) for entry in ENTRY_POINTS]
     assert len(set(names)) == len(names)
-    assert all(entry.load() for entry in BROUGHT)
+    assert all(entry.load() for entry in ENTRY_POINTS)
 
 
 def test_imports_at_first_use_are_seen():

@@ -16,7 +16,7 @@ from calib.core.judging.repeatability import CONDITIONS, IsoFigure, conditions
 from calib.core.numerics.chances import FALSE_ALARM
 
 _SHOWN, _WIDTH = 5, 120  # changes; characters of a line
-_LARGEST = 1.0  # detectable size beyond which a change is too large for the linear model [m or rad]
+_LARGEST = 1.0  # a change is too large for the linear model if its detectable size is larger [m or rad]
 _SENTENCES = {
     "agrees": "AGREES: the robot is as accurate as its calibration claims",
     "drifted": "DRIFTED: one change of the robot explains the readings",

@@ -121,7 +121,7 @@ def test_outliers_are_listed_and_the_verdict_says_why():
     assert "Next: fit again without the outliers Robot and errors" in words_of(html)
     assert "identification poses: pose 50 (an outlier), at x " in words_of(html)
     others = len(fit.verdict.reasons) - 1
-    assert re.search(rf"\b{others} more remarks? below", words_of(html))
+    assert re.search(rf"\b{others} more reasons? below", words_of(html))
 
 
 def test_outliers_that_were_left_out_are_listed_and_both_results_shown():

@@ -12,6 +12,7 @@ from calib.core.base.memoize import memoize
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit, NoiseEstimate
+from calib.core.fitting.likely_mistakes import LARGE_NOISE
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import comparisons
 from calib.core.judging.reasons import Answer, Code, Reason
@@ -28,8 +29,6 @@ MOST_LEFT_OUT = 20.0
 times the noise of a tracker; a target that is described on a neighbouring link leaves seventy times."""
 GROSS = 2.0
 """Noise of every instrument, over its largest usual noise, from which the result rests on errors of the model."""
-LARGE_NOISE = 0.1
-"""Noise, over the spread of the measured positions, from which nothing fits."""
 DOUBTFUL = 0.05
 """Noise, over an impossible noise of such an instrument, from which other meanings of its numbers are tried."""
 GROSS_RATIO = 50.0

@@ -273,7 +273,7 @@ def test_an_unchanged_robot_has_not_drifted_at_poses_where_its_model_is_wrong(wo
 
 
 def test_errors_are_called_larger_only_where_they_are(worn):
-    """Where poses lie together, a joint zero of 1 mrad has a pattern; errors are as small as at the poses of the fit."""
+    """Where poses lie together, a joint zero of 1 mrad has a pattern; errors are as small as those of the fit."""
     fit, read = worn
     claimed = fit.verdict.claim.at_measured_poses.rms
     for place, moved in (((-0.2, 1.2), 0.0), ((-0.35, 0.2), 1e-3)):
@@ -283,7 +283,6 @@ def test_errors_are_called_larger_only_where_they_are(worn):
         text, larger = text_report(item, (), ()), 1e-3 * item.errors.table()["after"]["rms"] > 1.1 * claimed
         assert ("errors are larger than at the poses of the calibration" in text) == larger == item.has_larger_errors
         assert larger or "errors are no larger than at the poses of the calibration" in text
-
 
 
 @pytest.mark.parametrize(("moved", "verdict"), [(0.0, "agrees"), (1.5e-3, "drifted")])

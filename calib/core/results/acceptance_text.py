@@ -23,8 +23,8 @@ _SENTENCES = {
     "agrees": "AGREES: the robot is as accurate as its calibration claims",
     "drifted": "DRIFTED: one change of the robot explains the readings",
     "noisier": "NOISIER: readings of one pose scatter more than expected, which no calibration can correct",
-    "unlike poses": "UNLIKE POSES: {errors}. These poses lie elsewhere, where the model may be wrong although the robot has"
-    " not changed; that alone could explain the readings",
+    "unlike poses": "UNLIKE POSES: {errors}. These poses lie elsewhere, where the model may be wrong although the robot"
+    " has not changed; that alone could explain the readings",
     "too few readings": "TOO FEW READINGS: nothing contradicts the calibration, but only errors {detectable:.2g} times"
     " as large as expected would show (chance 90 %). Measure more poses",
     "calibrate again": "CALIBRATE AGAIN: the readings are off, and no single change explains this",
@@ -134,9 +134,10 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
 
 def _errors(acceptance: Acceptance) -> list[str]:
     """Measured over expected errors: the ratio of the verdict, and both in millimetres."""
-    allowance = "If the model's errors are common to these poses, residuals" if acceptance.has_unlike_poses else "Residuals"
+    allowance = "If the model's errors are common to these poses, r" if acceptance.has_unlike_poses else "R"
     lines = [
-        f"{allowance} are {acceptance.ratio:.3f} times as large as expected, each direction weighted by its uncertainty."
+        f"{allowance}esiduals are {acceptance.ratio:.3f} times as large as expected, each direction weighted by its"
+        " uncertainty."
         f" If the robot is unchanged, that is between {acceptance.low95:.2f} and {acceptance.high95:.2f} in 95 of 100"
         f" cases (p = {acceptance.p_value:.2g})"
     ]

@@ -1,7 +1,7 @@
 # make demo   calibrate MedRUE from the measurement file that ships with the project, into out/demo/
 # make test   the tests
 # make test-processors   the numerical tests again, with the sums of other processors
-# make test-thorough   simulations again, with more draws, poses and rows
+# make test-thorough   the long tests, and simulations with more draws, poses and rows
 # make test-search   the tests that search for bad input, with some thousand cases
 # make lint   style and types
 # make bench  speed, as ratios within one run

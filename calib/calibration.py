@@ -100,7 +100,7 @@ class Calibration(JudgedFit, CalibratedRobot):
         """Predict each part of the poses by a fit of the other parts.
 
         Args:
-            folds: Number of parts, by pose; `setups`: every setup is one, placed anew.
+            folds: Number of parts, by pose; or `setups`: every setup is a part, placed anew.
             seed: Seed of the random choice.
             executor: Executor of the fits; as in `fit`.
             progress: Called after each part with how many are done, and of how many.
@@ -250,7 +250,7 @@ def fit(
 
 
 def _with_free(robot: Robot, free: str | Sequence[str]) -> Robot:
-    """The robot with these parameters free; that all of them are free already is an `InputError`."""
+    """The robot with these parameters free; `InputError` if all of them are free already."""
     freed = robot.free(free)
     if len(free) and bool(np.all(freed.is_free == robot.is_free)):
         names = free if isinstance(free, str) else listing(free)

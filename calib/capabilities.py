@@ -6,7 +6,7 @@ it is first used.
 
 from importlib.metadata import EntryPoint
 
-BROUGHT = tuple(
+ENTRY_POINTS = tuple(
     EntryPoint(name, value, group)
     for group, name, value in (
         ("calib.parametrisations", "linear_delta", "calib.printers.linear_delta:LinearDelta"),

@@ -34,7 +34,7 @@ _COMMANDS = {
     "board": ("calib.photographs.commands.boards", "Write a board to print."),
     "hand-eye": ("calib.photographs.commands.hand_eye", "Find where a camera is, from photographs of a board."),
 }
-"""The module of each command, and what it does, for the list of commands, which imports none of them."""
+"""Module and help of each command: the list of commands shows them, and imports no module."""
 
 
 _GROUPS = {

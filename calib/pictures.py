@@ -1,7 +1,7 @@
 """Pictures are drawn by another package, which is found under the entry point group `calib.pictures`.
 
-An entry is a module, called like the command that it adds, that has what `Pictures` says; so everything below this
-floor writes and computes without asking what is installed.
+An entry is a module with the name of the command that it adds, and with the functions of `Pictures`. So all other code
+writes and computes without asking what is installed.
 """
 
 from __future__ import annotations

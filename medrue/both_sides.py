@@ -1,13 +1,12 @@
 """The experiment with today's methods: every pose from both sides, and a model of what was left out.
 
-The same simulated robots as in `medrue.experiment`, draw by draw, whose rails have the smaller errors of
-`medrue.imperfections.RailErrors` too, two of which no model has. The tracker reads every pose twice: after the rail
-came in the positive direction, and after it came in the negative one. From such readings of n poses are identified,
-with the same noise,
+The simulated robots are those of `medrue.experiment`, draw by draw. Their rails also have the smaller errors of
+`medrue.imperfections.RailErrors`; no model has two of these. The tracker reads every pose twice: after the rail came in
+the positive direction, and after it came in the negative one. Such readings of n poses, with the same noise, identify
 
 * the paper's model,
-* the extended model (`urdf/medrue_extended.yaml`), which is told the direction of approach, and, to see what that
-  needs, the extended model from one direction alone, and from either direction at random, one for each pose.
+* the extended model (`urdf/medrue_extended.yaml`), which knows the direction of approach. For comparison, it is also
+  identified from one direction alone, and from a random direction for each pose.
 
 All of them are judged at the other poses, from both sides. Poses are chosen by O1 of the extended model at its nominal
 parameters, which is all that is known before measuring; one set is the 84 poses of the paper's protocol.
@@ -98,7 +97,7 @@ class BothSidesDraw:
         after: Errors, predicted minus measured, by way, set, side and pose, (n_ways, n_sets, 2, n, 3) [m]; NaN where
             the readings were too few for the model, or the fit did not converge.
         actual: True values of the extended model's parameters, (n_parameters,) [m, rad].
-        values: Those that `EXTENDED` found from the first set, (n_parameters,) [m, rad]; NaN where it found none.
+        values: Values that `EXTENDED` found from the first set, (n_parameters,) [m, rad]; NaN where it found none.
         std: Their standard deviations as the fit states them, (n_parameters,) [m, rad].
     """
 
@@ -134,7 +133,7 @@ class BothSides:
         return np.array([draw.after[w, s][:, others].reshape(-1, 3) for draw in self.draws])
 
     def first_measurements(self) -> Measurements:
-        """Return what was read of the first robot, all poses from both sides."""
+        """Return the readings of the first robot at all poses, from both sides."""
         n = len(self.joints)
         side, pose = np.repeat(np.arange(len(SIDES)), n), np.tile(np.arange(n), len(SIDES))
         return measurements_of_visits(self.extended, self.joints, self.draws[0].measured, side, pose)
@@ -219,7 +218,7 @@ def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
 def measurements_of_visits(
     robot: Robot, joints: FloatArray, measured: FloatArray, side: IntArray, pose: IntArray
 ) -> Measurements:
-    """Return visits as measurements; a pose from another side is another pose, for errors are averaged over repeats.
+    """Return visits as measurements; both sides of a pose have different names, so that errors are not averaged.
 
     Args:
         robot: The model that they are for.

@@ -18,14 +18,14 @@ from medrue.tracker import REPEATS, SIGMA
 NOISE = SIGMA / np.sqrt(REPEATS)
 """Noise of a coordinate that the tracker reads, its readings averaged [m]."""
 GOAL = 6e-5
-"""Mean x error that the extended model is to reach [m]."""
+"""Goal for the mean x error of the extended model [m]."""
 NEAR_NOISE = 1.2
-"""Root mean square error over the noise's below which an error counts as noise."""
+"""An error counts as noise if its root mean square is at most this many times that of the noise."""
 BOTH_SIDES_NOTE = (
-    "both sides: the same 84 poses of O1, and the others, approached from both sides, and two small errors of the rail"
+    "both sides: the 84 poses of O1 and all others are approached from both sides, and the rail has two small errors"
     " that no model has; first with the paper's model, then with the extended one"
 )
-_DECIDED = 0.5  # part of a parameter's expected error below which the data decide about it
+_DECIDED = 0.5  # the data decide about a parameter if this part of its expected error, or less, is left
 
 
 def error_columns(both_sides: BothSides) -> list[TableColumn]:
@@ -90,7 +90,7 @@ def pose_count_table(both_sides: BothSides) -> ResultTable:
 
 
 def extended_parameter_table(both_sides: BothSides) -> ResultTable:
-    """Parameters of the extended model about which the readings decide, of those that the paper's model lacks."""
+    """Parameters that the extended model has and the paper's lacks, if the readings determine them."""
     draw, parameters, terms = both_sides.draws[0], both_sides.extended.parameters, both_sides.extended.coefficients
     scale = np.array([parameter.per_si for parameter in parameters])
     expected = np.array([parameter.sigma_si for parameter in parameters])
@@ -103,7 +103,7 @@ def extended_parameter_table(both_sides: BothSides) -> ResultTable:
 
     return ResultTable(
         "extended",
-        "Tilts and errors of the rail that the extended model finds from the 84 poses of O1, from both sides",
+        "Tilts and errors of the rail: the extended model finds them from the 84 poses of O1, reached from both sides",
         (
             TableColumn("parameter", tuple(parameters[k].name for k in shown)),
             TableColumn("unit", tuple(parameters[k].unit for k in shown)),
@@ -128,8 +128,7 @@ def both_sides_findings(both_sides: BothSides) -> tuple[str, ...]:
     return (
         f"From both sides at the same {len(both_sides.sets[0].chosen)} poses,"
         f" {count_noun(len(both_sides.extended.parameters), 'parameter')} (geometry in all six components, and the"
-        f" screw's"
-        f" lead, turns and backlash) leave a mean x error of {extended}, the paper's model {paper}; the"
+        f" screw's lead, turns and backlash) leave a mean x error of {extended}, the paper's model {paper}; the"
         f" tracker's noise alone is {noise * np.sqrt(2 / np.pi):.3f} mm (RMS {rms} and {noise:.3f} mm).",
         _needed_poses(both_sides),
     )
@@ -150,18 +149,18 @@ def _needed_poses(both_sides: BothSides) -> str:
 
 
 def _least_poses(counts: IntArray, reached: Mapping[str, BoolArray]) -> str:
-    """The least number of poses that is enough, of every way for which one is."""
+    """The least number of poses that is enough, for each way that has one."""
     enough = [f"{counts[which].min()} ({name})" for name, which in reached.items() if np.any(which)]
     return ", ".join(enough) or f"more than {counts[-1]}"
 
 
 def mean_x(both_sides: BothSides, way: Way) -> FloatArray:
-    """Return the mean magnitude of the error along x, (n_draws, n_sets) [m]; NaN where a way cannot be."""
+    """Return the mean magnitude of the error along x, (n_draws, n_sets) [m]; NaN where a way is not possible."""
     return np.array([np.abs(both_sides.errors(way, s)[:, :, 0]).mean(axis=1) for s in range(len(both_sides.sets))]).T
 
 
 def component_rms(both_sides: BothSides, way: Way) -> FloatArray:
-    """Return the root mean square error along each axis over all draws, (n_sets, 3) [m]; NaN where a way cannot be."""
+    """Return the RMS error along each axis over all draws, (n_sets, 3) [m]; NaN where a way is not possible."""
     return np.array(
         [np.sqrt(np.mean(both_sides.errors(way, s) ** 2, axis=(0, 1))) for s in range(len(both_sides.sets))]
     )

@@ -45,7 +45,7 @@ class WorkingMode:
 
 
 ELBOWS_APART = WorkingMode()
-"""The elbows of each five-bar apart from each other, so that its links do not cross: the mode of the home."""
+"""Working mode of the home: the elbows of each five-bar are apart, so that its links do not cross."""
 
 
 def inverse(T_world_tool: ArrayLike, parameters: ArrayLike, mode: WorkingMode = ELBOWS_APART) -> Array:

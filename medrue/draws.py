@@ -158,7 +158,7 @@ class Calibrator:
 
     Args:
         task: Robot, poses and truth.
-        pose_set: Which poses to identify with.
+        pose_set: Poses to identify with.
         start: A robot identified from exact measurements.
         nearby: Its passive joints at the candidates, (n, n_passive) [m, rad].
     """

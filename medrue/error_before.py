@@ -4,8 +4,8 @@
 
 The paper prints the mean error of the nominal robot for the robot of its simulation (Table I's actual parameters,
 Table II) and for the real one (Table III's identified parameters, Table IV). At our poses the same parameters give
-larger errors. This module computes by the closed form, without noise and imperfections, what other readings of the text
-and other poses would give:
+larger errors. This module computes by the closed form, without noise and imperfections, the errors that follow from
+other readings of the text and from other poses:
 
 * the base placed by a best fit beforehand;
 * deviations of whole groups of parameters with the opposite sign;
@@ -55,7 +55,7 @@ GROUPS = (
 """Parameters that one convention would reverse together."""
 ELBOWS = ((1, -1), (1, 1), (-1, -1), (-1, 1))
 NEAR = 0.1
-"""Relative difference up to which a figure counts as the paper's."""
+"""A figure counts as the paper's if the relative difference is at most this."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def placements(step: float = 0.1, turns: int = 8) -> Iterator[tuple[DistanceSumm
 
     Args:
         step: Distance of the places tried for its axis [m].
-        turns: How many directions of its middle.
+        turns: Number of directions of its middle.
     """
     n = 60
     steps = np.arange(n)
@@ -160,7 +160,7 @@ def _robots() -> tuple[FloatArray, FloatArray]:
 
 
 def main() -> None:
-    """Print what every reading gives."""
+    """Print the errors of every reading of the text."""
     q = np.array(target_workspace().q)
     nominal = forward(q, table1().nominal).p_world_tool
     for number, parameters in zip((2, 4), _robots(), strict=True):

@@ -231,8 +231,7 @@ def _measuring_finding(experiment: Experiment) -> str:
         f"Repeats at one pose scatter by {micrometres(draw.repeatability):.1f} um on each axis (repeatability). The"
         f" world frame from three nests is uncertain by up to {micrometres(draw.frame_sigma):.0f} um at the tool (one"
         f" standard deviation). Nests that seem not to fit: {outliers} in {count_noun(len(draws), 'draw')}; chance"
-        f" alone"
-        f" does that in up to one of {1 / OUTLIER_PROBABILITY:.0f}."
+        f" alone does that in up to one of {1 / OUTLIER_PROBABILITY:.0f}."
     )
 
 

@@ -16,7 +16,7 @@ remains after calibration is about as large as the paper's.
 All three are parameter values of the extended model (`urdf/medrue_extended.yaml`), and so is an error that repeats with
 every turn of the screw. A model that has everything that the truth has would be judged too kindly. So a robot may have
 two more errors that no model here has: a screw that is worn in the middle of the stroke, where its backlash is larger,
-and a rail that is bent sideways. Their sizes are those of ordinary parts, and no finding.
+and a rail that is bent sideways. Their sizes are those of ordinary parts; nobody measured them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from calib.core.robots.terms.term import Context
 
 TILTED_JOINTS = ("q2", "q3", "q4", "q5", "B1", "D1", "B2", "D2")
 STROKE = 0.7
-"""Of the rail [m]."""
+"""Stroke of the rail [m]."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Imperfections:
 
     @property
     def sizes(self) -> dict[str, str]:
-        """How large each of them is, by the names of `causes`."""
+        """Size of each cause in words, by the names of `causes`."""
         return {
             "lead error": f"{micrometres(self.lead * 0.3):g} um per 300 mm",
             "links out of perpendicular": f"{np.degrees(self.tilt):.2g} deg (std of each axis)",
@@ -83,7 +83,7 @@ class Imperfections:
 
 @dataclass(frozen=True)
 class RailErrors:
-    """Smaller errors of the rail, which the measurement from both sides meets too.
+    """Smaller errors of the rail, which affect the measurement from both sides too.
 
     Attributes:
         periodic: Amplitude of the error that repeats with every turn of the screw; the extended model has it [m].
@@ -105,7 +105,7 @@ class RailErrors:
 
 
 STRAIGHT = RailErrors(0.0, 0.0, 0.0)
-"""A rail without them, as in the paper's protocol."""
+"""A rail without these errors, as in the paper's protocol."""
 
 
 @dataclass(frozen=True, eq=False)

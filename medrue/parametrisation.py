@@ -61,9 +61,9 @@ _TURNING: dict[str, tuple[str, ...]] = {
     **{f"q{k}": (f"dq{k}",) for k in range(2, 7)},
 }
 _ANCHORS = {k: [_INDEX[f"{point}{k}{axis}"] for point in "AC" for axis in "yz"] for k in (1, 2)}
-"""Of each five-bar, where the parameters of its points A and C are, y and z of each."""
+"""Indices of the parameters Ay, Az, Cy and Cz of each five-bar."""
 _FIVE_BARS = {"q2": 1, "q3": 1, "q4": 2, "q5": 2}
-"""Of each origin whose roll follows the direction of a five-bar's frame: that five-bar."""
+"""Five-bar whose frame decides the roll of an origin, by the name of the origin."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Telling how far long work is, without the work knowing who listens."""
+"""Progress of long work, reported to whoever listens."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from medrue.closed_form import forward
 
 _POSES = 200
 _FAR = 1e-9
-"""How far apart both may be [m]."""
+"""Largest distance between both positions [m]."""
 
 
 def checks() -> Iterator[Check]:

@@ -1,11 +1,11 @@
 """Which choice of poses is better, and whether that is more than luck.
 
 Every draw gives one error for each set of poses, on the same noise. Sets are put in the order of their mean error. That
-order alone says little, so every pair of sets is compared: the mean of their paired differences over its standard
-error is Student's t with n - 1 degrees of freedom if the two are equally good. n sets are n (n - 1) / 2 questions;
-Holm's correction keeps the chance that luck answers any of them wrongly below `LUCK`. Comparing neighbours in
-the order would not do: a set may be like the next, that one like the one after it, and the first still better than the
-third.
+order alone says little, so every pair of sets is compared: the ratio of the mean of their paired differences to its
+standard error is Student's t, with one degree of freedom less than draws, if the two are equally good. n sets are
+n (n - 1) / 2 questions; Holm's correction keeps the chance that luck answers any of them wrongly below `LUCK`. To
+compare neighbours in the order is not enough: the first may be like the second, the second like the third, and the
+first still better than the third.
 
 Reference: holm1979.
 """
@@ -22,8 +22,8 @@ from calib.core.base.words import count_noun
 from medrue.result_tables import Cell, ResultTable, TableColumn
 
 LUCK = 1e-3
-"""How often luck alone may make any difference of a ranking look sure."""
-LEGEND = "Better: chance alone shows such a difference in one ranking of a thousand"
+"""Chance that luck alone makes any difference in a ranking look sure."""
+LEGEND = "Better: if all choices were equal, one ranking in a thousand would show such a difference"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class Ranking:
         return "better" if self.better[row, column] else "worse" if self.better[column, row] else "open"
 
     def _losers(self, row: int) -> str:
-        """The sets that this one is surely better than; those that end the order by their first one."""
+        """The sets that this one is surely better than; if all after some set, only that set and "all after it"."""
         losers = np.flatnonzero(self.better[row])
         first = len(self.names)
         while first - 1 in losers:
@@ -135,8 +135,8 @@ def ranking_table(rankings: dict[str, Ranking]) -> ResultTable:
         tuple(TableColumn(header, column, 4) for header, column in cells),
         (
             f"simulated; better or worse: by paired differences over {count_noun(first.n_draws, 'draw')}, Student's t"
-            f" with"
-            f" Holm's correction; chance says so of any pair in one ranking of {1 / LUCK:.0f}; open: may be chance",
+            f" with Holm's correction; chance says so of any pair in one ranking of {1 / LUCK:.0f}; open: may be"
+            " chance",
         ),
     )
 

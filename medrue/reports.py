@@ -92,7 +92,7 @@ def experiment_report(experiment: Experiment) -> Report:
         " and finds the world from three nests. A second measurement of the same robots approaches every pose from both"
         f" sides; its rail also has {experiment.both_sides.rail}. From it an extended model is identified:"
         " all six components of every origin, with priors, and the lead, the turns and the backlash of the screw. The"
-        " truth is that model with other values, but for wear and bend, which it does not have.",
+        " truth is that model with other values, and with wear and bend, which the model does not have.",
         experiment_findings(experiment),
         experiment_tables(experiment),
         (_workspace(), *_experiment_errors(experiment), _causes(experiment), _pose_count(experiment.both_sides)),

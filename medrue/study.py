@@ -1,15 +1,15 @@
-"""The paper's simulation study (its section 4): Tables I and II, Figures 4 and 5, and how sure their message is.
+"""The paper's simulation study (its section 4): Tables I and II, Figures 4 and 5, and how certain their conclusion is.
 
 Protocol, as the paper's: 420 candidate poses; for each index, 84 of them to identify with and the 336 others to
 validate; measurements simulated with the actual parameters of Table I and normal noise, sigma 40 um on each axis; 28
 parameters identified, the 8 redundant ones nominal. An error is the distance of the calibrated robot's prediction from
 the true position, without noise.
 
-What the paper does not say and one draw cannot: the same over many draws of the noise (paired: every set of poses sees
-the same noise), over many draws of the actual parameters (uniform within +-2 mm and +-1.5 deg, as the paper's), and
-with what theory allows: with J_v the Jacobian at a validation pose and C = sigma^2 (J^T J)^-1, no unbiased estimate
-has a smaller mean squared error than trace(J_v C J_v^T) (Cramer-Rao). Least squares reaches it as far as the problem
-is linear.
+The paper has one draw. Here the same is done over many draws of the noise (paired: every set of poses sees the same
+noise), and over many draws of the actual parameters (uniform within +-2 mm and +-1.5 deg, as the paper's). It is also
+compared with the theoretical limit: with J_v the Jacobian at a validation pose and C = sigma^2 (J^T J)^-1, no unbiased
+estimate has a smaller mean squared error than trace(J_v C J_v^T) (Cramer-Rao). Least squares reaches it as far as the
+problem is linear.
 
 Everything here is simulated. The truth comes from the closed form, predictions from the calibrated model.
 """
@@ -39,7 +39,7 @@ COUNT = 84
 SIGMA = 4e-5
 """Measurement noise on each axis: the paper's +-120 um are three standard deviations [m]."""
 STATISTICS = ("mean", "max", "std")
-"""What Tables II, IV and V print of errors, in the order of `summary`."""
+"""Statistics of errors in Tables II, IV and V, in the order of `summary`."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def _choose(task: tuple[Robot, FloatArray, str]) -> Selection:
 
 
 STATISTICS = ("mean", "max", "std")
-"""What tables show of `summary`."""
+"""Statistics of `summary` that tables show."""
 
 
 def summary(distances: FloatArray) -> FloatArray:

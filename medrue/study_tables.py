@@ -98,8 +98,7 @@ def error_tables(study: PaperStudy) -> ResultTable:
             f" seed {study.seed}",
             "before: the nominal robot at the validation poses of O1; the first draw is the single one",
             f"actual robots: drawn within +-2 mm and +-1.5 deg, {count_noun(study.size.noise_per_actual, 'draw')} of"
-            f" noise"
-            " each",
+            " noise each",
             "task: smallest predicted error over all 420 poses; the paper does not have it",
         ),
     )

@@ -6,12 +6,11 @@ poses, chosen by the smallest error that they predict over the 420 poses of the 
 the study's Table II, but at all 420 poses: the distance of the calibrated robot's prediction from the true position.
 
 Two questions are kept apart. `world`: how far the prediction is off in the world. `shape`: how far it is off after the
-best rigid motion of all predictions onto the true positions, which is what a method can know that does not see where
-the base stands.
+best rigid motion of all predictions onto the true positions; a method that does not see where the base stands can know
+only this.
 
-What a method cannot see stays near nominal: parameters are then expected within their sigmas (2 mm and 1.5 deg), and a
-fit weighs that as it weighs readings. Tracker and touched sockets of the world need no such help: the paper's eight
-redundant parameters are held.
+Parameters that a method cannot see stay near nominal, because priors expect them within their sigmas (2 mm and 1.5
+deg). Tracker and touched sockets of the world need no such help: the paper's eight redundant parameters are held.
 
 Everything is simulated: the paper's robot (Table I) with many draws of the noise, and other robots, drawn as the
 paper's.
@@ -58,9 +57,9 @@ SIZE = StudySize(noise_draws=50, actual_draws=20, noise_per_actual=2)
 QUICK = StudySize(noise_draws=4, actual_draws=2, noise_per_actual=1)
 BEFORE = "before"
 TOOL_KNOWN = "encoders, tool known"
-"""After the encoders, with the tool's true place on the probe: they do not see it, but it can be measured alone."""
+"""Encoders with the tool's true place on the probe, which they do not see, but which can be measured on a bench."""
 WAYS = ("world", "shape")
-"""How predictions are judged; see the module docstring."""
+"""Ways to compare predictions with the truth; see the module docstring."""
 ARTEFACTS = (
     ARTEFACT,
     Artefact((-np.radians(70.0), np.radians(70.0)), (1 / 8, 7 / 8)),
@@ -68,7 +67,7 @@ ARTEFACTS = (
     Artefact((-np.radians(30.0), 0.0, np.radians(30.0)), (3 / 8, 1 / 2, 5 / 8)),
     Artefact((0.0,), (1 / 2,)),
 )
-"""Pieces to compare beforehand: all but the first are smaller or have fewer sockets."""
+"""Artefacts to compare by theory: all but the first are smaller or have fewer sockets."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +175,7 @@ def choose_methods(robot: Robot, joints: FloatArray) -> tuple[tuple[Method, ...]
 def best_touches(robot: Robot, joints: FloatArray, possible: Touches) -> Selection:
     """Choose the touches with the smallest predicted errors at `joints`, (n, 6) [m, rad].
 
-    What a touch of a socket in a known place misses moves with the parameters as the position there does, so that
+    The error of a touch of a socket in a known place changes with the parameters as the position there does, so that
     touches are chosen as positions are.
 
     Raises:

@@ -6,13 +6,13 @@ Touch
     The ball at the tip of the probe rests in sockets of one artefact, the probe turned by up to 30 degrees about each
     axis; nothing is read but the joints. Sockets and no spheres: a touch of a socket gives three rows, as a position by
     the tracker does, so that both methods have equally many rows with the same noise and differ only in where they
-    measure. A touch of a sphere gives one. The nine sockets lie on the half cylinder of the target workspace, as on a
+    measure; a touch of a sphere gives one. The nine sockets lie on the half cylinder of the target workspace, as on a
     dummy leg, because a robot is known best where it was measured. Their places on the artefact count as known exactly.
 Encoders
     Readings of all seven passive joints at poses of the target workspace. What an encoder reads at zero is unknown.
 
-The noise of a touch on each axis, and of a sliding encoder, is that of the tracker; that of an encoder that turns is
-the same length seen at the end of a distal link. What is read comes from the closed form: joint values that bring the
+The noise of a touch on each axis, and of a sliding encoder, is that of the tracker; the noise of a turning encoder is
+this length divided by that of a distal link. What is read comes from the closed form: joint values that bring the
 tool of the actual robot into a socket that it misses by the noise, and passive joints of the actual robot.
 """
 
@@ -93,7 +93,7 @@ class Touches:
 
     Attributes:
         T_world_tool: Poses of the tool, (n, 4, 4) [m].
-        socket: Which socket each is in, (n,).
+        socket: Number of the socket of each touch, (n,).
         joints: Joint values that reach them, (n, 6) [m, rad].
     """
 
@@ -157,7 +157,7 @@ class TouchMethod(Method):
     """Touches of sockets.
 
     Attributes:
-        touches: Which.
+        touches: The touches.
         anywhere: Whether the artefact stands where it was put by hand, and not where the description says.
     """
 
@@ -178,7 +178,7 @@ class TouchMethod(Method):
         touched[:, :3, 3] = origin + offset + generator.normal(0.0, SIGMA, offset.shape)
         joints = inverse(touched, actual)
         if not np.isfinite(joints).all():
-            raise ComputationError("a robot with the actual parameters does not reach one of the sockets")
+            raise ComputationError("a robot with the actual parameters does not reach all sockets")
         words = [_socket_name(k) for k in self.touches.socket]
         return as_measurements(self.robot, joints, {"probe": words})
 

@@ -20,7 +20,7 @@ from medrue.touch_methods import ENCODER_SIGMA, Artefact
 AUTHORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {"mean": {BEFORE: 9.0, "touch": 0.2771}, "max": {BEFORE: 12.0, "touch": 0.320}}
 )
-"""What the paper's authors print for their simulated calibration by touch (joubair2016) [mm]."""
+"""Errors that the paper's authors print for their simulated calibration by touch (joubair2016) [mm]."""
 _HEADINGS = {
     "world": "Position errors in the world, by the way of measuring",
     "shape": "Position errors after the best rigid motion of the predictions, by the way of measuring",
@@ -50,9 +50,8 @@ def error_table(study: TouchStudy, way: str) -> ResultTable:
         f"simulated; distance from the true position at all {study.noise.shape[-1]} poses of the target workspace; seed"
         f" {study.seed}",
         f"every method measures {count_noun(COUNT, 'pose')}; the draws of noise are on Table I's robot, the actual"
-        f" robots"
-        f" drawn within +-2 mm and +-1.5 deg, {count_noun(study.by_actual.shape[1], 'draw')} of noise each; spread: one"
-        " standard deviation",
+        f" robots drawn within +-2 mm and +-1.5 deg, {count_noun(study.by_actual.shape[1], 'draw')} of noise each;"
+        " spread: one standard deviation",
     ]
     if way == "world":
         notes.append("authors: Sensors 2016, 16(6), 798, also simulated, with other touches, noise and poses")
@@ -84,7 +83,7 @@ def method_table(study: TouchStudy) -> ResultTable:
             f"simulated; noise: {micrometres(SIGMA):.0f} um on each axis, {1e6 * ENCODER_SIGMA:.0f} urad of encoders"
             f" that turn; {count_noun(len(study.noise), 'draw')} of it on Table I's robot",
             "predicted: by theory, at nominal parameters, in the world; empty where readings alone do not determine it",
-            "cannot see: parameters without effect, and those of which only a combination has one, at nominal",
+            "cannot see: parameters that have no effect, or an effect only in combination, at nominal",
         ),
     )
 
@@ -100,7 +99,7 @@ def artefact_table(study: TouchStudy) -> ResultTable:
             TableColumn("predicted RMS [mm]", tuple(predicted), 4),
         ),
         (
-            "the first is used; by theory, at nominal parameters, in the world: nothing measured or simulated enters",
+            "the first one is used; predicted by theory at nominal parameters, in the world, without any measurement",
             "empty: its touches do not determine the positions",
         ),
     )

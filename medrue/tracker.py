@@ -23,7 +23,7 @@ PLACE = pin.SE3(pin.rpy.rpyToMatrix(0.02, -0.03, 2.4), np.array([0.4, 2.6, 0.9])
 
 @dataclass(frozen=True, eq=False)
 class TrackerPoints:
-    """Points as the tracker saw them, brought to the world.
+    """Points as the tracker saw them, transformed to the world.
 
     Attributes:
         positions: Mean of the repeats, in the world, (n, 3) [m].
@@ -42,7 +42,7 @@ def measure(points: FloatArray, sigma: float, repeats: int, generator: np.random
     """Measure points.
 
     Args:
-        points: In the world, (n, 3) [m].
+        points: Points in the world, (n, 3) [m].
         sigma: Noise of one reading on each axis [m].
         repeats: Readings of each nest and each point, to be averaged.
         generator: Source of the noise.

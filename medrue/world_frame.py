@@ -24,10 +24,10 @@ from calib.core.numerics import linalg
 from calib.core.numerics.rigid import best_transform, cross_matrices
 
 OUTLIER_PROBABILITY = 0.01
-"""How often a set of points without any outlier may be said to have one."""
+"""Chance that an outlier is reported in a set of points without one."""
 _COLLINEAR = 1e-6  # second extent of the points against the first
 _EXACT = 1e-13  # residuals below are rounding [m]
-_ROUNDING = 4 * float(np.finfo(float).eps)  # of a coordinate that was turned and moved, as part of the largest
+_ROUNDING = 4 * float(np.finfo(float).eps)  # rounding of a transformed coordinate, as a part of the largest one
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ import io
 import os
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,8 @@ LONGEST = (
 
 
 THOROUGH = os.environ.get("CALIB_TESTS") == "thorough"
+EVERY_CASE = os.environ.get("CALIB_TESTS") == "every-case"
+"""Every case of each test, with the draws of the quick run."""
 
 
 def _amount(item: pytest.Item) -> int | None:
@@ -52,8 +55,23 @@ def _amount(item: pytest.Item) -> int | None:
     return int(mark.args[THOROUGH]) if mark else None
 
 
+def _mark_cases(items: list[pytest.Item]) -> None:
+    """Leave the cases beyond those of `@pytest.mark.quick` to the thorough run, by the mark `amount`."""
+    cases: Counter[str] = Counter()
+    for item in items:
+        if mark := item.get_closest_marker("quick"):
+            name = item.nodeid.partition("[")[0]
+            cases[name] += 1
+            if cases[name] > mark.args[0]:
+                amount = item.get_closest_marker("amount")
+                item.add_marker(pytest.mark.amount(0, amount.args[1] if amount else 1), append=False)
+
+
+@pytest.hookimpl(tryfirst=True)  # before cases are chosen by their marks
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out tests that try nothing, and put pages and the files that take longest first."""
+    if not EVERY_CASE:
+        _mark_cases(items)
     idle = [item for item in items if _amount(item) == 0]
     config.hook.pytest_deselected(items=idle)
     order = {name: k for k, name in enumerate(LONGEST)}

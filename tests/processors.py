@@ -4,8 +4,8 @@ OpenBLAS, below numpy and scipy, has kernels for each family of processors. They
 differ in the last digit; a decision that hangs on that digit is wrong on some machine. OPENBLAS_CORETYPE chooses the
 kernels of another processor. numpy's own sums depend on the processor as well: NPY_DISABLE_CPU_FEATURES makes it add as
 one without AVX512, or without AVX2, would. The tests run twice: as on an old processor (without AVX2, in both), and as
-on another new one. `make test` runs them with the sums of this one. Tests on real data are among them where these lie
-beside the project.
+on another new one. `make test` and `make test-thorough` run them with the sums of this one. Tests on real data are
+among them where these lie beside the project.
 """
 
 from __future__ import annotations
@@ -75,7 +75,8 @@ def _passes(kernels: str, without: tuple[str, ...], files: list[str], jobs: str)
     """Whether the tests pass with these kernels of OpenBLAS, and numpy without these abilities."""
     off = sorted(name for name in _output(_DISPATCHED, dict(os.environ)).split() if name.startswith(without))
     print(f"kernels of {kernels}, numpy without {', '.join(off) or 'nothing'}:", flush=True)
-    environment = os.environ | {"OPENBLAS_CORETYPE": kernels, "NPY_DISABLE_CPU_FEATURES": " ".join(off)}
+    sums = {"OPENBLAS_CORETYPE": kernels, "NPY_DISABLE_CPU_FEATURES": " ".join(off)}
+    environment = os.environ | sums | {"CALIB_TESTS": "every-case"}
     command = [sys.executable, "-m", "pytest", "-n", jobs, "--dist", "loadfile", "-p", "no:cacheprovider", *files]
     return subprocess.run(command, env=environment, cwd=ROOT, check=False).returncode == 0
 

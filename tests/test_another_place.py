@@ -56,6 +56,7 @@ def others(left_out):
     return [name for name in PLACES if name != left_out]
 
 
+@pytest.mark.quick(0)
 def test_each_setup_is_predicted_by_a_fit_of_the_others_and_placed_anew(tmp_path, measured):
     robot = moving(tmp_path, PLACES)
     data = calib.read_measurements(written(tmp_path / "all.csv", measured, PLACES), robot)
@@ -75,6 +76,7 @@ def test_each_setup_is_predicted_by_a_fit_of_the_others_and_placed_anew(tmp_path
     assert fit.folds.setups == (0, 1, 2)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("later", PLACES)
 def test_validation_in_a_setup_that_the_data_do_not_have_is_placed_by_itself(tmp_path, measured, later):
     robot = moving(tmp_path, PLACES)
@@ -116,6 +118,7 @@ def test_folds_that_are_neither_a_number_nor_setups_are_errors(tmp_path, measure
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.quick(0)
 def test_the_command_leaves_setups_out(tmp_path, measured, run_calib):
     moving(tmp_path, PLACES)
     path = written(tmp_path / "all.csv", measured, PLACES)

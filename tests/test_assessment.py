@@ -228,6 +228,7 @@ def test_position_errors_beside_a_common_motion_of_all():
     assert np.allclose(beside[..., 3], rows[..., 2], atol=1e-12)
 
 
+@pytest.mark.quick(0)
 def test_what_sockets_do_not_see_is_told_apart(tmp_path, run_calib):
     arm = EXAMPLES / "arm.urdf"
     assert run_calib("init", arm, "--measure", "touch", "--out", "touch.yaml", cwd=tmp_path).code == 0

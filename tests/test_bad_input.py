@@ -137,6 +137,7 @@ BAD_URDFS = {  # more in tests/test_urdf_text.py
 }  # fmt: skip
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("content", "message"), BAD_URDFS.values(), ids=BAD_URDFS)
 def test_a_bad_urdf_is_refused(folder, refused, content, message):
     assert content != ARM_URDF
@@ -152,6 +153,7 @@ def test_a_shape_that_says_nothing_is_refused_before_anything_is_written(folder,
     assert "'a b c' is not 3 numbers" in refused("export arm.yaml --format urdf --out new.urdf")
 
 
+@pytest.mark.quick(0)
 def test_a_pose_that_cannot_be_assembled_is_refused_with_pose_and_loop(folder, refused):
     good = (EXAMPLES / "five_bar_simulated.csv").read_text().splitlines()[:12]  # two of them are comments
     (folder / "data.csv").write_text("\n".join([*good, "far,0,0,734,1350,-276"]) + "\n")
@@ -254,6 +256,7 @@ def test_no_command_shows_the_help(run_calib):
     assert "Usage: calib [OPTIONS] COMMAND" in done.err
 
 
+@pytest.mark.quick(0)
 def test_the_program_as_a_process_says_the_same(folder, spawn_calib):
     (folder / "bad.csv").write_text(data(line2="a,0,0,0,0,0"))
     before = tree(folder)

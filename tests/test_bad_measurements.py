@@ -53,6 +53,7 @@ def one_line(run):
     return run.err
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("command", ["fit", "check", "verify"])
 def test_a_file_given_twice_is_refused(folder, fit_file, run_calib, command):
     q = joints(40)
@@ -86,6 +87,7 @@ def test_rank_loss_names_the_parameters_that_cannot_be_separated(folder, fit_fil
     assert f"{words}." in run_calib("check", folder / "all.yaml", folder / "data.csv").out
 
 
+@pytest.mark.quick(0)
 def test_check_and_fit_count_priors_in_the_same_words(folder, fit_file, run_calib):
     """The ball adds its distance from axis 6 to what poses determine; along and about that axis priors hold it."""
     yaml = "priors: false\n" + YAML.replace("mm]}", "mm], position: unknown, sigma: 5 mm}") + FREE
@@ -129,6 +131,7 @@ def test_all_poses_equal_fix_no_measurement_frame(folder, fit_file):
     assert result is None
 
 
+@pytest.mark.quick(0)
 def test_noise_of_metres_fails_and_exports_no_robot(folder, fit_file):
     run, result = fit_file(joints(30), arm_positions(folder, joints(30), sigma=2.0))
     assert run.code == 3
@@ -141,6 +144,7 @@ def test_noise_of_metres_fails_and_exports_no_robot(folder, fit_file):
     assert not (folder / "out" / "calibrated.urdf").exists()
 
 
+@pytest.mark.quick(0)
 def test_a_forced_export_says_so_in_every_format(folder, fit_file, run_calib):
     run, result = fit_file(joints(30), arm_positions(folder, joints(30), sigma=2.0), "arm.yaml", "--force")
     assert run.code == 0

@@ -73,6 +73,7 @@ def test_setups_that_do_not_agree_are_said_to_be_setups(arm, tmp_path):
     assert codes_of(calib.fit(moving, measured(arm.positions, "good.csv"))) is None
 
 
+@pytest.mark.quick(0)
 def test_intervals_of_parameters_are_as_wide_as_regions_disagree(arm, tmp_path):
     """What draws of the noise alone scatter by is less: the interval of a parameter holds what another region says."""
     q = joints(120)

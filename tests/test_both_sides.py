@@ -25,6 +25,8 @@ from medrue.paper_tables import table3
 from medrue.progress import SilentProgress
 from medrue.workspace import target_workspace
 
+pytestmark = pytest.mark.quick(0)
+
 EITHER, ONE = WAYS[2:]
 
 

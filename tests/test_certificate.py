@@ -120,6 +120,7 @@ def test_an_unknown_base_takes_up_an_offset_and_not_a_scale(loose_arm):
     assert known[OFFSET] < 1e-9 < known[SCALE]
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(100, 300)
 def test_monte_carlo_finds_what_is_propagated(loose_arm, amount):
     measurements = calib.read_measurements(EXAMPLES / "arm_simulated.csv", loose_arm)
@@ -169,6 +170,7 @@ def test_poses_elsewhere_add_what_the_claim_grows_by(fit):
     assert expected > 0
 
 
+@pytest.mark.quick(0)
 def test_the_digital_certificate_has_what_the_schema_wants_and_the_numbers_of_the_json(
     folder, statement, tmp_path, run_calib
 ):
@@ -242,6 +244,7 @@ REQUIRED = {
 }  # fmt: skip
 
 
+@pytest.mark.quick(0)
 def test_pages_say_that_software_gives_no_legal_force(folder, statement, tmp_path, run_calib):
     pytest.importorskip("fpdf")
     for ending in ("html", "pdf"):
@@ -351,6 +354,7 @@ AXES = np.eye(2)
 POINTER = "{kind: position, target: reflector, sigma: 0.02 mm}"
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize(
     ("instruments", "quantity", "stated", "changes"),
     [
@@ -394,6 +398,7 @@ def test_what_a_camera_or_an_inclinometer_is_off_reaches_the_tool_as_a_fit_of_su
     assert SCALE not in found or "ball" in instruments
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(0, 40)
 def test_monte_carlo_draws_the_sizes_of_joint_terms(arm, measured, amount):
     q, y = measured

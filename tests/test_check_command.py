@@ -190,6 +190,7 @@ def test_bad_input_is_one_line_and_exit_code_2(run_calib, tmp_path, arguments, w
     assert run.out == ""
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("seed", [0, 2])
 def test_so_few_poses_that_none_can_be_spared_are_judged_all_the_same(tmp_path, run_calib, seed):
     write_arm(tmp_path)

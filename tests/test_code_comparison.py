@@ -25,6 +25,8 @@ from code_comparison.data_sets.motoman_pixels import Watched
 from code_comparison.data_sets.tilting_base import COLUMN, Stations
 from code_comparison.running import compared
 
+pytestmark = pytest.mark.quick(0)
+
 OURS, HAND_EYE, PRINTER = ALL_OURS["arm"], ALL_OURS["photographs"], ALL_OURS["printers"]
 SHOWN = [code for code in CODES if code.name in (PLACED, OURS, "SciPy, priors", "robotkinecal")]
 SHOWN += [code for code in CODES if code.problem != "arm" and not code.script.startswith("opencv")]

@@ -451,6 +451,7 @@ def test_command_gives_poses_for_controllers_that_take_them(tmp_path, calibrated
     assert 1e-4 < np.abs(np.array(told) - [0.5, 0.1, 0.6]).max() < 5e-3
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("text", "options", "code", "message"),
     [
@@ -522,6 +523,7 @@ def test_wrong_results_are_refused(tmp_path, calibrated, what):
     assert (outcome.exit_code, message in outcome.output) == (code, True), outcome.output
 
 
+@pytest.mark.quick(0)
 def test_a_ur10_with_gears_that_no_line_describes_runs_at_the_error_of_its_calibration(tmp_path):
     """100 rows; its true joints are off by waves of their gears, which the calibration knows as smooth curves only."""
     table = write_table(tmp_path, "ur10")

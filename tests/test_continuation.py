@@ -38,6 +38,7 @@ def edited_five_bar(folder, *changes):
     return calib.load(folder / "five_bar.yaml")
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("times", [1, 3])
 def test_every_pose_that_closes_in_the_closed_form_is_found_with_parameters_far_from_nominal(medrue, times):
     """+-2 mm and +-1.5 deg, and three times that, where home's loops alone would need corrections above 0.5 rad."""
@@ -60,6 +61,7 @@ def test_motor_zeros_that_are_20_degrees_off_leave_the_five_bar_whole(tmp_path):
     assert np.max(np.abs(moved.assemble(q - zeros).passive - expected)) < 1e-11
 
 
+@pytest.mark.quick(0)
 def test_a_pose_alone_is_found_where_it_is_found_among_others(medrue):
     rng = np.random.default_rng(4)
     limits = np.array([(j.lower, j.upper) for j in medrue.urdf.joints if j.name in medrue.joint_names]).T
@@ -70,6 +72,7 @@ def test_a_pose_alone_is_found_where_it_is_found_among_others(medrue):
     assert alone.all()
 
 
+@pytest.mark.quick(0)
 def test_steps_tried_together_lead_where_steps_tried_one_after_the_other_lead(medrue, monkeypatch):
     q = np.random.default_rng(6).uniform(-0.4, 0.4, (40, 6)) * medrue.mechanism.joint_scale + medrue.home
     together = medrue.close(q)
@@ -89,6 +92,7 @@ def test_loops_are_open_alike_one_by_one_and_together(medrue):
     assert np.allclose(maps, np.hstack([kinematics.twist_map(swept, loop) for loop in mechanism.loops]), atol=1e-14)
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("part", [1e-3, 1e-2, 0.1, 0.5])
 @pytest.mark.parametrize("compiled", [False, True])
 def test_a_last_correction_that_is_not_checked_closes_the_loops(medrue, part, compiled):

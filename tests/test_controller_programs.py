@@ -67,6 +67,7 @@ def written(folder, suffix, make, q=Q):
     return paths, texts
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_the_true_robot_goes_where_the_program_means_and_only_numbers_of_targets_differ(cell, language):
     folder, robot, true, fit = cell
@@ -100,7 +101,7 @@ def test_the_true_robot_goes_where_the_program_means_and_only_numbers_of_targets
     ("language", "left"),
     [
         ("URScript", [(40, "pose_add")]),
-        ("RAPID", [(34, "it moves along with p0"), (35, "pHome: is declared nowhere")]),
+        ("RAPID", [(34, "it moves along with p0"), (35, "pHome: is not declared")]),
         ("KRL", [(36, "is relative to where the robot is"), (37, "computed at run time")]),
         ("FANUC", [(17, "position register"), (18, "computed at run time (Offset)")]),
     ],
@@ -161,6 +162,7 @@ def test_numbers_of_orientations_stay_the_same_turn_and_near():
             assert np.allclose(pose_of(numbers_of(moved, kind, values), kind).homogeneous, moved.homogeneous)
 
 
+@pytest.mark.quick(0)
 def test_the_command_writes_the_program_and_tells_what_holds(cell, tmp_path, monkeypatch):
     folder = cell[0]
     src, dat = programs.krl(Q[:3])
@@ -218,7 +220,7 @@ BAD = {
             (UR, "", "has no targets"),
             (UR, "\x00\x01", "line 1: is not text"),
             (UR, "G1 X5\n", "has no targets that can be compensated as URScript"),
-            ("movej(a)", "movej(b)", "line 4: b: is declared nowhere here"),
+            ("movej(a)", "movej(b)", "line 4: b: is not declared here"),
             ("movej(a)", "movej(a[0])", "line 4: a[0]: is computed at run time"),
             ("movej(a)", "a[0] = 1\n  movej(a)", "is set more than once"),
             ("movej(a)", "a = [0,0,0,0,0,0]\n  movej(a)", "is set more than once"),
@@ -240,8 +242,8 @@ BAD = {
             ("set_tcp(p[0,0,0.1,0,0,0])", "set_tcp([0,0,0.1,0,0,0])", "no set_tcp before it selects"),
             ("def p():", "def p(a):", "a: is given to a routine when it is called"),
             ("movej(a)", "movej(a # )", "line 4: movej(: has a bracket that is not closed"),
-            ("movej(a)", "movec(a, q)", "q: is declared nowhere here"),
-            ("movej(a)", "servoj(q, t=0.008)", "q: is declared nowhere here"),
+            ("movej(a)", "movec(a, q)", "q: is not declared here"),
+            ("movej(a)", "servoj(q, t=0.008)", "q: is not declared here"),
             (
                 "movej(a)",
                 "w = p[0.6,0,0.5,0,1.4,0]\n  movel(pose_trans(w, p[0,0,0,0,0,0]), v=1)\n  movel(w)",
@@ -255,16 +257,16 @@ BAD = {
             (ABB, "", "has no targets"),
             (ABB, "\x00", "is not text"),
             (ABB, "def p():\nmovej([0,0,0,0,0,0])\n", "has no targets that can be compensated as RAPID"),
-            ("MoveL p,", "MoveL q,", "q: is declared nowhere here"),
+            ("MoveL p,", "MoveL q,", "q: is not declared here"),
             ("MoveL p,", "MoveL Offs(p,0,0,5),", "is computed at run time; it moves along with p"),
             ("MoveL p,", "MoveL RelTool(p,0,0,5),", "it moves along with p"),
             ("MoveL p,", "MoveL CRobT(),", "is computed at run time"),
-            ("MoveL p,", "MoveL p{n},", "is declared nowhere here"),
+            ("MoveL p,", "MoveL p{n},", "is not declared here"),
             ("MoveL p,", "p.trans.x:=5;\nMoveL p,", "p: is set while the program runs"),
             ("MoveL p,", "PDispOn p,t;\nMoveL p,", "a program displacement"),
             ("MoveL p,", "EOffsSet [0,0,0,0,0,0];\nMoveL p,", "an offset of axes"),
-            ("MoveL p,v100,fine,t", "MoveL p,v100,fine,t2", "tool 't2' is declared nowhere here; give its module"),
-            ("WObj:=w", "WObj:=w2", "work object 'w2' is declared nowhere here"),
+            ("MoveL p,v100,fine,t", "MoveL p,v100,fine,t2", "tool 't2' is not declared here; give its module"),
+            ("WObj:=w", "WObj:=w2", "work object 'w2' is not declared here"),
             ("t:=[TRUE", "t:=[FALSE", "tool 't' is not on the robot"),
             ("w:=[FALSE", "w:=[TRUE", "the robot holds work object 'w'"),
             ("w:=[FALSE,TRUE", "w:=[FALSE,FALSE", "is moved by another unit"),
@@ -289,7 +291,7 @@ BAD = {
             (KUKA, "", "has no targets"),
             (KUKA, "\x02", "is not text"),
             (KUKA, "DEF p()\nPTP_REL {A1 5}\nEND\n", "is relative to where the robot is"),
-            ("LIN {X 600,", "LIN XP1 ; {X 600,", "XP1: is declared nowhere here"),
+            ("LIN {X 600,", "LIN XP1 ; {X 600,", "XP1: is not declared here"),
             ("LIN {X 600,Y 0", "LIN {X 600", "gives only a part of a position"),
             ("A1 0,A2 5", "A2 5", "gives only a part of a position"),
             ("LIN {X 600,", "LIN {X a,", "is not plain numbers"),
@@ -304,21 +306,21 @@ BAD = {
             ("$TOOL={X 0,Y 0,Z 100,A 0,B 0,C 0}", "BAS(#TOOL,4)", "TOOL_DATA[4] is not known here"),
             ("$BASE=$NULLFRAME", "BAS(#BASE,5)", "BASE_DATA[5] is not known here"),
             ("$BASE=$NULLFRAME", "$BASE=found", "found is not known here"),
-            ("$BASE=$NULLFRAME", "FDAT_ACT=FP9\nBAS(#PTP_PARAMS,100)", "FP9 is declared nowhere here"),
+            ("$BASE=$NULLFRAME", "FDAT_ACT=FP9\nBAS(#PTP_PARAMS,100)", "FP9 is not declared here"),
             ("$TOOL={X 0,", "$TOOL={X h,", "$TOOL is not six plain numbers"),
             ("$TOOL={X 0,", "$TOOL={", "$TOOL is not six plain numbers"),
             ("$BASE=$NULLFRAME", "$BASE=$NULLFRAME\n$IPO_MODE=#TCP", "the tool is not on the robot"),
             ("LIN {X", "LIN $POS_ACT ;{X", "is computed at run time"),
             ("LIN {X", "DECL E6POS XP1={X 1}\nLIN XP1 ;{X", "gives only a part of a position"),
             ("LIN {X", "DECL E6POS P1={X 1,Y 1,Z 1,A 1,B 1,C 1}\nP1.X=5\nLIN P1 ;{X", "is set while the program runs"),
-            ("LIN {X", "CIRC XP1,{X", "XP1: is declared nowhere here"),
+            ("LIN {X", "CIRC XP1,{X", "XP1: is not declared here"),
             (
                 "LIN {X",
                 "DECL FRAME P1={X 600,Y 0,Z 500,A 0,B 80,C 0}\nLIN P1\n$BASE=P1\nLIN {X",
                 "moves along with P1, a target that is its frame or tool",
             ),
             ("S 2,T 0}", "S 2,T 0} WITH $BASE=BASE_DATA[3]", "BASE_DATA[3] is not known here"),
-            ("LIN {X", "SPLINE WITH $TOOL=STOOL2(FP1)\nLIN {X", "FP1 is declared nowhere here"),
+            ("LIN {X", "SPLINE WITH $TOOL=STOOL2(FP1)\nLIN {X", "FP1 is not declared here"),
         ],
     ),
     ".ls": (
@@ -402,6 +404,7 @@ def test_every_format_has_25_cases_and_a_good_program_has_none(suffix, cell, tmp
     assert not any(result.reasons)
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -415,9 +418,9 @@ def test_every_format_has_25_cases_and_a_good_program_has_none(suffix, cell, tmp
         (["part.ls", "--keep", "pose"], "--keep: not for controllers' programs"),
         (["part.csv", "--third-joint", "j3"], "--third-joint: not for tables"),
         (["part.ls"], "say with --third-joint whether"),
-        (["part.ls", "--out", "new.mod"], "new.mod: the program has the language of part.ls, whose names end in .ls"),
+        (["part.ls", "--out", "new.mod"], "the language of part.ls; give the output the same ending"),
         (["far.script"], "is out of the nominal robot's reach"),
-        (["other.src"], "not as its configuration says (S 0, T 63)"),
+        (["other.src"], "not in configuration S 0, T 63"),
     ],
 )
 def test_bad_options_end_with_one_line(cell, arguments, said, tmp_path, monkeypatch):

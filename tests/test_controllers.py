@@ -334,6 +334,7 @@ def test_packages_are_found_without_ros(tmp_path: Path, monkeypatch: pytest.Monk
     assert calib.load(own / "urdf" / "arm.urdf.xacro").joint_names == ("p_j1",)
 
 
+@pytest.mark.quick(0)
 def test_arguments_without_a_value_are_named_and_kept_in_the_description(tmp_path: Path) -> None:
     pytest.importorskip("xacro", reason="needs the package xacro")
     text = MACRO.replace("</robot>", '<xacro:arm prefix="$(arg prefix)$(arg side)"/></robot>').replace(

@@ -108,6 +108,7 @@ def assert_mean(result, expected, n, limit, scatter):
     assert result == pytest.approx(expected, abs=limit if n >= 400 else max(limit, 4 * scatter / np.sqrt(n)))
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(50, 1000)
 def test_intervals_of_a_serial_arm_hold_the_truth_in_95_percent(arm, amount):
     covered = coverage(arm, joints(40), joints(10, 5), amount)
@@ -118,6 +119,7 @@ def test_intervals_of_a_serial_arm_hold_the_truth_in_95_percent(arm, amount):
     assert covered.outliers <= binom.isf(1e-3, amount, 0.01) / amount  # 0.01 is what is stated
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(30, 500)
 def test_intervals_of_medrue_hold_the_truth_in_95_percent(amount):
     covered = coverage(*medrue_case(), amount)
@@ -127,6 +129,7 @@ def test_intervals_of_medrue_hold_the_truth_in_95_percent(amount):
     assert_mean(covered.squared, 1.0, amount, 0.02, 0.15)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(30, 500)
 def test_with_priors_intervals_hold_truths_drawn_from_them(tmp_path, amount):
     # small priors: with large ones, what no measurement sees bends into what it sees, which linear statistics miss
@@ -138,6 +141,7 @@ def test_with_priors_intervals_hold_truths_drawn_from_them(tmp_path, amount):
     assert_mean(covered.squared, 1.0, amount, 0.02, 0.24)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(30, 400)
 def test_with_five_percent_gross_errors_tukey_keeps_the_coverage_of_a_serial_arm(arm, amount):
     covered = coverage(arm, joints(40), joints(10, 5), amount, loss="tukey", gross=0.05)

@@ -109,6 +109,7 @@ def test_a_published_table_becomes_a_robot(name: str, tmp_path: Path) -> None:
     assert sliding == [f"joint_{k}" for k in TABLES[name][2]]
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("name", TABLES)
 @pytest.mark.parametrize("file_format", ["dh", "mdh"])
 def test_in_and_out_and_in_again(name: str, file_format: str, tmp_path: Path) -> None:

@@ -68,6 +68,7 @@ YAML_MISTAKES = {
 }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("old", "new", "message"), YAML_MISTAKES.values(), ids=YAML_MISTAKES)
 def test_broken_yaml_is_an_error_with_its_line(tmp_path, old, new, message):
     assert message in complaint(write_arm(tmp_path, ARM_YAML.replace(old, new)))

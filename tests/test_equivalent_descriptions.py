@@ -136,6 +136,7 @@ def first(told, tmp_path_factory):
     return _fitted(tmp_path_factory.mktemp("first") / "arm", told, CHAIN, range(6))
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("ways", [("order",), ("renamed",), ("reversed",), ("other angles",), ("split",),
                                   ("renamed", "reversed", "split")])  # fmt: skip
 def test_a_fit_says_the_same_of_a_robot_described_in_another_way(told, first, tmp_path, ways):
@@ -161,6 +162,7 @@ def test_a_fit_says_the_same_of_a_robot_described_in_another_way(told, first, tm
         np.testing.assert_allclose([std[key] for key in sorted(std)], [same_std[key] for key in sorted(std)], rtol=1e-5)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize(
     "ways",
     [("renamed", "reversed", "split"), pytest.param(("reversed", "other angles"), marks=pytest.mark.amount(0, 1))],

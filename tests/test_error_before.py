@@ -25,6 +25,7 @@ def test_a_best_fit_of_the_base_does_not_explain_it() -> None:
     assert errors_of(base_placed(nominal, nominal @ turn.T + 0.3)).largest < 1e-9
 
 
+@pytest.mark.quick(0)
 def test_signs_and_orders_of_rotation_do_not_explain_it() -> None:
     result = list(signs(Q[::5]))
     assert len(result) == 256

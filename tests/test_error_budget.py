@@ -147,6 +147,7 @@ def test_a_gain_alone_is_all_of_the_error_as_computed_by_hand(tmp_path):
     assert abs(parts[GEOMETRY].mean_square) < 0.01 * expected
 
 
+@pytest.mark.quick(0)
 def test_on_readings_that_were_used_noise_that_was_fitted_is_set_right(tmp_path):
     nominal = arm(tmp_path, "", ARM_YAML + f"priors: false\nheld: [{HELD}]\n")
     geometry, left = [], []
@@ -171,7 +172,7 @@ def test_the_advice_is_only_as_sure_as_the_noise_is_known(tmp_path, stated, repe
     parts = shares(fit.budget)
     if repeats == 1 and not stated:
         assert set(parts) == {GEOMETRY, REST}
-        assert "unknown without the noise" in fit.budget.advice
+        assert "Without the noise, it is unknown" in fit.budget.advice
         assert to_dict(fit)["error_budget"]["noise_from"] is None
     else:
         known = "repeatability" if repeats > 1 else "the stated noise"

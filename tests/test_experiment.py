@@ -26,6 +26,8 @@ from medrue.progress import SilentProgress
 from medrue.tracker import NESTS, PLACE, measure
 from medrue.workspace import target_workspace
 
+pytestmark = pytest.mark.quick(0)
+
 NONE = Imperfections(0.0, 0.0, 0.0)
 
 

@@ -219,6 +219,7 @@ def in_process(code, *arguments, **options):
     return subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(8, 1)
 def test_writing_that_is_ended_before_any_of_its_lines_leaves_the_old_or_the_new(amount):
     """Killed, and interrupted, at one line in so many; with the exchange of names in one step and without."""
@@ -245,6 +246,7 @@ for _ in range(100):
 """
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("exchange", [True, False])
 def test_two_writers_at_once_end_with_the_result_of_one_and_lose_nothing(tmp_path, exchange):
     write_folder(tmp_path / "out", {"mine.txt": b"keep"})

@@ -38,6 +38,7 @@ def failed(good):
     return replace(good, convergence=Convergence(False, "the limit of evaluations was reached", 0.01, "j1.x", True))
 
 
+@pytest.mark.quick(0)
 def test_lengths_that_want_to_be_infinite_are_named_at_once_and_the_others_are_found_without_them(medrue):
     """20 poses behind each other, on which a link's arc explains the readings the better the more it is a line."""
     rows = np.arange(279, 299)
@@ -232,6 +233,7 @@ def test_result_json_has_the_verdict_and_what_it_rests_on(arm, tmp_path):
     assert content["errors"]["validation"]["after"]["p95"] > content["errors"]["validation"]["after"]["median"]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("sigma", [1e-3, 4.26e-5, 7e-6, 1e-6])
 def test_stating_a_small_noise_keeps_a_fit_of_real_measurements_converged(shared_data, tmp_path, sigma):
     for source in (shared_data / "motoman_right" / "robot.urdf", EXAMPLES / "motoman_right.yaml"):

@@ -71,6 +71,7 @@ def rms_of(fit, tip):
     return held_out(tip, fit.nominal, *data)
 
 
+@pytest.mark.quick(0)
 def test_every_file_of_origins_is_as_good_as_a_fit_of_origins_alone(fit, folder, tmp_path):
     alone = calib.fit(fit.nominal, fit.identification.data, validation=fit.validation.data, terms="none")
     robot, expected = calib.load(folder), alone.validation.rms("after")
@@ -161,6 +162,7 @@ def test_the_whole_model_stays_what_predictions_use(fit, folder):
     assert fit.robot.held_by(Holds.EVERYTHING).terms == fit.robot.terms
 
 
+@pytest.mark.quick(0)
 def test_a_fit_without_terms_follows_the_choices_of_the_one_with_them(tmp_path, true_tip):
     arm = arm_with(tmp_path, "  - {joint: all, term: gain, sigma: 0.01}\n")
     data = measured(arm, true_tip, 60, 3)
@@ -254,6 +256,7 @@ def withheld(tmp_path_factory, true_tip):
     return folder, *warm_and_cold(folder, true_tip)
 
 
+@pytest.mark.quick(0)
 def test_a_file_that_is_worse_than_the_nominal_robot_is_not_written(withheld, run_calib, tmp_path):
     folder, *_ = withheld
     arguments = ("fit", folder / "arm.yaml", folder / "train.csv", "--validate", folder / "test.csv", "--no-pages",
@@ -366,6 +369,7 @@ def test_a_fit_that_starts_from_a_result_is_held_against_the_nominal_robot(fit, 
     assert accuracy.rms == pytest.approx(fit.robot.files[Holds.ORIGINS].accuracy.rms, rel=1e-3)
 
 
+@pytest.mark.quick(0)
 def test_a_loop_with_terms_and_a_named_parametrisation(tmp_path, medrue):
     """MedRUE, whose parameters are a plugin's, with a gain of one motor stated in `joint_terms`."""
     text = (ROOT / "urdf" / "medrue.yaml").read_text()

@@ -67,6 +67,7 @@ def test_one_wrong_result_is_left_out_and_changes_nothing():
     assert learn_without_odd([told_exactly(values, 1e6) for values in u], np.zeros(12, dtype=int))[1] == ()
 
 
+@pytest.mark.quick(0)
 def test_a_result_that_is_ten_times_as_far_off_in_everything_is_named_and_nobody_else():
     rng = np.random.default_rng(4)
     named, alarms = 0, 0
@@ -193,6 +194,7 @@ def test_a_robot_that_was_repaired_is_named_and_keeps_what_else_the_fleet_knows(
     assert abs(dict_of(fit.robot)["joint_3.rz"] - dict_of(repaired)["joint_3.rz"]) < 0.002
 
 
+@pytest.mark.quick(0)
 def test_the_answer_fits_on_a_screen_and_the_rest_comes_with_verbose(results):
     robot, _, folders, _ = results
     shown, everything = run(*folders).output, run(*folders, "--verbose").output
@@ -250,6 +252,7 @@ def test_results_with_other_parameters_or_of_another_robot_are_refused(results, 
     assert "has no free parameter 'joint_4.z'" in done.output
 
 
+@pytest.mark.quick(0)
 def test_a_failed_result_that_was_forced_is_named(results, tmp_path):
     robot, _, folders, _ = results
     noisy = calib.simulate(robot, robot.sample(30, 2), sigma=2e-2, seed=2)  # m: no robot is that bad

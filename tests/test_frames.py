@@ -49,6 +49,7 @@ def nominal_delta(tmp_path_factory):
     return trial, folder / "result"
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize(
     "name",
     [pytest.param("five_bar", marks=pytest.mark.amount(1, 4)), pytest.param("delta", marks=pytest.mark.amount(0, 2))],
@@ -89,6 +90,7 @@ def test_what_a_point_of_unknown_place_leaves_open_is_counted_and_not_corrected(
     assert rms(moved) < 0.05e-3  # though the point is elsewhere by 0.5 mm
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("name", ["five_bar", pytest.param("rail_and_five_bar", marks=pytest.mark.amount(0, 1))])
 def test_a_good_robot_stays_as_it_is_and_would_not_be_harmed_either_way(tmp_path, name):
     """These moved by 0.15 to 0.47 mm, ten to forty times what was promised, along what priors alone hold."""
@@ -117,6 +119,7 @@ def test_a_robot_that_only_stands_elsewhere_is_laid_exactly(tmp_path):
     assert np.isnan(frame.predict(q).covariance).all()  # the robot's uncertainty is not stated
 
 
+@pytest.mark.quick(0)
 def test_uncertainty_beside_common_motion_follows_parameters_as_differences_say(tmp_path):
     nominal = described("five_bar", tmp_path, "unknown")
     rng = np.random.default_rng(2)
@@ -216,6 +219,7 @@ def test_along_coordinates_that_are_not_asked_for_nothing_is_expected(tmp_path):
     assert solution.expected.distance == pytest.approx(np.hypot(spread[:, 0], spread[:, 1]), rel=1e-6)
 
 
+@pytest.mark.quick(0)
 def test_a_result_folder_knows_the_frame_as_the_fit_does(nominal_delta):
     trial, folder = nominal_delta
     known, again = trial.fit.known_robot, load_result(folder, trial.nominal).known_robot
@@ -228,6 +232,7 @@ def test_a_result_folder_knows_the_frame_as_the_fit_does(nominal_delta):
     assert np.abs(frames[0].meant.positions(trial.program) - frames[1].meant.positions(trial.program)).max() < 1e-10
 
 
+@pytest.mark.quick(0)
 def test_commands_leave_a_good_robot_alone_and_say_so(nominal_delta, tmp_path, run_calib):
     folder = nominal_delta[1]
     (tmp_path / "part.gcode").write_text("G28\nG90\nG1 X10 Y0 Z-400 F600\nG1 X-20.5 Y15 ; there\n")

@@ -74,6 +74,7 @@ def _columns(given):
     return {name: np.atleast_2d(value.T) for name, value in given.items()}
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_derivatives_are_those_of_the_engine_and_open_loops_are_no_numbers(library, tmp_path, amount):
     pytest.importorskip(library)

@@ -7,7 +7,6 @@ import sys
 import function_robots
 import numpy as np
 import pytest
-from families import family
 from function_robots import ROBOTS, by_name, exported, imported, near, poses_of_engine, some_commands, some_conditions
 from small_robots import ARM_YAML, write_arm, write_parallelogram, write_pose_loop
 
@@ -20,9 +19,6 @@ N = {"six-axis arm, every term": 100, "example arm": 100}
 """Poses of each robot; of those with loops, 40: `tests/function_robots.py` looks at 10 000 of each."""
 LANGUAGES = ("numpy", "c")
 EACH = [(name, language) for name in ROBOTS for language in LANGUAGES]
-DIFFERENT = ("six-axis arm, every term", "Stewart platform, compliance", "five-bar", "delta robot")
-"""Robots that have what the others have."""
-SOME = [each for each in EACH if each[0] in DIFFERENT or each == ("MedRUE with a rail's terms", "c")]
 COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
 
@@ -72,7 +68,8 @@ def cases(tmp_path_factory):
     return of
 
 
-@pytest.mark.parametrize(("name", "language"), family(EACH, SOME))
+@pytest.mark.quick(2)
+@pytest.mark.parametrize(("name", "language"), EACH)
 def test_poses_are_those_of_the_engine_and_open_loops_are_no_numbers(cases, name, language):
     case = cases(name)
     for tool, truth in enumerate(case.truth):
@@ -98,6 +95,7 @@ def distance(case):
     return values
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("language", LANGUAGES)
 @pytest.mark.parametrize(
     "name", ["six-axis arm, every term", "MedRUE with a rail's terms", "Stewart platform, compliance"]
@@ -117,7 +115,8 @@ def test_the_jacobian_is_that_of_differences_of_the_engine(cases, name, language
         assert np.abs(motion[:, :, j] - np.hstack([rate[:, :3, 3], turning])).max() < 2e-7
 
 
-@pytest.mark.parametrize(("name", "language"), family(EACH, SOME))
+@pytest.mark.quick(1)
+@pytest.mark.parametrize(("name", "language"), EACH)
 def test_commands_for_a_pose_lead_back_to_it(cases, name, language):
     case = cases(name)
     some = np.flatnonzero(distance(case) >= 0.1)[:25]
@@ -133,6 +132,7 @@ def test_commands_for_a_pose_lead_back_to_it(cases, name, language):
     assert np.abs(there - goals[result]).max() < 2e-10
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize(("name", "language"), [("example arm", "numpy"), ("MedRUE with a rail's terms", "c")])
 def test_what_is_found_from_home_is_found_from_every_start_and_nothing_else_is_told(cases, name, language):
     case = cases(name)
@@ -155,6 +155,7 @@ def test_what_is_found_from_home_is_found_from_every_start_and_nothing_else_is_t
         assert np.abs(there - goals[told]).max() < 2e-10
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_only_what_is_asked_for_must_be_met(cases, language):
     """A five-bar reaches places in its plane, with the orientation that it happens to have there."""

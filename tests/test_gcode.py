@@ -111,6 +111,7 @@ def delta(tmp_path_factory):
     return calib.load(folder / "delta.yaml"), calib.load(folder / "known.yaml")
 
 
+@pytest.mark.quick(0)
 def test_a_delta_goes_straight_within_tolerance_and_calibration(delta, tmp_path):
     robot = delta[1]
     rng = np.random.default_rng(1)
@@ -254,14 +255,15 @@ def test_the_command_writes_a_program_and_its_figures(tmp_path, calibrated):
 FIRST = "G1 X0 Y0 Z0\n"
 
 
+@pytest.mark.quick(5)
 @pytest.mark.parametrize(
     ("text", "options", "message"),
     [
         ("", (), "has no straight moves"),
         ("M104 S200\nG92 E0\n", (), "has no straight moves"),
-        ("G1 X10\n", (), "line 1: where the machine stands along Y is not known here; say so with --start"),
-        (FIRST + "G28\nG1 Z5\n", (), "line 3: where the machine stands along X"),
-        ("G91\nG1 X1 Y1 Z1\n", (), "line 2: where the machine stands along X"),
+        ("G1 X10\n", (), "line 1: the machine's position along Y is not known here; give the position with --start"),
+        (FIRST + "G28\nG1 Z5\n", (), "line 3: the machine's position along X"),
+        ("G91\nG1 X1 Y1 Z1\n", (), "line 2: the machine's position along X"),
         (FIRST + "G2 X10 I5\n", (), "line 2: G2: arcs are not read"),
         (FIRST + "G3 X10 R5\n", (), "line 2: G3: arcs are not read"),
         (FIRST + "G81 X10 Z-5 R1\n", (), "line 2: G81: is not read"),
@@ -278,7 +280,7 @@ FIRST = "G1 X0 Y0 Z0\n"
         ("G20 G21\n" + FIRST, (), "line 1: has G20 and G21"),
         (FIRST + "G91 G90 X1\n", (), "line 2: has G90 and G91"),
         (FIRST + "G1 X1 A5\n", (), "line 2: 'A' does not belong"),
-        (FIRST + "/G1 X1\n", (), "line 2: whether lines with / are run"),
+        (FIRST + "/G1 X1\n", (), "line 2: it is not known whether lines with / are run"),
         ("X1 Y1 Z1\n", (), "line 1: moves without G0 or G1"),
         (FIRST + "G1 X1" + 300 * "0" + "\n", (), "line 2: 'X10000000000000000000' is beyond what any machine reads"),
         (FIRST + "G1 X1 \x07\n", (), "line 2: is not text"),
@@ -340,7 +342,7 @@ def test_other_robots_and_too_sharp_bends_are_refused(tmp_path, delta):
 
 
 HERE = "G90\nG21\nG1 X100 Y100 Z10\n"
-LOST = "where the machine stands along"
+LOST = "the machine's position along"
 PERHAPS = "may have moved zero or axes, or changed the tool"
 CHANGED = "changes the meaning of X, Y and Z"
 SEVERAL = "has words of several commands"
@@ -488,7 +490,7 @@ def test_a_word_that_the_user_calls_harmless_is(tmp_path, calibrated):
 
 def test_a_macro_before_the_first_move_leaves_modes_to_be_set(tmp_path):
     for text, why in (
-        ("START\nG1 X1 Y2 Z3\n", "START (line 1) may have changed modes; write G90 or G91, and G20 or G21, behind it"),
+        ("START\nG1 X1 Y2 Z3\n", "START (line 1) may have changed modes; write G90 or G91, and G20 or G21, after it"),
         ("START\nG90\nG1 X1 Y2 Z3\n", "may have changed modes"),
         ("START\nG90\nG21\nG1 X1\n", "along Y is not known here after START (line 1)"),
         ("START\nG90\nG21\nG1 X1 Y2 Z3\nG28\nG1 X1 Y2 Z3\n", PERHAPS),  # homing may take back its zero

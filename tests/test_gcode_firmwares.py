@@ -172,6 +172,7 @@ def compare(moves, pieces, first, second, what):
         assert {piece.feed for piece in own} == {step.feed}, what
 
 
+@pytest.mark.quick(1)
 @pytest.mark.amount(150, 10_000)
 @pytest.mark.parametrize("dialect", FIRMWARES)
 def test_a_firmware_goes_where_it_went_plus_the_correction(dialect, tmp_path, amount):

@@ -158,6 +158,7 @@ def test_derivatives_by_the_direction_agree_with_central_differences(tmp_path):
             assert np.allclose(jacobian[..., k], difference, rtol=0, atol=1e-6 * max(1.0, np.abs(difference).max()))
 
 
+@pytest.mark.quick(0)
 def test_a_direction_is_found_from_data_of_other_code(tmp_path):
     robot = described(tmp_path, "{sigma: 15 deg}", "sigma: 0.01 mm\n")
     down = unit(np.array([0.12, -0.2, -1.0]))  # 13 deg off
@@ -180,6 +181,7 @@ def test_a_direction_is_found_from_data_of_other_code(tmp_path):
     assert calib.fit(described(tmp_path, "{}", "sigma: 0.01 mm\n"), data).sigma > 2 * fit.sigma
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("way", ["wall", "ceiling", "setups", "visits"])
 def test_unseen_poses_are_predicted_with_the_direction_and_not_without(tmp_path, way):
     """By other code: a soft arm on a wall, on a ceiling, in three mountings, on a base that tilts by up to 30 deg."""

@@ -249,6 +249,7 @@ def test_another_reading_is_named_with_what_it_leaves(amount):
         assert words in judgement.reasons[0]
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(1, 2)
 def test_inverted_poses_are_named_where_the_mount_is_stated_and_doubted_where_it_is_not(amount):
     for mount in ("base", "tool")[:amount]:
@@ -348,6 +349,7 @@ def test_exported_files_hold_the_same_transform_in_the_direction_of_their_format
     assert content(result, Frames())["camera_on"] == mount
 
 
+@pytest.mark.quick(0)
 def test_corners_that_are_off_go_by_themselves_and_are_no_doubt(clean, good):
     assert not np.any(point_errors(clean, INTRINSICS, (0, 1, 2, 3, 4, 5)))
     off = {7: (6.0, 0.0), 11: (0.0, -5.0), 105: (-4.0, 4.0), 184: (9.0, 3.0)}  # two of them in one image

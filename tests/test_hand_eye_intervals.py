@@ -95,6 +95,7 @@ def test_the_covariance_is_what_errors_of_each_size_do_to_the_estimate(weights, 
     assert np.allclose(covariance, estimator @ whole @ estimator.T, rtol=1e-6, atol=1e-16)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(0, 40)
 @pytest.mark.parametrize("errors", ["joints", "images"])
 def test_the_camera_on_the_real_flange_lies_in_its_intervals(errors, amount):

@@ -271,6 +271,7 @@ def test_the_schema_takes_what_descriptions_say_and_refuses_a_misspelt_key(tmp_p
     assert run_calib("init", "arm.urdf", "--schema", "--out", "x.json", cwd=tmp_path).code == 2
 
 
+@pytest.mark.quick(0)
 def test_a_camera_is_described_with_its_board_and_can_be_used_at_once(tmp_path, run_calib):
     example = Path(__file__).parents[1] / "docs" / "examples" / "arm.urdf"
     (tmp_path / "arm.urdf").write_bytes(example.read_bytes())

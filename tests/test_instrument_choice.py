@@ -163,7 +163,7 @@ def test_a_touch_is_chosen_only_where_the_candidates_say_what_is_touched(tmp_pat
         ({"instruments": ["bar", "bar"]}, "name each instrument, or each group of them, once"),
         ({"instruments": ["bar+bar"]}, "'bar\\+bar' names an instrument twice"),
         ({"instruments": []}, "name each instrument"),
-        ({"count": {"tracker": 8}, "instruments": "each"}, "leave out which instruments to choose"),
+        ({"count": {"tracker": 8}, "instruments": "each"}, "leave out `instruments`"),
         ({"count": {"tracker": -1, "bar": 9}}, "count -1 of tracker"),
         ({"count": {"tracker": 0, "bar": 0}}, "count 0: choose at least one pose"),
         ({"count": {"wire": 8}}, "no instrument 'wire'"),

@@ -52,6 +52,7 @@ CASES = {
 }
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("case", CASES)
 def test_a_fit_that_knows_its_noise_beats_one_that_does_not_by_the_factor_of_theory(tmp_path, case):
     """Gauss and Markov: covariance (J^T C^-1 J)^-1 against (J^T J)^-1 J^T C J (J^T J)^-1."""

@@ -170,6 +170,7 @@ def test_the_miss_of_a_far_goal_is_its_distance_from_the_workspace(arm: Robot) -
         solution.require_all()
 
 
+@pytest.mark.quick(0)
 def test_medrue_goals_out_of_reach_are_named_and_the_others_solved(medrue_robot: Robot) -> None:
     T = target_workspace().T_world_tool[:4].copy()
     T[1, 0, 3] -= 1.0  # the rail ends 36 mm further on
@@ -200,6 +201,7 @@ def test_wrong_goals_are_refused(fields: dict[str, Any], message: str) -> None:
         Goals(**{"positions": np.zeros((2, 3)), **fields})
 
 
+@pytest.mark.quick(0)
 def test_a_coordinate_that_is_not_asked_for_is_left_as_it_comes(tmp_path: Path) -> None:
     """A five-bar off its plane by a hair reaches x and y, and no height."""
     nominal = load("docs/examples/five_bar.yaml")
@@ -218,7 +220,7 @@ def test_a_coordinate_that_is_not_asked_for_is_left_as_it_comes(tmp_path: Path) 
     with pytest.raises(DataError, match="goal 1: positions are not finite"):
         Goals(np.full((1, 3), np.nan))
     flat[4, 2] = 0.02
-    with pytest.raises(DataError, match="goal 5: other coordinates are NaN than in the first goal"):
+    with pytest.raises(DataError, match="goal 5: its NaN coordinates are not those of the first goal"):
         solve(robot, flat)
     assert len(solve(robot, Goals(flat)).q) == 8
     flat[4, 2] = np.nan

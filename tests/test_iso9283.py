@@ -53,6 +53,7 @@ def covered(draw, figure, truth, n=1000):
     return np.mean([item.low95 <= truth <= item.high95 for item in results])
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("offset", [0.0, 0.3, 2.0])
 @pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.3, 0.3)])
 def test_intervals_of_accuracy_cover_the_true_length(offset, axes):
@@ -62,6 +63,7 @@ def test_intervals_of_accuracy_cover_the_true_length(offset, axes):
     assert share > 0.93  # 1000 draws: +- 0.014; small offsets are covered more often
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.2, 0.1)])
 def test_intervals_of_repeatability_cover_the_true_one(axes):
     rng, other = RNG(5), RNG(6)
@@ -93,6 +95,7 @@ def test_intervals_of_distances_between_two_poses_cover():
     assert covered(draw, iso9283.three_deviations, 3 * many.std()) == pytest.approx(0.95, abs=0.02)
 
 
+@pytest.mark.quick(0)
 def test_intervals_of_drift_cover():
     rng, other = RNG(10), RNG(11)
     means = np.array([[1.0, 0, 0], [1.5, 0, 0], [3.0, 0, 0]])

@@ -42,6 +42,7 @@ def test_all_36_columns_agree_with_differences_of_the_closed_form(robot, values)
     assert relative_error(result, expected) <= 1e-6
 
 
+@pytest.mark.quick(0)
 def test_all_six_components_of_every_origin_agree_with_differences(robot):
     """Along a direction in which each of them takes part."""
     q = target_workspace().q[::40]

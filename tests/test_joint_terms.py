@@ -242,6 +242,7 @@ def test_a_curve_is_found_where_there_is_one_and_stays_flat_where_there_is_none(
     assert fit.validation.table()["after"]["rms"] < 0.35 * plain.validation.table()["after"]["rms"]
 
 
+@pytest.mark.quick(0)
 @pytest.mark.skipif(not UR10.exists(), reason="the measurements of the UR10 are not here")
 def test_curves_halve_what_origins_leave_of_a_real_robot(tmp_path):
     lines = (UR10 / "grid.csv").read_text().splitlines()
@@ -286,6 +287,7 @@ def turned(first):
     return q
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("first", "doubted"),
     [

@@ -116,6 +116,7 @@ def test_poses_that_cannot_close_are_refused_alike():
     assert np.array_equal(result.ok, expected.ok)
 
 
+@pytest.mark.quick(0)
 def test_systems_are_solved_with_pivots():
     numba, functions = import_module("numba"), import_module("calib.core.robots.kernels")
     solve = functions._solve  # only called by compiled code
@@ -153,6 +154,7 @@ def test_loops_of_directions_are_left_to_the_reference(tmp_path):
         assert kernels(robot.mechanism, 10) is None
 
 
+@pytest.mark.quick(0)
 def test_numba_is_loaded_only_where_it_is_asked_for():
     robot = calib.load(EXAMPLES / "five_bar.yaml")
     assert kernels(robot.mechanism, 100) is None

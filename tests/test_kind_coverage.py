@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from families import family
 from kind_checks import brought, coverage
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
@@ -283,16 +282,19 @@ def assert_holds(result, n):
     assert result.chi_square == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.parametrize("kind", family(["position", "pose", "orientation", "inclinometer", "distance"], ["pose"]))
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("kind", ["pose", "position", "orientation", "inclinometer", "distance"])
 def test_intervals_of_every_kind_hold_the_truth_on_an_arm(tmp_path, kind):
     assert_holds(on_the_arm(tmp_path, kind, 50), 50)
 
 
-@pytest.mark.parametrize("kind", family(["pose", "distance"], ["distance"]))
+@pytest.mark.quick(0)
+@pytest.mark.parametrize("kind", ["distance", "pose"])
 def test_intervals_of_poses_and_distances_hold_the_truth_on_medrue(tmp_path, kind):
     assert_holds(on_medrue(tmp_path, kind, 25), 25)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize(
     "counts",
     [
@@ -307,6 +309,7 @@ def test_intervals_hold_the_truth_where_repeats_share_an_error(tmp_path, counts,
     assert 0.95 - 0.32 / np.sqrt(amount) <= np.mean(result) <= min(0.95 + 0.22 / np.sqrt(amount), 0.999)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(0, 1)
 def test_intervals_hold_the_truth_where_the_pixels_of_an_image_share_an_error(tmp_path):
     result = seen_by_both(tmp_path, 20, 20)

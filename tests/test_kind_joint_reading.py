@@ -138,6 +138,7 @@ def test_an_encoder_on_a_passive_joint_calibrates_a_loop(tmp_path):
         assert abs(values[name] - value) < 1e-8, name
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(0, 60)
 def test_95_percent_intervals_hold_the_truth(tmp_path, amount):
     robot = held(tmp_path)

@@ -141,6 +141,7 @@ def test_a_camera_beside_the_robot_reads_what_opencv_says(arm):
     np.testing.assert_allclose(predicted, data.readings["eye"].values, atol=1e-7)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(2, 4)
 @pytest.mark.parametrize("most", [12, 4, 2])
 def test_cameras_anywhere_are_found_with_an_unknown_body(arm, most, amount):
@@ -176,6 +177,7 @@ def test_one_end_is_found_where_the_other_is_known(tmp_path, pose, where):
     np.testing.assert_allclose(placed.mechanism.placement("body").homogeneous, body, atol=1e-6)
 
 
+@pytest.mark.quick(0)
 def test_the_truth_is_found_with_intrinsics_that_are_not_known(tmp_path):
     yaml = YAML.replace("fx: 2400, fy: 2410", "fx: 2380, fy: 2440").replace(
         ", image:", ", unknown_intrinsics: {fx: 20, fy: 20}, image:"
@@ -194,6 +196,7 @@ def without_guesses(monkeypatch):
     monkeypatch.setattr("calib.core.instruments.pixel.guesses", lambda result, now, known: [now])
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(0, 40)
 def test_95_percent_intervals_hold_the_truth(arm, monkeypatch, amount):
     without_guesses(monkeypatch)
@@ -241,6 +244,7 @@ def written(folder, header="pose,camera,point,px_u [px],px_v [px]", rows=None):
     return robot, [folder / "joints.csv", folder / "pixels.csv"]
 
 
+@pytest.mark.quick(0)
 def test_check_reads_the_files_that_fit_reads(tmp_path, run_calib):
     robot, files = written(tmp_path)
     data = read_measurements(files, robot)
@@ -426,6 +430,7 @@ def test_what_distortion_folds_back_into_the_image_is_not_seen(tmp_path):
     assert np.all(np.isnan(eye.predict(view, np.array([]), np.zeros((1, 1)))))
 
 
+@pytest.mark.quick(0)
 def test_poses_are_sampled_at_which_a_camera_sees_its_board(tmp_path, run_calib):
     yaml = YAML.replace(f"points: {POINTS}", f"board: {BOARDS['charuco']}").replace(
         "fx: 2400, fy: 2410", "fx: 1800, fy: 1800"
@@ -453,6 +458,7 @@ def test_poses_are_sampled_at_which_a_camera_sees_its_board(tmp_path, run_calib)
     assert "few of these poses see what is to be measured: eye at 0 of 15; check `xyz` and `rpy`" in run.err
 
 
+@pytest.mark.quick(0)
 def test_a_reading_that_is_off_is_named_by_the_file_in_which_it_stands(tmp_path):
     robot, files = written(tmp_path)
     lines = files[1].read_text().splitlines()

@@ -132,6 +132,7 @@ def test_orientations_make_parameters_surer(tmp_path):
     assert np.mean(half.predict(other).distance) > 1.05 * np.mean(whole.predict(other).distance)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(0, 20)
 def test_intervals_hold_the_truth_with_anisotropic_noise_and_with_errors_shared_by_a_visit(tmp_path, amount):
     n, held = amount, {}

@@ -85,6 +85,7 @@ def medrue(folder):
     return robot.with_parameters(actual), np.array(target_workspace().q)[::210]
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("made", [arm, five_bar, medrue], ids=lambda made: made.__name__)
 def test_all_parameters_move_readings_of_every_kind_as_differences_say(tmp_path, made):
     """Beside the readings, not at them: readings are those of a robot that is a little off."""

@@ -60,6 +60,7 @@ def test_thousands_of_random_poses_and_parameters_agree_with_the_closed_form(rob
     assert worst <= 1e-11  # metres: 1e-8 mm
 
 
+@pytest.mark.quick(0)
 def test_poses_over_the_whole_joint_range_never_come_back_on_a_wrong_branch(robot):
     rng = np.random.default_rng(8)
     limits = np.array([(j.lower, j.upper) for j in robot.urdf.joints if j.name in robot.joint_names]).T
@@ -93,6 +94,7 @@ def test_a_warm_start_from_the_other_branch_is_not_believed(robot):
     assert np.max(np.abs(robot.assemble(q, seed=mirrored).passive - right)) < 1e-12
 
 
+@pytest.mark.quick(0)
 def test_a_pose_that_cannot_close_is_named_with_its_loop_and_its_miss(robot):
     q = np.array([target_workspace().q[0], target_workspace().q[1]])
     q[1, 1:3] += [-1.5, 0.8]  # pulls B1 and D1 further apart than the two distal links reach

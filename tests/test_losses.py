@@ -25,6 +25,7 @@ def test_for_one_coordinate_the_known_constants_give_95_percent(loss, known):
     assert constant(loss, 1) == pytest.approx(known, abs=2e-3)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("k", [2, 3, 6])
 @pytest.mark.parametrize("loss", ROBUST)
 def test_the_centre_of_normal_readings_scatters_as_the_efficiency_says(loss, k):

@@ -78,6 +78,7 @@ def sometimes_no_contact(exact, rng):
     return exact
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("loss", ["none", "tukey"])
 @pytest.mark.parametrize("case", ["arm", "five_bar", "arm_with_priors"])
 def test_a_draw_gives_the_numbers_of_a_separate_fit(case, loss, request):
@@ -113,6 +114,7 @@ def with_errors(data, name, errors):
     return replace(data, readings=data.readings | {name: replace(data.readings[name], values=values)})
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("instruments", [TWO_INSTRUMENTS, "parametrisation:\n"])
 def test_draws_give_all_the_numbers_of_separate_fits(instruments, tmp_path):
     """Several groups of rows, an outlier; poses that are visited again and are off by the same each time."""
@@ -147,6 +149,7 @@ def test_draws_give_all_the_numbers_of_separate_fits(instruments, tmp_path):
     assert (statistics.shared_scatter is None) == several
 
 
+@pytest.mark.quick(0)
 def test_draws_of_which_more_is_to_be_found_give_the_numbers_of_fits(five_bar):
     """Noise that contradicts what is stated, with priors; readings that are missing."""
     robot, data = five_bar
@@ -163,6 +166,7 @@ def test_draws_of_which_more_is_to_be_found_give_the_numbers_of_fits(five_bar):
         assert made.std == pytest.approx(alone.statistics.std, rel=1e-2)  # noise is found to one percent
 
 
+@pytest.mark.quick(0)
 def test_numbers_do_not_depend_on_who_works(five_bar):
     robot, data = five_bar
     given = {"truth": bent(robot), "draws": 6, "seed": 3, "elsewhere": data.joints[::9]}
@@ -224,6 +228,7 @@ def test_a_lost_worker_loses_no_draw(five_bar):
     assert np.array_equal(studied.draws.values, calib.study(robot, data, draws=6).draws.values)
 
 
+@pytest.mark.quick(0)
 def test_folds_and_starts_of_a_fit_do_not_depend_on_who_works(five_bar):
     robot, data = five_bar
     told, losing = [], Mislaying()
@@ -267,6 +272,7 @@ def test_a_dask_cluster_does_the_draws(five_bar, alone, monkeypatch):
     assert np.array_equal(folds.errors.after["pen"], fit.folds.errors.after["pen"])
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(0, 1)
 def test_processes_of_loky_do_the_draws_and_one_that_is_killed_loses_none(five_bar, alone):
     loky = pytest.importorskip("loky", reason="loky is not installed (extra 'loky')")
@@ -334,6 +340,7 @@ def test_where_no_noise_is_stated_there_is_no_chi_square(arm):
     assert "chi-square" not in str(studied)
 
 
+@pytest.mark.quick(0)
 def test_blunders_are_named_and_a_robust_loss_keeps_its_promise(arm):
     studied = calib.study(arm, joints(40), draws=30, sigma=SIGMA, noise=with_blunders, loss="tukey")
     assert studied.outliers == 1.0
@@ -413,6 +420,7 @@ def sandwich(fit, data):
     return np.sqrt(np.diag(inverse @ sum(np.outer(g, g) for g in gradients) @ inverse))
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(80, 200)
 def test_drawing_poses_again_finds_the_scatter_that_uneven_noise_makes(arm, amount):
     data = uneven(calib.simulate(bent(arm), joints(150), 0.0), np.random.default_rng(6))
@@ -450,6 +458,7 @@ def test_repeats_of_a_pose_are_drawn_together_and_a_pose_drawn_twice_is_two(arm)
     assert 15 < len({pose for _, pose in said}) < 36  # 1 - 1 / e of 40 is 25
 
 
+@pytest.mark.quick(0)
 def test_the_command_prints_and_writes_what_python_gives(five_bar, run_calib, tmp_path):
     robot, data = five_bar
     files = EXAMPLES / "five_bar.yaml", EXAMPLES / "five_bar_simulated.csv"
@@ -492,6 +501,7 @@ def test_wrong_input_of_the_command_is_one_line(run_calib, given, said):
     assert done.out == ""
 
 
+@pytest.mark.quick(0)
 def test_intervals_hold_what_bends_along_directions_that_priors_hold():
     """3 mrad that no reading sees make 3 um of 1 mm, and readings tell joint_2.x to 2 um."""
     robot = calib.load(EXAMPLES / "arm.yaml")

@@ -101,6 +101,7 @@ def loaded(q: np.ndarray) -> np.ndarray:
     return q + 1e-4 * np.eye(6)[1] * (6 * reach + 4 * (reach + 0.392 * np.cos(q[:, [1]] + q[:, [2]])))
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("knows", "words"),
     [
@@ -233,6 +234,7 @@ IN_DEGREES = ",".join(f"J{k} [deg]" for k in range(1, 7))
 Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 6))  # as `joint_values(1)`
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("header", "q", "numbers", "said"),
     [
@@ -317,6 +319,7 @@ def test_lost_sign_and_missing_number_of_a_calibration_are_named(tmp_path: Path)
         calib.load(tmp_path / "short.yaml")
 
 
+@pytest.mark.quick(0)
 def test_calibrations_are_a_fleet_and_its_file_a_model(stock: Path, tmp_path: Path) -> None:
     files = [write_calibration(tmp_path / f"robot_{k}.yaml", origins(k)) for k in range(3)]
     learned = calib.fleet(*files)
@@ -339,6 +342,7 @@ parametrisation:
     assert sigma["elbow_joint.x"] < 1e-3 < sigma["flange-tool0.x"]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("model", ["ur5", "ur5e", "ur3e", "ur10e"])
 def test_models_that_ship_are_those_of_their_stock_robots(tmp_path: Path, model: str) -> None:
     from calib.core.robots.loading import with_model

@@ -41,6 +41,7 @@ def read(folder, robot, q, points, numbers, columns="qx qy qz qw"):
     return calib.read_measurements(folder / "data.csv", robot)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("order", [None, *ORDERS])
 def test_quaternions_in_another_order_fail_and_the_order_is_named(poses, tmp_path, order):
     robot, q, points, turns = poses
@@ -70,6 +71,7 @@ def test_angles_of_another_form_are_named(tmp_path, poses):
     assert "its angles were of the form rpy" in text
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("priors", [True, False])
 @pytest.mark.parametrize("scale", [0.984, 1.0, 1.016])
 def test_lengths_of_another_unit_fail(tmp_path, scale, priors):
@@ -99,6 +101,7 @@ def test_the_noise_of_many_poses_does_not_hide_lengths_of_another_unit(scale):
     assert ("lengths_scaled" in fit.verdict.to_dict()["codes"]) == (scale != 1.0)
 
 
+@pytest.mark.quick(0)
 def test_inches_read_as_millimetres_are_told_as_a_factor():
     """In percent, lengths 25.4 times too short would be 2440 % shorter, which nothing is."""
     robot = calib.load(EXAMPLES / "arm.yaml")

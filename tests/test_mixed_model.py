@@ -173,7 +173,7 @@ def test_a_balanced_one_way_layout_has_the_sizes_of_its_mean_squares(monkeypatch
     monkeypatch.setattr("calib.core.numerics.size_search._slope", lambda at: np.zeros(len(at.logs)))
     monkeypatch.setattr("calib.core.numerics.size_search._curvature", lambda at: np.zeros(len(at.logs)))
     monkeypatch.setattr("calib.core.numerics.size_search._cost", lambda at: at.cost)
-    monkeypatch.setattr("calib.core.numerics.size_search._STANDS", 1e-7)
+    monkeypatch.setattr("calib.core.numerics.size_search._CONVERGED", 1e-7)
     monkeypatch.setattr("calib.core.numerics.size_search._GAIN", 0.0)
     rows = one_way([6] * 12, np.random.default_rng(2), between=0.8, within=0.3)
     table = rows.values.reshape(12, 6)

@@ -99,6 +99,7 @@ def test_free_is_what_mujoco_finds_free(tmp_path):
     assert np.mean(ours != theirs) <= 0.01  # 1 %: contacts by less than what both round
 
 
+@pytest.mark.quick(0)
 @needs_ompl
 @pytest.mark.parametrize("n_poses", [6, pytest.param(60, marks=pytest.mark.amount(0, 1))])
 def test_no_contact_anywhere_on_a_route(route, n_poses):
@@ -297,6 +298,7 @@ def test_the_commands_give_free_poses_and_say_what_was_left_out(tmp_path, run_ca
     assert 0 < chosen.after["O1"] <= chosen.unobstructed["O1"] * 1.01  # the exchange need not find the very best
 
 
+@pytest.mark.quick(0)
 @needs_ompl
 def test_the_route_command_writes_programs_and_a_table_that_joins_by_pose(tmp_path, run_calib):
     yaml = _write(tmp_path, _obstacles())
@@ -423,6 +425,7 @@ def test_legs_that_slide_are_rods_on_both_sides(tmp_path):
     assert [2 * body.hull.halfLength for body in rods] == pytest.approx([0.4433621868572532] * 2)
 
 
+@pytest.mark.quick(0)
 @needs_ompl
 @pytest.mark.parametrize(
     "robot", ["docs/examples/five_bar.yaml", "docs/examples/delta.yaml", "docs/examples/stewart.yaml"]

@@ -10,6 +10,7 @@ from public_data import motoman_cameras
 import calib
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(0, 1)
 def test_pixels_of_a_turned_image_do_not_pass_and_the_reason_is_said(shared_data):
     robot, train, test = motoman_cameras(shared_data / "motoman_right", tracker=False, turned=False)

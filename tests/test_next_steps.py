@@ -115,6 +115,7 @@ def test_a_check_leads_to_poses_to_measure_or_to_a_fit(robot, data):
     assert "calib select a.yaml d.csv --count 40" in advice_after_check(assessment, "a.yaml", poses, ("d.csv",), {})
 
 
+@pytest.mark.quick(0)
 def test_what_is_offered_can_be_typed_as_it_stands(run_calib, tmp_path):
     robot, data = EXAMPLES / "arm.yaml", EXAMPLES / "arm_simulated.csv"
     out = tmp_path / "my result"
@@ -172,6 +173,7 @@ def test_a_check_hands_on_what_the_next_command_knows(robot, data):
     assert advice_after_select("a.yaml", "b.csv", typed).endswith("--candidates b.csv --sigma-mm 0.3")
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize(
     "shell", ["bash", *(pytest.param(name, marks=pytest.mark.amount(0, 1)) for name in ("zsh", "fish"))]
 )

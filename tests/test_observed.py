@@ -64,6 +64,7 @@ def residuals(robot, q, readings):
     return {name: observed[name].residuals for name in readings}
 
 
+@pytest.mark.quick(0)
 def test_derivatives_by_parameters_are_those_of_central_differences(case):
     robot, q, readings = case
     observed = observe(robot, robot.assemble(q), readings)

@@ -37,6 +37,7 @@ def test_no_limit_is_named_that_holds():
     assert not any(name in why for name in robot.mechanism.passive)
 
 
+@pytest.mark.quick(0)
 def test_a_limit_of_a_passive_joint_is_no_wall_on_the_way_of_a_fit():
     """A pose ends within the limits of a slide, but is beyond them for most values on the way."""
     robot, table = calib.load(robot_file()), table1()

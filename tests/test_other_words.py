@@ -190,6 +190,7 @@ def progress_of(call):
     return told
 
 
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("guess", RUN)
 def test_a_guess_runs(t, guess):
     if "plot" in guess:
@@ -405,6 +406,7 @@ def test_a_command_without_out_prints_and_writes_nothing(run_calib, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.quick(0)
 def test_parameters_are_fixed_freed_and_given_priors_by_name_on_the_command_line(run_calib, tmp_path):
     typed = ("--fix", "all", "--free", "joint_3.z, joint_4.x", "--prior", "joint_4.x=0.1um", "--json")
     run = run_calib("fit", ARM, READ, *typed, cwd=tmp_path)
@@ -430,6 +432,7 @@ def test_the_page_is_made_of_the_table(monkeypatch):
     assert make_words_page.PAGE.read_text(encoding="utf-8") == make_words_page.page()
 
 
+@pytest.mark.quick(0)
 def test_what_is_printed_says_what_it_is_what_is_inside_and_what_is_next(t):
     for held in (
         calib.check(t.robot, t.q),

@@ -177,6 +177,7 @@ def photographed(tmp_path_factory):
     return arm, replace(data, readings={"eye": readings}), names
 
 
+@pytest.mark.quick(0)
 def test_a_corner_goes_by_itself_and_an_image_that_is_off_as_a_whole(photographed):
     arm, data, off = photographed
     fit = calib.fit(arm, data, exclude_outliers=True)
@@ -195,6 +196,7 @@ def test_a_corner_goes_by_itself_and_an_image_that_is_off_as_a_whole(photographe
     assert not any(reason.grade == "CHECK" for reason in fit.verdict.reasons)
 
 
+@pytest.mark.quick(0)
 def test_a_folder_says_which_reading_of_a_photograph_is_off(photographed, tmp_path):
     arm, data, off = photographed
     fit = calib.fit(arm, data)
@@ -214,6 +216,7 @@ def test_a_folder_says_which_reading_of_a_photograph_is_off(photographed, tmp_pa
     assert marked(told) == marked(own)
 
 
+@pytest.mark.quick(0)
 def test_a_folder_has_the_readings_that_were_left_out_too(photographed, tmp_path):
     arm, data, _ = photographed
     fit = calib.fit(arm, data, exclude_outliers=True)
@@ -236,6 +239,7 @@ def test_a_folder_has_the_readings_that_were_left_out_too(photographed, tmp_path
     assert again.excluded == fit.excluded
 
 
+@pytest.mark.quick(0)
 def test_so_many_single_readings_cannot_be_outliers(photographed):
     arm, data, _ = photographed
     readings, rng = data.readings["eye"], np.random.default_rng(1)

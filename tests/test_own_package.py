@@ -189,6 +189,7 @@ def test_its_reason_is_one_of_the_verdict_where_it_is_true():
     assert codes[8.0]["warmed_up"] == "the temperature changed by 8.0 K; measure at an even one"
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -216,6 +217,7 @@ def test_a_robot_read_by_directions_is_watched_until_its_positions_are_that_good
     assert "as far as readings show positions" in str(told)
 
 
+@pytest.mark.quick(0)
 def test_errors_that_the_model_leaves_out_show_while_a_robot_is_watched_by_directions(lab):
     folder, robot, true = lab
     data = calib.read_measurements(folder / "data.csv", robot)
@@ -370,6 +372,7 @@ def quick(tmp_path_factory):
     return folder, robot
 
 
+@pytest.mark.quick(0)
 def test_a_term_with_a_column_of_its_own_is_found_reported_and_predicted_with(quick, run_calib, with_pages):
     folder, robot = quick
     assert "speed" in (folder / "data.csv").read_text().splitlines()[0].split(",")
@@ -517,6 +520,7 @@ def test_editors_know_its_keys(lab):
     )
 
 
+@pytest.mark.quick(0)
 def test_it_is_installed_by_pip_as_any_package(tmp_path):
     pytest.importorskip("hatchling", reason="hatchling (dev extra) builds the wheel")
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--no-build-isolation"]
@@ -532,6 +536,7 @@ class Points(KINDS["position"]):
     parts = (replace(KINDS["position"].parts[0], name="point"),)
 
 
+@pytest.mark.quick(0)
 def test_positions_are_those_of_a_kind_that_calls_them_otherwise(tmp_path, run_calib, monkeypatch, with_pages):
     monkeypatch.setattr(KINDS, "_given", {"cloud": Points})
     examples = ROOT / "docs" / "examples"

@@ -44,6 +44,7 @@ def robot(request, tmp_path):
     return calib.load(tmp_path / "arm.yaml")
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("robot", ["on a tripod"], indirect=True)
 def test_signs_and_zeros_are_named_from_photographs_alone(robot):
     rng = np.random.default_rng(2)

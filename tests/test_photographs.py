@@ -126,6 +126,7 @@ def test_the_drawing_is_opencvs_own():
         assert np.mean(own != drawn(board, 0.03 / 70, 0.0)) < 1e-3
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("told", "shown", "words"),
     [

@@ -115,6 +115,7 @@ def test_a_stated_sigma_counts_with_the_noise_of_the_residuals() -> None:
     assert np.abs(placed.points[0] - x[6:]).max() < 2e-4  # the noise is found to 1 %
 
 
+@pytest.mark.quick(0)
 def test_where_nothing_fits_the_lowest_of_several_minima_is_found() -> None:
     """Readings with an axis mirrored, against a general solver from 12 starts."""
     generator = np.random.default_rng(15)

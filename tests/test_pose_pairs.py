@@ -80,6 +80,7 @@ def test_both_mounts_are_found_as_closed_forms_and_opencv_find_them(mount):
         assert np.all(np.abs(off) < 2 * result.camera.half)  # other weights than here
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(8, 60)
 def test_intervals_hold_what_is_true(amount):
     inside = []
@@ -107,6 +108,7 @@ def test_what_parallel_axes_leave_open_is_named_and_the_rest_is_found():
     assert judge_pairs(result).grade == "FAIL"
 
 
+@pytest.mark.quick(0)
 def test_inverted_poses_and_doubtful_mounts_are_named():
     tool, seen = pairs(np.random.default_rng(7), shift=2e-4, turn=5e-4)
     judgement = judge_pairs(solve_pairs(names(14), tool, np.linalg.inv(seen), ("tool",)))
@@ -114,6 +116,7 @@ def test_inverted_poses_and_doubtful_mounts_are_named():
     assert "poses of the camera in the marker" in judgement.reasons[0]
 
 
+@pytest.mark.quick(0)
 def test_a_real_four_axis_robot_leaves_a_height_open(shared_data):
     table = read_table(shared_data / "scara_handeye_4dof" / "poses.csv")
     tool, seen = (poses_of(table, place) for place in pose_columns(table).values())

@@ -24,6 +24,7 @@ def fit(tmp_path_factory):
     return calib.fit(robot, noisy(robot, joints(60), SIGMA, seed=1))
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(800, 3000)
 def test_the_covariance_is_that_of_drawn_parameters_and_of_joints_off_by_what_is_left_out(fit, amount):
     q = joints(4, seed=5)
@@ -249,6 +250,7 @@ def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, re
     assert said in " ".join(run.out.split())
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(1, 6)
 def test_what_is_expected_at_further_poses_like_those_measured_is_what_is_claimed(tmp_path, amount):
     """Simulated, a curve of each joint from few poses: positions of poses that were used are known far better."""

@@ -360,6 +360,7 @@ def test_a_program_that_is_not_understood_is_refused_with_its_line(tmp_path, suf
     assert said in str(error.value)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("suffix", "piece"),
     [

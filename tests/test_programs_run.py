@@ -104,6 +104,7 @@ def judge(folder, language, seed):
     return corrected, len(before) - corrected
 
 
+@pytest.mark.quick(1)
 @pytest.mark.amount(100, 10_000)
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_moves_of_a_corrected_program_differ_by_the_correction_and_by_nothing_else(language, amount, tmp_path):

@@ -88,6 +88,7 @@ def test_a_number_and_the_unit_beside_it_belong_together(robot, fit, tmp_path):
     assert " mm " in str(fit.parameters["joint_3.z"])
 
 
+@pytest.mark.quick(0)
 def test_a_saved_result_says_what_the_fit_said(robot, fit, tmp_path):
     held = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)[60:]
     short = calib.fit(robot, held, sigma="0.001 mm", folds=4)  # noise stated far too small: CHECK
@@ -226,6 +227,7 @@ def test_a_list_says_what_text_with_commas_says(robot, data):
     assert np.all(held.free(("joint_3.z", "joint_4.x")).is_free)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("given", "steps"),
     [({}, 3), ({"starts": 3}, 5), ({"folds": 2}, 5), ({"terms": "auto"}, 7), ({"exclude_outliers": True}, 6)],
@@ -445,6 +447,7 @@ def tried(robot, data, fit, tmp_path_factory):
     )
 
 
+@pytest.mark.quick(8)
 @pytest.mark.parametrize("guess", GUESSES)
 def test_a_guess_is_right(tried, guess):
     tried.figure.clear()

@@ -35,6 +35,7 @@ def regressions():
         yield from operation._regression(problem)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(1, 8)
 def test_a_sound_installation_has_no_failed_check(tmp_path, run_calib, monkeypatch, amount):
     """With some of the eight robots, fits and runs of the program, each of which is a process."""
@@ -68,6 +69,7 @@ def test_noise_that_is_found_too_small_is_found(monkeypatch):
     assert len(failures(regressions)) == 8
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(10, 40)
 @pytest.mark.parametrize("factor", [0.8, 1.3])
 def test_intervals_of_another_width_are_found(monkeypatch, factor, amount):
@@ -114,6 +116,7 @@ def test_derivatives_that_are_a_hundred_thousandth_too_large_are_found(monkeypat
     assert failures(robot_of("SCARA")) == ["Jacobian of the SCARA"]
 
 
+@pytest.mark.quick(0)
 def test_a_verdict_that_finds_nothing_is_found(monkeypatch):
     monkeypatch.setattr(verdict, "_RULES", ())
     monkeypatch.setattr(verdict.rules_model, "claim_broken", lambda *_, **__: ())
@@ -141,6 +144,7 @@ def _nudged(fit, by):
     return fit
 
 
+@pytest.mark.quick(0)
 def test_another_exit_code_is_found(monkeypatch):
     codes = (("no such robot", ("fit", "missing.urdf", "missing.csv"), 1),)
     monkeypatch.setattr(operation, "_INPUTS", codes)

@@ -301,6 +301,7 @@ def coverage(case, folder, n):
     return np.mean(hits, axis=0), float(np.mean(squares))
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(3, 40)
 @pytest.mark.parametrize("case", CASES)
 def test_intervals_hold_the_truth(tmp_path, case, amount):
@@ -356,6 +357,7 @@ def test_the_nearest_hole_is_taken_where_none_is_stated_and_never_one_beyond_the
         board.parse_texts({"it": ["30/0"]}, ["line 7"])
 
 
+@pytest.mark.quick(0)
 def test_a_wrong_nearest_hole_does_not_pass(tmp_path):
     _, _, drawn = pegged(tmp_path, TRUE)
     data = drawn(np.random.default_rng(0))  # the nominal arm is off by half a pitch
@@ -409,6 +411,7 @@ def test_no_table_of_a_joint_holds_its_play_or_what_a_column_winds_up(tmp_path):
     assert "it depends on the column 'current': 0.8 mrad remains" in wound_up
 
 
+@pytest.mark.quick(0)
 def test_what_a_hand_that_turns_about_the_vertical_alone_cannot_tell_is_named(tmp_path):
     urdf = "<robot name='scara'><link name='l0'/><link name='hand'/>" + "".join(
         f"<link name='l{k + 1}'/><joint name='{n}' type='{t}'><parent link='l{k}'/><child link='l{k + 1}'/>"

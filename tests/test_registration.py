@@ -147,6 +147,7 @@ def medrue_unplaced(folder):
     return calib.load(folder / "medrue.yaml")
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("make", [*CHAINS, arm, five_bar, medrue_unplaced])
 def test_a_tracker_anywhere_and_a_reflector_anywhere_are_found_without_help(make, tmp_path):
     robot = chain(tmp_path, make) if isinstance(make, str) else make(tmp_path)
@@ -187,6 +188,7 @@ def test_a_linear_axis_is_calibrated_where_the_turn_about_it_is_held(tmp_path):
     assert np.abs(fit.robot.values - truth.values).max() < 1e-3
 
 
+@pytest.mark.quick(0)
 def test_a_turntable_says_what_its_one_axis_leaves_open(tmp_path):
     robot = chain(tmp_path, "turntable", held="j0.x")
     q = np.linspace(-1, 1, 10)[:, None]

@@ -61,6 +61,7 @@ def test_without_repeats_there_is_no_table_and_no_repeatability(arm):
     assert chance == 1.0
 
 
+@pytest.mark.quick(0)
 def test_the_means_of_poses_are_held_against_the_scatter_of_their_repeats(arm):
     """Analysis of variance: the ratio is an F of 3 n - n_eff and 3 n (m - 1) degrees of freedom."""
     generator = np.random.default_rng(5)
@@ -99,6 +100,7 @@ def test_repeats_weigh_and_the_noise_found_is_that_of_one_reading(arm, tmp_path)
     assert "repeatability" not in [reason.code for reason in fit.verdict.reasons]
 
 
+@pytest.mark.quick(0)
 def test_residuals_larger_than_the_repeats_scatter_are_pointed_out(arm, tmp_path):
     fit = calib.fit(arm, measured(arm, tmp_path, scatter=1e-5, between=5e-5))
     reason = next(reason for reason in fit.verdict.reasons if reason.code == "repeatability")

@@ -171,6 +171,7 @@ def test_where_readings_of_a_pose_share_an_error_a_finding_needs_poses_foretold_
     assert result.p_value == pytest.approx(N_WAVES * f.sf(ratio, 2, linear.pose_freedom - 2), rel=1e-6, abs=0.0)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(10, 100)
 def test_good_data_show_a_pattern_in_one_set_of_a_hundred(arm, amount):
     with_patterns = sum(bool(significant(fitted(arm, joints(80), seed=seed))) for seed in range(amount))

@@ -97,6 +97,7 @@ def test_a_failed_fit_is_not_tested(fits, tmp_path):
     assert "FAIL" in comparison.report()
 
 
+@pytest.mark.quick(0)
 def test_the_command_prints_one_short_table_and_writes_json_and_a_page(run_calib, fits, tmp_path):
     run = run_calib("compare", fits / "before", fits / "shifted")
     assert run.code == 0

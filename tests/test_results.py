@@ -446,6 +446,7 @@ def saved_robot(folder, name):
     return fit, poses.joints
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("name", ["arm", "five_bar"])
 def test_a_folder_that_was_moved_loads_as_the_calibrated_robot(tmp_path, name):
     fit, q = saved_robot(tmp_path, name)
@@ -510,6 +511,7 @@ def test_a_folder_that_gives_no_robot_is_one_clear_line(fitted, folder, tmp_path
     assert message in run.err
 
 
+@pytest.mark.quick(0)
 def test_every_command_takes_a_folder_as_the_robot_and_means_the_same_as_with_result(
     fitted, folder, run_calib, tmp_path
 ):

@@ -112,6 +112,7 @@ def good(tmp_path_factory, run_calib):
     return folder
 
 
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("command", EVERY)
 def test_what_is_edited_was_good(good, tmp_path, run_calib, command):
     done = keep_promises(run_calib, fresh(good, tmp_path), command.split())
@@ -290,6 +291,7 @@ def test_a_run_that_takes_too_much_would_be_seen():
         signal.raise_signal(signal.SIGALRM)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_no_edit_of_a_file_breaks_a_promise(good, tmp_path, run_calib, name):
     def check(case):

@@ -60,6 +60,7 @@ def expected(problem, at, rows, groups):
     return unknowns.scales**2 * (squares + mean**2)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("yaml", [PLACED, TRACKER, TERMS], ids=["placed", "two targets", "joint terms"])
 def test_squares_beyond_the_linear_model_are_those_of_second_differences(yaml, tmp_path):
     at = fitted(tmp_path, yaml, 16)

@@ -94,6 +94,7 @@ def test_without_a_pose_column_rows_are_numbered(run_calib, tmp_path):
     assert not chosen & {"3", "17", *map(str, range(20, 26))}
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("index", ["o5", "task"])
 def test_every_index_by_name(run_calib, candidates, tmp_path, index):
     run = run_calib("select", ROBOT, candidates, "--count", 30, "--index", index, "--out", tmp_path / "o.csv",
@@ -137,6 +138,7 @@ def broken(folder):
     write_poses(folder / "names.csv", Q[:3], ["a", "b", "a"])
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -165,6 +167,7 @@ def test_bad_input_is_one_line_exit_code_2_and_nothing_is_written(run_calib, tmp
     assert (tmp_path / "out.csv").read_bytes() == kept
 
 
+@pytest.mark.quick(0)
 def test_unreachable_candidates_are_skipped_on_request_and_listed(run_calib, tmp_path):
     broken(tmp_path)
     run = run_calib("select", ROBOT, "open.csv", "--count", 20, "--skip-unreachable", "--out", "o.csv", cwd=tmp_path)

@@ -39,6 +39,7 @@ def test_o1_identifies_better_than_a_uniform_choice_by_far_more_than_its_standar
     assert np.mean(gain) > 0.05 * np.mean(squares[0])
 
 
+@pytest.mark.quick(0)
 def test_the_predicted_error_is_the_one_that_fits_have(medrue):
     selection = select(medrue, Q, 84, "task", sigma=SIGMA)
     truth = forward(Q, table1().nominal).p_world_tool

@@ -46,6 +46,7 @@ def test_every_run_has_a_line_below_the_bound(selection):
     assert all(np.max(curve.get_ydata()) <= selection.bound for curve in curves)
 
 
+@pytest.mark.quick(0)
 def test_figures_are_svg_and_the_same_twice(assessment, selection):
     first = assessment_figures(assessment) | selection_figures(selection)
     again = assessment_figures(assessment) | selection_figures(selection)

@@ -140,7 +140,7 @@ def test_directions_that_no_candidate_sees_take_no_part():
     rows, _ = made_up()
     blind = np.concatenate([rows, rows[:, :, :1]], axis=2)  # two equal columns
     problem = build_problem(blind, task_rows=blind)
-    assert problem.prior_information.rank.rank == D
+    assert problem.pose_information.rank.rank == D
     assert len(problem.strengths) == D
     elsewhere = np.zeros((1, 3, D + 1))
     elsewhere[0, 0, 0] = 1.0  # moves by one of the two only
@@ -158,7 +158,7 @@ def test_directions_that_only_priors_hold_are_eliminated_exactly(prior_columns):
     priors = 0.3 * np.eye(8)[list(prior_columns)]
     task = np.random.default_rng(8).standard_normal((4, 3, 8))
     problem = build_problem(mixed / 0.2, None, priors / 0.2, 0, task)
-    assert problem.prior_information.rank.rank == D
+    assert problem.pose_information.rank.rank == D
     assert problem.rank.rank == 8
     logs = []
     for chosen in ([0, 1, 2], [5, 8, 9, 11], [3, 4, 10, 12, 13]):

@@ -22,6 +22,8 @@ from calib.core.calibrating.calibrate import calibrate
 from calib.core.calibrating.file_robots import FitFiles
 from calib.core.fitting.settings import Settings
 
+pytestmark = pytest.mark.quick(0)
+
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ROBOT, DATA = EXAMPLES / "five_bar.yaml", EXAMPLES / "five_bar_simulated.csv"
 FITS = int(os.environ.get("CALIB_FITS", "15"))

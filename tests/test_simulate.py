@@ -139,8 +139,8 @@ WIRE = "  wire: {kind: distance, target: tip, end: {frame: world}}\n"
     ("more", "options", "words"),
     [
         ("", (), "states no noise (sigma) of 'unstated'; state it there, or give --sigma-mm"),
-        (WIRE, (), "of 'unstated', 'wire'; state it there, as --sigma-mm speaks of positions only"),
-        (WIRE, ("--sigma-mm", "0.1"), "of 'wire'; state it there, as --sigma-mm speaks of positions only"),
+        (WIRE, (), "of 'unstated', 'wire'; state it there (--sigma-mm is for positions only)"),
+        (WIRE, ("--sigma-mm", "0.1"), "of 'wire'; state it there (--sigma-mm is for positions only)"),
         ("", ("--sigma-mm", "-1"), "--sigma-mm -1: must be zero or a positive number"),
     ],
 )
@@ -206,6 +206,7 @@ LATER = {
 """True values beside `TRUTH` [mm]."""
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_every_kind_goes_through_a_file_and_the_truth_is_found_again(tmp_path, run_calib, kind):
     """With setups where there are any; touches start from joint values that do not touch."""
@@ -284,6 +285,7 @@ def test_a_stated_direction_of_approach_counts_in_plans_and_predictions(tmp_path
     assert data.approach[:, 1].tolist() == [-1, -1, 1]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", ["planes", "sockets", "spheres"])
 def test_touches_are_the_same_whatever_rounding_does(tmp_path, kind):
     """The joints move along nothing that the gaps do not feel, however little damping is left."""

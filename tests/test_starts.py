@@ -156,12 +156,14 @@ def wrong_zeros(tmp_path_factory):
     return arm, noisy(arm.with_parameters(off), joints(40), SIGMA, seed=1)
 
 
+@pytest.mark.quick(0)
 def test_from_nominal_the_fit_of_wrong_zeros_ends_in_a_worse_minimum_and_says_so(wrong_zeros):
     fit = calib.fit(*wrong_zeros)
     assert fit.sigma > 0.1
     assert fit.verdict.grade == "FAIL"
 
 
+@pytest.mark.quick(0)
 def test_starts_find_the_robot_and_a_much_worse_minimum_is_no_reason(wrong_zeros):
     fit = calib.fit(*wrong_zeros, starts=12, seed=1)
     assert fit.sigma == pytest.approx(SIGMA, rel=0.2)  # standard error 7 %

@@ -98,6 +98,7 @@ def test_a_status_says_what_a_value_rests_on(share, relative_std, kind, word):
     assert status(share, relative_std, **({"prior": False, "placement": False} | kind)) == word
 
 
+@pytest.mark.quick(0)
 def test_degrees_of_freedom_with_priors_make_the_found_noise_unbiased():
     # 12 rows, 8 parameters of very different strength; true values drawn from their priors, 20 000 times
     rows = RNG.normal(size=(12, 8)) * np.logspace(-3, 2, 8)

@@ -20,6 +20,8 @@ from medrue.study import SIGMA, PaperStudy, StudySize, choose_sets, error_floors
 from medrue.study_tables import study_findings, study_tables
 from medrue.workspace import target_workspace
 
+pytestmark = pytest.mark.quick(0)
+
 DRAWS = 40
 
 

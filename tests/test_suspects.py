@@ -46,6 +46,7 @@ def test_measurements_of_other_poses_show_no_mistake(arm, data):
     assert likely_mistake(arm, replace(data, joints=data.joints[::-1])) == ""
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(1, 6)
 def test_a_joint_that_counts_the_other_way_is_named(arm, data, amount):
     for j in (2, 0, 5, 1, 3, 4)[:amount]:
@@ -53,6 +54,7 @@ def test_a_joint_that_counts_the_other_way_is_named(arm, data, amount):
         assert likely_mistake(arm, wrong).startswith(f"probable mistake: joint j{j + 1} has the wrong sign")
 
 
+@pytest.mark.quick(0)
 def test_swapped_columns_are_named(arm, data):
     wrong = replace(data, joints=data.joints[:, [0, 2, 1, 3, 4, 5]])
     assert "columns of joints j2 and j3 were swapped" in likely_mistake(arm, wrong)
@@ -139,6 +141,7 @@ def test_no_scale_is_named_where_a_fit_with_scales_fits_nothing_either(arm, data
         assert "scaled" not in likely_mistake(arm, replace(data, joints=q), 0.4)
 
 
+@pytest.mark.quick(0)
 def test_two_joints_that_are_a_little_scaled_get_no_pass(arm, data):
     """Three percent of two wrist joints: the nominal robot is off by less than half as much."""
     wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), [3, 4]), 1.03 * q[:, [3, 4]]))
@@ -180,6 +183,7 @@ def test_columns_that_are_copies_are_named(arm, data):
     assert likely_mistake(arm, wrong) == f"probable mistake: {copied}"
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("arm", ["known", "unknown"], indirect=True)
 @pytest.mark.amount(1, 20)
 def test_healthy_arms_show_no_mistake(arm, amount):
@@ -189,6 +193,7 @@ def test_healthy_arms_show_no_mistake(arm, amount):
         assert likely_mistake(arm, noisy(real, joints(60, seed), SIGMA, seed)) == ""
 
 
+@pytest.mark.quick(0)
 def test_a_healthy_five_bar_shows_no_mistake(five_bar):
     robot, data = five_bar
     generator = np.random.default_rng(1)
@@ -202,6 +207,7 @@ def test_a_five_bar_with_a_motor_half_a_turn_off_is_told(five_bar):
     assert "(right_motor -180 deg would be right)" in likely_mistake(robot, wrong)
 
 
+@pytest.mark.quick(0)
 def test_a_five_bar_with_a_shifted_table_is_told(five_bar):
     robot, data = five_bar
     data = data.subset(np.arange(20))
@@ -226,6 +232,7 @@ def motoman(shared_data, tmp_path_factory):
     return robot, calib.read_measurements(folder / "train.csv", robot)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(1, 2)
 def test_a_healthy_real_arm_shows_no_mistake(motoman, amount):
     robot, data = motoman
@@ -234,6 +241,7 @@ def test_a_healthy_real_arm_shows_no_mistake(motoman, amount):
         assert likely_mistake(robot, data.subset(np.sort(generator.permutation(len(data))[:100]))) == ""
 
 
+@pytest.mark.quick(0)
 def test_mistakes_in_the_data_of_a_real_arm_are_named(motoman):
     robot, data = motoman
     data = data.subset(np.arange(50))
@@ -282,6 +290,7 @@ def test_a_left_handed_measurement_frame_is_named(arm, data, change, words):
     assert words in likely_mistake(arm, with_points(arm, data, change(data.points(arm))))
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("arm", ["unknown"], indirect=True)
 def test_a_left_handed_frame_somewhere_is_named(arm, data):
     mistake = likely_mistake(arm, with_points(arm, data, data.points(arm) * [1, -1, 1]))

@@ -144,6 +144,7 @@ def test_what_is_there_is_added_and_nothing_else():
     assert "Joint terms that the measurements neither show nor exclude: " in report
 
 
+@pytest.mark.quick(0)
 def test_which_joint_drives_which_is_found():
     robot = example_arm(None)
     driven = robot.with_terms([CouplingSection(joint="joint_6", term="coupling", driven_by="joint_5", sigma=1e-3)])
@@ -196,6 +197,7 @@ def test_compliance_in_data_of_other_code_is_found_and_not_held_back(tmp_path):
     assert known["bend.compliance"] == pytest.approx(7e-5, rel=0.1)
 
 
+@pytest.mark.quick(0)
 def test_without_stated_directions_backlash_is_reported_and_not_added():
     robot = example_arm(None)
     q = np.random.default_rng(9).uniform(-1.5, 1.5, (60, 6))
@@ -225,6 +227,7 @@ def test_candidates_say_why_they_cannot_be_tried():
     assert [section.joint for section in by_name["curve"].sections] == ["right_motor"]
 
 
+@pytest.mark.quick(0)
 def test_intervals_of_terms_and_of_predictions_cover(tmp_path):
     # of 24 coefficients each that go together, 95 % +- 5; and half as much again for positions of the same fits
     for robot, n in ((example_arm(None), 2), (five_bar(tmp_path), 6)):
@@ -275,6 +278,7 @@ def curved(tmp_path):
     return robot, tmp_path
 
 
+@pytest.mark.quick(0)
 def test_beyond_the_range_measured_predictions_widen_and_the_verdict_says_so(curved):
     robot, folder = curved
     data, far = (calib.read_measurements(folder / name, robot) for name in ("data.csv", "far.csv"))
@@ -369,6 +373,7 @@ def test_data_without_noise_ask_for_no_terms():
     assert "computed, not measured" in fit.terms.trials[0].refusal
 
 
+@pytest.mark.quick(0)
 def test_auto_helps_a_real_robot_on_poses_that_it_has_not_seen(shared_data, tmp_path):
     folder = shared_data / "motoman_right"
     text = (EXAMPLES / "motoman_right.yaml").read_text()
@@ -406,6 +411,7 @@ if __name__ == "__main__":
     _print_tables(options.what, options.n, options.seed)
 
 
+@pytest.mark.quick(0)
 def test_coefficients_that_explain_every_reading_are_no_evidence():
     """Of 90 coordinates, harmonics and couplings beside the origins leave nothing: no noise, and nothing foretold."""
     robot = example_arm(None)

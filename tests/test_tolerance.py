@@ -30,6 +30,7 @@ def test_a_tolerance_that_is_not_understood_is_an_error(comment, says):
         stated_tolerance((comment,), "a.csv")
 
 
+@pytest.mark.quick(0)
 def test_a_claim_above_the_tolerance_of_file_or_description_is_no_pass(run_calib, tmp_path):
     for end in ("urdf", "yaml"):
         shutil.copy(EXAMPLES / f"arm.{end}", tmp_path)

@@ -92,6 +92,7 @@ def main(n, seed):
             )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("name", "shape"), [("arm", "smooth"), ("arm", "rough"), ("five_bar", "rough")])
 def test_positions_of_a_robot_whose_joints_are_off_lie_in_their_intervals(name, shape):
     """They held 64, 65 and 73 % where noise alone counted. 200 poses of 6 fits scatter by 1 to 2 %."""
@@ -109,6 +110,7 @@ def test_errors_too_small_for_a_test_of_the_residuals_count():
     assert np.mean([fit.joint_error for fit, _ in results]) == pytest.approx(2e-5, rel=0.4)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("name", ["arm", "five_bar"])
 def test_a_robot_that_its_parameters_describe_is_hardly_less_certain(name):
     """Noise alone makes the estimate larger than 0 in half of all fits, but not by much."""
@@ -162,6 +164,7 @@ def test_errors_of_joints_are_told_from_noise_that_is_not_stated(silent_arm, aga
     assert 0.88 < held(fit, elsewhere, points) < 0.99
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", ["gain", "harmonics", "curve", "compliance", "coupling"])
 def test_a_term_that_the_model_lacks_counts_where_noise_is_not_stated(silent_arm, kind):
     """Error over standard deviation, each of three robots; of couplings it was up to 2.7."""

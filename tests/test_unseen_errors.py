@@ -59,6 +59,7 @@ def test_poses_left_out_one_by_one_are_those_of_refits(arm, loss):
         np.testing.assert_allclose(told[k], again.validation.after["ball"][0], atol=2e-7, rtol=2e-3)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(2, 4)
 def test_positions_are_known_by_the_readings_of_all_other_poses(arm, amount):
     """Against the covariance of refits without each pose, which is larger than that of the fit with all of them."""

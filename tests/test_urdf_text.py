@@ -194,7 +194,7 @@ JOINT = '<joint name="j" type="{}"><parent link="a"/><child link="b"/>{}</joint>
         ("<robot", "not valid XML"),
         ("\n<?xml version='1.0'?><robot/>", "must be the very first"),
         ("<robot></robot>", "no links"),
-        ("<sdf version='1.6'/>", "the top element is <sdf>, and no robot's"),
+        ("<sdf version='1.6'/>", "the top element is <sdf>, not that of a robot"),
         (TWO.format(""), "several root links: a, b"),
         (TWO.format(JOINT.format("revolut", "")), "unknown type 'revolut'; did you mean 'revolute'?"),
         (TWO.format(JOINT.format("fixed", '<origin xyz="0 0"/>')), "joint 'j', xyz: '0 0' is not three numbers"),

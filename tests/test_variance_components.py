@@ -116,6 +116,7 @@ def test_rows_that_were_not_read_take_no_part():
     np.testing.assert_allclose(components.shared, other.shared, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("priors", [(), range(N_FREE)], ids=["none", "all"])
 @pytest.mark.parametrize("seed", range(3))
 def test_shared_errors_are_where_the_restricted_likelihood_is_largest(seed, priors):
@@ -160,6 +161,7 @@ def with_families(seed):
     return LinearModel(residuals, jacobian, Prior(family >= 0), np.zeros(14), one), family
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
     model, family = with_families(seed)

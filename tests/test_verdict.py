@@ -70,6 +70,7 @@ def test_a_good_fit_passes_without_reasons(good):
     assert "Verdict: PASS" in good.report()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("end", "words"),
     [

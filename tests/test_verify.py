@@ -57,6 +57,7 @@ def folder(arm, tmp_path_factory):
     return path
 
 
+@pytest.mark.quick(0)
 def test_a_robot_as_calibrated_agrees_whoever_moved_the_tracker(arm):
     _, truth, fit = arm
     rng, moved = np.random.default_rng(2), truth.with_parameters(MOVED)
@@ -209,6 +210,7 @@ def test_a_change_that_would_have_to_be_as_large_as_the_robot_is_not_listed():
     assert "waist" not in text
 
 
+@pytest.mark.quick(0)
 def test_a_change_that_is_visible_is_seen_in_nine_of_ten(arm):
     _, truth, fit = arm
     rng = np.random.default_rng(9)
@@ -249,6 +251,7 @@ def worn(arm):
     return calib.fit(robot, read(rng.uniform(-1.2, 0.2, (80, 6)), rng)), read
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("place", [(-0.2, 1.2), (-0.3, 0.2)], ids=["elsewhere", "crowded"])
 def test_an_unchanged_robot_has_not_drifted_at_poses_where_its_model_is_wrong(worn, place):
     """Taken for noise, what the model leaves out makes a change of some parameter stand out far beyond chance."""

@@ -70,6 +70,7 @@ def test_a_missing_mesh_is_told_and_is_no_error(tmp_path):
     assert "lost.stl" in outcome.stderr
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("end", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.amount(0, 1))])
 def test_it_serves_until_it_is_stopped_and_then_ends_in_order(end, folder):
     program = "from viz.command import view; view()"

@@ -67,6 +67,7 @@ def test_a_folder_without_a_result_and_a_fit_of_another_robot_are_refused(fit, t
         gather(calib.load(tmp_path / "arm.urdf"), tmp_path / "out")
 
 
+@pytest.mark.quick(0)
 def test_a_failed_result_can_be_looked_at_and_says_that_it_failed(tmp_path):
     robot = five_bar_fit().nominal
     data = five_bar_fit().identification.data
@@ -79,6 +80,7 @@ def test_a_failed_result_can_be_looked_at_and_says_that_it_failed(tmp_path):
         assert "noise" in scene.verdict.reasons[0][1]
 
 
+@pytest.mark.quick(0)
 def test_a_folder_shows_the_outliers_that_were_left_out(tmp_path):
     fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))), exclude_outliers=True)
     fit.save(str(tmp_path / "out"), pages=False)

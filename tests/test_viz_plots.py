@@ -48,6 +48,7 @@ FIGURES = (
 )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("draw", "arguments"), FIGURES)
 def test_figures_are_well_formed_the_same_each_time_and_labelled_inside(draw, arguments):
     svg = drawn(draw, *arguments)

@@ -53,6 +53,7 @@ def test_predictions_of_a_fit_agree_with_the_robots(fit):
     np.testing.assert_allclose(table.before, fit.nominal.positions(table.joints)[:, 0], atol=1e-10)
 
 
+@pytest.mark.quick(0)
 def test_the_spread_of_predictions_agrees_with_random_parameters(fit):
     table = from_fit(fit)
     generator = np.random.default_rng(0)

@@ -244,6 +244,7 @@ def test_page_one_says_where_it_is_worst_and_was_measured_and_the_annex_how_sure
     assert f"x {points[:, 0].min():.0f} to {points[:, 0].max():.0f}".replace("-", "−") in first
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("base", "name"),
     [
@@ -268,6 +269,7 @@ def with_comments(fit, *comments, **context):
     return dataclasses.replace(fit, identification=dataclasses.replace(fit.identification, data=data))
 
 
+@pytest.mark.quick(0)
 def test_what_the_file_says_about_itself_stands_above_the_verdict_and_simulation_first(fit):
     lines = ("Taken on a Monday.", "Simulated measurements; <b>no real robot</b> was measured.")
     html = undrawn(with_comments(fit, *lines))
@@ -309,6 +311,7 @@ def test_the_record_of_the_measurement_stands_in_the_table_and_nowhere_else(fit)
     assert re.findall(r"<p><span>(.*?)</span>", html) == ["Measured by", "Approved by"]
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize(
     ("tolerance", "answer"),
     [
@@ -483,6 +486,7 @@ def test_a_column_of_temperatures_is_the_record_where_nothing_else_is_said(fit):
     assert 'class="signatures"' not in html
 
 
+@pytest.mark.quick(0)
 def test_what_files_are_worth_stands_in_the_verdict_where_they_hold_less(tmp_path, html):
     arm = calib.load(write_six_axis(tmp_path, YAML + FREE + "  - {joint: all, term: gain, sigma: 0.01}\n"))
     q = joints(60)
@@ -540,6 +544,7 @@ def test_numbers_in_the_details_are_not_broken_after_the_sign_of_their_power():
     assert powers("O5 7.1e-05, a re-fit, 3e+02, joint_2-3") == "O5 7.1e−05, a re-fit, 3e+02, joint_2-3"
 
 
+@pytest.mark.quick(0)
 def test_what_to_type_next_names_the_files_of_the_command_line(fit):
     data = dataclasses.replace(fit.identification.data, path="my data.csv")
     named = dataclasses.replace(fit, identification=dataclasses.replace(fit.identification, data=data))

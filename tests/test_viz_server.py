@@ -150,6 +150,7 @@ def test_a_request_without_end_is_cut_off(server):
     assert get(server, path_of(server))[0] == 200
 
 
+@pytest.mark.quick(0)
 def test_only_so_many_are_served_at_once(server, listen, monkeypatch):
     monkeypatch.setattr("viz.server._Handler.timeout", 0.2)  # seconds that a silent connection may stay
     first, _ = listen()

@@ -102,6 +102,7 @@ def test_poses_lead_to_a_calibration_before_they_determine_the_robot(robot, cand
     assert choice.next_pose(robot, calib.as_poses(robot, candidates.joints[measured]), candidates.joints) is None
 
 
+@pytest.mark.quick(0)
 def test_every_pose_is_judged_before_it_is_fitted(robot, data, candidates):
     watch = calib.Watch(robot, "0.1 mm", candidates=candidates)
     told = watch.update()
@@ -153,6 +154,7 @@ def test_poses_to_check_with_are_drawn_at_random(robot, data, candidates):
     assert not early.next_pose.checks
 
 
+@pytest.mark.quick(0)
 def test_poses_since_the_goal_was_promised_are_what_counts(robot, data, candidates):
     watch = calib.Watch(robot, 2e-4, candidates=candidates)
     for n in range(20, 60):
@@ -281,6 +283,7 @@ def test_bad_input_is_one_line(run_calib, arguments, words):
     assert run.err.count("\n") == 1
 
 
+@pytest.mark.quick(0)
 def test_too_few_poses_are_an_error_only_where_nobody_waits(run_calib, tmp_path):
     path = tmp_path / "few.csv"
     path.write_text("".join(LINES[: HEADER + 4]))
@@ -345,6 +348,7 @@ def test_a_file_of_which_no_line_can_be_read_is_an_error(run_calib, tmp_path):
     assert "1 cells" in run.err
 
 
+@pytest.mark.quick(0)
 def test_ctrl_c_ends_it_in_order(tmp_path):
     path = tmp_path / "few.csv"
     path.write_text("".join(LINES[: HEADER + 4]))

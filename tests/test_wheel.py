@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.quick(0)
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("calib", "viz", "medrue")
 SCRIPT = """

@@ -178,6 +178,7 @@ def test_work_that_is_lost_again_and_again_is_an_error() -> None:
         list(results_in_order(abs, [1], Forgetful([1, 1, 1])))
 
 
+@pytest.mark.quick(0)
 def test_processes_that_die_are_replaced(tmp_path: Path) -> None:
     tasks = [(str(tmp_path), k) for k in range(6)]
     with Workers(2) as executor:
@@ -185,6 +186,7 @@ def test_processes_that_die_are_replaced(tmp_path: Path) -> None:
         assert list(results_in_order(abs, [-1], executor)) == [1]
 
 
+@pytest.mark.quick(0)
 def test_a_process_that_dies_half_way_through_its_answer_is_replaced(tmp_path: Path) -> None:
     with Workers(2) as executor:
         answers = list(results_in_order(dies_half_way, [(str(tmp_path), k) for k in range(6)], executor))

@@ -1,6 +1,7 @@
 """The target workspace: its shape, its reachability, and what its positions can show."""
 
 import numpy as np
+import pytest
 
 from medrue.closed_form import ACTUATED_JOINTS, Array, five_bar, forward, name_parameters, singularity_sines
 from medrue.closed_form_inverse import inverse
@@ -87,6 +88,7 @@ def test_links_stay_outside_the_leg() -> None:
             assert np.abs(start + fraction * (end - start) - leg).min() > 0.166
 
 
+@pytest.mark.quick(0)
 def test_poses_stay_reachable_with_parameter_errors() -> None:
     """300 robots within 2 mm and 1.5 degrees, half of them at corners: same modes, inside the stroke."""
     generator = np.random.default_rng(44)

@@ -61,6 +61,7 @@ def test_noise_is_estimated_with_the_right_degrees_of_freedom() -> None:
     assert abs(np.mean(squares) / 1e-8 - 1) < 4 * np.sqrt(2 / 3 / 500)  # chi-square with 3 degrees of freedom
 
 
+@pytest.mark.quick(0)
 def test_point_covariance_is_the_scatter_of_the_carried_point() -> None:
     generator = np.random.default_rng(6)
     far, sigma = np.array([2.0, -1.0, 0.5]), 1e-4

@@ -13,7 +13,6 @@ from tempfile import mkdtemp
 
 import numpy as np
 import pytest
-from families import family
 from public_data import EXAMPLES
 
 import calib
@@ -146,7 +145,8 @@ def _ur10e(run_calib):
     run_calib("init", "--dh", EXAMPLES / "ur10e_dh.csv", "--out", "ur10e.yaml", cwd=folder())
 
 
-@pytest.mark.parametrize("stated", family([True, False], [True]))
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("stated", [True, False])
 @pytest.mark.parametrize("name", list(SIGMA))
 def test_robots_that_are_as_described_pass(name, stated):
     fit = fitted(Case(name, stated=stated))
@@ -161,6 +161,7 @@ def test_no_robot_passes_whose_joint_is_scaled(amount):
     assert passed(cases(scaled)[:amount]) == []
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(1, 20)
 def test_no_robot_passes_whose_target_is_described_on_another_link(amount):
     """But where that changes nothing: then the error is no more than noise."""
@@ -178,7 +179,8 @@ def test_a_scaled_joint_is_named_with_its_factor_where_origins_hide_it():
     assert factor == pytest.approx(1 / 1.03, abs=5e-3)
 
 
-@pytest.mark.parametrize("stated", family([True, False], [True]))
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("stated", [True, False])
 def test_a_target_on_the_link_before_its_own_is_named_with_its_joint(stated):
     """It sits 4 mm from the axis of the last joint, which the description lets it not move with."""
     real, link = true_robot("ur10e").with_parameters({"flange.x": 0.004, "flange.y": 0.0}), "link_5"

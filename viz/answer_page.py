@@ -95,7 +95,7 @@ def _image_charts(result: HandEye) -> Charts:
     plots = (
         Chart("images", "Error of each image", "An image far above the others is off.", (by_image,), 500),
         Chart("pixels", "Predicted minus found", "A cloud around zero is noise; a shift or a tail is not.", (cloud,)),
-        Chart("tool", "Where images were taken", "Seen from above; more spread determines more.", (positions,)),
+        Chart("tool", "Where images were taken", "Seen from above; the more spread, the better.", (positions,)),
     )
     return Charts(places(images=plots), rows)
 

@@ -32,7 +32,7 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.numerics import linalg
 from calib.core.robots.mechanism import Mechanism
 
-_FLATTEST = 0.05  # spread of a link's joint origins along a direction below which it is not stretched
+_FLATTEST = 0.05  # a link is not stretched along a direction in which its joint origins spread less
 
 
 @dataclass(frozen=True, eq=False)

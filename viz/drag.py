@@ -1,7 +1,7 @@
 """A scene in viser, in a browser: sliders for joints and poses, and a target to drag.
 
 `calib view ROBOT --drag` opens it in place of meshcat's page. Links have their poses of `viz.bodies`, but are not
-stretched, as viser moves rigid bodies alone.
+stretched, because viser only moves rigid bodies.
 """
 
 from __future__ import annotations

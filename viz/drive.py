@@ -23,7 +23,7 @@ from calib.core.robots.mechanism import RelativeFrame
 from calib.core.robots.terms.term import Condition, Context
 from viz.bodies import Bodies
 
-_TABLE_STEP = 5e-3  # of a motor [rad, or characteristic lengths]: 60 waves a turn of 1 mrad are met to 2e-7 rad
+_TABLE_STEP = 5e-3  # of a motor [rad, or characteristic lengths]; errs by 2e-7 rad for 60 waves a turn of 1 mrad
 _NEGLIGIBLE = 1e-12  # largest joint error without a table [m or rad]
 
 
@@ -167,7 +167,7 @@ def _errors(robot: Robot, q: FloatArray) -> FloatArray:
 def _remarks(robot: Robot) -> tuple[str, ...]:
     """Remarks on joint terms that are no functions of the motors."""
     torque = sorted({term.joint for term in robot.terms if term.needs_torque})
-    remarks = [f"Left out here: what gravity bends in {', '.join(torque)}."] if torque else []
+    remarks = [f"Left out here: bending by gravity in {', '.join(torque)}."] if torque else []
     conditions = {condition for term in robot.terms if not term.needs_torque for condition in term.depends_on}
     kinds = sorted(condition.words for condition in conditions - {Condition.ANOTHER_JOINT})
     return (*remarks, f"Not known here, and taken as neutral: {', '.join(kinds)}.") if kinds else tuple(remarks)

@@ -22,8 +22,8 @@ from viz.scene_data import colours, rows_of
 _MM = PER_SI["length"]["mm"]
 _MEANS = 12  # places along a joint at which residuals are averaged
 _CELLS = 9  # cells along the longer side of a plane
-_FLAT = 0.05  # extent of places across a plane, over their extent in it, below which they are a surface
-_ALONG_AN_AXIS = 0.999  # cosine above which the surface is parallel to one of the three planes
+_FLAT = 0.05  # places are a surface if they extend across a plane by less than this part of their extent in it
+_ALONG_AN_AXIS = 0.999  # the surface is parallel to one of the three planes if the cosine is more
 _AT_REST = 1e-3  # mm
 _PAIRED = 6  # largest number of joints whose ranges are drawn in all pairs; for more, neighbours only
 
@@ -75,7 +75,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     if not pairs or not first:
         return None
     every, number = np.concatenate(values), np.concatenate(rows)
-    _, one = np.unique(every, axis=0, return_index=True)  # a pose once
+    _, one = np.unique(every, axis=0, return_index=True)  # each pose only once
     limits = {joint.name: (joint.lower, joint.upper) for joint in fit.nominal.urdf.joints}
 
     def coverage_of(k: int) -> Any:
@@ -93,7 +93,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     return Chart(
         "coverage",
         "Where the joints were",
-        "Each pair of joints within its limits or, without near ones, its measured range. Empty: not measured.",
+        "Each pair of joints within its limits, or if these are far, its measured range. Empty: not measured.",
         tuple(panels),
         170,
     )
@@ -242,7 +242,7 @@ class _Part:
                 panel(axis(f"{joint.name} [{joint.unit}]"), axis(f"residual [{self._unit}]"), layers, height=240)
             )
         return Chart(
-            *self._chart_name("by-joint", "What is left against each joint"),
+            *self._chart_name("by-joint", "Residuals against each joint"),
             "Predicted minus measured, with its local mean: a line that bends away from zero is an error of that joint"
             " that no parameter describes.",
             tuple(panels),

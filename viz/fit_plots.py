@@ -49,10 +49,7 @@ class FitPlots:
         return drawn
 
     def residuals(self, joint: str | None = None, axes: Axes | None = None) -> Axes:
-        """Draw the components of residuals against a joint.
-
-            joint: Its name; default: the first joint.
-            axes: Axes to draw into.
+        """Draw the components of residuals against a joint; default: the first joint.
 
         Raises:
             InputError: There is no such joint.
@@ -74,7 +71,7 @@ class FitPlots:
         return drawn
 
     def parameters(self, axes: Axes | None = None) -> Axes:
-        """Draw the change of every free parameter of the robot with its 95 % interval, in expected sigmas.
+        """Draw the change of every free parameter of the robot with its 95 % interval, in sigmas of its prior.
 
         Poses of base and targets are left out, since they are not the robot's.
         """
@@ -89,7 +86,7 @@ class FitPlots:
         drawn.errorbar(change, place, xerr=half, fmt="o", color=BLUE, markersize=3, linewidth=1)
         drawn.set_yticks(place, [estimate.name for estimate in estimates], fontsize=6)
         drawn.invert_yaxis()
-        drawn.set_xlabel("change [expected standard deviations], with 95 % interval")
+        drawn.set_xlabel("change [sigma of the prior], with 95 % interval")
         return drawn
 
     def _table(self) -> PoseTable:

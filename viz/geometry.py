@@ -77,7 +77,7 @@ def _load_mesh(name: str, link: str, visual: Visual, origin: FloatArray, urdf_pa
 
     path = find_mesh(visual.file, urdf_path)
     if path is None:
-        raise FileNotFoundError(f"mesh '{visual.file}' is not there, or leaves the robot's folder")
+        raise FileNotFoundError(f"mesh '{visual.file}' is missing, or lies outside the robot's folder")
     scene: Any = trimesh.load(path, force="scene", ignore_broken=True)
     shapes = []
     for part, node in enumerate(scene.graph.nodes_geometry):

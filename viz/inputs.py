@@ -115,7 +115,7 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, ma
     notes = (
         ()
         if data is not None
-        else ("not shown: readings, which results of this earlier version do not hold; fit again",)
+        else ("readings are not shown: this result is of an earlier version and has none; fit again",)
     )
     scene = build_scene(
         placed, result.robot, table, readings, verdict=judgement, notes=notes, uncertainty_notes=uncertainty.notes

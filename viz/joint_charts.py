@@ -12,16 +12,15 @@ from calib.core.rows.observed import observe
 from viz.charts import COLOURS, Chart, axis, layer, panel
 from viz.scene import ViewerJoint
 
-_SEEN = 0.04  # part of the best pose's squared reach below which the readings of a pose do not count for a joint
+_SEEN = 0.04  # readings of a pose count for a joint if its squared reach is more than this part of the best pose's
 _FURTHEST = np.radians(50.0)  # rotation of the needle for the largest offset
 
 
 def corrections(fit: Fit, joints: tuple[ViewerJoint, ...]) -> Chart | None:
     """Return joint errors by fitted terms and by readings; None without terms.
 
-    The readings of a pose show an error of joint j that is larger than the fitted error by the part of their residuals
-    r
-    along its column J_j: -(J_j^T r) / (J_j^T J_j).
+    With the residuals r of a pose and the column J_j of joint j, the readings show an error of the joint that is larger
+    than the fitted error by -(J_j^T r) / (J_j^T J_j).
     """
     if not fit.robot.terms:
         return None
@@ -48,7 +47,7 @@ def corrections(fit: Fit, joints: tuple[ViewerJoint, ...]) -> Chart | None:
         panels.append(
             panel(axis(f"{joint.name} [{joint.unit}]"), axis(f"joint error [{joint.unit}]"), layers, height=240)
         )
-    text = "What the joint terms that were fitted add to the command, and what the readings of each pose show."
+    text = "Error of each joint: the curve is that of the fitted terms, the points are shown by the readings of a pose."
     return Chart("joint-errors", "Fitted errors of the joints", text, tuple(panels), 280) if panels else None
 
 
@@ -96,8 +95,8 @@ def dials(fit: Fit) -> Chart | None:
     turn = _FURTHEST / max(1e-12, *(max(abs(value), half) for _, value, half in offsets))
     panels = tuple(_dial(name, value, half, unit, turn) for name, value, half in offsets)
     text = (
-        f"Straight up is the drawing; the needle is what was found, {turn * per_si:.0f} times as large as it is, with"
-        " its 95 % interval."
+        f"Straight up is nominal. The needle is the found offset, enlarged {turn * per_si:.0f} times, with its 95 %"
+        " interval."
     )
     return Chart("dials", "Joint offsets", text, panels, 150)
 

@@ -21,7 +21,7 @@ from viz.inputs import ShownScene, gather
 from viz.server import PageServer
 from viz.viewer_page import scene_page
 
-_PACE = 10  # states from which the time per pose is estimated
+_PACE = 10  # number of states to estimate the time per pose
 
 
 class LiveViewer:

@@ -26,7 +26,7 @@ from viz.shapes import DARK, Shape, mesh, primitive, rotation_onto_z
 
 _RADIUS = 0.045  # of the typical distance between two anchors
 _THIN = 0.6  # factor on the radius of bodies that passive joints move, such as rods
-_SAME = 1e-3  # of the robot's length: distance below which anchors coincide
+_SAME = 1e-3  # of the robot's length: anchors that are closer coincide
 _TURNING = ("revolute", "continuous")
 _BALL = [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)]
 
@@ -92,7 +92,7 @@ class PlainLinks:
         )
 
     def _run(self, link: str) -> list[Any]:
-        """The moving joints at one place up to the joint that moves a link, from base to tip."""
+        """The joints at one place that move a link, from base to tip; the link's own joint is the last."""
         run: list[Any] = []
         while link in self._moving_joints and self._moving_joints[link].type != "fixed":
             joint = self._moving_joints[link]
@@ -155,7 +155,7 @@ class PlainLinks:
         return turned
 
     def _longest_run(self, joint: Any) -> list[Any]:
-        """The moving joints at one place from a joint on."""
+        """The moving joints at the place of a joint, also those after it."""
         link = joint.child
         while len(self._carries.get(link, [])) == 1:
             following = self._carries[link][0]

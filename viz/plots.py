@@ -15,7 +15,7 @@ from viz.svg import AXES, STATES, plain_ticks
 
 _MM = PER_SI["length"]["mm"]
 _GROUP_MARKS = {IDENTIFICATION: ("o", None), VALIDATION: ("D", "white")}  # as in the viewer; None: filled in colour
-_STANDS = 0.01  # range of a joint [deg, mm] below which it did not move
+_STILL = 0.01  # a joint did not move if its range is less [deg, mm]
 
 
 def draw_histogram(axes: Any, table: PoseTable) -> None:
@@ -61,7 +61,7 @@ def draw_residuals(axes: Any, table: PoseTable, joint: ViewerJoint, number: int)
             zorder=2 + order,
         )
     axes.axhline(0.0, color="black", linewidth=0.8)
-    if len(values) and np.ptp(values) < _STANDS:
+    if len(values) and np.ptp(values) < _STILL:
         axes.set_xlim(np.mean(values) - 0.5, np.mean(values) + 0.5)
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
 

@@ -1,7 +1,7 @@
 """Pose tables of fits, result folders and measurements.
 
-Instruments that measure points have a row for each. If no instrument of a set does, every pose has a row for each
-target of the robot, with its predicted position and nothing measured.
+A reading of a point has a row. If no instrument of a set measures points, every pose has a row for each target of the
+robot, with its predicted position and nothing measured.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class _Set:
         data: The measurements.
         placed: The robot before calibration.
         before, after: Predicted minus measured points, by instrument, (n, 3) [m].
-        predictions: Positions that the calibrated robot predicts at each visit; None without.
+        predictions: Positions that the calibrated robot predicts at each visit; None if there is no such robot.
         sigmas: Noise.
         outliers: Indices of outlying readings, by instrument.
     """
@@ -117,7 +117,7 @@ def pose_table_of_errors(
     predictions: PositionUncertainty | None = None,
     outliers: tuple[Outlier, ...] = (),
 ) -> PoseTable:
-    """Return one row for each reading of a point of a set with its errors.
+    """Return one row, with its errors, for each reading of a point in a set.
 
     Args:
         fit: The fit.

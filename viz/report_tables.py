@@ -50,9 +50,9 @@ class Tolerance:
 
 
 def tolerance_of(fit: Fit) -> Tolerance | None:
-    """Return whether 95 of 100 errors at poses like those measured stay below the stated tolerance; None without.
+    """Return whether 95 of 100 errors at poses like those measured stay below the tolerance; None if none is stated.
 
-    For positions, this is by the claim of the calibration; without a claim, the answer is open.
+    The calibration's claim on positions decides. Without such a claim, the answer is open.
     """
     text = tolerance(fit)
     if not text:

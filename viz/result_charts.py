@@ -27,7 +27,7 @@ def forest(
 
     Args:
         names: Names, the first at the top.
-        groups: For each set of marks its label, its colour, values (n,) and half intervals (n,), NaN without, and
+        groups: For each set of marks its label, its colour, values (n,), half intervals (n,), NaN if unknown, and
             hover texts.
         label: Label of the axis of values.
         band: Legend and half width of a band around zero, or None.
@@ -72,13 +72,13 @@ def parameters(fit: Fit) -> Chart | None:
     drawn = forest(
         [one.name for one in found],
         [("change", COLOURS["after"], change, half, texts)],
-        "change [expected standard deviations]",
+        "change [sigma of the prior]",
         ("expected beforehand (95 %)", 2.0),
     )
     return Chart(
         "forest",
         "Parameters: change, 95 % interval, and what was expected",
-        "The largest change is at the top. Beyond the band, the robot is further from its drawing than expected; an"
+        "The largest change is at the top. Beyond the band, the robot is further from nominal than expected; an"
         " interval that is as wide as the band says that the measurements determined little.",
         drawn,
         440,

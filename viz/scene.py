@@ -322,7 +322,7 @@ def _typical_motion(bodies: Bodies, solid: PosedRobot, ghost: PosedRobot) -> flo
 
 
 def _typical(vectors: FloatArray) -> float:
-    """Return the median length of the finite vectors; NaN without any."""
+    """Return the median length of the finite vectors; NaN if there are none."""
     lengths = np.linalg.norm(vectors, axis=1)
     known = lengths[np.isfinite(lengths)]
     return float(np.median(known)) if len(known) else float("nan")

@@ -23,7 +23,7 @@ from viz.workspace_map import WorkspaceMap
 
 _COLOURS = "viridis"  # even in lightness, and distinct with any colour vision
 _POINT_RADIUS = (0.0012, 0.008)  # of the scene's size: for crowded points, and for points with room
-_SAME = 5e-4  # of the scene's size: distance below which points look like one
+_SAME = 5e-4  # of the scene's size: points that are closer look like one
 _POINT_PIXELS = (4.0, 7.0)  # smallest width for crowded points, and for points with room
 _FEW_POINTS = 500  # number of points that have room
 _MARKS = {IDENTIFICATION: "disc", VALIDATION: "diamond", MEASURED: "square", EXCLUDED: "disc", PLANNED: "disc"}
@@ -33,7 +33,7 @@ _SHORT |= {PLANNED: "plan", COLLIDES: "hits"}
 _MM = PER_SI["length"]["mm"]
 _ELLIPSOID = 0.012  # of the scene's size: length of typical enlarged half axes at first
 _EXACT = 1e-12  # [SI]: smallest range of colours, for errors of zero
-_MOST_AXES = 3  # of a part of readings
+_MOST_AXES = 3  # largest number of shown components of an error
 
 
 def scene_data(scene: ViewerScene, *, live: bool = False) -> dict[str, Any]:
@@ -193,7 +193,7 @@ def point_pixels(count: int) -> float:
 
 
 def _places(scene: ViewerScene) -> FloatArray:
-    """The place of each point: measured, or else as well predicted as known, (n, 3) [m]."""
+    """The place of each point: measured, or else predicted, if possible after calibration, (n, 3) [m]."""
     table = scene.poses
     predicted = np.where(np.isfinite(table.after), table.after, table.before)
     places: FloatArray = np.where(np.isfinite(table.measured), table.measured, predicted)

@@ -24,7 +24,7 @@ from viz.poses import PoseTable, PredictingRobot
 SEED = 1
 _ELLIPSOIDS = 40  # largest number; more would hide the robot
 _CHANCE = 0.95
-_FLAT = 0.01  # extent of a hull along an axis, over its largest extent, below which it is flat: noise is no volume
+_FLAT = 0.01  # a hull is flat along an axis if it extends there less than this part of its largest extent
 
 
 @dataclass(frozen=True, eq=False)

@@ -95,7 +95,7 @@ def closed_model(robot: Robot, *, free_slide: bool = False) -> ClosedModel:
         free_slide: Add a joint for each direction that a closure leaves free, so that ties absorb no gaps.
 
     Raises:
-        InputError: A tie would hold a motion of the mechanism, or no joint has exactly the free motions.
+        InputError: A tie would block a motion of the mechanism, or no joint has exactly the free motions.
     """
     robot = robot.with_terms(())  # the formats hold no joint terms
     urdf = parse_urdf(urdf_of_origins(robot), robot.urdf.path)

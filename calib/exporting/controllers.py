@@ -1,7 +1,7 @@
 """Files for controllers and ROS: Denavit-Hartenberg tables, joint zeros, Universal Robots' kinematics, xacro origins.
 
-Most of these files hold less than the calibrated robot. Each states in its comment what it holds and the error at the
-target that remains, compared with the complete robot: loops, joint terms, tool.
+Most of these files hold less than the calibrated robot. Each states in its comment what it holds, and the error at the
+target that remains because loops, joint terms or the tool are missing.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from calib.exporting.joint_zeros import joint_zeros
 from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
 from calib.exporting.toolbox import ExactDumper
 
-_FITTED = 0.25  # part of the judging poses from which offsets are found
+_FITTED = 0.25  # part of the poses from which offsets are found; the others give their error
 
 
 @dataclass(frozen=True)
@@ -101,9 +101,9 @@ def _tool_text(chain: SerialChain) -> str:
 def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
     """Return the kinematics YAML of `ur_description`, Universal Robots' ROS description.
 
-    The file has the six joint origins, from `base_link_inertia` or the link under the shoulder on. Calibrated changes
-    of earlier fixed joints go into the first origin. Of changes behind wrist_3, only a rotation about and a shift along
-    the last axis fit, into the last origin.
+    The file has the six joint origins; the first is in `base_link_inertia`, or in the link under the shoulder.
+    Calibrated changes of earlier fixed joints go into the first origin. Of changes behind wrist_3, the last origin
+    takes a rotation about the last axis, and a shift along it; the file cannot hold the others.
 
     Raises:
         InputError: The robot is not made by `ur_description`.
@@ -124,7 +124,7 @@ def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
         "calib: kinematics for ur_description (argument kinematics_params of ur.urdf.xacro)",
         statement,
         _tool_text(chain),
-        "hash: the driver compares it with the controller's, and says that they differ: these are not factory values",
+        "hash: the driver compares it with that of the controller, and finds a difference: not factory values",
         *provenance_lines(robot),
         *provenance,
     ]
@@ -187,7 +187,7 @@ def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:
 def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
     """Return a sign and a zero correction for each joint with a motor, and the error that remains with them.
 
-    For a fit, they fit its measurements best; else they come from `joint_zeros`, over the joint ranges.
+    Those of a fit fit its measurements best; otherwise `joint_zeros` finds them over the joint ranges.
     """
     file_robot, placed = robot.files.get(Holds.ZEROS), any(p.placement for p in robot.parameters)
     anew = ", base and target placed anew" if placed else ""

@@ -86,7 +86,7 @@ def export(
     if format not in all_formats:
         raise InputError(f"format '{format}': unknown{nearest(format, all_formats)}; the path comes before the format")
     if free_slide and format not in ("mjcf", "drake"):
-        raise InputError(f"format '{format}' has no variant with free slides; only mjcf and drake have")
+        raise InputError(f"format '{format}' has no variant with free slides; mjcf and drake have one")
     if meshes and format not in _WITH_URDF:
         raise InputError(f"format '{format}' has no mesh paths to change; only {', '.join(_WITH_URDF)} have")
     sources = (robot.urdf.path, robot.path)

@@ -66,7 +66,7 @@ class Gap:
         apart, change = (quantity_text(value, self.dimension, ".4f") for value in (self.at_home, self.change))
         which = f"loop {self.name}, direction {self.direction}"
         if max(abs(self.at_home), self.change) < 1e-9:
-            return f"{which}: closed as well in {self.n_poses} poses{self.where}; a 3D constraint has nothing to absorb"
+            return f"{which}: also closed in {self.n_poses} poses{self.where}; a 3D constraint has nothing to absorb"
         return (
             f"{which}: {apart} apart at home; a 3D constraint would have to absorb up to {change} over"
             f" {self.n_poses} poses{self.where}"

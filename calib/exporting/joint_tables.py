@@ -44,7 +44,7 @@ class JointTable(ReadOnlyArrays):
     Attributes:
         joint: Name of the joint.
         dimension: `length` or `angle`.
-        commands: With equal steps, (n,) [rad or m].
+        commands: Commands with equal steps, (n,) [rad or m].
         actual: Actual values there, (n,) [rad or m].
     """
 
@@ -58,7 +58,7 @@ def joint_tables(robot: Robot) -> tuple[JointTable, ...]:
     """Return the table of each actuated joint, without terms that no table can hold.
 
     Raises:
-        InputError: The robot has no joint terms for tables, a sliding joint no limits, or a table would be too long.
+        InputError: No joint term fits into tables, a sliding joint has no limits, or a table would be too long.
     """
     require_own_terms(robot)
     kept = without_terms(robot, Holds.TABLES)

@@ -1,15 +1,14 @@
 """MuJoCo's format (MJCF), in a form that MuJoCo, Pinocchio and Drake read with the same meaning.
 
-Bodies stand at the assembled home and each joint's `ref` is its value there, so that every program finds the loops
-closed in the reference configuration, from which it takes the second anchor of a `<connect>` (or the pose of a
-`<weld>`). Joint values mean the same as in the URDF. Numbers are the shortest decimals that read back to the same
-float; MuJoCo's own writer would keep six digits.
+Bodies stand at the assembled home and each joint's `ref` is its value there. So the loops are closed in the reference
+configuration, from which a program takes the second anchor of a `<connect>` (or the pose of a `<weld>`). Joint values
+mean the same as in the URDF. Numbers are the shortest decimals that read back to the same float; MuJoCo's own writer
+would keep six digits.
 
 Every link is a body, even a fixed link; a root link named `world` becomes the body `world_link`, because MuJoCo
 reserves the name. Targets and the measurement frame are bodies with only a site, because not every program reads sites;
 the site of `target_tip` is `target_tip_site`. Motors are position servos whose stiffness comes from the inertia at
-home. Ties in
-a simulator are slightly soft: its poses are not exact.
+home. Ties in a simulator are slightly soft: its poses are not exact.
 
 A lamp and a floor without contacts make the robot visible; the keyframe `home` puts joints and servos at home.
 """

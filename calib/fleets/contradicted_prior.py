@@ -2,12 +2,12 @@
 
 A robot that was repaired, that fell, or that is of another make would be pulled towards the others, and its noise would
 seem larger, which hides the difference. So it is first fitted without the fleet. The information of its readings is
-compared with the fleet's prior, as results of a fleet are compared with each other (`calib.fleets.hierarchy`). The
-least likely parameter loses the fleet's prior and keeps the description's, until the rest is likely; beyond a quarter
-of the parameters the whole fleet is dropped.
+compared with the fleet's prior, as results of a fleet are compared with each other (`calib.fleets.hierarchy`). One by
+one, the least likely parameter loses the fleet's prior and keeps the description's, until the others are likely. If
+more than a quarter of the parameters would lose it, all do.
 
-If few readings leave that fit no degree of freedom, it gets the fleet's prior, but several times as wide. The
-information of a prior is always removed before the comparison.
+If too few readings leave the fit without the fleet no degree of freedom, it gets the fleet's prior, several times as
+wide. The information of a prior is always removed before the comparison.
 
 When it fails. If neither fit succeeds (too few readings for unstated noise), nothing is compared. Poses that do not
 determine a parameter cannot contradict its prior.
@@ -33,7 +33,7 @@ from calib.fleets.shared_parameters import evidence_of_fit, expectation_of_fleet
 
 _WIDE = 5.0  # factor on a prior that makes it decide little
 _MOST = 0.25  # largest part of unlike parameters; with more, the whole robot is unlike
-_EXTRA = 3.0  # degrees of freedom of spreads in addition to one for each robot: from parameters of a kind
+_EXTRA = 3.0  # degrees of freedom that other parameters of its kind add to a spread; each robot adds one
 
 
 def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Settings, fleet: FleetSection) -> Robot:
@@ -45,7 +45,7 @@ def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Setti
         settings: Options of the fit.
         fleet: The fleet's section of the robot's description.
     """
-    alone = _with_little_of_it(robot, fleet, data, replace(settings, starts=1))
+    alone = _fit_nearly_without_fleet(robot, fleet, data, replace(settings, starts=1))
     if alone is None:
         return robot
     shared = tuple(p for p in shared_parameters(robot) if fleet.knows(p.name))
@@ -69,8 +69,8 @@ def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Setti
     return replace(robot, description=robot.description.model_copy(update={"fleet": changed}))
 
 
-def _with_little_of_it(robot: Robot, fleet: FleetSection, data: Measurements, settings: Settings) -> Fit | None:
-    """The fit without the fleet, or with its widened prior; None if neither is possible."""
+def _fit_nearly_without_fleet(robot: Robot, fleet: FleetSection, data: Measurements, settings: Settings) -> Fit | None:
+    """The fit without the fleet, or with the fleet's prior made wide; None if neither is possible."""
     wide = robot.description.model_copy(update={"fleet": fleet.widen(_WIDE, robot.parameters)})
     for tried in (without_fleet(robot), replace(robot, description=wide)):
         with suppress(CalibrationError):

@@ -29,7 +29,7 @@ _WIDTH = 118
 _CONFIRMED = 1.25  # largest ratio of estimated and stated noise, in either direction, that confirms the statement
 _MOST_CONFIRMED = 60.0  # degrees of freedom: the next robot's instrument may be another one
 _STATEMENT = 8.0
-"""Degrees of freedom of a noise that only the user states, right to a quarter: 1 / (2 * 0.25^2) (jcgm100, G.4.2)."""
+"""Degrees of freedom of a stated noise that may be wrong by a quarter: 1 / (2 * 0.25^2) (jcgm100, G.4.2)."""
 _NAMED = 3  # unlike parameters of a robot that are named
 _UNPROVEN = {
     "CHECK": "systematic errors there count as properties of the robot.",
@@ -46,7 +46,7 @@ class Member:
         name: The part of its folder's name that the others do not have.
         folder: Path of its result.
         verdict, n_poses: Verdict and number of poses of its result.
-        is_unlike: Whether it is unlike the others, whose mean and spread then do not contain it.
+        is_unlike: Whether it is unlike the others; mean and spread are then computed without it.
         combined_rms: Root mean square deviation from the others' prediction, 1 on average; NaN if not tested.
         p_value: Probability of such a deviation, over all tests of this robot; NaN if not tested.
         unlike_parameters: Parameters of an unlike robot with significant deviations, the largest first, in standard
@@ -202,7 +202,7 @@ class Fleet(ReadOnlyArrays):
 
 
 def _first(order: FloatArray, always: BoolArray | Literal[False] = False) -> list[int]:
-    """Numbers of the items for a screen: the smallest of `order` and those always shown, in their own order."""
+    """Indices of the items to show on a screen, ascending: the smallest of `order`, and those in `always`."""
     rank = np.argsort(np.argsort(order, kind="stable"))
     return [int(k) for k in np.flatnonzero((rank < _SCREEN) | always)]
 
@@ -246,7 +246,7 @@ def fleet(*results: Path | str) -> Fleet:
         learned = _fleet(folders)
     section = learned.robot.description.fleet
     assert section is not None
-    bare = section.model_copy(update={"noise_freedom": _STATEMENT})  # the noise of these fits is no instrument's
+    bare = section.model_copy(update={"noise_freedom": _STATEMENT})  # these fits have no noise of an instrument
     description = learned.robot.description.model_copy(update={"fleet": bare})
     return replace(
         learned,

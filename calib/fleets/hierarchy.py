@@ -19,8 +19,8 @@ everything else is normal:
 
 The last line is iterated until it converges. It maximises the restricted marginal likelihood, as for variance
 components (`calib.core.numerics.variance_components`), and f_k are degrees of freedom. The prediction for one more
-robot has Student tails. A normal with the same variance, t_k^2 f_k / (f_k - 2), takes its place; its 95 % intervals
-hold.
+robot has Student tails. It is replaced by a normal with the same variance, t_k^2 f_k / (f_k - 2), whose 95 % intervals
+are right.
 
 Each result is tested against the others. Without result i, they predict u_i ~ N(m, D + V), with D the diagonal of these
 variances. The first test is of all parameters together. It takes the K combinations in which the prediction is wider
@@ -29,14 +29,15 @@ a scaled Student's t with the typical f_k = f: its mean is 1 and its variance 2 
 the scaled F of K and f' = 4 + (K + 2) (f - 4) / 3 degrees of freedom, with the same mean and variance: many roughly
 known spreads are together known well. The second test is of each parameter alone, by a scaled Student's t, as for an
 added variable: with B = (D + V)^-1 and S = (B + H_i)^-1, B S (h_i - H_i m) is the score, and the diagonal of B - B S B
-its variance. So a parameter that is determined only in sums is tested by these. Each of the two tests has half of the
-probability of a false alarm. The least likely result is left out, and everything is estimated again, until no robot is
-unlike at a probability of one in a hundred for all tests together. So one wrong result changes nothing, and does not
-hide behind the spread that it causes.
+its variance. So a parameter that is determined only in sums is tested by these sums. Each of the two tests has half of
+the probability of a false alarm: one in a hundred, for all tests of a fleet together. The least likely result is left
+out, and everything is estimated again, until no robot is unlike. So one wrong result changes nothing, and does not hide
+behind the spread that it causes.
 
 When it fails. Half of the results are wrong. There are only two results, and neither can be called unlike. Spreads are
 correlated (all links of a robot are longer): they count as independent, so that combinations of them seem narrower than
-they are. Spreads of one kind differ tenfold, from three results: in one fleet of ten a good robot is called unlike.
+they are. Spreads of one kind differ tenfold, and there are three results: in one such fleet of ten, a good robot is
+called unlike.
 
 Reference: patterson1971; gelman2006 for the prior of spreads with few robots.
 """
@@ -54,12 +55,12 @@ from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 
 _WEIGHT = 4.0  # nu of the module docstring
-_SMALLEST = 1e-3  # least typical size r of spreads, over the sigma of single robots
-_STANDS = 1e-4  # relative change of a variance at which the iteration ends
+_SMALLEST = 1e-3  # least typical size r of spreads, in sigmas of single robots
+_CONVERGED = 1e-4  # the iteration ends at this relative change of a variance
 _ROUNDS = 500
-_WIDER = 2.0  # least variance of a tested combination, over that of noise
-_NOTHING = 1e-2  # information, over that of the prior of single robots, below which a direction is undetermined
-_SHOWN = 0.1  # least part of a parameter's prior, given the others, that data must determine for a test
+_WIDER = 2.0  # a tested combination has at least this many times the variance of noise
+_NOTHING = 1e-2  # a direction with less than this part of the information of a single robot's prior is undetermined
+_SHOWN = 0.1  # a parameter is tested if the data determine at least this part of its prior, given the others
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +82,7 @@ class Hierarchy(ReadOnlyArrays):
         freedom: f, (n,).
         estimates: d_i + m for each result, (n_results, n).
         deviations: Standard deviations of the estimates, (n_results, n).
-        n_determined: Number of results that determine each parameter, counted in parts, (n,).
+        n_determined: Number of results that determine each parameter, (n,); one that does so partly adds that part.
     """
 
     mean: FloatArray
@@ -101,7 +102,7 @@ class FleetComparison(ReadOnlyArrays):
         distances: Deviation of each parameter if it alone is unlike, in standard deviations, (n,); NaN where the
             result does not determine it.
         p_values: Probability of each distance, (n,); NaN without a distance.
-        combined_rms: Root mean square over combinations, 1 on average; NaN without any.
+        combined_rms: Root mean square over combinations, 1 on average; NaN if there is none.
         p_combined: Probability of `combined_rms`.
     """
 
@@ -159,7 +160,7 @@ def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray |
             typical[kind] = max(float(np.exp(np.mean(np.log(variance[kind])))), _SMALLEST**2)
         again = (_WEIGHT * typical + squares) / (_WEIGHT + seen)
         change, variance = float(np.max(np.abs(again / variance - 1.0))), again
-        if change < _STANDS:
+        if change < _CONVERGED:
             break
     freedom = _WEIGHT + seen
     return Hierarchy(
@@ -168,7 +169,7 @@ def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray |
         variance * freedom / (freedom - 2.0),
         freedom,
         estimates + mean,
-        np.sqrt(np.array([_with_mean(result, variance, covariance) for result in results])),
+        np.sqrt(np.array([_estimate_variance(result, variance, covariance) for result in results])),
         np.sum([1.0 - np.diag(_inner(result, variance)) / variance for result in results], axis=0),
     )
 
@@ -199,7 +200,7 @@ def _inner(result: FleetEvidence, variance: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(result.precision + np.diag(1.0 / variance)))
 
 
-def _with_mean(result: FleetEvidence, variance: FloatArray, covariance: FloatArray) -> FloatArray:
+def _estimate_variance(result: FleetEvidence, variance: FloatArray, covariance: FloatArray) -> FloatArray:
     """Variance of m + d_i given the variances t^2, (n,)."""
     inner = _inner(result, variance)
     left = inner / variance  # I - A H
@@ -209,7 +210,7 @@ def _with_mean(result: FleetEvidence, variance: FloatArray, covariance: FloatArr
 def compare_with_fleet(
     result: FleetEvidence, mean: FloatArray, expected: FloatArray, freedom: FloatArray
 ) -> FleetComparison:
-    """Compare a result with the prediction of the others, without it.
+    """Compare a result with what the other results predict.
 
     Args:
         mean: Prediction of the others, (n,).
@@ -247,7 +248,7 @@ def learn_without_odd(
         kinds: Kind of each parameter, (n,).
 
     Returns:
-        Hierarchy of the remaining results; indices of the others; comparison of each result (None for two results).
+        Hierarchy of the remaining results; indices of those left out; comparison of each result (None for two results).
     """
     odd: list[int] = []
     indices = range(len(results))

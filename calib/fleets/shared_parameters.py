@@ -22,7 +22,7 @@ from calib.core.robots.robot import Robot
 from calib.core.rows.unknowns import Unknowns
 from calib.fleets.hierarchy import FleetEvidence, Hierarchy, evidence_of_data
 
-_SMALL = 1e-3  # variance of the mean along a combination, over that of the spread, below which it gets no column
+_SMALL = 1e-3  # a combination gets no column if its mean has less than this part of the variance of the spread
 
 
 def without_fleet(robot: Robot) -> Robot:

@@ -30,7 +30,7 @@ from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
 
 _DRAWS = 600
-_BEYOND = 1.1  # ratio to the largest draw above which residuals are no rounding
+_BEYOND = 1.1  # residuals are not rounding if they are more than this many times the largest draw
 _ALLOWANCE = 1.25  # factor on the claim, for errors below rounding
 _POSES = 300  # other poses of the claim
 _SURE = 0.99  # part of the draws in which the claim holds

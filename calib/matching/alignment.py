@@ -23,7 +23,7 @@ from calib.core.numerics.rigid import nearest_rotation
 ARM = 0.3
 """Length of the lever by which a rotation counts as a distance [m]."""
 _ROUNDS = 5
-_FAR = 6.0  # ratio to the median miss above which a row is left out
+_FAR = 6.0  # a row is left out if it misses by more than this many times the median miss
 _LEAST = 1e-4  # miss that is never left out [m]
 
 

@@ -34,8 +34,8 @@ _LEAST = 4  # pairs
 _MOST = 500  # largest number of pairs in the fit
 _NEAR = 0.015, np.radians(1.5)  # largest distance of base and tool from the robot's own frames [m], [rad]
 _ELSEWHERE = 0.02, np.radians(2.0)  # largest difference of stated from fitted places [m], [rad]
-_ALIKE = 2.0  # ratio to the best reading's residuals below which another reading fits as well
-_BETTER = 0.5  # ratio of residuals with a free tool below which the tool is another one
+_ALIKE = 2.0  # another reading fits as well if its residuals are less than this many times the best ones
+_BETTER = 0.5  # the tool is another one if a free tool makes residuals less than this part
 _WRONG = 0.2  # largest part of the pairs from another program
 _SINGLE = 4.0  # least ratio of the worst pair's miss to the median if it is from another program
 

@@ -40,11 +40,11 @@ class Pairs(ReadOnlyArrays):
         path: The file.
         rows: Name of each row in messages, (n,).
         joints: (n, n_joints), in units of the file.
-        positions: In the units of the file, (n, 3).
-        rotations: In the units of the file, (n, 3, 4 or 9).
+        positions: Positions in the units of the file, (n, 3).
+        rotations: Rotations in the units of the file, (n, 3, 4 or 9).
         units: Units of joint values, positions and rotations, or None where the file states none.
         steps: Rounding steps of each joint, of positions and of rotations, in units of the file, (n_joints + 2,).
-        words: Key in `HEADERS` for the names of the rotation's columns; empty without.
+        words: Key in `HEADERS` for the names of the rotation's columns; empty if they have none.
     """
 
     path: str
@@ -116,7 +116,7 @@ def _without_header(path: Path | str) -> Table | None:
     width = len(rows[0][1])
     odd = next((number for number, cells in rows if len(cells) != width), None)
     if odd is not None:
-        raise DataError(f"{path}, line {odd}: has another number of numbers than line {rows[0][0]} ({width})")
+        raise DataError(f"{path}, line {odd}: has a different count of numbers than line {rows[0][0]} ({width})")
     names = tuple(f"number {k + 1}" for k in range(width))
     cells = tuple(cells for _, cells in rows)
     return Table(str(path), names, (None,) * width, cells, tuple(number for number, _ in rows), (), ",")
@@ -190,7 +190,7 @@ def _unit(table: Table, columns: Sequence[int]) -> str | None:
 
 
 def _step(table: Table, columns: Sequence[int], numbers: dict[int, FloatArray]) -> float:
-    """Rounding step of columns: a step that divides all numbers, else the last digit of half of the cells."""
+    """Rounding step of columns: the largest usual step that divides all numbers, or the cells' median last digit."""
     values = np.concatenate([numbers[k] for k in columns])
     decimals = [
         len(mantissa.partition(".")[2]) - int(exponent or 0)

@@ -34,9 +34,9 @@ from calib.matching.pairs import Pairs
 
 _SAME = 1e-9  # differences of joint values and poses that count as zero [m], [rad]
 _FINEST = 1e-6  # finest own rounding of a controller [m or rad]
-_FIT = 0.08  # miss over the spread of the robot's positions below which a reading fits
-_STILL = 0.005  # spread of the robot's positions below which pairs determine nothing [m]
-_ALIKE = 3.0  # ratio to the best miss below which a fit must decide
+_FIT = 0.08  # a reading fits if it misses by less than this part of the spread of the robot's positions
+_STILL = 0.005  # pairs determine nothing if the robot's positions spread less [m]
+_ALIKE = 3.0  # a fit must decide if another miss is less than this many times the best
 _SHORT = 12  # best readings by rotations for each joint unit and direction: six sequences agree equally
 _MIRRORED = 4  # best readings whose columns of positions are tried in other orders
 _MOST = 4  # largest number of readings that fits decide between
@@ -177,8 +177,8 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     if best.aligned.rms_distance > limit:
         raise DataError(
             f"{pairs.path}: no reading of the columns brings the poses near {robot.path}; the nearest"
-            f" ({best.reading.words()}) leaves {millimetres(best.aligned.rms_distance):.0f} mm; is it this robot, with"
-            " one tool and one base in all rows, the joint values of one row with its pose?"
+            f" ({best.reading.words()}) leaves {millimetres(best.aligned.rms_distance):.0f} mm. Check that it is this"
+            " robot, that all rows have one tool and one base, and that joint values and pose of a row belong together"
         )
     alike: list[PlacedInterpretation] = []
     for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), _miss(one))):
@@ -267,7 +267,7 @@ def _single_twists(robot: Robot, pairs: Pairs, usual: Sequence[Interpretation]) 
     for sign, word in ((1.0, "plus"), (-1.0, "minus")) if n >= 3 else ():
         A = np.eye(n)
         A[2, 1] = sign
-        why = f"counts {names[2]} from the horizontal (as FANUC does): the robot's is its number {word} {names[1]}"
+        why = f"counts {names[2]} from the horizontal (as FANUC does): the robot's is that {word} {names[1]}"
         coupled.append(Twist(f"the controller {why}", A))
     yield _likeliest(robot, pairs, coupled)
     descriptions = {shift: f"{count_noun(abs(shift), 'row')} {'below' if shift > 0 else 'above'}" for shift in _SHIFTS}

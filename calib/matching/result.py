@@ -20,7 +20,7 @@ from calib.matching.readings import PlacedInterpretation
 FILES = {"dh": "dh.csv", "mdh": "mdh.csv", "xacro": "origins.xacro", "ur-kinematics": "default_kinematics.yaml"}
 """File beside the URDF for each format."""
 _WIDTH = 118
-_OF_DIGITS = 2.0  # ratio of the claim to the rounding of a printed position up to which they are of one size
+_OF_DIGITS = 2.0  # a claim up to this many times the rounding of a printed position comes from the digits
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Match:
             return "joint terms were not tried"
         words, left = self.terms
         if not words:
-            return "gravity, couplings, gears and other joint terms were tried, and none of them halves it"
+            return "gravity, couplings, gears and other joint terms were tried, and none halves this error"
         if left.to_the_digits:
             return f"with {words} it agrees to the digits; a URDF has no place for that"
         return f"with {words}, {_mm(left.left_out)} are left; a URDF has no place for that"

@@ -54,7 +54,7 @@ _READINGS = "readings.csv"
     default=20,
     show_default=True,
     metavar="PERCENT",
-    help="Speed in percent of what the controller allows; URScript, ros2: of 143 deg/s.",
+    help="Speed in percent of the controller's largest speed; for urscript and ros2, in percent of 143 deg/s.",
 )
 @click.option(
     "--dwell",
@@ -151,10 +151,10 @@ def _report(route: Route) -> str:
     around = sum(len(stop.corners) > 0 for stop in route.stops)
     travel = PER_SI["angle"]["deg"] * float(np.sum(np.max(np.abs(np.diff(corners, axis=0)), axis=1)))
     lines = [
-        f"{count_noun(len(route.stops), 'stop')}; {around} reached around what is in the way; travel {travel:.0f} deg"
+        f"{count_noun(len(route.stops), 'stop')}; {around} reached on a way around obstacles; travel {travel:.0f} deg"
     ]
-    nearest = min(route.stops, key=lambda stop: min(stop.clearance, stop.poses_passed))
-    least = min(nearest.clearance, nearest.poses_passed)
+    nearest = min(route.stops, key=lambda stop: min(stop.clearance, stop.path_clearance))
+    least = min(nearest.clearance, nearest.path_clearance)
     if np.isfinite(least):
         lines.append(f"Smallest clearance {millimetres(least):.1f} mm, at stop {nearest.name} or on the way there")
     if route.left_out:
@@ -178,7 +178,7 @@ def _data(route: Route) -> dict[str, object]:
                 "corners": stop.corners.tolist(),
                 "clearance_mm": millimetres(stop.clearance),
                 "pair": stop.pair,
-                "clearance_on_the_way_mm": millimetres(stop.poses_passed),
+                "clearance_on_the_way_mm": millimetres(stop.path_clearance),
             }
             for stop in route.stops
         ],

@@ -2,9 +2,8 @@
 
 A move is cut in halves. In the middle of a piece every pair has a distance; the joints bring it nearer by at most R
 |dq| on the way to the ends of the piece (`calib.motion.scene`). A pair with a larger distance is proven free on the
-whole piece, and is not checked again there; a piece with unproven pairs is cut again. Half of a pair's clearance is
-reserved
-for points between: checked points keep all of it, and every point half.
+whole piece, and is not checked again there; a piece with unproven pairs is cut again. Checked points keep the whole
+clearance of a pair, so that every point between them keeps at least half of it.
 
 Passive joints of closed loops do not move straight. Their motion from the middle of a piece to its ends is known at
 these three points; twice the larger is used as bound, and the first pieces are short. This is a bound for slightly bent

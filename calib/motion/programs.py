@@ -72,11 +72,11 @@ class _Words:
 
     Attributes:
         begin, end: Lines before and after the stops, with {name}, {question} and {percent}.
-        move: With {joints}; {k}, the number of the move, from 1; {speed} [rad/s], {along} [mm/s] or {percent}.
+        move: A move, with {joints}; {k}, its number from 1; {speed} [rad/s], {along} [mm/s] or {percent}.
         joint: Text of a joint, with {k}, from 1, and {value}.
         remark: A comment.
-        wait: With a time [s].
-        output: With the number of an output, and its value.
+        wait: A dwell, with its time [s].
+        output: Setting of an output, with its number and value.
         states: Values of an output on and off.
         scale: One radian in joint values.
     """
@@ -155,7 +155,7 @@ def _remark(stop: Stop) -> str:
     if not np.isfinite(stop.clearance):
         return f"pose {_plain(stop.name)}"
     at_stop, on_the_way = (
-        int(millimetres(value)) for value in (stop.clearance, min(stop.clearance, stop.poses_passed))
+        int(millimetres(value)) for value in (stop.clearance, min(stop.clearance, stop.path_clearance))
     )
     clearance = f"clearance {at_stop} mm ({_plain(stop.pair)}), on the way {on_the_way} mm"
     return f"pose {_plain(stop.name)}, {clearance}"

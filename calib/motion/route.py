@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import ComputationError, DataError, InputError
-from calib.core.base.registry import brought
+from calib.core.base.registry import load_entry
 from calib.core.base.words import count_noun, listing
 from calib.core.base.workers import Progress
 from calib.core.data.measurements import Poses
@@ -42,7 +42,7 @@ class Stop(ReadOnlyArrays):
         corners: Corners of the path from the stop before, without both ends, (n, n_actuated) [m or rad].
         clearance: Smallest distance of any pair at the stop [m].
         pair: Name of that pair.
-        poses_passed: Smallest distance on the path [m].
+        path_clearance: Smallest distance of any pair on the path [m].
     """
 
     name: str
@@ -50,7 +50,7 @@ class Stop(ReadOnlyArrays):
     corners: FloatArray
     clearance: float
     pair: str
-    poses_passed: float
+    path_clearance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +126,7 @@ def plan_route(
     names = tuple(stop.name for stop in replaced)
     given = dict(zip((*candidates.names, *poses.names), (*candidates.joints, *poses.joints), strict=True))
     round_ = [stop.name for stop in (*stops, *replaced) if np.any(stop.joints != given[stop.name])]
-    notes = (f"the same pose by joints a whole turn from those given: {listing(round_, shown=8)}",) if round_ else ()
+    notes = (f"reached with joints a whole turn from those given: {listing(round_, shown=8)}",) if round_ else ()
     return Route(robot, start, (*stops, *replaced), left_out, names, scene.remarks + notes)
 
 
@@ -207,7 +207,7 @@ def _pass(planner: Planner, start: FloatArray, poses: Poses, searched: bool) -> 
     usable = np.array([k for k, name in enumerate(poses.names) if not why.get(name)], dtype=np.intp)
     if not len(usable):
         return [], why
-    order = usable[brought("calib.methods", "shortest_order")(from_where[usable], planner.nodes[planner.here])]
+    order = usable[load_entry("calib.methods", "shortest_order")(from_where[usable], planner.nodes[planner.here])]
     stops: list[Stop] = []
     for node, k in enumerate(order.tolist(), planner.add(from_where[order])):
         way = planner.free_path(planner.here, node, searched=searched)
@@ -222,9 +222,9 @@ def _pass(planner: Planner, start: FloatArray, poses: Poses, searched: bool) -> 
 def _why_not_straight(planner: Planner, approach: FloatArray, touching: FloatArray) -> str:
     """Reason why a touch cannot be approached along its normal; "" for none."""
     if not np.all(np.isfinite(approach)):
-        return "no joint values are straight out from what it touches"
+        return "no joint values bring it straight out from what it touches"
     hit = _why_blocked(planner.scene.robot, approach[None])[0] or planner.move(approach, touching).hit
-    return f"{hit}, straight out from what it touches" if hit else ""
+    return f"{hit}, on its straight approach" if hit else ""
 
 
 def _stop(planner: Planner, name: str, points: FloatArray) -> Stop:
@@ -244,6 +244,6 @@ def _next_best(robot: Robot, candidates: Poses, tried: set[str], stops: Sequence
     rest = candidates.subset(np.array(usable, dtype=np.intp))
     if len(rest) <= count or not count:
         return rest.subset(np.arange(min(len(rest), count)))
-    select = brought("calib.methods", "select")
+    select = load_entry("calib.methods", "select")
     chosen = select(robot, rest, count, measured=np.array([stop.joints for stop in stops]), checked=False)
     return rest.subset(chosen.chosen)

@@ -31,7 +31,7 @@ from calib.motion.shapes import Body, bodies_of, is_inside
 
 Pairs = tuple[tuple[int, int], ...]
 _ROUGH = 0.005
-"""Distance of hulls minus clearance below which the distance of the triangles is computed [m]."""
+"""The distance of triangles is computed if the distance of hulls minus clearance is less [m]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,8 @@ from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, res
 LEAST_IMAGES = 3
 _LEAST_ALONE = 6  # points of an image that its own pose cannot explain exactly
 _TO_THE_END = (3, 100, 1e-15)  # OpenCV's stopping rule: number of steps, and size of a step
-_UNSURE = 0.2  # relative standard deviation of a focal length above which images do not determine it
-_SHORTEST, _LONGEST = 0.1, 25.0  # focal length of cameras, over the width of their images
+_UNSURE = 0.2  # images do not determine a focal length with a larger relative standard deviation
+_SHORTEST, _LONGEST = 0.1, 25.0  # ratio of a camera's focal length to the width of its images
 _NO_NOISE = 1e-9  # px: rounding of computed pixels
 _SMALLEST = 1e-6  # least part of a point's noise that remains in its residual; less counts as none
 

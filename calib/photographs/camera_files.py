@@ -106,9 +106,8 @@ def _distortion(content: Mapping[str, Any], path: Path | str) -> list[float]:
     numbers = [] if given is None else _numbers(given, path, key)
     if any(abs(number) > 0 for number in numbers[5:]):
         raise DescriptionError(
-            f"{path}: {key}: has {len(numbers)} coefficients; k4 and beyond (rational, thin prism, tilted) are"
-            f" not known"
-            " here: calibrate the camera with k1 k2 p1 p2 k3, or let them be found (leave the file out)"
+            f"{path}: {key}: has {len(numbers)} coefficients; k4 and beyond (rational, thin prism, tilted) are not"
+            " known here: calibrate the camera with k1 k2 p1 p2 k3, or let them be found (leave the file out)"
         )
     return (numbers + [0.0] * 5)[:5]
 

@@ -35,12 +35,12 @@ from calib.photographs.opencv import GreyImage, dictionary, dictionary_families,
 FEWEST = 4
 """Least number of points by which an image determines the pose of the board."""
 _BLURRED = 6.0  # px, width of edges
-_OFF = 0.05  # largest deviation from a plane by the lens, over the extent of the board
+_OFF = 0.05  # largest deviation from a plane by the lens, as part of the board's extent
 _LEAST_OFF = 5.0  # px
 _TRIES = 3  # images of a set in which other dictionaries and other boards are tried
 _MOST_COLUMNS = 30  # largest tried number of columns of markers
 _FITTING = 0.9  # least part of the markers' corners that must fit the right board
-_LARGER = 1.15  # size of the dot that marks a corner, over that of the others
+_LARGER = 1.15  # the dot that marks a corner is at least this many times as large as the others
 _FLAT = 30  # difference of grey values between dark and bright
 
 
@@ -53,7 +53,7 @@ class DetectedImage:
         size: Width and height [px].
         points: Names of the points.
         pixels: Pixels of the points, (n, 2).
-        remark: Problem in words; empty without.
+        remark: Problem in words; empty if there is none.
         edge: Width of edges [px]; NaN without a board.
         mirrored: Whether only the mirror image shows the board.
     """
@@ -169,7 +169,7 @@ class _Detector:
         if edge > _BLURRED:
             remark = f"blurred: edges are {edge:.0f} px wide"
         elif off:
-            remark = f"{count_noun(off, 'point')} left out that cannot be where the others put the board"
+            remark = f"{count_noun(off, 'point')} left out, far from where the other points put the board"
         elif len(points) >= FEWEST and self.board.dictionary:
             remark = self._strangers(_marker_numbers(image, self.board.dictionary))
         return DetectedImage(name, (image.shape[1], image.shape[0]), tuple(points), pixels, remark, edge)
@@ -271,7 +271,7 @@ class _Detector:
         return f"its markers are counted from the {other} row; write first_row: {other} into the board"
 
     def _strangers(self, markers: list[int]) -> str:
-        """A sentence on markers in an image that the board does not have; empty without any."""
+        """A sentence on markers in an image that the board does not have; empty if there are none."""
         board_numbers = marker_numbers(self.board)
         strange = sorted(set(markers) - set(board_numbers))
         if not strange:

@@ -31,12 +31,12 @@ from calib.photographs.scene import BoardScene, HandEyePlacement, linearise
 from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, find_noise, normal_equations
 
 LITTLE_TURN = np.deg2rad(15)
-"""Spread of rotations about the second axis below which photographs hardly determine the camera's pose."""
+"""Photographs hardly determine the camera's pose if rotations about the second axis spread less."""
 _STEPS = 40
-_ENDS = 1e-13  # step size below which rounding dominates
+_ENDS = 1e-13  # rounding dominates smaller steps
 _NOISE_ROUNDS = 12
-_NOISE_STANDS = 1e-8
-_SINGULAR = 1e-7  # relative singular value of scaled columns below which images do not show a direction
+_NOISE_CONVERGED = 1e-8
+_SINGULAR = 1e-7  # images do not show a direction with a smaller relative singular value of scaled columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,10 +125,10 @@ def estimate(
             linear, before = linearise(scene, placed, free, scaled), noise
             noise = find_noise(linear, prior, placed.intrinsics[list(free)], before)
             placed = solve(scene, placed, free, noise, prior, scaled=scaled)
-            if before is not None and np.allclose(before.sizes, noise.sizes, _NOISE_STANDS, 1e-12):
+            if before is not None and np.allclose(before.sizes, noise.sizes, _NOISE_CONVERGED, 1e-12):
                 break
         else:
-            raise NotConvergedError("the noise of the photographs could not be found from what is left")
+            raise NotConvergedError("the noise of the photographs could not be found from the residuals")
         weights = noise
     else:
         placed, weights = plain(scene, start, free, prior, scaled=scaled)
@@ -159,7 +159,7 @@ def plain(
         before, weights = weights, ErrorSizes(max(float(np.sqrt(np.sum(linear.rr) / left)), 1e-6))
         if prior is not None:
             placed = solve(scene, placed, free, weights, prior, scaled=scaled)
-        if abs(before.pixel - weights.pixel) < _NOISE_STANDS * weights.pixel:
+        if abs(before.pixel - weights.pixel) < _NOISE_CONVERGED * weights.pixel:
             break
     linear = linearise(scene, placed, free, scaled)
     require_determined(normal_equations(linear, weights, prior, placed.intrinsics[list(free)])[0], scene)
@@ -175,9 +175,8 @@ def require_determined(a: FloatArray, scene: BoardScene) -> None:
     axes = turning(scene.tool)
     raise NotIdentifiableError(
         f"these {len(scene)} images do not determine where camera and board are: the tool turned by"
-        f" {np.rad2deg(axes[0]):.1f} deg about its main axis and {np.rad2deg(axes[1]):.1f} deg about another"
-        f" one; turn it"
-        " about two axes or more, by 20 deg or more"
+        f" {np.rad2deg(axes[0]):.1f} deg about its main axis and {np.rad2deg(axes[1]):.1f} deg about another one; turn"
+        " it about two axes or more, by 20 deg or more"
     )
 
 

@@ -69,14 +69,14 @@ class HandEye(ReadOnlyArrays):
 
     @property
     def limit(self) -> float:
-        """RMS error on the board below which as many new images like these stay in 95 of 100 cases [m].
+        """Limit of the RMS error on the board that holds for as many new images like these in 95 of 100 cases [m].
 
         Each image is left out once. The degrees of freedom of their mean square follow from the spread (Satterthwaite),
         but are no more than the number of independent errors. The points of an image share the error of the robot,
         which counts as one; each point also has its own error, as large as in a fit without the robot. On the board
-        the robot's error is a shift of two numbers. But the fits without one image are almost the same and share
-        their errors: with two numbers an image, 7 in 100 simulated calibrations would exceed the limit. The mean of
-        as many new images has the same degrees of freedom, and the ratio of both means follows F.
+        the robot's error is a shift of two numbers. It counts as one because the fits without one image are almost the
+        same and share their errors: if it counted as two, 7 in 100 simulated calibrations would exceed the limit. The
+        mean of as many new images has the same degrees of freedom, and the ratio of both means follows F.
 
         Reference: satterthwaite1946.
         """

@@ -1,13 +1,13 @@
 """Hand-eye calibration from photographs, with the robot's poses as given, judged by left-out images.
 
-Order of work: (1) first values (`calib.photographs.starts`); (2) points far from the prediction of their image's other
-points, and images far from the prediction of the other images, are left out and named; (3) the lens: intrinsics as
-given, or from the same images, whichever predicts left-out images better; (4) equal weights, or weights by the errors
-that the points of an image share (`calib.photographs.estimation`), by the same rule; (5) the residual of the camera
-alone, with the board placed freely in each image: the rest comes with the robot's poses; (6) mistakes that would
-explain the residuals (`calib.photographs.mistakes`).
+Order of work: (1) first values (`calib.photographs.starts`); (2) points far from where the other points of their image
+predict them, and images far from where the other images predict them, are left out and named; (3) the lens: intrinsics
+as given, or from the same images, whichever predicts left-out images better; (4) equal weights, or weights by the
+errors that the points of an image share (`calib.photographs.estimation`), by the same rule; (5) the residual of the
+camera alone, with the board placed freely in each image: what is more comes from the robot's poses; (6) mistakes that
+would explain the residuals (`calib.photographs.mistakes`).
 
-"Better" is more than chance: with n images, n log(RMS / RMS) of left-out images must gain more than 1.5. With few
+"Better" is more than chance: n log(RMS before / RMS after) must exceed 1.5, with the RMS of n left-out images. With few
 images, a smaller gain is too often chance, and then new images are predicted worse.
 """
 
@@ -63,10 +63,10 @@ def calibrate(
     first, begin = _first_start(scene, intrinsics, mounts)
     begin, points = fitting_points(begin, first)
     tell(1, 5)
-    sure = begin.scene
-    kept = fitting_images(sure, begin, intrinsics, lens)
-    off = images_far_off(sure, kept, begin)
-    kept_scene = sure.select_images(kept)
+    cleaned = begin.scene
+    kept = fitting_images(cleaned, begin, intrinsics, lens)
+    off = images_far_off(cleaned, kept, begin)
+    kept_scene = cleaned.select_images(kept)
     tell(2, 5)
     prior = lens_prior(first, kept_scene, first is intrinsics)
     choices = lens_choices(kept_scene, begin.placed, prior, intrinsics, lens)
@@ -93,7 +93,7 @@ def calibrate(
     tell(4, 5)
     alone = camera_alone(kept_scene, fitted.placed.intrinsics, fitted.free)
     of_lens = fitted if better is chosen else estimate(kept_scene, better.placed, better.free, better.prior)
-    mistakes = find_mistakes(sure, kept_scene, fitted, used, intrinsics, first, of_lens, mounts)
+    mistakes = find_mistakes(cleaned, kept_scene, fitted, used, intrinsics, first, of_lens, mounts)
     tell(5, 5)
     points = tuple(point for point in points if point.image in kept_scene.names)
     return HandEye(kept_scene, fitted, left, alone, off, points, mistakes, intrinsics, rms_given, weighed)
@@ -129,6 +129,5 @@ def require_images(count: int) -> None:
     if count < LEAST_IMAGES:
         raise DataError(
             f"{count_noun(count, 'image')} with a board and a pose of the robot; give at least {LEAST_IMAGES}, better"
-            f" 10"
-            " to 20"
+            " 10 to 20"
         )

@@ -17,13 +17,13 @@ from calib.photographs.left_out_images import rms
 from calib.photographs.scene import SIDES, Mount
 
 FEW = 10  # images; a result of fewer gets CHECK
-_MANY = 0.1  # part of the points left out above which the photographs are wrong
+_MANY = 0.1  # the photographs are wrong if more than this part of the points was left out
 _ROBOT_SHARE = 0.5
 _MM = 1e3
 WIDE = 0.05
-"""Half width of a 95 % interval of camera or board from which its pose counts as unknown: over the distance between
-them, or in radians, since both move what the camera sees by as much. Good photographs give less than a third."""
-_CLAIM_ABOVE = 0.5  # relative difference of left-out from used images above which the images are too few
+"""The pose of camera or board counts as unknown if half its 95 % interval is wider, in radians, or as a part of the
+distance between them: both move what the camera sees equally far. Good photographs give less than a third of this."""
+_CLAIM_ABOVE = 0.5  # the images are too few if left-out ones are worse than used ones by more than this part
 
 
 @dataclass(frozen=True)
@@ -122,8 +122,7 @@ def report(result: HandEye, frames: Frames) -> str:
         lines.append(
             f"Points of new images like these are {_MM * rms(result.left_out.board):.3f} mm off on the board,"
             f" {rms(result.left_out.pixels):.3f} px in the image (RMS of images left out in turn). The RMS of as many"
-            f" new"
-            f" images is below {_MM * result.limit:.3f} mm with a chance of 95 %"
+            f" new images is below {_MM * result.limit:.3f} mm with a chance of 95 %"
         )
     errors, by_image = np.linalg.norm(result.board, axis=1), result.rms_by_image(result.pixels)
     lines.append(
@@ -159,9 +158,9 @@ def report(result: HandEye, frames: Frames) -> str:
         )
     lines += [
         f"{title}: x {1e3 * pose['x']:.3f} y {1e3 * pose['y']:.3f} z {1e3 * pose['z']:.3f} mm, quaternion (x y z w)"
-        f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm,"
-        f" ± {np.rad2deg(half[key][1]):.3f} deg along and about the worst axis,"
-        " with errors of the robot that follow its pose"
+        f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm"
+        f" along and ± {np.rad2deg(half[key][1]):.3f} deg about the worst axis,"
+        " with errors of the robot that depend on its pose"
         for title, key, pose in (
             (f"Camera in {frames.parents(scene.mount)[0]}", "camera", transform(fitted.placed.camera)),
             (f"Board in {frames.parents(scene.mount)[1]}", "board", transform(fitted.placed.board)),
@@ -175,13 +174,12 @@ def _shares(result: HandEye, usable: bool) -> str:
     """Sentences on the errors of the camera alone and with the robot; with advice if `usable`."""
     all_, alone = rms(result.pixels), rms(result.residuals_without_robot)
     if not np.isfinite(alone):
-        return "What the camera alone leaves is not known: images show fewer than six points"
+        return "The error of the camera alone is not known: images show fewer than six points"
     share = max(0.0, 1.0 - (alone / all_) ** 2)
     rest = _MM * rms(result.board) * np.sqrt(share)
     text = (
-        f"The camera alone (board placed freely in each image) leaves {alone:.3f} px: {100 * share:.0f} % of"
-        f" the squared error,"
-        f" {all_ * np.sqrt(share):.3f} px or {rest:.3f} mm, comes from the robot's poses"
+        f"The camera alone (board placed freely in each image) leaves {alone:.3f} px: {100 * share:.0f} % of the"
+        f" squared error, {all_ * np.sqrt(share):.3f} px or {rest:.3f} mm, comes from the robot's poses"
     )
     if usable and share > _ROBOT_SHARE:
         text += "; calibrating its kinematics with joint values (calib init --measure camera) can remove part of that"

@@ -135,8 +135,7 @@ def _one_of_each_stop(source: str, values: FloatArray, still: BoolArray) -> list
     if not np.any(still):
         raise DataError(
             f"{source}: at none of {count_noun(len(still), 'image')} the robot stood still, with joint states before"
-            f" and"
-            " after it"
+            " and after it"
         )
     moved, standing = np.flatnonzero(~still), np.flatnonzero(still)
     stop = stops(values[standing])
@@ -181,7 +180,7 @@ def _raw_image(message: Any) -> GreyImage:
 
 
 def with_joints(photographs: Sequence[Shot]) -> list[Shot]:
-    """Return images that all have joint values, or all have none; images without them become a reason in words.
+    """Return images that all have joint values, or all have none; others are replaced by the reason, in words.
 
     Raises:
         DataError: Bags of different robots.
@@ -195,7 +194,7 @@ def with_joints(photographs: Sequence[Shot]) -> list[Shot]:
                 f"{shot.path}: has the joints {listing(list(shot.joints))}, and {first.path} has"
                 f" {listing(list(first.joints or ()))}; give bags of one robot"
             )
-    words = f"has no joint values, unlike images of {first.path}; give it without that bag"
+    words = f"has no joint values, unlike images of {first.path}; give one of the two alone"
     return [shot if shot.joints else replace(shot, image=words) for shot in photographs]
 
 

@@ -16,8 +16,8 @@ curvature of the criterion.
 Meaning. The intervals are of C and M in the real flange and the real base of the robot. Residuals alone would only give
 the C and M that fit best to its nominal poses.
 
-When it fails. The intervals are wrong for an arm of another kind, for poses that are not in its base, and for errors
-that grow with the load or come from the gear of one joint.
+When it fails. The intervals are wrong for an arm of another kind, for poses in another frame than its base, and for
+errors that grow with the load or come from the gear of one joint.
 
 Reference: satterthwaite1946.
 """

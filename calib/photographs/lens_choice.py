@@ -24,8 +24,8 @@ from calib.photographs.shared_errors import IntrinsicsPrior
 
 LENSES = ("auto", "given", "found")
 LENS_NUMBERS = tuple(NAMES.index(name) for name in ("fx", "fy", "cx", "cy", "k1", "k2"))
-_FOCAL, _MIDDLE, _RADIAL = 0.1, 0.05, 0.5  # prior sigmas: over the focal length, over the width, of k1 and k2
-_FROM_MIDDLE = 0.12  # largest distance of a principal point from the middle of the image, over its width
+_FOCAL, _MIDDLE, _RADIAL = 0.1, 0.05, 0.5  # prior sigmas: parts of the focal length and of the width; k1 and k2
+_FROM_MIDDLE = 0.12  # largest distance of a principal point from the middle of the image, as part of its width
 _MOST_ASPECT = 1.25  # largest ratio of fx and fy
 
 
@@ -38,9 +38,8 @@ def unlikely(given: FloatArray, size: tuple[int, int]) -> list[tuple[str, str]]:
         exchanged = float(np.max(np.abs(given[3:1:-1] - middle))) < away / 2
         text = (
             f"the principal point given, {given[2]:.0f}, {given[3]:.0f} px, is far from the middle of images of {width}"
-            f" x {height} px:"
-            f" {'cx and cy are exchanged' if exchanged else 'the intrinsics are of another image'}, or the images were"
-            " turned, cut or scaled since"
+            f" x {height} px: {'cx and cy are exchanged' if exchanged else 'the intrinsics are of another image'}, or"
+            " the images were turned, cut or scaled since"
         )
         result.append(("principal_point", text))
     if not 1 / _MOST_ASPECT < given[0] / given[1] < _MOST_ASPECT:

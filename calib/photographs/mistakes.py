@@ -36,18 +36,18 @@ from calib.photographs.starts import Start, image_rms, start
 _UNKNOWN = "not_explained"
 _FAR_PIXELS = 4.0
 _HALVES = 0.5
-_SURE = 0.1  # relative residual below which no other reading is tried
+_SURE = 0.1  # no other reading is tried if the relative residual is less
 _BETTER = 0.6  # ratio of the squares of left-out images
 _CHANCE = 1e-4
 _SCALE = 0.004  # least relevant relative error of a board's size
 _SCALE_OFF = 0.02  # the same if images are further off than robots are
 _MOVED = 1e-3  # m
 _TURNED = np.deg2rad(0.15)
-_OTHER_UNIT = 2.0  # ratio to the described size that no print has
+_OTHER_UNIT = 2.0  # no print is this many times as large as described, or as small
 _EXCHANGED = 1.5  # ratio of the camera's or board's distance on the tool to the other's on the base
 _LENS_OFF = 6.0  # standard deviations
 _ALSO_OFF = 3.0  # the same if another number is certainly wrong
-_SAME_LENS = 0.05  # difference after an exchange, over the focal length, that counts as agreement
+_SAME_LENS = 0.05  # intrinsics agree after an exchange if they differ by less than this part of the focal length
 _SWAPS = {
     "cx and cy are exchanged": (0, 1, 3, 2),
     "fx and cx are exchanged": (2, 1, 0, 3),
@@ -91,7 +91,7 @@ def find_mistakes(
         used: The images used.
         fitted: The estimate from these.
         prior: Prior of the lens.
-        given: Intrinsics as given, (9,); None without.
+        given: Intrinsics as given, (9,); None if none are given.
         first: Given intrinsics, or first values, (9,).
         better: Estimate with a fitted lens if that predicts left-out images better; else `fitted`.
         mounts: Possible mounts of the camera.
@@ -140,9 +140,8 @@ def _mistakes_of_whole(
     if least < _HALVES * typical:
         return [Mistake(code, f"{text} (then {least:.1f} px are left in place of {typical:.1f})", True)]
     text = (
-        f"images are off by {typical:.0f} px, and the camera alone leaves {alone:.1f}: poses and images do not"
-        f" belong together,"
-        " or the tool of the poses, the units or the order of rotations are not what the file says"
+        f"images are off by {typical:.0f} px, and the camera alone leaves {alone:.1f}: poses and images do not belong"
+        " together, or the tool of the poses, the units or the order of rotations are not what the file says"
     )
     return [Mistake(_UNKNOWN, text, True)]
 
@@ -205,8 +204,7 @@ def _square_size(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPr
     return Mistake(
         "square_size",
         f"the board is {100 * abs(change):.1f} % {'larger' if change > 0 else 'smaller'} than described (±"
-        f" {100 * std:.1f} %):"
-        " measure it, and correct its sizes; printers shrink pages that they fit to paper",
+        f" {100 * std:.1f} %): measure it, and correct its sizes; printers shrink pages that they fit to paper",
     )
 
 
@@ -238,7 +236,7 @@ def _check_move(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPri
         "moved",
         f"the {which} is elsewhere from image {scene.names[k]} on, by {1e3 * moved:.1f} mm and"
         f" {np.rad2deg(turned):.2f} deg:"
-        " fix it, and take the images again (or calibrate with those before and those after alone)",
+        " fix it, and take the images again (or calibrate twice: with the images before, and with those after)",
     )
 
 
@@ -289,8 +287,8 @@ def _mistakes_of_lens(
             continue
         name, digits = NAMES[better.free[k]], 1 if better.free[k] < 4 else 4  # px, or of the distortion
         numbers.append(
-            f"{name} is {given[better.free[k]]:.{digits}f} there and"
-            f" {better.placed.intrinsics[better.free[k]]:.{digits}f} ± {std[k]:.{digits}f} here"
+            f"{name} is given as {given[better.free[k]]:.{digits}f}, and found as"
+            f" {better.placed.intrinsics[better.free[k]]:.{digits}f} ± {std[k]:.{digits}f}"
         )
     before, after = (float(np.median(image_rms(scene, each.placed))) for each in (fitted, better))
     text = f"the intrinsics given contradict the photographs: {', '.join(numbers)}{f' ({swap})' if swap else ''}; " + (

@@ -32,7 +32,7 @@ def opencv() -> Any:
         ) from None
     if tuple(map(int, cv2.__version__.split(".")[:2])) < (4, 14) or not hasattr(cv2, "aruco"):
         raise InputError(
-            f"OpenCV {cv2.__version__} is too old (it tells corners of ChArUco boards half a pixel off): pip install"
+            f"OpenCV {cv2.__version__} is too old (it finds corners of ChArUco boards half a pixel off): pip install"
             " 'opencv-python-headless>=4.14'"
         )
     return cv2

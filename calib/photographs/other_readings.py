@@ -2,8 +2,7 @@
 
     pairs shifted     images belong to the poses one or two rows later or earlier
     mirrored          the camera mirrors its images (a chessboard does not show it)
-    poses inverted    the file has the base in the tool. With the other mount, the same images fit as well, so this
-    shows
+    poses inverted    the file has the base in the tool. With the other mount, the same images fit as well: this shows
                       only if the mount is stated
     rotations         the numbers of a rotation in another order, or of the base in the tool
     units             lengths of poses and board differ by a factor between units
@@ -83,7 +82,7 @@ def _other_rotations(tool: FloatArray) -> Iterator[tuple[str, FloatArray]]:
         "the quaternions have their real part last: name their columns qx, qy, qz, qw": of.from_quat(
             np.roll(quaternions, 1, axis=1)
         ),
-        "the angles are about x, the new y and the new z; read were angles about the fixed x, y, z (or about z, the"
+        "the angles are about x, the new y and the new z; they were read as about the fixed x, y, z (or about z, the"
         " new y, the new x, which is the same): give quaternions": of.from_euler("XYZ", angles),
         "the first angle is about z, and the last about x: exchange the names of their columns": of.from_euler(
             "xyz", angles[:, ::-1]

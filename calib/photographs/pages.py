@@ -24,7 +24,7 @@ class Picture:
 
     Attributes:
         image: Its detected points.
-        small: Its small copy as JPEG; empty without.
+        small: Its small copy as JPEG; empty if there is none.
         caption: Text below it.
         is_outlying: Whether it is marked as outlying.
         arrows: Arrows from detected to predicted points, (n, 2) [px]; may be empty.
@@ -38,7 +38,7 @@ class Picture:
 
 
 def small_copy(image: GreyImage | str) -> bytes:
-    """Return a small copy of an image as JPEG; empty for a reason in place of an image."""
+    """Return a small copy of an image as JPEG; empty if there is only the reason why it is missing."""
     if isinstance(image, str):
         return b""
     factor = min(1.0, _WIDTH / image.shape[1])

@@ -11,7 +11,7 @@ with A_i the marker in the camera and L_i the tool in the base. Closed forms (`c
 the mount, and whether poses were written inverted. The fit is least squares, with the noise of positions and of angles
 from the residuals.
 
-When it fails. A tool that turns about parallel axes only leaves heights along them open: undetermined components are
+When it fails. If the tool turns only about parallel axes, heights along them stay open: undetermined components are
 NaN, and the changes that no pair shows are named. Intervals contain the robot's own errors as far as residuals show
 them, but not the part that moves camera and marker equally in all poses.
 
@@ -49,9 +49,9 @@ from calib.core.rows.unknowns import Unknowns
 from calib.photographs.scene import SIDES, Mount
 
 LEAST_PAIRS = 3
-_MUCH_BETTER = 3.0  # ratio of residuals above which the inverted poses are the right ones
-_OPEN = 0.05  # part of the largest component of an unseen change that makes a component undetermined
-_NAMED = 1e-3  # part of the largest component below which a component of such a change is not named
+_MUCH_BETTER = 3.0  # inverted poses are the right ones if residuals are more than this many times smaller with them
+_OPEN = 0.05  # a component is undetermined if an unseen change moves it by more than this part of its largest one
+_NAMED = 1e-3  # components of such a change that are smaller than this part of its largest one are not named
 _STEP = 1e-6  # step of parameters for differences [m or rad]
 _LINKS = ("base", "along_x", "along_y", "along_z", "about_x", "about_y", "tool")
 _OF_JOINTS = {

@@ -27,7 +27,7 @@ def judge_pairs(result: PosePairs) -> HandEyeJudgement:
                 "turn the tool about two axes or more; or measure by hand what is not determined, such as a height"
             )
         if not np.all(known < WIDE):
-            reasons.append(("CHECK", f"where the {name} is, is poorly known: see its intervals"))
+            reasons.append(("CHECK", f"the place of the {name} is poorly known: see its intervals"))
             advice.append("turn the tool further, about two axes or more, at more poses")
     if len(result.names) < FEW:
         reasons.append(("CHECK", f"{len(result.names)} pairs are few to judge by"))
@@ -45,13 +45,13 @@ def report_pairs(result: PosePairs, frames: Frames) -> str:
     lines = [f"Hand-eye calibration of {len(result.names)} pairs of poses: camera {SIDES[result.mount]}"]
     lines.append(f"Verdict: {judgement.grade}")
     lines += [f"  {judgement.grade if k == 0 else '     '}: {text}" for k, text in enumerate(judgement.reasons)]
-    lines.append(f"What is left: {off[0]:.3f} mm and {off[1]:.3f} mrad RMS of the marker in the camera")
+    lines.append(f"Residuals of the marker in the camera: {off[0]:.3f} mm and {off[1]:.3f} mrad RMS")
     lines += [
         _pose_in_words(f"Camera in {above[0]}", result.camera),
         _pose_in_words(f"Marker in {above[1]}", result.marker),
     ]
     lines += [
-        f"No pair shows this joint change; measure one of the quantities in it: {change}" for change in result.unseen
+        f"No pair shows this common change; measure one of the quantities in it: {change}" for change in result.unseen
     ]
     return "\n".join([*lines, *(f"Next: {text}" for text in judgement.advice)])
 
@@ -64,7 +64,7 @@ def _pose_in_words(title: str, found: FoundPose) -> str:
         parts.append(f"{name} {'not determined' if found.open[k] else text}")
     about = [name for name, lost in zip("xyz", found.open[3:], strict=True) if lost]
     if about:
-        return f"{title}: {', '.join(parts)}; how it is turned about its {', '.join(about)} is not determined (95 %)"
+        return f"{title}: {', '.join(parts)}; its rotation about its {', '.join(about)} is not determined (95 %)"
     quaternion = " ".join(f"{pose[key]:.6f}" for key in ("qx", "qy", "qz", "qw"))
     halves = ", ".join(f"± {half:.3f}" for half in np.rad2deg(found.half[3:]))
     return f"{title}: {', '.join(parts)}, quaternion (x y z w) {quaternion}, {halves} deg about its x, y, z (95 %)"

@@ -102,7 +102,7 @@ def _cells(name: str, number: int, corner: FloatArray, side: float) -> FloatArra
 
 
 class Paper:
-    """The exact colour of a printed board at any place; edges of rectangles make a grid with cells of one colour."""
+    """A printed board whose exact colour is known at any place, from a grid of the edges of its rectangles."""
 
     def __init__(self, board: Board) -> None:
         black = shapes(board)
@@ -133,7 +133,7 @@ def page(board: Board, form: str, paper: str | None = None) -> bytes:
     Args:
         board: The board.
         form: pdf or svg.
-        paper: Key of `PAPERS`, upright or lying as the board needs; default: a page as large as the board.
+        paper: Key of `PAPERS`, portrait or landscape as the board needs; default: a page as large as the board.
 
     Raises:
         InputError: The board is larger than the paper, or OpenCV is not installed.
@@ -166,7 +166,7 @@ def page(board: Board, form: str, paper: str | None = None) -> bytes:
 
 
 def _with_size_in_millimetres(svg: bytes, sheet: FloatArray) -> bytes:
-    """The page with its size in mm, which every program knows, in place of points."""
+    """The page with its size in mm, a unit that every program knows, not in points."""
     size = 'width="{:g}mm" height="{:g}mm"'.format(*(_MM * sheet))
     return re.sub(rb'width="[0-9.]+pt" height="[0-9.]+pt"', size.encode(), svg, count=1)
 

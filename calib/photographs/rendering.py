@@ -27,7 +27,7 @@ from calib.photographs.opencv import GreyImage, encode
 from calib.photographs.printing import Paper
 
 _RAYS = 2  # per pixel, across and down
-_MARGIN = 0.12  # white paper around the board, over its size
+_MARGIN = 0.12  # white paper around the board, as part of its size
 _NODES = 40  # across the image, for the interpolation of rays
 _PAPER, _INK, _TABLE = 215.0, 35.0, 120.0
 

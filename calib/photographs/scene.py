@@ -14,7 +14,7 @@ The solver needs only sums over the points of each image: J^T J, J^T G, G^T G, J
 residuals, J is their derivative by the unknowns, and G their derivative by e_i. Weights for errors that the points of
 an image share are then algebra with 6 x 6 matrices (`calib.photographs.shared_errors`).
 
-Parameters of this room: `placed` or `start`, poses of camera and board with the intrinsics; `free`, indices of the
+Parameters here: `placed` or `start`, poses of camera and board with the intrinsics; `free`, indices of the
 fitted intrinsics, with a `prior` if they have one, and `now` their values, (f,); `noise`, sizes of errors; `scaled`,
 whether the size of the board is fitted too; `intrinsics`, (9,); `mounts`, possible mounts of the camera.
 """

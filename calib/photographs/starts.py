@@ -24,7 +24,7 @@ from calib.photographs.camera_alone import LEAST_IMAGES, single_views
 from calib.photographs.scene import BoardScene, HandEyePlacement, Mount, points_in_camera, residuals
 
 _TRIALS = 25
-_GOOD = 5.0  # px, median error of the images below which no subsets are tried
+_GOOD = 5.0  # px; no subsets are tried if the median error of the images is less
 _AT_ONCE = 4
 _POINTS = 12  # approximate number of points per image that improve places; more add little
 _GOLDEN = 0.618034  # steps by this ratio reach all rows and columns of a board evenly

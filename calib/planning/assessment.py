@@ -56,13 +56,13 @@ _SAMPLED = 100
 CORRELATION_LIMIT = 0.95
 """Larger correlations are reported: one value can replace the other."""
 HARDLY = 0.5
-"""Part of the prior sigma above which a parameter's standard deviation is hardly improved."""
+"""A parameter is hardly improved if its standard deviation is more than this part of the prior sigma."""
 _DIGITS = 9  # digits of a remainder; the rest is rounding
 _COUNTS = 8  # numbers of poses up to all of them
 _MOST_CHOSEN, _MOST_CANDIDATES = 400, 2000  # above these, the search for the best poses would take long
 _BEYOND = (2, 4)  # multiples of the number of poses
 _GROUPS = 3  # number of named groups in the printed object
-_NOTHING_NEW = 1e-3  # part of a pose's strongest direction below which a direction is rounding of similar repeats
+_NOTHING_NEW = 1e-3  # a direction below this part of a pose's strongest one is rounding of similar repeats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,7 +136,7 @@ class Assessment(ReadOnlyArrays):
             else "calib.select(robot, candidates, count=40), or calib.fit(robot, data) of measurements at these poses"
         )
         unseen = [", ".join(self.parameters[k].name for k in group.members) for group in self.groups]
-        together = f"Move together unseen: {listing(unseen, '; ', _GROUPS)}\n" if unseen else ""
+        together = f"Can change together without effect: {listing(unseen, '; ', _GROUPS)}\n" if unseen else ""
         return (
             f"{repr(self)[1:-1]}; {held}\n{together}"
             "Inside: to_dataframe(), the predicted standard deviation of each parameter; by_count, the error for fewer"
@@ -250,7 +250,7 @@ def check(
         determination=determined,
         posterior_information=known,
         groups=null_groups(determined.columns, held or elimination.dropped, lengths),
-        undetermined_groups=null_groups(determined.open_columns, lengths=lengths[free]),
+        undetermined_groups=null_groups(determined.free_columns, lengths=lengths[free]),
         elimination=elimination,
         scaled=scaled,
         raw=raw,
@@ -300,9 +300,9 @@ class CountRow:
 
     Attributes:
         count: Number of poses.
-        uniform: With as many of the given poses, spread uniformly; None beyond their number.
-        chosen: With the best of the given poses; beyond their number, with all measured several times. None where the
-            search would take long.
+        uniform: Accuracy with so many of the given poses, spread uniformly; None beyond their number.
+        chosen: Accuracy with the best of the given poses; beyond their number, with all measured several times. None if
+            the search would take long.
     """
 
     count: int
@@ -328,9 +328,9 @@ def accuracy_by_count(
     n = len(rows)
     candidates = uniform_start(np.arange(n), min(n, _MOST_CANDIDATES))
     problem = build_problem(rows[candidates], None, priors, 0, task_rows)
-    if problem.prior_information.rank.rank == 0:  # no number of poses determines anything
+    if problem.pose_information.rank.rank == 0:  # no number of poses determines anything
         return ()
-    rank_left = problem.prior_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
+    rank_left = problem.pose_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
     strengths = linalg.singular_values(rows[candidates])
     of_a_pose = max(1, int(np.max(np.sum(strengths > _NOTHING_NEW * strengths[:, :1], axis=1))))  # directions, at most
     least = max(1, -(-rank_left // of_a_pose))

@@ -192,7 +192,7 @@ def _accuracy(a: Assessment) -> list[str]:
             "Most of this error moves all positions as one body, as an unknown place of the base does. Without that"
             f" part, positions are known to {millimetres(a.rms_without_common):.4f} mm RMS."
         )
-    return lines + ([f"Not counted: {listing(a.left_out)}, read from unknown places only."] if a.left_out else [])
+    return lines + ([f"Not counted: {listing(a.left_out)}, seen only from unknown places."] if a.left_out else [])
 
 
 def _pair(task: TaskIndex) -> tuple[str, str]:

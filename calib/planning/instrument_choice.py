@@ -58,7 +58,7 @@ def groups_of(robot: Robot, instruments: str | Sequence[str], count: int | Mappi
     names = tuple(instrument.name for instrument in robot.instruments)
     if isinstance(count, Mapping):
         if instruments != ALL:
-            raise InputError("count gives a number for each instrument already; leave out which instruments to choose")
+            raise InputError("count gives a number for each instrument already; leave out `instruments`")
         return Groups(_members(tuple(count), names), True, tuple(count.values()))
     if instruments == ALL:
         return Groups((names,), False)

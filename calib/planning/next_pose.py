@@ -30,7 +30,7 @@ from calib.planning.selection_setting import Request, prepare
 
 ENOUGH = 0.8
 """Part of the best pose's help that suffices for a nearer pose."""
-_KNOWN = 1e-6  # prior information on every direction, over the information of all candidates
+_KNOWN = 1e-6  # prior information on every direction, as part of the information of all candidates
 
 
 @dataclass(frozen=True, eq=False)

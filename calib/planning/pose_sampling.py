@@ -38,9 +38,9 @@ from calib.core.rows.candidates import configurations_at
 from calib.core.rows.observed import planned_readings, predict_readings
 from calib.core.rows.simulate import MET, touching_configurations
 
-_TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # tried poses for each that sees something
+_TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses to try for each pose that is needed
 _AT_ONCE = 1_000
-_BROUGHT_OF_EACH = 10  # tried poses for each that sees something, if the kind defines where it reads
+_BROUGHT_OF_EACH = 10  # the same if the kind defines where it reads
 _FEW_SEE = 0.5  # part of the poses
 _MOST_DRAWN = 64  # drawn poses for each free pose
 _NUMBERS_OF_EACH = 120  # memory of a pose in numbers of 8 bytes; 700 to 850 bytes were measured
@@ -135,7 +135,7 @@ def _draw_poses(
 
 
 def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
-    """Return by instrument at which poses it would read something, (n,), for instruments that may see nothing.
+    """Return masks of the poses at which each instrument that may see nothing would read something, (n,), by name.
 
     At poses that cannot be assembled, nothing is read.
     """
@@ -158,7 +158,7 @@ def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
 
 
 def little_seen(robot: Robot, poses: Poses) -> str | None:
-    """Return a remark on instruments that see something at few of the poses; None without any."""
+    """Return a remark on instruments that see something at few of the poses; None if there are none."""
     few = [
         f"{name} at {int(np.sum(seen))} of {len(poses)}"
         for name, seen in visible_poses(robot, poses).items()
@@ -168,13 +168,12 @@ def little_seen(robot: Robot, poses: Poses) -> str | None:
         return None
     return (
         f"few of these poses see what is to be measured: {listing(few)}; check `xyz` and `rpy` of the camera and of"
-        f" what"
-        " it sees, `image` and `focus`, or keep to poses near those that see it (--within)"
+        " what it sees, `image` and `focus`, or keep to poses near those that see it (--within)"
     )
 
 
 def _seeing(robot: Robot, first: Poses, generator: np.random.Generator, within: Ranges | ArrayLike | None) -> Poses:
-    """As many poses as `first`, each with something to see if such poses are found."""
+    """As many poses as `first`; poses that see something replace the others, as far as they are found."""
     count = len(first)
     tries, at_once = int(np.clip(_TRIED_OF_EACH * count, _LEAST_TRIED, _MOST_TRIED)), _AT_ONCE
     seeing, tried = np.zeros((0, first.joints.shape[1])), _brought_into_sight(robot, first, generator)
@@ -193,7 +192,7 @@ def _seeing(robot: Robot, first: Poses, generator: np.random.Generator, within: 
 
 @dataclass(frozen=True)
 class _MutualPose(Pose):
-    """A substitute for an instrument, whose frames are to be in the pose of a reading."""
+    """A substitute for an instrument: it measures the pose between the instrument's two frames."""
 
     frames: tuple[tuple[str, str], ...] = ()
 

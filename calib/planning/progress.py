@@ -2,9 +2,9 @@
 
 The predicted error contains noise alone. Errors of the model show only at measured poses that the fit has not used. So
 every new pose is first predicted by the fit of the poses before it, and then fitted (Dawid's prequential principle).
-Only the last poses are about the present fit: the last `MOST` since the predicted error met the goal, or the last
-`LAST` of all while these are fewer than `LEAST`. Let s_k be the mean square error at pose k, and m the mean over n
-poses. m is approximately distributed as g chi^2_h with the same mean and variance,
+Only the last poses test the present fit: at most `MOST`, measured since the predicted error met the goal. While there
+are fewer than `LEAST` such poses, the last `LAST` of all poses count. Let s_k be the mean square error at pose k, and m
+its mean over n poses. m is approximately distributed as g chi^2_h with the same mean and variance,
 
     h = 2 n m^2 / (var(s) (1 + 8 / n))        at most 3 n, the value for isotropic normal errors
     95 % interval of sqrt(E s)  sqrt(m h / chi^2_h(0.975)) to sqrt(m h / chi^2_h(0.025))

@@ -142,7 +142,7 @@ def select(
         runs=runs,
         travel=(travel(joints, robot.home, np.arange(total)), travel(joints, robot.home, order)),
         rank=setting.problem.rank,
-        rank_of_poses=setting.problem.prior_information.rank,
+        rank_of_poses=setting.problem.pose_information.rank,
         sigma=setting.sigma,
         sigma_assumed=setting.sigma_assumed,
         skipped=setting.candidates.skipped,
@@ -236,7 +236,7 @@ def _blocks(setting: SelectionSetting, chosen: IntArray) -> IntArray:
 
 def _raw(setting: SelectionSetting, rows: FloatArray) -> dict[str, float]:
     """O1 to O5 of whitened rows, (n_poses, 3 n_targets, r), on raw columns."""
-    known, robot = setting.problem.prior_information, setting.robot
+    known, robot = setting.problem.pose_information, setting.robot
     scaled = setting.sigma * (rows * known.strengths) @ known.directions.T
     kept = [p for p, free in zip(robot.parameters, robot.is_free, strict=True) if free and not p.family]
     return observability_of(scaled, kept, len(rows), lengths=setting.sigma != WHITENED)[1]

@@ -14,8 +14,8 @@ A concave function lies below its tangents. At any weights w, with g_k = d(log p
 
     phi(w') / phi(w)  <=  1 + sum_k g_k (w'_k - w_k)  <=  1 + (sum of the m largest g_k) - sum_k g_k w_k  =  1 + gap(w)
 
-So each w proves a bound, even the weights of a choice, and without convergence. The least bound is used. (The squares
-of O3, the smallest eigenvalue, and of O5 are concave, too; no bound is computed for them.)
+So every w proves a bound, even the weights of a choice, or weights that have not converged. The least bound is used.
+(The squares of O3, the smallest eigenvalue, and of O5 are concave, too; no bound is computed for them.)
 
 Kinds. If m_g candidates of each kind g are to be chosen, each kind has its own sum, and its own m_g largest slopes.
 
@@ -140,13 +140,13 @@ def slopes(problem: SelectionProblem, index: str, gathered: FloatArray) -> Float
 def _unclear(slope: FloatArray, weights: FloatArray, kinds: IntArray, counts: IntArray) -> IntArray:
     """Candidates whose weights the interior-point method changes, ascending."""
     level = np.array([np.min(slope[best], initial=np.inf) for best in largest(slope, kinds, counts)])
-    # evidence of the slope for the present weight of a candidate; fractional weights always count as unclear
-    speaks = level[kinds]
-    speaks -= slope
+    # distance of a slope from the level at which the weight would change; fractional weights always count as unclear
+    margin = level[kinds]
+    margin -= slope
     used = np.flatnonzero(weights)
-    speaks[used] = np.where(weights[used] == 1, -speaks[used], -np.inf)
+    margin[used] = np.where(weights[used] == 1, -margin[used], -np.inf)
     size = min(_UNCLEAR + int(np.sum((weights > 0) & (weights < 1))), int(np.sum(slope > -np.inf)))
-    return np.sort(np.argpartition(speaks, size - 1)[:size])
+    return np.sort(np.argpartition(margin, size - 1)[:size])
 
 
 def _interior_point(
@@ -173,7 +173,8 @@ def _inner_weights(
 ) -> FloatArray:
     """Maximise log phi over weights in [0, 1] of candidates with rows (n, k, r), with a given sum for each kind.
 
-    Primal-dual: slope - level of the kind + lower - upper = 0, w lower = (1 - w) upper = mu -> 0, sums w = totals.
+    Primal-dual, with multipliers `lower` of w >= 0, `upper` of w <= 1, and `level` of each kind's sum:
+    slope - level + lower - upper = 0, w * lower = (1 - w) * upper = mu, and mu goes to 0.
     """
     member = (kind[:, None] == np.arange(len(totals))).astype(float)  # (n, n_kinds)
     n = len(rows)

@@ -47,7 +47,7 @@ TASK = "task"
 """Name of the task index."""
 _PART = 8192  # candidates at once
 DETERMINED = 1e-10
-"""Part of all candidates' information below which a choice does not determine a direction."""
+"""A choice does not determine a direction if it has less than this part of all candidates' information there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class SelectionProblem:
         task: Factor L with W = L L^T, (r, at most r); without columns if there is no task.
         task_floor: c; infinite if the task depends on undetermined directions.
         n_before: Number of measured poses.
-        prior_information: V and S of all poses.
+        pose_information: V and S of all poses.
         rank: Rank of all poses and priors together.
     """
 
@@ -71,7 +71,7 @@ class SelectionProblem:
     task: FloatArray
     task_floor: float
     n_before: int
-    prior_information: Information
+    pose_information: Information
     rank: Rank
 
     def __len__(self) -> int:
@@ -133,7 +133,7 @@ def build_problem(
         task=task,
         task_floor=floor,
         n_before=n_before,
-        prior_information=known,
+        pose_information=known,
         rank=everything,
     )
 

@@ -45,7 +45,7 @@ class Selection(ReadOnlyArrays):
             per unit if nothing measures lengths.
         measured_only: All indices of the measured poses, or None; 0 where they determine too little.
         efficiency: Index of these poses over a proven bound for all such choices; None without a bound.
-        bound: The bound, as a value of the index; None without.
+        bound: The bound, as a value of the index; None if it was not computed.
         distance: Distance that the targets of any two poses keep [m]; 0 if none was requested.
         runs: The runs of the exchange.
         travel: Length of the path in the candidates' order and in this order [joint ranges].

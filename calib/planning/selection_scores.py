@@ -1,10 +1,10 @@
 """Scores of a choice of poses, and the best pose to add or remove next, for every index.
 
 Scores are frozen; a move gives new scores. Larger is better for each of them: log det K for O1, minus the square of the
-task index, O2 to O5 themselves. O1 and the task index find their best next move by changes of rank three
-(`calib.planning.rank_three_scores`), O2 to O5 here, by exact eigenvalues of few candidates.
+task index, O2 to O5 themselves. For O1 and the task index, changes of rank three give the best next move
+(`calib.planning.rank_three_scores`); for O2 to O5, exact eigenvalues of few candidates give it here.
 
-For these, the new index needs the eigenvalues of each candidate's matrix. A bound rules out most candidates: in the
+For O2 to O5, the new index needs the eigenvalues of each candidate's matrix. A bound rules out most candidates: in the
 eigenvectors of the present matrix, the new matrix is replaced by its block of the smallest few and the diagonal of the
 rest (pinching). Pinched eigenvalues are majorised by the true ones, so their O2 to O5 are upper bounds. True
 eigenvalues are computed in the order of the bounds, until no bound exceeds the best value. The result is the exact best
@@ -82,7 +82,7 @@ def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> d
     gathered = flat.T @ flat + problem.before
     eigenvalues, vectors = linalg.eigh(gathered)
     determined = bool(eigenvalues[0] > DETERMINED)
-    # by a factor, not by S K S: products carry half the digits, and strengths may differ by more than that
+    # singular values of a factor of K, not eigenvalues of S K S: these would lose half of the digits
     factor = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * vectors.T
     singular = linalg.singular_values(factor * problem.strengths)
     if not determined:

@@ -146,7 +146,7 @@ def prepare(
     if request.index not in CERTIFIED or request.minimum_distance > 0:
         require_memory(
             2 * pairs.rows.size,
-            "an index without a bound, or a least distance, looks at all at once; it",
+            "an index without a bound, or a least distance, looks at all candidates at once; it",
             "choose from each part of the candidates, and then from what was chosen",
         )
     done_rows, n_before, again = None, 0, 0
@@ -211,7 +211,7 @@ def require_count(setting: SelectionSetting) -> None:
                 f"count {count}{name} is above the {left} candidates that can be chosen{of}; give more candidates"
             )
     problem = setting.problem
-    missing = problem.prior_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
+    missing = problem.pose_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
     n_read = np.where(usable, pairs.n_read, 0)
     coordinates = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
     if coordinates < missing:
@@ -222,7 +222,7 @@ def require_count(setting: SelectionSetting) -> None:
 
 
 def _require_answer(problem: SelectionProblem, request: Request) -> None:
-    if problem.prior_information.rank.rank == 0:
+    if problem.pose_information.rank.rank == 0:
         raise NotIdentifiableError(
             "the candidates determine no parameter at all; the targets depend on no free parameter"
         )

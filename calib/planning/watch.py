@@ -210,7 +210,7 @@ class GrowingFile:
         return remarks
 
     def read_changes(self) -> Measurements | None:
-        """Return the measurements of the finished lines; None without any, or without a change since the last call.
+        """Return the measurements of the finished lines; None if there are none, or none since the last call.
 
         Raises:
             DataError: The header is not valid, no line can be read, or more than a hundred lines cannot be read.

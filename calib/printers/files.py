@@ -141,7 +141,7 @@ class _Klipper:
             pairs = [[float(number) for number in part.split(":")] for part in text.split(",")]
             return math.prod(driven / motor for driven, motor in pairs)
         except (ValueError, ZeroDivisionError):
-            raise DataError(f"{self.path}, line {line}: gear_ratio '{text:.40}' is not such as 5:1") from None
+            raise DataError(f"{self.path}, line {line}: gear_ratio '{text:.40}' is not a ratio such as 5:1") from None
 
     def rows(self, step: tuple[float, float, float]) -> tuple[PrinterReading, ...]:
         heights, spans, calibration = list[PrinterReading](), list[PrinterReading](), "delta_calibrate"
@@ -231,9 +231,8 @@ def _require_own_words(path: Path | str) -> None:
             trims = [known.get(f"{axis}_trim", "0") for axis in ("alpha", "beta", "gamma")]
             ends = f"M666 X{trims[0]} Y{trims[1]} Z{trims[2]}" if firmware == "Smoothieware" else "M666 X0 Y0 Z0"
             raise DataError(
-                f"{path}: these are settings of {firmware}; write the lines 'M665 {example}' and '{ends}' into a"
-                f" file, and"
-                " give that with --marlin (check that the numbers are those that the printer uses)"
+                f"{path}: these are settings of {firmware}; write the lines 'M665 {example}' and '{ends}' into a file,"
+                " and give that with --marlin (check that the numbers are those that the printer uses)"
             )
 
 
@@ -314,5 +313,5 @@ def printer_table(printer: PrinterFile) -> str:
         if any(cell != "" for cell in read):
             columns.append((column, [*read]))
     return format_table(
-        columns, [f"from {printer.path}: carriages down from their switches, and what was measured there"]
+        columns, [f"from {printer.path}: distances of the carriages below their switches, and measurements there"]
     )

@@ -25,8 +25,8 @@ def geometry_of(robot: Robot) -> DeltaGeometry:
     """
     if not is_linear_delta(robot.description):
         raise InputError(
-            f"{robot.path}: is not a delta printer; formats {', '.join(COMMENTS)} hold robots of the parametrisation"
-            " linear_delta, such as calib init --klipper writes"
+            f"{robot.path}: is not a delta printer; formats {', '.join(COMMENTS)} need the parametrisation"
+            " linear_delta, as calib init --klipper writes it"
         )
     value = {parameter.name: float(v) for parameter, v in zip(robot.parameters, robot.values, strict=True)}
     angle_c = next(joint.rpy[2] for joint in robot.urdf.joints if joint.name == "tower_c")
@@ -69,7 +69,7 @@ def _klipper(geometry: DeltaGeometry) -> tuple[list[str], str]:
             f"arm_length: {_mm(geometry.arms[k])}",
             f"angle: {_degrees(geometry.angles[k])}",
         ]
-    return lines, "put these numbers into printer.cfg, in place of those that it has, also behind #*#; then RESTART"
+    return lines, "put these numbers into printer.cfg, in place of those that it has, also after #*#; then RESTART"
 
 
 def _trims(geometry: DeltaGeometry) -> str:

@@ -70,7 +70,7 @@ def _are_alike(arms: tuple[float, ...]) -> bool:
 def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGeometry:
     """Return the geometry expected of a printer before its rows are used.
 
-    The firmware's numbers come from these rows, so they are no prior. Expected are angles as designed, a radius rounded
+    The firmware's numbers come from these rows, so they are no prior. It expects angles as designed, a radius rounded
     to the millimetre, and equal endstops. If distances were measured, all arms have the mean length, rounded to the
     millimetre. Without rows, and for arms that no distance has changed, the file's numbers are used.
 
@@ -85,8 +85,8 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     if arm is None and not _are_alike(file.arms):
         shown = listing([f"{millimetres(value):.4g}" for value in file.arms])
         raise DataError(
-            f"{printer.path}: arms of {shown} mm are no printer's, which are alike; probing cannot tell them:"
-            " measure one and state it, such as --length arm=288mm"
+            f"{printer.path}: has arms of {shown} mm, but those of a printer are alike, and probing cannot show their"
+            " length: measure one and state it, such as --length arm=288mm"
         )
 
     def rounded(values: tuple[float, ...]) -> float:
@@ -130,11 +130,11 @@ def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> No
             if f != 1
         )
         raise DataError(
-            f"{printer.path}: the probed positions are steps of other microsteps than the file has; they fit {wrong}:"
-            " write these into a copy of the file, or probe again"
+            f"{printer.path}: the probed positions were counted in other microsteps than the file has; they fit"
+            f" {wrong}: write these into a copy of the file, or probe again"
         )
     shown = (
-        "reach nothing" if not np.isfinite(as_stated) else f"are {millimetres(as_stated):.1f} mm from what was measured"
+        f"are {millimetres(as_stated):.1f} mm from what was measured" if np.isfinite(as_stated) else "are out of reach"
     )
     raise DataError(
         f"{printer.path}: with the settings of the file its probed positions {shown}; they were taken before"

@@ -184,7 +184,7 @@ def _freedom(freedom: float | None) -> str:
 
 def _monte_carlo_table(drawn: Mapping[str, Any]) -> DocumentRows:
     rows = (
-        ("what goes through the fit", _um(drawn["propagated_fitted"]), _um(drawn["fitted"])),
+        ("contributions through the fit", _um(drawn["propagated_fitted"]), _um(drawn["fitted"])),
         ("combined standard uncertainty", _um(drawn["propagated"]), _um(drawn["combined"])),
     )
     title = f"Monte Carlo (GUM Supplement 1): {drawn['draws']} draws, difference"

@@ -25,7 +25,7 @@ th{background:#eef1f5}thead th{white-space:nowrap}
 .FAIL{color:#ff8a80}.PASS{color:#7fd99a}.NOTED{color:#e2c16b}.line{border-color:#e4e7eb}}
 @media print{body{margin:0;max-width:none;font-size:11px}}
 """
-_WIDE = 34  # letters in a cell above which it is broken into lines
+_WIDE = 34  # a cell with more letters is broken into lines
 _EDGE = 4  # width of a cell's edges and of bold type, in letters
 _WHOLE = 30  # largest number of rows of a table that is kept on one page
 _ROOM = 130  # letters in a line of a page

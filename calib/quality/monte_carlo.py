@@ -1,9 +1,9 @@
 """The budget checked by Monte Carlo (GUM Supplement 1): inputs are drawn, and the fit is repeated.
 
 Each draw has errors of the instrument, a temperature and an expansion (a Latin hypercube of normal numbers), noise e of
-the readings with the sum T^T J^T e, which decides the fit, independent means of the priors, and, for estimated sizes of
-joint terms, other logarithms of these. From the minimum, the solver of the fit (`calib.core.numerics.least_squares`)
-finds the minimum of the drawn readings. The error of the measurand is the exact positions there, with loops closed,
+the readings (only its sum T^T J^T e matters for the fit), independent means of the priors, and other logarithms of the
+estimated sizes of joint terms. The solver of the fit (`calib.core.numerics.least_squares`) starts at the minimum of the
+fit and finds that of the drawn readings. The error of the measurand is the exact positions there, with loops closed,
 minus those of the fit. With an unknown base, they are first aligned with those of the fit as one body. Contributions
 without a fit (repeatability, model errors, extrapolation) are added as normal numbers.
 
@@ -33,7 +33,7 @@ from calib.core.rows.unknowns import Unknowns
 from calib.quality.uncertainty_budget import ELSEWHERE, MODEL, REPEATABILITY, SYSTEMATIC, Budget, ErrorPropagation
 
 _TOLERANCE = 1e-7  # relative change of the cost
-_SEEN = 1e-4  # part of a direction below which only priors determine it
+_SEEN = 1e-4  # only priors determine a direction if the data's part of it is less
 _ADDED = (REPEATABILITY, MODEL, ELSEWHERE)
 
 

@@ -54,7 +54,7 @@ def _check_simulated() -> Iterator[Check]:
     )
     claimed = np.nan if verdict.claim is None else verdict.claim.at_measured_poses.rms
     ratio = claimed / error
-    expected = f"claim over the error at {_OTHERS} other poses between {_LEAST:g} and {1 / _LEAST:.2f}"
+    expected = f"claim / error at {_OTHERS} other poses: {_LEAST:g} to {1 / _LEAST:.2f}"
     found = f"{ratio:.2f} ({millimetres(claimed):.3f} mm claimed, {millimetres(error):.3f} mm found)"
     yield Check.from_values(
         _PHASE, "claim about a simulated robot", expected, found, bool(_LEAST <= ratio <= 1 / _LEAST)

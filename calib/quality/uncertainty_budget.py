@@ -68,7 +68,7 @@ class Systematic:
         quantity: Name of the quantity.
         attribute: Name in `traceability.instrument`.
         unit: Its unit.
-        axes: Number of independent numbers.
+        axes: Number of its independent components.
     """
 
     quantity: str
@@ -176,7 +176,7 @@ class ErrorPropagation:
         positions: Positions of the targets at the measured poses, (n, n_targets, 3) [m].
         derivative: B s, by the scaled free parameters, (n n_targets 3, n_free) [m].
         noise: Covariance of T^T J^T e, e the noise of the whitened readings, (rank, rank).
-        sizes: Addition to `noise` from estimated sizes of joint terms, (rank, rank); 0 without any.
+        sizes: Addition to `noise` from estimated sizes of joint terms, (rank, rank); 0 if there are none.
         systematic: Change of the whitened readings by the errors in `SYSTEMATIC`, (n_rows, 10) [per 1, m, rad or px].
     """
 
@@ -262,7 +262,7 @@ def budget(linear: ErrorPropagation, stated: TraceabilitySection, poses: PosesLi
     freedom = fit.statistics.interval_freedom
     noise, prior, reading = linear.coordinate_rms(linear.noise), linear.coordinate_rms(shares), fit.first_noise
     unit = {"length": "m", "angle": "rad"}.get(reading.group.part.dimension, "px")
-    counted = "scatter of residuals" if fit.interval_factor == 1.0 else "scatter of residuals, and of regions"
+    counted = "scatter of residuals" if fit.interval_factor == 1.0 else "scatter of residuals, and between regions"
     by_noise = noise / reading.sigma if reading.sigma > 0 else 0.0
     rows = [
         BudgetRow(NOISE, reading.sigma, unit, by_noise, counted, freedom, "A"),
@@ -307,13 +307,13 @@ def _robot_rows(fit: JudgedFit, included: float, poses: PosesLike | None) -> lis
     scatter, freedom = repeatability(fit.identification)
     rows, claim = [], fit.verdict.claim
     if freedom:
-        note = "repeated poses; holds the noise of a reading"
+        note = "repeated poses; contains the noise of a reading"
         rows.append(BudgetRow.direct(REPEATABILITY, scatter, float(freedom), note))
         included += scatter**2
     if claim is not None and claim.at_measured_poses.is_position:
         total = claim.at_measured_poses.rms**2 / 3.0
         n = claim.at_measured_poses.n_poses
-        note = "poses left out in turn; holds the noise there"
+        note = "from poses left out in turn; contains their noise"
     else:
         known_positions = fit.identification_uncertainty
         total, n = float(np.mean(known_positions.reported_distance**2)) / 3.0, fit.identification.data.n_poses

@@ -12,9 +12,8 @@ the cost.
 When it fails. An error common to all poses (an instrument's scale, a missing joint term with the same effect
 everywhere) is in every draw, and does not show. A draw holds about 63 % of the poses, so that with few poses for the
 parameters the scatter is too large, and some draws determine nothing. Poses that were chosen by an observability index
-are no random
-sample: the draws are worse sets of poses, and scatter more. A parameter with a strong prior scatters less than its
-standard deviation, because the prior is the same in each draw.
+are no random sample: the draws are worse sets of poses, and scatter more. A parameter with a strong prior scatters less
+than its standard deviation, because the prior is the same in each draw.
 
 Reference: efron1979, white1980.
 """
@@ -143,7 +142,7 @@ def simulated_draws(
     if unstated:
         raise InputError(
             f"{robot.path}: states no noise (sigma) of {', '.join(unstated)}, so that none can be simulated; state it"
-            " there, or give sigma, which is that of positions (--sigma-mm), or a function noise"
+            " there, or give sigma, the noise of positions (--sigma-mm), or a function noise"
         )
     if not (truth is None or truth == "priors" or isinstance(truth, Robot)):
         raise InputError(f"truth {truth!r:.60}: must be a robot, or 'priors'")

@@ -16,7 +16,7 @@ from calib.core.base.units import millimetres
 from calib.core.base.words import as_data, count_noun, data_frame, listing, plain_text, text_table
 
 _TAIL = 0.05  # probability of both tails of chi-square together
-_SURE = 4.0  # standard deviations above which a difference is no chance
+_SURE = 4.0  # a difference of more standard deviations is no chance
 _SCREEN = 25  # most parameters whose table fits on a screen of 40 lines
 _SHOWN = 10  # parameters in the table if there are more
 _WIDTH = 110  # characters
@@ -156,7 +156,7 @@ class Study(ReadOnlyArrays):
 
     @property
     def position_error(self) -> float:
-        """Root mean square distance of predicted from true positions at unmeasured poses [m]; NaN without any."""
+        """Root mean square distance of predicted from true positions at unmeasured poses [m]; NaN if there are none."""
         errors = self.answered.errors
         return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1)))) if errors.size else float("nan")
 

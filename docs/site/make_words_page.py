@@ -19,15 +19,16 @@ it: `fit.params`, `calib calibrate` and `calib fit ... --robust` end in an error
 
 
 def page() -> str:
-    """Return the page: a table for each package, of its names in Python and what is written here."""
-    by_package: dict[str, dict[str, list[str]]] = {}
-    for row in (row for rows in tables().values() for row in rows if row.package != _TYPED):
-        known = by_package.setdefault(row.package, {}).setdefault(row.here, [])
+    """Return the page: a table for each package, with its names in Python, what they are of, and the word here."""
+    by_package: dict[str, dict[tuple[str, str], list[str]]] = {}
+    for place, row in ((place, row) for place, rows in tables().items() for row in rows if row.package != _TYPED):
+        known = by_package.setdefault(row.package, {}).setdefault((place, row.here), [])
         known += [word for word in row.words if word not in known]
     parts = [_INTRODUCTION]
     for package, by_meaning in sorted(by_package.items(), key=lambda item: item[0].lower()):
-        parts += [f"## {package}\n", "| word | here |", "|---|---|"]
-        parts += [f"| {', '.join(f'`{word}`' for word in words)} | {here} |" for here, words in by_meaning.items()]
+        parts += [f"## {package}\n", "| word | of | here |", "|---|---|---|"]
+        for (place, here), words in by_meaning.items():
+            parts.append(f"| {', '.join(f'`{word}`' for word in words)} | {place} | {here} |")
         parts.append("")
     return "\n".join(parts)
 

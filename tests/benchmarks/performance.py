@@ -152,8 +152,8 @@ def page(folder, rounds, draws):
     yield """# Performance
 
 For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. Things
-that are compared ran in turn, with one thread of linear algebra. Kinematics and fits are the shortest of 15 runs, whole
-commands of 3. `python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md` makes this page, with
+that are compared ran in turn, with one thread of linear algebra. Each time is the shortest of 15 runs (of 3 for whole
+commands). `python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md` makes this page, with
 the [measurements of others](benchmarks.md) in FOLDER; `make bench` prints it.
 
 ## Kinematics through closed loops

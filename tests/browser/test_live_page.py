@@ -143,6 +143,7 @@ def test_a_robot_without_poses_shows_the_joint_values_that_a_program_displays(ch
         tab.context.close()
 
 
+@pytest.mark.quick(0)
 def test_the_cockpit_stands_above_the_picture_another_fit_replaces_it_and_both_outlive_the_program(ending):
     viewer, tab, fit = ending
     tab.page.evaluate("window.loadedBefore = true")

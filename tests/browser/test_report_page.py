@@ -125,6 +125,7 @@ def test_rows_after_calibration_are_bold_and_headers_stand_above_their_numbers(r
     assert set(tab.page.evaluate(aligned)) == {"right"}
 
 
+@pytest.mark.quick(0)
 def test_it_prints(report):
     tab = report(1200, 800)
     document = tab.page.pdf(prefer_css_page_size=True)
@@ -215,6 +216,7 @@ def test_plots_take_the_colours_of_a_dark_page(small_report):
     assert inks[0] != inks[1]
 
 
+@pytest.mark.quick(0)
 def test_a_fleet_in_folders_far_down_fits_the_window(show, tmp_path):
     """Nothing has to be scrolled to, and folders are named by what differs."""
     import calib

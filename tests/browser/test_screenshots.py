@@ -2,12 +2,14 @@
 
 import io
 
+import pytest
 from PIL import Image
 from viz_examples import medrue_fit
 
 from viz.screenshots import PICTURES, take_one
 
 
+@pytest.mark.quick(0)
 def test_pictures_of_a_result_folder_are_taken(chromium, tmp_path, with_pages):
     medrue_fit(validation=None).save(str(tmp_path / "result"))
     for name, page, size, action in PICTURES:

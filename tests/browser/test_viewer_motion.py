@@ -206,6 +206,7 @@ def with_terms(folder, name, terms, generator):
     return robot, robot.with_parameters(values)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize(
     ("name", "terms", "remark"),
     [
@@ -244,7 +245,7 @@ def test_what_the_page_leaves_out_is_said_and_no_position_is_claimed(show, tmp_p
     robots = with_terms(tmp_path, "arm", ("joint: joint_2, term: compliance",), np.random.default_rng(3))
     tab = show(scene_page(build_scene(*robots)).save(tmp_path / "viewer.html").as_uri())
     tab.page.locator("#drive-block summary").click()
-    assert tab.page.locator("#drive-terms").inner_text() == "Left out here: what gravity bends in joint_2."
+    assert tab.page.locator("#drive-terms").inner_text() == "Left out here: bending by gravity in joint_2."
     slide(tab, "drive-0", float(tab.page.locator("#drive-0").input_value()) + 1)
     assert tab.state("v.live.predicted.after") is None
     assert "pred. after" not in tab.page.locator("#position").inner_text()

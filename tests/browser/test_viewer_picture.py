@@ -67,6 +67,7 @@ def test_the_key_saves_too_and_names_of_files_are_harmless(tab):
     assert not set("/<> ") & set(download.value.suggested_filename)
 
 
+@pytest.mark.quick(0)
 def test_report_and_viewer_of_a_result_lead_to_each_other(show, result_pages):
     tab = show((result_pages / "viewer.html").as_uri())
     tab.page.get_by_role("link", name="Report").click()
@@ -80,6 +81,7 @@ def test_a_page_that_stands_alone_has_no_link(tab):
     assert tab.page.get_by_role("link").count() == 0
 
 
+@pytest.mark.quick(0)
 def test_the_report_is_dark_where_the_system_is_but_not_on_paper(chromium, result_pages):
     tab = Tab(chromium, color_scheme="dark").open((result_pages / "report.html").as_uri())
     tab.page.evaluate("calibrationReport.all()")

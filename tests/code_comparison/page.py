@@ -61,8 +61,8 @@ origins alone. "priors": with the sizes of errors that this project gets. A code
 it is at least 1 %, and a paired t test of squared errors gives a chance below 1 in 1000 (arms, whose rows follow each \
 other in a file) or 1 in 100 (images, printers) |
 | error | RMS of unseen rows over that of this project: median over the splits |
-| claim | error that a code states over the error of unseen rows: median and range. \\*: it states none of new poses; \
-this is the RMS of its residuals |
+| claim | error that a code states over the error of unseen rows: median and range. \\*: it states no error at new \
+poses; this is the RMS of its residuals |
 | verdict right | PASS if errors are at most 1.25 times those claimed and less than the nominal robot's, else another \
 grade; on splits with a claim |
 | fit, command, memory | processor time of the fit and of the process, largest memory: medians |

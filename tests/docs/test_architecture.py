@@ -11,7 +11,7 @@ import pytest
 from architecture import CAPABILITIES, CORE, FRONT, ROOMS, imported, modules, room_of
 
 import calib
-from calib.capabilities import BROUGHT
+from calib.capabilities import ENTRY_POINTS
 
 CONTRIBUTING = (architecture.ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
@@ -51,9 +51,9 @@ def test_a_capability_imports_only_from_itself_and_from_the_core(room):
 
 
 def test_what_capabilities_bring_is_there():
-    names = [(entry.group, entry.name) for entry in BROUGHT]
+    names = [(entry.group, entry.name) for entry in ENTRY_POINTS]
     assert len(set(names)) == len(names)
-    assert all(entry.load() for entry in BROUGHT)
+    assert all(entry.load() for entry in ENTRY_POINTS)
 
 
 def test_imports_at_first_use_are_seen():
@@ -96,6 +96,7 @@ def test_the_contributors_guide_has_a_paragraph_for_each_room():
         assert f"**{room.name}.**" in CONTRIBUTING
 
 
+@pytest.mark.quick(0)
 def test_a_fit_with_its_pages_loads_nothing_that_other_commands_need(tmp_path):
     """Of a robot of boxes and cylinders; SciPy's statistics, IPython and web clients take longer than such a fit.
 

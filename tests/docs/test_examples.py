@@ -14,6 +14,7 @@ EXAMPLES = DOCS / "examples"
 _NUMBER = re.compile(r"[-+]?\d+\.\d+(?:e[-+]?\d+)?")
 
 
+@pytest.mark.quick(0)
 def test_the_files_are_those_that_the_command_writes():
     for name, text in make_examples.every_file().items():
         shipped, made = (EXAMPLES / name).read_text().splitlines(), text.splitlines()
@@ -29,6 +30,7 @@ def _same(old, new):
     np.testing.assert_allclose(np.array(numbers[0], float), np.array(numbers[1], float), rtol=0, atol=2e-4)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", ["arm", "five_bar", *make_examples.TEMPLATES])
 def test_an_example_calibrates_to_its_truth(name):
     robot = calib.load(EXAMPLES / f"{name}.yaml")

@@ -44,6 +44,7 @@ def test_pictures_are_those_that_commands_take():
     assert {path.name for path in (DOCS / "figures").glob("*.png")} <= taken
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", sorted(make_figures.FIGURE_MAKERS))
 def test_a_figure_is_drawn(name):
     drawn, shipped = make_figures.drawing(name).decode(), (DOCS / "figures" / f"{name}.svg").read_text()

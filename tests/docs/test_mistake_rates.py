@@ -5,6 +5,7 @@ import pytest
 from mistake_rates import ROBOTS, Outcome, mistakes, outcome, table
 
 
+@pytest.mark.quick(1)
 @pytest.mark.amount(1, 15)
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_no_mistake_in_a_file_ends_as_a_pass_and_most_are_named(robot, amount):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from families import family
 from snippets import DOCS
 from verdict_rates import OUTCOMES, Outcome, Run, calibrate, markdown, rows
 from verdict_scenarios import ROBOTS, SCENARIOS, Trial, open_lab
@@ -11,16 +10,19 @@ HEALTHY = [name for name, scenario in SCENARIOS.items() if scenario.kind == "hea
 GROSS = ["a joint counted the other way", "two joint columns swapped", "an axis of the tracker mirrored"]
 
 
-@pytest.mark.parametrize("scenario", family(HEALTHY, HEALTHY[::4]))
+@pytest.mark.quick(2)
+@pytest.mark.parametrize("scenario", HEALTHY)
 def test_a_healthy_calibration_never_fails(scenario):
     assert calibrate(Run(SCENARIOS[scenario].robots[0], scenario, 0)).grade in ("PASS", "CHECK")
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_healthy_robot_of_any_sort_never_fails(robot):
     assert calibrate(Run(robot, HEALTHY[0], 0)).grade in ("PASS", "CHECK")
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("scenario", GROSS)
 def test_gross_mistakes_never_pass(scenario):
     assert calibrate(Run("arm", scenario, 0)).grade in ("FAIL", "refused")
@@ -30,6 +32,7 @@ def test_what_the_model_leaves_out_is_seen():
     assert calibrate(Run("arm", "the tracker is moved half-way", 0)).grade == "CHECK"
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("measured", ["distances", "pixels"])
 def test_a_joint_that_moved_too_little_is_told_where_nobody_measures_positions(measured):
     outcome = calibrate(Run("arm", f"a joint that moved too little, {measured} measured", 0))
@@ -41,6 +44,7 @@ def test_there_are_sixty_scenarios_and_three_robots():
     assert set(ROBOTS) == {"arm", "MedRUE", "3-RRR"}
 
 
+@pytest.mark.quick(15)
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_every_scenario_makes_measurements_and_the_same_from_the_same_seed(scenario):
     item = SCENARIOS[scenario]

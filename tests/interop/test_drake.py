@@ -91,6 +91,7 @@ def place(plant, instance, context, frame: str) -> np.ndarray:
     return plant.GetFrameByName(frame, instance).CalcPoseInWorld(context).translation()
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("file", ["drake.urdf", "free_drake.urdf"])
 def test_under_gravity_the_loops_stay_closed_and_the_tool_is_where_calib_predicts(case, file: str) -> None:
     opening = there = from_commanded = 0.0

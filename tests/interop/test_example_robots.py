@@ -237,6 +237,7 @@ def test_the_arm_is_found_without_its_fingers(name: str, target: str, joints: in
     assert (chain.target, len(chain.joints), len(chain.fingers)) == (target, joints, fingers)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize(
     "arm",
     [pytest.param(arm, marks=pytest.mark.amount(Path(arm).stem in FIRST, 1)) for arm in ARMS if arm not in VARIANTS],

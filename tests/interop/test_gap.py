@@ -44,6 +44,7 @@ def test_gaps_of_tilted_links_are_those_that_pinocchio_measures(tilted: calib.Ro
     print(gap.text())
 
 
+@pytest.mark.quick(0)
 def test_the_gap_is_said_in_every_export_that_has_it(tilted: calib.Robot, tmp_path) -> None:
     said = f"a 3D constraint would have to absorb up to {1e3 * loop_gaps(tilted)[0].change:.4f} mm"
     for file_format, name in (("mjcf", "a.xml"), ("drake", "a.urdf"), ("toolbox", "a.yaml")):

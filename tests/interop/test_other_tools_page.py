@@ -45,6 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("name", SNIPPETS)
 def test_snippet_finds_the_tool_where_calib_does(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if name in NEEDS:

@@ -17,6 +17,7 @@ def test_tool_is_where_the_closed_form_says(case) -> None:
         assert np.abs(links["tool"][:3, 3] - expected).max() < ROUNDING
 
 
+@pytest.mark.quick(0)
 def test_every_link_is_where_calib_says(case) -> None:
     poses = {link: case.robot.forward(case.q, link) for link in case.robot.urdf.links}
     largest = case.largest_difference("calib, URDF and description", lambda k, link: poses[link][k])

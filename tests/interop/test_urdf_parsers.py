@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 
+@pytest.mark.quick(0)
 def test_urdf_parser_py_reads_joints_that_put_every_link_where_pinocchio_does(case) -> None:
     urdf = pytest.importorskip(
         "urdf_parser_py.urdf", reason="urdf_parser_py is not installed (in a checkout: pip install -e '.[interop]')"

@@ -1,1 +1,1 @@
-"""The base of every room: arrays, units, errors, words, files, workers."""
+"""The base of all packages: arrays, units, errors, words, files, workers."""

@@ -19,7 +19,7 @@ BoolArray = NDArray[np.bool_]
 
 
 def as_slice(chosen: IntArray) -> IntArray | slice:
-    """Return indices (n,) that follow each other as a slice: what it selects is changed in place, not copied."""
+    """Return consecutive indices (n,) as a slice, so that the selected part is changed in place, not copied."""
     first = int(chosen[0]) if len(chosen) else 0
     span = slice(first, first + len(chosen))
     return span if np.array_equal(chosen, np.arange(span.start, span.stop)) else chosen
@@ -55,7 +55,7 @@ def _read_only_copy(value: Any) -> Any:
 
 
 def _short(value: object) -> str:
-    """One value, or how many."""
+    """Text of one value, or the number of values."""
     if isinstance(value, np.ndarray):
         return str(value.shape)
     return f"of {len(value)}" if isinstance(value, (tuple, list, dict, frozenset)) else repr(value)
@@ -67,14 +67,14 @@ def _names_of_fields(of: type) -> tuple[str, ...]:
 
 
 def numbers_in(given: ArrayLike, what: str) -> FloatArray:
-    """Return an array of numbers; an `InputError` where there are others, such as text.
+    """Return an array of numbers; anything else in it, such as text, is an `InputError`.
 
     Args:
         given: The numbers, (..., n).
         what: Their name, in the message.
 
     Returns:
-        The numbers, (..., n) as they were given.
+        The numbers in the given shape, (..., n).
     """
     try:
         return np.asarray(given, dtype=float)
@@ -97,7 +97,7 @@ class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
         return result
 
     def __getitem__(self, key: Any) -> Any:
-        """Return a row by its name, or what an array has there.
+        """Return a row by its name, or anything else as an array does.
 
         Raises:
             InputError: No row has this name.
@@ -113,7 +113,7 @@ class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
 class ReadOnlyArrays:
     """Base of frozen dataclasses: arrays, tuples and dictionaries of them become read-only copies.
 
-    They are so after unpickling, too. What is printed of them are the shapes of arrays, not their numbers.
+    They are read-only after unpickling, too. `repr` shows the shapes of arrays, not their numbers.
     """
 
     def __init_subclass__(cls) -> None:
@@ -160,14 +160,14 @@ class ReadAsArray(np.lib.mixins.NDArrayOperatorsMixin, ABC):
         """Return the array."""
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        """Compute with the arrays; an `InputError` where each would be broadcast along the other."""
+        """Compute with the arrays; `InputError` if NumPy would repeat both to a common shape."""
         plain = [np.asarray(given) if isinstance(given, ReadAsArray) else given for given in inputs]
         shapes = [np.shape(given) for given in plain]
         with suppress(ValueError):  # shapes that do not fit: the function says so
             if method == "__call__" and np.broadcast_shapes(*shapes) not in shapes:
                 raise InputError(
-                    f"{type(self).__name__}: shapes {' and '.join(map(str, shapes))} would repeat each along the other;"
-                    f" give an array of shape {np.shape(self)}"
+                    f"{type(self).__name__}: shapes {' and '.join(map(str, shapes))} do not match: numpy would repeat"
+                    f" both; give an array of shape {np.shape(self)}"
                 )
         return getattr(ufunc, method)(*plain, **options)
 

@@ -62,7 +62,7 @@ class Contribution(Enum):
     )
     UNDECIDED = (
         "undecided terms",
-        "joint terms that the fit does not have and the data show or do not exclude; sizes of those that it has",
+        "joint terms that the data show or do not exclude, but that the fit does not have; sizes of those that it has",
         "fitting.terms.kind_model",
         (Uncertainty.INTERVAL, Uncertainty.POSITION),
     )

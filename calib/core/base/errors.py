@@ -16,9 +16,9 @@ from itertools import takewhile
 from calib.core.base.letters import brief, visible
 
 _ALIKE = 0.6
-"""Part of two names that must agree for one to be a misspelling of the other."""
+"""One name may be a misspelling of another if at least this part of both agrees."""
 _LISTED = 100
-"""Names that a message lists: all parameters of most robots."""
+"""Largest number of names in a message: all parameters of most robots."""
 
 
 class CalibrationError(Exception):
@@ -113,7 +113,7 @@ def nearest_column(name: str, columns: Collection[str], taken: Collection[str] =
 
     Args:
         columns: Columns of the file.
-        taken: Of these, columns that mean something else and are not offered.
+        taken: Columns among these that mean something else and are not offered.
     """
     hint = nearest(name, [column for column in columns if column not in taken], "the file has")
     if not hint.endswith("?"):
@@ -135,7 +135,7 @@ def _alike(name: str, other: str) -> bool:
 def _closest(name: str, names: list[str]) -> str:
     """The name with most words in common at the beginning, then the most similar one; empty if none is close.
 
-    Beginnings count more than endings: of joints called `..._joint`, the ending says nothing.
+    Beginnings count more than endings, because many names end alike, such as `..._joint`.
     """
     words = _words(name)
     best, closest = (0, 0.0), ""

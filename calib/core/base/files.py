@@ -110,7 +110,7 @@ def write_files(
         comment: How comments of these files begin, if not as in tables or XML; see `calib.core.base.own_files.signed`.
             None: they get no line; a manifest in their folder says who wrote them.
         inputs: Files that they were made from.
-        force: Replace what this program did not write, or has read, all the same.
+        force: Also replace files that this program did not write, or has read.
 
     Raises:
         InputError: A folder does not exist or cannot be written to, or a file should not be replaced; nothing was
@@ -200,9 +200,9 @@ def write_folder(
     manifest in it says what was written (`calib.core.base.own_files`).
 
     Args:
-        obsolete: Names of files that do not stay if they were there.
+        obsolete: Names of files to remove.
         inputs: Files that they were made from.
-        force: Replace what this program did not write, or has read, all the same.
+        force: Also replace files that this program did not write, or has read.
 
     Raises:
         InputError: The folder cannot be written, or a file in it should not be replaced; what was there is untouched.

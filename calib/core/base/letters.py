@@ -1,7 +1,7 @@
-"""Letters that nobody sees: controls, escapes of terminals, marks of direction. No name has them, no message either.
+"""Letters that nobody sees: controls, escapes of terminals, marks of direction. No name or message contains them.
 
 A name with a line end cannot be read from the table that it is written to; two names that differ by a mark of no width
-look the same; U+202E turns around what follows, and an escape moves the cursor, wherever the text is shown.
+look the same; U+202E reverses the text that follows, and an escape moves the cursor, wherever the text is shown.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def visible(text: str) -> str:
 
 
 def unseen(name: str) -> str:
-    r"""Return what is wrong with a name that holds letters that nobody sees; nothing if it holds none.
+    r"""Return a complaint about a name with letters that nobody sees; "" if it has none.
 
     >>> unseen("P\n1"), unseen("P 1")
     ("'P\\n1' holds \\n, which nobody sees; write the name without it", '')
@@ -41,7 +41,7 @@ def unseen(name: str) -> str:
 
 
 def brief(text: str) -> str:
-    """Return a text whose longest words, and that itself, are cut down to what a person reads.
+    """Return a text with its longest words, and then the whole, cut to a length that a person reads.
 
     >>> brief("not a number: " + 50_000 * "9")[:50], len(brief(50_000 * "a b "))
     ('not a number: 999999999999999999999999999999999999', 4035)

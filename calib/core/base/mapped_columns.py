@@ -20,8 +20,8 @@ class MappedColumn:
     Attributes:
         name: Joint or coordinate that it holds.
         unit: Unit of the offset, and of cells that state none.
-        factor: With its sign.
-        offset: In that unit.
+        factor: Factor with its sign.
+        offset: Offset in that unit.
     """
 
     name: str

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from calib.core.base.errors import InputError, nearest
 
 EXAMPLES = ("joint_3.z", "joint_4.x")
-"""Parameters that the table names; a robot without them has its first and last one there."""
+"""Parameters that the table names; if a robot lacks them, hints name its first and last one."""
 
 
 class UnknownNameError(InputError, AttributeError):
@@ -31,7 +31,7 @@ class Words:
     """Words for one thing.
 
     Attributes:
-        package: Whose words they are.
+        package: Package that uses the words.
         words: The words.
         here: The word here, with remarks.
     """
@@ -59,20 +59,20 @@ def hint_for(word: str, section: str) -> str:
     """Return the hint for a word that another package uses, as the end of a message; empty without one.
 
     Args:
-        section: Where it is looked for, as the table has it.
+        section: Section of the table to search.
     """
     row = _row(word, section, str) or _row(word, section, _plain)
     return f"; here: {row.here.replace('`', '')}" if row else ""
 
 
 def _row(word: str, section: str, spelling: Callable[[str], str]) -> Words | None:
-    """The row of the table that has a word. Spellings count as the same if this function makes them the same."""
+    """The row of the table that has a word; words are the same if `spelling` gives the same text for them."""
     spelled = spelling(word)
     return next((row for row in tables().get(section, ()) if spelled in map(spelling, row.words)), None)
 
 
 def _plain(word: str) -> str:
-    """A word without capitals, underscores and a verb that says nothing: `getParams` is `params`."""
+    """A word without capitals, underscores and a first verb such as `get`: `getParams` becomes `params`."""
     plain = word.casefold().replace("_", "")
     for verb in ("get", "compute", "calculate", "calc", "load", "read", "make"):
         if len(plain) > len(verb) and plain.startswith(verb):
@@ -90,7 +90,7 @@ class HintedObject:
     _other_words: ClassVar[str] = ""
 
     def _own_parameters(self) -> Sequence[str]:
-        """Names of its parameters, which hints have in place of `EXAMPLES`; none where it has none."""
+        """Names of its parameters, if any; hints then show these in place of `EXAMPLES`."""
         return ()
 
     if not TYPE_CHECKING:  # type checkers know better which attributes there are
@@ -99,7 +99,7 @@ class HintedObject:
             if name.startswith("_"):
                 raise AttributeError(name)
             if any(name in parent.__dict__ for parent in type(self).__mro__):
-                return object.__getattribute__(self, name)  # it has it: the error that comes is what went wrong inside
+                return object.__getattribute__(self, name)  # the name exists: show the error inside it
             hint = hint_for(name, self._other_words)
             own = [*self._own_parameters()] if hint else []
             for example, parameter in zip(EXAMPLES, own[:1] + own[-1:], strict=False):
@@ -113,5 +113,5 @@ def _unknown_name_error(of: str, name: str, hint: str, names: list[str]) -> str:
 
 
 def unknown_name_error(name: str, names: list[str]) -> UnknownNameError:
-    """Return the error of a name that `calib` does not have, whose names these are."""
+    """Return the error of a name that `calib` does not have; `names` are those that it has."""
     return UnknownNameError(_unknown_name_error("module 'calib'", name, hint_for(name, "`calib` itself"), names))

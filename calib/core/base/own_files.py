@@ -1,12 +1,12 @@
 """Files that may be replaced: those that this program wrote and that are unchanged since, but none that it has read.
 
-What is written alone ends in a line that names the program and the beginning of the digest of all other lines, in the
-comments of its format, or as the last entry of JSON. What is written as a folder has a file beside it with the digest
-of each (`MANIFEST`). So a file tells by itself, on any machine, whether this program wrote it, and whether it was
-changed since: a plan into which measurements were filled, a description that was edited.
+A single file ends in a line that names the program and the beginning of the digest of all other lines: a comment of its
+format, or the last entry of JSON. In a folder, one more file has the digest of each file (`MANIFEST`). So a file tells
+by itself, on any machine, whether this program wrote it, and whether it was changed since: a plan into which
+measurements were filled, a description that was edited.
 
-Other files belong to others: replacing them is an `InputError` unless it is forced, as is replacing what the same
-command has read, under whatever name. Files that are empty, and such as would not change, may always be replaced.
+Other files belong to others. Replacing them is an `InputError` unless it is forced; the same holds for a file that the
+command has read, under any name. Empty files, and files that would not change, may always be replaced.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ GCODE_COMMENT = ";"
 _MARK = re.compile(rb"written by \S+ \S+ \(sha256 of the rest begins ([0-9a-f]{16})\)")
 _OLD_LINES = re.compile(rb"^[#; <!-]*" + _MARK.pattern + rb"[ ->]*\n", re.MULTILINE)
 _END_OF_JSON = b"\n}\n"
-_LOOKS = 10  # looks at a folder that another program replaces meanwhile
+_LOOKS = 10  # times that a folder is read while another program replaces it
 _inputs: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=None)
 """Device and number of each file that the present command has read; None where no command runs."""
 
 
 @contextmanager
 def inputs_noted() -> Iterator[None]:
-    """Within the block, a command runs: what it reads, it will not replace."""
+    """Note the files that a command reads within the block, so that the command does not replace them."""
     token = _inputs.set(set())
     try:
         yield
@@ -56,7 +56,7 @@ def signed(content: bytes, comment: str = "") -> bytes:
 
     Args:
         content: The file: JSON, XML of any kind, or lines.
-        comment: How a comment begins; of XML and of tables if not given. JSON has none.
+        comment: Begin of a comment; if not given, that of XML or of tables. JSON has no comments.
     """
     text = _OLD_LINES.sub(b"", content)
     if not text.endswith(b"\n"):
@@ -86,7 +86,7 @@ def _digest(content: bytes) -> str:
 
 
 def is_own(path: Path) -> bool:
-    """Whether this program wrote a file, alone or into its folder, as it is now."""
+    """Whether a file is unchanged since this program wrote it, alone or with its folder."""
     if path.name == MANIFEST:
         return True
     manifest = read_manifest(path.parent)
@@ -105,7 +105,7 @@ def is_own(path: Path) -> bool:
 
 
 def read_manifest(folder: Path) -> dict[str, str]:
-    """Return the digest of each file that this program wrote into a folder; nothing where it does not say."""
+    """Return the digest of each file that this program wrote into a folder; empty if the folder has no manifest."""
     with suppress(OSError, ValueError, RecursionError):
         content = json.loads((folder / MANIFEST).read_bytes())
         if isinstance(content, dict) and isinstance(content.get("sha256"), dict):
@@ -114,7 +114,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def manifest_of(folder: Path, files: Mapping[str, bytes], obsolete: Collection[str]) -> bytes:
-    """Return the manifest of a folder once these files are in it, with what else this program wrote there."""
+    """Return the manifest of a folder with these new files, and with other files that this program wrote before."""
     others = {name: digest for name, digest in read_manifest(folder).items() if (folder / name).is_file()}
     digests = {name: digest for name, digest in others.items() if name not in obsolete}
     digests |= {name: _digest(content) for name, content in files.items()}
@@ -135,17 +135,17 @@ def require_replaceable(
     """
     if force or not path.is_file():
         return
-    noted = {*(_inputs.get() or ()), *_numbers(inputs)}
+    noted = {*(_inputs.get() or ()), *_file_numbers(inputs)}
     choose = "choose another place for the output (--force, in Python force=True, replaces it)"
     with suppress(FileNotFoundError):  # another program replaces the folder just now
         state = path.stat()
         if (state.st_dev, state.st_ino) in noted:
-            raise InputError(f"{path}: is read here, and would be replaced by what is made from it; {choose}")
+            raise InputError(f"{path}: is read by this command, which would replace it; {choose}")
         if state.st_size and not is_own(path) and (content is None or path.read_bytes() != content):
             raise InputError(f"{path}: was not written by this program, or was changed since; {choose}")
 
 
-def _numbers(inputs: Iterable[Path | str]) -> Iterator[tuple[int, int]]:
+def _file_numbers(inputs: Iterable[Path | str]) -> Iterator[tuple[int, int]]:
     for path in inputs:
         with suppress(OSError, ValueError):
             state = Path(path).stat()

@@ -1,4 +1,4 @@
-"""One number that may differ from its nominal value: what every floor means by a parameter."""
+"""One number that may differ from its nominal value, as all packages use the word parameter."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Parameter:
         unit: Unit of tables, and of every number here whose name does not end in `_si`.
         prior: Whether nominal +- sigma is a prior in a fit. False: the measurements alone decide.
         placement: Whether it only says where the measurement frame or a target is, which is no error of the robot.
-        mean_si: Value around which its prior lies, where that is not the nominal one [m or rad].
+        mean_si: Mean of its prior, if different from the nominal value [m or rad].
         family: Parameters of one family share a factor on their sigmas that is found from the data; empty: none.
     """
 
@@ -64,7 +64,7 @@ class Parameter:
 
         Args:
             value: Its present value [m or rad].
-            free: Whether it is not held.
+            free: Whether it is free, not held.
         """
         shown = {"nominal": self.nominal, "value": float(value) * self.per_si, "sigma": self.sigma}
         return {"name": self.name, "unit": self.unit, **shown, "free": "free" if free else "held"}

@@ -1,13 +1,13 @@
 """Processes of this machine as an executor without threads and locks in the program itself.
 
-Each process has a pipe of its own, and waiting for a result is what gives out work to free processes. So an exception
-can be raised anywhere, as Ctrl-C does, and the processes be ended at any moment: nothing that is locked, or half-way
-through a pipe, makes the program wait for ever. In `concurrent.futures.ProcessPoolExecutor` a thread reads the results,
-and waits for the rest of one whose process is gone.
+Each process has a pipe of its own. Free processes get work while the program waits for a result. So an exception can be
+raised anywhere, as Ctrl-C does, and the processes can be ended at any moment: no lock and no half-sent result makes the
+program wait for ever. In `concurrent.futures.ProcessPoolExecutor` a thread reads the results, and if a process dies
+while it sends a result, the thread waits for the rest of it.
 
-What many pieces of work share is sent to each process once; it holds one such function at a time.
+A function that many pieces of work share is sent to each process once. A process holds one such function at a time.
 
-A process ends with the program that started it, by itself where that died without a word.
+A process ends with the program that started it, even if the program was killed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Processes(Executor):
     """Processes that work while a result is awaited; lost ones are replaced.
 
     Args:
-        jobs: How many.
+        jobs: Number of processes.
     """
 
     def __init__(self, jobs: int) -> None:
@@ -144,7 +144,7 @@ class Processes(Executor):
 
 
 class _PendingResult(Future[Result]):
-    """A result for which the processes proceed when it is waited for."""
+    """A result; while the program waits for it, the processes proceed."""
 
     def __init__(self, processes: Processes) -> None:
         super().__init__()
@@ -159,9 +159,9 @@ class _PendingResult(Future[Result]):
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Let processes that are started inside never hear Ctrl-C: the program that started them decides when they end.
+    """Let processes that are started inside never get Ctrl-C: the program that started them decides when they end.
 
-    They inherit that the signal is held back. Here it is heard at the end of the block.
+    They inherit the blocked signal. This process gets it at the end of the block.
     """
     resource_tracker.ensure_running()  # which would let the signal through again when it starts
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])

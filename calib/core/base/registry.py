@@ -35,15 +35,15 @@ def list_entry_points(group: str) -> tuple[EntryPoint, ...]:
 
 @lru_cache(maxsize=32)
 def _find_entry_points(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    own = [entry for entry in import_module(_CAPABILITIES).BROUGHT if entry.group == group]
+    own = [entry for entry in import_module(_CAPABILITIES).ENTRY_POINTS if entry.group == group]
     return (*own, *sorted(entry_points(group=group), key=lambda entry: entry.name))
 
 
-def brought(group: str, name: str) -> Any:
-    """Return the object installed under a name of a group.
+def load_entry(group: str, name: str) -> Any:
+    """Return the object of an entry point, by its group and name.
 
     Raises:
-        KeyError: Nothing is.
+        KeyError: There is no such entry point.
     """
     return {entry.name: entry for entry in reversed(list_entry_points(group))}[name].load()
 
@@ -88,7 +88,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
 
         Raises:
             KeyError: There is none.
-            DescriptionError: Another package's cannot be loaded, or is not complete.
+            DescriptionError: The class of another package cannot be loaded, or is not complete.
         """
         known = self._built_in.get(name) or self._given.get(name)
         if known is None:
@@ -112,7 +112,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         """Entry points of other packages by name.
 
         Raises:
-            DescriptionError: Two packages give one name, or one gives that of a class of this package.
+            DescriptionError: Two packages give the same name, or one gives the name of a class of this package.
         """
         entries: dict[str, EntryPoint] = {}
         for entry in list_entry_points(self.group):
@@ -146,9 +146,9 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
 
 
 def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
-    """Return a validator that reads an entry by the section class that its key names: metadata of `Annotated`.
+    """Return metadata of `Annotated` that read an entry of a description, by the class that the entry's key names.
 
-    Reading raises `ValueError` where the key names none.
+    Reading raises `ValueError` if the key names no class.
     """
 
     def read(value: Any, info: ValidationInfo) -> Section:
@@ -170,7 +170,7 @@ def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
 
 
 class _Schema:
-    """The JSON schema of an entry: that of each section, with the names that mean it."""
+    """The JSON schema of an entry: one of the schemas of the classes, each with its name as the key."""
 
     def __init__(self, key: str, registry: Registry[Any]) -> None:
         self._key, self._registry = key, registry

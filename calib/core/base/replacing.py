@@ -1,17 +1,17 @@
 """Files and folders that are completed under another name, and then take their place in one step.
 
-A program can be ended at any moment, and two can write to one place. So what is at a place is only ever replaced as a
+A program can be ended at any moment, and two can write to one place. So a file or folder is only ever replaced as a
 whole: by renaming where nothing is there, and otherwise by exchanging the two names, which Linux does in one step
-(renameat2 with RENAME_EXCHANGE). What others keep in a folder is in the new one too before that, as hard links.
+(renameat2 with RENAME_EXCHANGE). Before that, files of others in the old folder are linked into the new one.
 
 Where a system or a file system has no such exchange, the old folder is set aside and the new one takes its place: a
-program that is killed between these two steps leaves the old one, whole, in a folder `.calib-old-*`, and the next that
-writes there puts it back.
+program that is killed between these two steps leaves the old one, whole, in a folder `.calib-old-*`, and the next
+program that writes there puts it back.
 
-Whoever completes something holds a lock on it, which ends with the program, however it ends. What nobody holds is a
-leftover of a program that was killed, and the next one that writes there removes it. While a folder is replaced,
-the folder above it is locked, so that what one program has set aside is never missing to another. File systems without
-locks keep their leftovers, and only the exchange is safe for two programs at once there.
+A program locks the file or folder that it completes; the lock ends with the program, however it ends. One without a
+lock is a leftover of a killed program, and the next program that writes there removes it. While a folder is replaced,
+the folder above it is locked, so that no other program misses a folder that was set aside. File systems without locks
+keep their leftovers, and only the exchange is safe for two programs at once there.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def clear_leftovers(parent: Path) -> None:
 
 
 def _discard(path: Path) -> None:
-    """Remove a file or a folder of this module; what is set aside goes back first if its place is free."""
+    """Remove a file or folder of this module; a folder in it that was set aside goes back if its place is free."""
     if not path.is_dir():
         path.unlink(missing_ok=True)
         return
@@ -134,12 +134,12 @@ def replace_folder(new: Path, path: Path, obsolete: Collection[str]) -> None:
             except FileNotFoundError:
                 if not new.exists():
                     raise
-                # something else has just moved what was at the place: again
+                # another program has just moved the folder: try again
 
 
 @contextmanager
 def _exclusive_in(parent: Path) -> Iterator[None]:
-    """Replace while no other program of this module does so in the same folder, as far as the file system has locks."""
+    """Lock a folder, if the file system has locks, so that only one program at a time replaces entries in it."""
     handle = os.open(parent, os.O_RDONLY)
     try:
         with suppress(OSError):
@@ -182,7 +182,7 @@ def _try_replace_folder(new: Path, path: Path) -> bool:
 
 
 def _carry(old: Path, new: Path, leave: Collection[str]) -> tuple[os.stat_result, set[str]] | None:
-    """Put what a folder has besides into the new one as well; return what folder it was, and the names seen in it."""
+    """Link the other files of a folder into the new one; return the old folder's status, and the names seen in it."""
     try:
         was, entries = old.stat(), list(old.iterdir())
     except FileNotFoundError:
@@ -194,7 +194,7 @@ def _carry(old: Path, new: Path, leave: Collection[str]) -> tuple[os.stat_result
 
 
 def _follow(old: Path, path: Path, carried: tuple[os.stat_result, set[str]] | None, leave: Collection[str]) -> None:
-    """Let what came into a folder while the other was completed follow; unless it is another program's result."""
+    """Move files that came into the old folder meanwhile, unless the old folder is now another program's result."""
     with suppress(FileNotFoundError):
         if carried is None or not os.path.samestat(old.stat(), carried[0]):
             return
@@ -214,7 +214,7 @@ def _link(source: Path, target: Path) -> None:
         return
     try:
         os.link(source, target, follow_symlinks=False)
-    except (FileNotFoundError, FileExistsError):  # gone in between; or carried before
+    except (FileNotFoundError, FileExistsError):  # deleted meanwhile, or linked already
         return
     except OSError:  # a file system without hard links
         shutil.copy2(source, target, follow_symlinks=False)

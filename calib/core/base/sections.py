@@ -34,12 +34,12 @@ Component = Literal["x", "y", "z", "rx", "ry", "rz"]
 LENGTH_COMPONENTS: tuple[Component, ...] = ("x", "y", "z")
 ANGLE_COMPONENTS: tuple[Component, ...] = ("rx", "ry", "rz")
 COMPONENTS = LENGTH_COMPONENTS + ANGLE_COMPONENTS
-_SCALE = 0.01  # scale of an unknown length without any expectation [m]
+_SCALE = 0.01  # scale of an unknown length without a prior [m]
 _KEYS = ("value", "sigma")
 _MERGE = "tag:yaml.org,2002:merge"
 _OPENCV_MATRIX = "tag:yaml.org,2002:opencv-matrix"
 _MOST_BY_ALIASES = 10_000
-"""Entries that aliases may add: a few lines of them stand for more than any memory holds."""
+"""Entries that aliases may add, because a few lines with aliases can expand to more than memory holds."""
 
 
 class _ValueError(ValueError):
@@ -96,7 +96,7 @@ class FrameSection(Section):
 
     Attributes:
         frame: The link.
-        xyz, rpy: Where it is in that link, and how it is turned [m], [rad].
+        xyz, rpy: Position [m] and orientation [rad] in that link.
     """
 
     frame: str
@@ -108,9 +108,9 @@ class PlaceSection(FrameSection):
     """A frame on a link; position and orientation are each known or not.
 
     Attributes:
-        position: `known`: it is right there; `unknown`: found from the measurements, starting from `xyz`.
+        position: `known`: it is exactly `xyz`; `unknown`: found from the measurements, starting from `xyz`.
         orientation: The same for `rpy`.
-        sigma: How far an unknown position may be from `xyz`, one standard deviation [m]; left out, `xyz` says nothing.
+        sigma: Expected distance of an unknown position from `xyz`, one sigma [m]; None: `xyz` is only a start.
         sigma_angle: The same for an unknown orientation [rad].
     """
 
@@ -140,8 +140,8 @@ class PosedSection(FrameSection):
 
     Attributes:
         pose: `known`: it is right there; `unknown`: found from the measurements, starting from there.
-        sigma, sigma_angle: How far an unknown pose may be from there, one standard deviation [m], [rad]; left out, the
-            numbers say nothing.
+        sigma, sigma_angle: How far an unknown pose may be from there, one standard deviation [m], [rad]; without
+            them, the numbers are only a start.
     """
 
     what: ClassVar[str]
@@ -168,7 +168,7 @@ class OwnLength:
     Attributes:
         value: Its actual or expected length [m].
         unknown: Whether the measurements must find it.
-        sigma: How far an unknown one may be from `value`, one standard deviation [m]; None: the value says nothing.
+        sigma: How far an unknown one may be from `value`, one standard deviation [m]; None: `value` is only a start.
     """
 
     value: float = 0.0
@@ -216,12 +216,12 @@ def _to_yaml(length: OwnLength) -> float | str | dict[str, float]:
 
 
 LengthOrUnknown = Annotated[OwnLength, PlainValidator(_read), PlainSerializer(_to_yaml)]
-"""`12 mm`: known; `{value: 12 mm, sigma: 0.1 mm}`: expected there, and found; `unknown`: found."""
+"""`12 mm`: known; `{value: 12 mm, sigma: 0.1 mm}`: found, with this prior; `unknown`: found, without a prior."""
 
 
 def _positive(length: OwnLength) -> OwnLength:
     if length.value <= 0:
-        raise ValueError("must be a positive length, or {value, sigma} of one")
+        raise ValueError("must be positive: a length, or {value, sigma}")
     return length
 
 

@@ -24,7 +24,7 @@ _limited: ContextVar[bool] = ContextVar("one BLAS thread", default=False)
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     """Decorate a function to run with one BLAS thread; the setting is restored afterwards.
 
-    Functions that such a function calls have the limit already.
+    The limit also holds in all functions that it calls.
     """
 
     @wraps(function)

@@ -32,7 +32,7 @@ def count_noun(number: int, singular: str, plural: str | None = None) -> str:
     """Return a number with its noun.
 
     Args:
-        number: How many.
+        number: The number.
         singular: The noun for one.
         plural: For any other number; the singular with an s if not given.
 
@@ -54,7 +54,7 @@ def joints_named(*names: str, separator: str = ", ", shown: int = _LISTED) -> st
     Args:
         names: Names of the joints.
         separator: Text between them.
-        shown: How many are named.
+        shown: Largest number of joints to name.
 
     Examples:
         >>> joints_named("elbow"), joints_named("elbow", "wrist"), joints_named("joint_2")
@@ -91,7 +91,7 @@ def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) 
     `[mm]`, or a name in brackets, is no markup here, and `:name:` no picture.
 
     Args:
-        parts: In the order of printing.
+        parts: Parts in the order of printing.
         width: Width of the tables, in characters.
         wrap: Whether lines of text are broken at this width too.
     """
@@ -104,7 +104,7 @@ def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) 
 
 
 def _wrap_lines(text: str, width: int) -> str:
-    """Lines broken at a width; what follows a break stands two places further in."""
+    """Lines broken at a width; continuations are indented by two more blanks."""
     lines = []
     for line in text.split("\n"):
         further = " " * (len(line) - len(line.lstrip()) + 2)
@@ -120,7 +120,7 @@ def text_table(
 
     Args:
         headers: Headers of its columns.
-        left: Those of them whose cells stand on the left; numbers stand on the right.
+        left: Headers of columns that are aligned left; the others are aligned right.
         plain: Whether it has no lines.
     """
     style: dict[str, Any] = {"box": None, "pad_edge": False} if plain else {}

@@ -3,10 +3,10 @@
 Workers are any `concurrent.futures` executor: threads, processes of this machine (a number), or those of a cluster
 (docs/howto/many_calibrations.md). Everything that shares work takes it as `executor`, and passes it through `Workers`
 to `results_in_order`. An error of the work travels as a value, so that whatever else a future raises means one thing:
-its worker was lost. What is done is kept, what was lost is sent again. Where the executor takes no more work because
-losing a worker has broken it, the rest is done here. What all pieces of work share, such as the first fit of a study,
-goes to each worker once, if the executor can hold it (processes of `Workers`, and those of Dask); otherwise with every
-piece.
+its worker was lost. Finished work is kept, lost work is sent again. Where the executor takes no more work because
+losing a worker has broken it, the rest is done here. Data that all pieces of work share, such as the first fit of a
+study, go to each worker once, if the executor can hold them (processes of `Workers`, and those of Dask); otherwise they
+go with every piece.
 
 The processes of `Workers` end with the program that started them, however it ends: after Ctrl-C, SIGTERM or SIGHUP they
 are stopped before the program is left, and where it dies without a chance to do so (SIGKILL), each of them notices by
@@ -47,10 +47,10 @@ def results_in_order(
     """Yield the function's results, first item first.
 
     At most `_AHEAD` items are with the executor at a time, so that its memory does not grow with their number. The
-    function is what the pieces share.
+    function holds the data that all pieces share.
 
     Args:
-        function: Of a module, so that other processes find it. Neither it nor the caller may change what it works on.
+        function: Function of a module, so that other processes find it. Neither it nor the caller may change its input.
         items: Its arguments.
         executor: The executor; this process if not given.
         progress: Told after each item.
@@ -156,7 +156,7 @@ class Steps:
         self._total += count
 
     def advance(self, *_: int) -> None:
-        """Count one more as done; called like a `Progress`, so that it can be the one of a part of the steps."""
+        """Count one more step as done; may be given as the `Progress` of a part of the call."""
         self._done += 1
         if self._progress is not None:
             self._progress(self._done, self._total)
@@ -174,7 +174,7 @@ class Workers:
         pieces: How many pieces of work there will be at most, if that is known: no more processes than these start.
 
     Raises:
-        InputError: It is neither.
+        InputError: The executor is neither of them.
     """
 
     def __init__(self, executor: Executor | int | None, pieces: int | None = None) -> None:

@@ -9,7 +9,7 @@ the last axis.
 
 A robot is withheld if its fit did not converge, or if it is worse than the nominal robot, with only base and targets
 placed, at the poses of `calib.core.fitting.unseen_errors`. A larger root mean square error is enough, beyond chance or
-not: the nominal robot exists already and costs nothing, so that the doubt is against the new one.
+not: the nominal robot exists already and costs nothing, so the new one must prove itself.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from calib.core.robots.terms.one_coefficient import Zero
 from calib.core.robots.terms.term import Joint, TermSection
 
 _NOTHING = 1e-12  # joint zero, or squared motion of joints, that counts as none [m or rad]
-_SAME = 1.0 + 1e-6  # factor on the nominal robot's error, with `COMPUTED`, within which rounding would decide
+_SAME = 1.0 + 1e-6  # ratio to the nominal robot's error plus `COMPUTED`, up to which rounding would decide
 
 
 @one_blas_thread
@@ -70,7 +70,7 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
 def start_of(fit: Fit, holds: Holds) -> Robot:
     """Return the nominal robot of a fit, without the joint terms that such files lose.
 
-    Values that belong to these terms, as those of an earlier result, become nominal again.
+    If terms are lost, all values become nominal again: those of an earlier result belong to its terms.
     """
     robot = without_terms(fit.nominal, holds)
     return robot.with_nominal_values() if lost_by(fit.nominal, holds) else robot

@@ -52,7 +52,7 @@ class Output:
     Attributes:
         quiet: Print nothing but errors.
         json_target: File for JSON, `-` for standard output (then nothing else goes there), or None.
-        force: Whether to replace files of other programs, or that the command reads.
+        force: Whether to replace files of other programs, and files that the command reads.
     """
 
     quiet: bool
@@ -148,7 +148,7 @@ def _line_now_and_then(what: str) -> Progress:
 def shared_options(
     *, json_output: bool = False, forced: str = FORCED
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command --quiet, --debug, --force (and --json), pass it an `output: Output`, and errors a single line.
+    """Give a command --quiet, --debug, --force (and --json) and an argument `output`; print errors in a single line.
 
     Args:
         json_output: Whether the command takes --json FILE.
@@ -248,14 +248,14 @@ def loss_option(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def sigma_in_metres(sigma_mm: float, *, zero: bool = False) -> float:
-    """Return the --sigma-mm option in m, or raise `InputError` if it is not possible; `zero` allows no noise."""
+    """Return the --sigma-mm option in m, or raise `InputError` if it is not possible; 0 needs `zero`."""
     if not (0 <= sigma_mm < 1e6 and (zero or sigma_mm > 0)):
         raise InputError(f"--sigma-mm {sigma_mm:g}: must be {'zero or ' if zero else ''}a positive number")
     return quantity(f"{sigma_mm!r} mm", "length", "--sigma-mm")
 
 
 def failure_lines(output: Output, result: str | None, out: str) -> list[str]:
-    """Return lines for a file made from a forced failed result, and print a note; `DataError` without a result."""
+    """Print a note if the result failed and was forced, and return lines that say so in a file made from it."""
     lines = forced_lines(result) if result else []
     if lines:
         output.note(f"note: the fit in {result} failed; {out} says so inside")
@@ -263,7 +263,7 @@ def failure_lines(output: Output, result: str | None, out: str) -> list[str]:
 
 
 def load_robot(path: str, output: Output) -> Robot:
-    """Load ROBOT; print a note on parts of a plain URDF that the arm leaves out."""
+    """Load ROBOT; print a note on parts of a plain URDF that the robot leaves out."""
     robot = load(path)
     remark = first_description(robot.urdf, robot.path)[1] if robot.path == robot.urdf.path else ""
     if remark:
@@ -299,7 +299,7 @@ def with_values(robot: Robot, parameters: str | None, result: str | None) -> Rob
 
 
 def different_poses(poses: Poses) -> Poses:
-    """Return each pose once, in the order of first visits, with all its planned readings in that setup."""
+    """Return each pose once, in the order of first visits, with its planned readings in the setup of that visit."""
     numbers = poses.pose_numbers
     if poses.n_poses == len(poses):
         return poses
@@ -311,7 +311,7 @@ def different_poses(poses: Poses) -> Poses:
 
 
 def _each_once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Readings:
-    """Planned readings at poses, once for each of the visits with these numbers (n,) that count."""
+    """Planned readings of the visits that count, each once, with the visits' new numbers (n,)."""
     looks = np.column_stack([numbers[readings.visits], readings.pairs, readings.details, counts[readings.visits]])
     kept = np.sort(np.unique(looks, axis=0, return_index=True)[1])
     kept = kept[counts[readings.visits[kept]]]

@@ -51,7 +51,7 @@ _FOLDER = "out/robot"  # in the proposed next step, if the user named no folder
 @click.option(
     "--sigma-mm",
     type=float,
-    help=f"{SIGMA_HELP}. If neither states it, the noise is found from the residuals.",
+    help=f"{SIGMA_HELP}. Noise that is not stated is found from the residuals.",
 )
 @loss_option
 @click.option(

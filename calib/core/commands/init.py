@@ -10,7 +10,7 @@ import click
 
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.files import write_files
-from calib.core.base.registry import brought, list_entry_points
+from calib.core.base.registry import list_entry_points, load_entry
 from calib.core.base.sections import parse_yaml
 from calib.core.base.units import millimetres
 from calib.core.commands.common import Output, shared_options
@@ -58,7 +58,7 @@ def _source_options(function: Callable[..., None]) -> Callable[..., None]:
     "--camera", metavar="FILE", help="With --measure camera: its intrinsics, YAML of OpenCV or camera_info of ROS."
 )
 @click.option(
-    "--xacro", multiple=True, metavar="NAME:=VALUE", help="Argument of a xacro file; once for each. Kept in the file."
+    "--xacro", multiple=True, metavar="NAME:=VALUE", help="Argument of a xacro file, kept in FILE; may be repeated."
 )
 @click.option("--dh", metavar="FILE", help="Denavit-Hartenberg table (CSV) in place of a URDF, which is then written.")
 @click.option("--convention", type=click.Choice(CONVENTIONS), help="Convention of the table, if it does not state it.")
@@ -69,7 +69,7 @@ def _source_options(function: Callable[..., None]) -> Callable[..., None]:
     "lengths",
     multiple=True,
     metavar="NAME=VALUE",
-    help=f"Length of the template, such as rod=300mm; once for each. Names and defaults are: {_LENGTHS};"
+    help=f"Length of the template, such as rod=300mm; may be repeated. Names and defaults are: {_LENGTHS};"
     f" {_LENGTHS_OF_SOURCES}.",
 )
 @click.option(
@@ -81,8 +81,8 @@ def _source_options(function: Callable[..., None]) -> Callable[..., None]:
     "-o",
     "--out",
     metavar="FILE",
-    help="YAML file to write. Default: in the current folder, with the name of what is given. The URDF of --dh,"
-    " --template or a printer goes beside it, and its measurements (.csv).",
+    help="YAML file to write. Default: in the current folder, named after the input. The URDF of --dh, --template or a"
+    " printer goes beside it, and a printer's measurements (.csv).",
 )
 @shared_options()
 def command(
@@ -166,7 +166,7 @@ def command(
     files, words = {urdf_out: text.source} if urdf_out else {}, None
     if measure == "camera":
         plain = _load_unwritten(text, description_text(text, described))
-        boards, words = brought("calib.measures", measure)(plain, board, camera, to_print, Path(out))
+        boards, words = load_entry("calib.measures", measure)(plain, board, camera, to_print, Path(out))
         files |= boards
     description = description_text(text, described, remark, measure, words).encode()
     files[Path(out)] = description

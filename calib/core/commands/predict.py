@@ -22,7 +22,7 @@ from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
 
 _FURTHER = 1.05
-"""Ratio of expected errors at these poses to those at poses like the measured ones, from which both are reported."""
+"""Both are reported if errors here are expected to be this many times those at poses like the measured ones."""
 
 
 @click.command("predict")

@@ -13,7 +13,7 @@ from calib.core.base.errors import CalibrationError
 from calib.core.base.letters import brief, visible
 from calib.core.base.other_words import hint_for
 
-_COLLECTED_AFTER = 50_000  # new objects; Python's 700 make a command look through all that it imported dozens of times
+_COLLECTED_AFTER = 50_000  # new objects; after each 700, Python's default, all imported objects would be searched
 
 
 def _one_line(message: str) -> str:
@@ -49,7 +49,7 @@ def _usage(error: click.UsageError, path: str) -> str:
 def run_program(group: click.Group) -> None:
     """Run a command line; every error is one line on standard error and an exit code."""
     gc.set_threshold(_COLLECTED_AFTER)
-    atexit.register(gc.freeze)  # the system takes all memory back: nothing is searched for that
+    atexit.register(gc.freeze)  # the system takes all memory back, so Python need not search it for garbage
     try:
         result = group.main(prog_name=group.name, standalone_mode=False)
         sys.exit(result if isinstance(result, int) else 0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.core.base.errors import InputError
 from calib.core.base.files import write_folder
-from calib.core.base.registry import brought
+from calib.core.base.registry import load_entry
 from calib.core.base.words import count_noun
 from calib.core.commands.common import (
     SIGMA_HELP,
@@ -76,7 +76,7 @@ def command(
         comments += (f"joint values of {count_noun(len(moved), 'visit')} are changed so that the robot touches",)
     if photographs and camera:
         with output.working("rendering photographs"):
-            photographs_of = brought("calib.methods", "photographs")
+            photographs_of = load_entry("calib.methods", "photographs")
             images = photographs_of(model, camera, measured, np.random.default_rng(seed))
         others = {name: readings for name, readings in measured.readings.items() if name != camera.name}
         measured = replace(measured, readings=others)
@@ -114,5 +114,5 @@ def _require_noise(robot: Robot, sigma: float | None, photographing: Pixel | Non
     named = ", ".join(f"'{name}'" for name in unstated)
     remedy = "state it there, or give --sigma-mm"
     if unstated_noise(robot, 1.0):
-        remedy = "state it there, as --sigma-mm speaks of positions only, or give --sigma-mm 0 for no noise at all"
+        remedy = "state it there (--sigma-mm is for positions only), or give --sigma-mm 0 for no noise at all"
     raise InputError(f"{robot.path}: states no noise (sigma) of {named}; {remedy}")

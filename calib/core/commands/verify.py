@@ -78,7 +78,7 @@ def command(
     if again:
         output.note(
             f"note: {again} of {count_noun(len(measured), 'visit')} have joint values that the calibration used. New"
-            " readings there show whether the robot has changed; readings that it used do not"
+            " readings there show whether the robot has changed; the readings that the calibration used do not"
         )
     with output.working(f"judging {count_noun(measured.n_readings, 'reading')}"):
         acceptance = verify(promise, measured, same_setup=same_setup)
@@ -112,7 +112,7 @@ def _plan(promise: Promise, data: tuple[str, ...], change: str | None, same_setu
                 f"All {len(poses)} poses are too few to show {change} with a chance of {100 * POWER:.0f} %; add poses"
             )
         else:
-            anew = "" if same_setup else ", or base and targets, which are placed anew, take it up"
+            anew = "" if same_setup else ", or base and targets, which are placed anew, absorb it"
             lines.append(f"No number of such poses shows a change of {name}: readings do not depend on it{anew}")
     output.json(content)
     output.say("\n".join(lines))

@@ -57,7 +57,7 @@ def read_dh(path: Path | str, convention: str | None = None) -> DhTable:
 
 
 def format_dh(table: DhTable, comments: Sequence[str] = ()) -> str:
-    """Return CSV text in mm and degrees, behind comments; reading it gives the same table to all digits."""
+    """Return CSV text in mm and degrees, after comments; reading it gives the same table to all digits."""
     columns: list[tuple[str, Sequence[object]]] = [
         ("joint", [row.name for row in table.rows]),
         ("type", [row.kind for row in table.rows]),
@@ -159,7 +159,7 @@ def _cell(table: Table, name: str, k: int, dimension: Dimension | None) -> float
     unit = table.units[table.names.index(name)]
     number = read_number(text, where, table.separator)
     if unit is None:
-        check_plausible(number, dimension, where, f"behind the number, such as '{text} {DISPLAY_UNIT[dimension]}'")
+        check_plausible(number, dimension, where, f"after the number, such as '{text} {DISPLAY_UNIT[dimension]}'")
     return number / per_si(unit, dimension, where, DataError)
 
 

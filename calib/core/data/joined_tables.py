@@ -21,7 +21,7 @@ _TIME = "time"
 
 
 def join_by_pose_column(tables: Sequence[Table], robot: Robot) -> list[Table]:
-    """Return tables with a column `pose` each, by which they are joined, if the description asks for another way.
+    """Return tables that a column `pose` joins; it is added if the description asks to join by rows or by time.
 
     Raises:
         DataError: Not one table with joint values, another number of rows, no `time`, or none near enough.
@@ -43,8 +43,8 @@ def _follower(table: Table, leader: Table, robot: Robot) -> Table:
     if robot.description.join == "rows":
         if len(table.rows) != len(leader.rows):
             raise DataError(
-                f"{table.path}: has {len(table.rows)} rows and {leader.path} {len(leader.rows)}; join: rows needs as"
-                " many"
+                f"{table.path}: has {len(table.rows)} rows, and {leader.path} has {len(leader.rows)}; join: rows needs"
+                " the same number"
             )
         warn_once(f"{table.path}: joined row by row with {leader.path}, as the description asks")
         return _with_poses(table, np.arange(len(table.rows)), np.arange(len(table.rows)))
@@ -57,8 +57,8 @@ def _follower(table: Table, leader: Table, robot: Robot) -> Table:
     near = np.flatnonzero(apart <= lag)
     if len(near) == 0:
         raise DataError(
-            f"{table.path}: no time within {lag:g} s of one in {leader.path} (the nearest is {np.min(apart):.3g} s"
-            " away); their clocks must agree, or state a larger lag"
+            f"{table.path}: its times are {np.min(apart):.3g} s or more from those in {leader.path}, and 'lag' allows"
+            f" {lag:g} s; make their clocks agree, or give a larger 'lag' in the robot description"
         )
     warn_once(f"{table.path}: joined to {len(near)} of {len(given)} rows of {leader.path} by time, within {lag:g} s")
     return _with_poses(table, nearest[near], near)
@@ -71,7 +71,7 @@ def _times(table: Table) -> FloatArray:
 
 
 def _with_poses(table: Table, rows: np.ndarray, poses: np.ndarray) -> Table:
-    """Some rows of a table, with these numbers as their poses, in place of a column that it has."""
+    """Some rows of a table, with a column `pose` of these numbers in place of its own, if it has one."""
     others = [k for k, name in enumerate(table.names) if name != "pose"]
     cells = [(*(table.rows[int(row)][k] for k in others), str(int(p) + 1)) for row, p in zip(rows, poses, strict=True)]
     return replace(

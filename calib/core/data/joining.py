@@ -18,7 +18,7 @@ from calib.core.robots.terms.gravity import COLUMNS as GRAVITY_COLUMNS
 def join_measurements(parts: Sequence[Measurements], robot: Robot) -> Measurements:
     """Put measurements one after another, as those of several files.
 
-    Poses that are numbered from 1 in several of them are counted on, unless their joint values say that they repeat.
+    If several number their poses from 1, later numbers continue the earlier ones, unless joint values repeat poses.
 
     Raises:
         DataError: One is given twice, or is of a robot with other joints; or as `read_measurements`.

@@ -1,9 +1,9 @@
-"""Begin of the table in files of other programs: lines above the header, a row of units below it, worksheets.
+"""Where the table begins in files of other programs: lines above the header, a row of units below it, worksheets.
 
 Programs of trackers and coordinate machines write facts about the measurement above the table: SpatialAnalyzer behind
 `//`, others as plain lines. A header is a line without a number, and the lines below it have as many cells, with a
-number in the first few. The first line is the header if it is one, and no other is wider; else the widest, and the
-lines above it are comments. Two that are as wide are refused.
+number in the first few. The first line is the header if it is one, and no other header is wider; else the widest header
+counts, and the lines above it are comments. Two widest headers are refused.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def _header_width(lines: Sequence[str], line_numbers: Sequence[int]) -> int:
 
 
 def _has_only_numbers(cells: Sequence[str]) -> bool:
-    """Whether a line is one of numbers, behind a name perhaps: three or more, as no header has."""
+    """Whether a line has three or more numbers, perhaps after a name, as no header has."""
     filled = [cell.strip() for cell in cells[1:] if cell.strip()]
     numbers = [_NUMBER.fullmatch(cell) for cell in filled[-3:]]
     return len(numbers) == 3 and all(numbers) and any("." in cell for cell in filled[-3:])

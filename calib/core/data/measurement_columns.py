@@ -1,7 +1,7 @@
-"""Visits and what was read there as columns of tables, in mm and degrees: a header and a cell for each line.
+"""Visits and their readings as columns of tables, in mm and degrees: a header and a cell for each line.
 
-A visit at which an instrument read several things (points of a camera) has a line for each of them, which repeat its
-joint values. Cells that nothing stands in are empty text.
+A visit at which an instrument read several things (points of a camera) has a line for each of them, with the same joint
+values. Cells without a value are empty text.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def joint_columns(robot: Robot, q: FloatArray) -> dict[str, FloatArray]:
 def cells_of(values: FloatArray) -> list[object]:
     """Return the cells of a column, (n,); empty where there is no number.
 
-    15 digits: 30 degrees come out as 30, not as what the way through radians leaves of them.
+    Numbers have 15 digits, so that 30 degrees stay 30 after the conversion to radians and back.
     """
     return [float(f"{value:.15g}") if math.isfinite(value) else "" for value in values.tolist()]
 
@@ -61,7 +61,7 @@ def condition_columns(
 def approach_columns(robot: Robot, approach: FloatArray | None) -> dict[str, list[object]]:
     """Return directions of approach (n, n_actuated), for joints with at least one known direction.
 
-    A column says that they are given, also where none is known.
+    If no direction is known, every joint has a column, which says that directions are stated.
     """
     if approach is None:
         return {}
@@ -128,8 +128,8 @@ def reading_columns(
                 column[line] = cell
         if not dimensions and np.any(readings.values):
             raise DataError(
-                f"instrument '{instrument.name}' does not reach what it touches, and no file can say by how"
-                " much; give joint values at contact"
+                f"instrument '{instrument.name}' is not in contact at these joint values, and files cannot hold the"
+                " gap; give joint values at contact"
             )
     return visits, columns
 
@@ -157,7 +157,7 @@ def _lines(robot: Robot, n_visits: int, all_readings: Mapping[str, Readings]) ->
 
 
 def rank_in_visit(visits: IntArray) -> IntArray:
-    """Return how many readings before it each reading's visit has, (n,) -> (n,)."""
+    """Return the number of earlier readings of the same visit, for each reading, (n,), from the visits (n,)."""
     order = np.argsort(visits, kind="stable")
     sorted_visits = visits[order]
     result = np.empty(len(visits), dtype=np.intp)

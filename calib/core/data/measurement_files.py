@@ -43,7 +43,7 @@ from calib.core.robots.terms.terms import condition_columns
 
 
 def robot_of_data(path: object, robot: RobotLike) -> Robot:
-    """Return the robot of data that are to be read; an `InputError` where it stands in their place."""
+    """Return the robot for data that are to be read; `InputError` if a robot is given in the place of the data."""
     if isinstance(path, Robot):
         raise InputError('the data come first here, then the robot: calib.read_measurements("data.csv", robot)')
     return as_robot(robot)
@@ -68,7 +68,7 @@ def read_measurements(
     Args:
         path: The file, or several that belong together; see the module docstring. Or data frames of pandas or polars,
             or dictionaries of columns, with the headers that files have.
-        robot: Whose joints and instruments they are; loaded, or its description or URDF.
+        robot: Robot with these joints and instruments: loaded, or its description or URDF.
         growing: For one file that is still being written: its lines so far, which may have no reading yet.
 
     Raises:
@@ -148,7 +148,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     """
     setups = setups_of(robot, table) if robot.description.setups and "setup" in table.names else None
     joints, sensed = _joints_of_table(table, robot, setups, robot.joint_names)
-    joints.flags.writeable = False  # who holds it needs no copy
+    joints.flags.writeable = False  # so its holders need no copy
     called = tuple(table.text("pose")) if "pose" in table.names else None
     if called is not None and "" in called:
         line = table.lines[called.index("")]
@@ -278,9 +278,9 @@ def conditions_of_table(
     """Return the conditions of the robot in each row of a table.
 
     Args:
-        robot: Its terms say what they depend on.
-        joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then what
-            their order would tell counts as nothing.
+        robot: Robot whose terms name their inputs.
+        joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then their
+            order tells nothing.
 
     Returns:
         Columns that terms depend on, and those of gravity where the description speaks of it, (n,) [SI] by name, NaN

@@ -1,7 +1,7 @@
 """Measurements: the visits of a robot to its poses, and the readings of each instrument there.
 
 A visit is one row: joint values, and what else is known of that moment (context). Rows with one pose name repeat that
-pose; nothing is averaged. An instrument may have read nothing at a visit, and several may have read at one.
+pose; nothing is averaged. At a visit, an instrument may have read nothing, and several may have read something.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ class Poses(ReadOnlyArrays, HintedObject):
         path: Their file.
         ignored: Columns of the file that were not used.
         comments: Comments of the file, line by line.
-        context: Conditions of each visit, (n,) [SI] by name, of `CONTEXT` of columns; NaN where not known.
+        context: Conditions of each visit, (n,) [SI], by their names in `CONTEXT`; NaN where not known.
         approach: Direction in which each joint moved last before the visit, +1 or -1, 0 where not known,
             (n, n_actuated); None: not given.
         setups: Number of the setup of each visit, as the description counts them, (n,); None: the first.
         planned: Readings that a plan asks for, without values, by instrument. It says nothing of instruments that are
             not named.
-        robot: Whose joints they are, as it was when they were made; None: not stated.
+        robot: The robot for which the poses were read or made, as it was then; None if not stated.
     """
 
     _other_words = "measurements and poses"
@@ -84,7 +84,7 @@ class Poses(ReadOnlyArrays, HintedObject):
         """
         if isinstance(which, str):
             raise InputError(
-                f"{self.path}: rows are taken by number; here: data.to_dataframe()['{which}'] for a column"
+                f"{self.path}: brackets take numbers of rows; for a column, write data.to_dataframe()['{which}']"
             )
         try:
             return self.subset(np.atleast_1d(np.arange(len(self))[which]))
@@ -92,7 +92,7 @@ class Poses(ReadOnlyArrays, HintedObject):
             raise DataError(f"{self.path}: {error}; it has {len(self)} rows") from None
 
     def __add__(self, other: object) -> NoReturn:
-        raise InputError(f"{self.path}: is joined in a list: calib.fit(robot, [first, 'b.csv'])")
+        raise InputError(f"{self.path}: join measurements in a list: calib.fit(robot, [first, 'b.csv'])")
 
     def __array__(self, *_: object, **__: object) -> NoReturn:
         raise InputError(f"{self.path}: {type(self).__name__} are not an array; give .joints, the joint values alone")
@@ -101,7 +101,7 @@ class Poses(ReadOnlyArrays, HintedObject):
         return (self[k] for k in range(len(self)))
 
     def _robot(self, robot: Robot | None) -> Robot:
-        """The robot that is given, or that they were made for."""
+        """The given robot, or else the robot of these poses."""
         known = self.robot if robot is None else robot
         if known is None:
             raise InputError(f"{self.path}: does not have its robot; give the robot as an argument")
@@ -234,7 +234,7 @@ class Measurements(Poses):
         """Return some of the readings, visit by visit, and the visits at which they were made.
 
         Args:
-            numbers: Which readings of each instrument, by its name: indices (n,); none of others.
+            numbers: Indices (n,) of the readings of each instrument, by its name; other instruments get none.
         """
         chosen = {name: self.readings[name].subset(own) for name, own in numbers.items()}
         visits = np.unique(np.concatenate([readings.visits for readings in chosen.values()]))
@@ -299,7 +299,7 @@ def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements
 
 
 def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measurements:
-    """Return measurements in which instruments that measure points saw these, (n, n_targets, 3) [m]."""
+    """Return measurements with other measured points of each visit and target, (n, n_targets, 3) [m]."""
     moved = dict(data.readings)
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)
@@ -321,12 +321,12 @@ def readings_of_visits(readings: Readings, index: IntArray) -> Readings:
 
 
 def setup_pairs(robot: Robot, instrument: Instrument, setups: IntArray) -> IntArray:
-    """Return the offset by each visit's setup (n,) on the number of the pair that an instrument looks along, (n,)."""
+    """Return the number to add to the pair numbers of an instrument at each visit (n,), for its setup (n,)."""
     return setups * (len(robot.pairs(instrument)) // max(1, len(robot.description.setups)))
 
 
 def states_by_order(robot: Robot, joints: FloatArray) -> dict[str, FloatArray]:
-    """Return the states of joint terms that follow from the order of commands (n, n_actuated), (n,) each by column."""
+    """Return the states of joint terms by column, (n,) each, computed from the order of commands (n, n_actuated)."""
     commands = dict(zip(robot.joint_names, joints.T, strict=True))  # no one commands passive joints
     states = [term.states_by_order(commands[term.joint]) for term in robot.terms if term.joint in commands]
     return {column: values for own in states for column, values in own.items()}

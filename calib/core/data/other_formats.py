@@ -1,6 +1,6 @@
-"""Files of measurements that are no table of this program: known by their head, turned into one, or named with the way.
+"""Other formats of measurements: known by their head, and converted to a table, or a message says what to do.
 
-Capabilities and other packages bring formats under the group `calib.readers`: each entry is a tuple of `OtherFormat`,
+Capabilities and other packages add formats in the group `calib.readers`: each entry is a tuple of `OtherFormat`,
 and the first that fits counts. What a file was taken for is a warning of the logger `calib`.
 """
 
@@ -17,7 +17,7 @@ from calib.core.base.files import read_bytes
 from calib.core.base.registry import list_entry_points
 from calib.core.base.words import warn_once
 
-_HEAD = 1 << 16  # bytes by which a format is known
+_HEAD = 1 << 16  # bytes by which a format is recognised
 _ASCII = 0.7  # part of a table that is digits, separators and plain letters
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
@@ -29,7 +29,7 @@ class SomeFile:
     Attributes:
         path: The file.
         head: Its first bytes.
-        renamed: Meanings of columns, by the robot's description.
+        renamed: Names of its columns, and the names in a table of this program, from the robot's description.
     """
 
     path: Path
@@ -38,7 +38,7 @@ class SomeFile:
 
     @cached_property
     def encoding(self) -> str:
-        """Encoding of its text: by its mark, else UTF-8 if it is that, else Latin-1."""
+        """Encoding of its text: by its byte order mark, else UTF-8 if its bytes are valid, else Windows' Latin-1."""
         marked = next((name for mark, name in _MARKS if self.head.startswith(mark)), None)
         if marked is not None:
             return marked
@@ -50,7 +50,7 @@ class SomeFile:
 
     @cached_property
     def first_lines(self) -> list[str]:
-        """Lines of its head; none of a file that is no text."""
+        """Lines of its head; none if the file is no text."""
         binary = b"\0" in self.head or len(self.head.decode("ascii", "ignore")) < _ASCII * len(self.head)
         if binary and self.encoding != "utf-16":
             return []
@@ -72,7 +72,7 @@ class OtherFormat:
         head: Marks by which it is known, in words.
         taken: How it is read, in words; or if it is not, what to do.
         fits: Whether a file is one.
-        read: Returns lines of a table of this program, or its columns by header; None: it is not read.
+        read: Returns lines of a table of this program, or its columns by header; None if it cannot be read.
     """
 
     name: str
@@ -88,10 +88,10 @@ def other_formats() -> list[OtherFormat]:
 
 
 def read_other(path: Path | str, renamed: Mapping[str, str]) -> list[str] | dict[str, Sequence[object]] | None:
-    """Return the content of a file of another format, as lines of a table or columns by header; None: it is of none.
+    """Return the content of a file of another format, as lines of a table or columns by header; None for no format.
 
     Raises:
-        DataError: It is of one that is not read: the message says which, and what to do.
+        DataError: The format cannot be read: the message says which it is, and what to do.
     """
     if not Path(path).is_file():
         return None

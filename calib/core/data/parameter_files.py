@@ -59,7 +59,7 @@ def read_parameters(path: Path | str, robot: RobotLike, *, complete: bool = Fals
 
 
 def format_parameters(robot: Robot, comments: Sequence[str] = ()) -> str:
-    """Return CSV text of a robot's current values, behind comments; reading it gives the same values to all digits."""
+    """Return CSV text of a robot's current values, after comments; reading it gives the same values to all digits."""
     names, values, units = [], [], []
     for parameter, value in zip(robot.parameters, robot.values, strict=True):
         names.append(parameter.name)

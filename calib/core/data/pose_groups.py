@@ -9,7 +9,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.numerics.chances import UNLIKELY
 
 APART = 0.05
-"""Part of poses drawn like others that lie apart from these, by `is_apart`."""
+"""Part of poses that `is_apart` finds apart from others, although they were drawn in the same way."""
 SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
 
 
@@ -32,10 +32,10 @@ def pose_labels(joints: FloatArray) -> IntArray:
 
 
 def _may_have_neighbours(cells: FloatArray) -> BoolArray:
-    """Return which rows of whole numbers (n, k) may equal another one or differ by 1, (n,): of many, few.
+    """Return a mask of the rows of whole numbers (n, k) that may equal another row or differ from it by 1, (n,).
 
-    Two numbers that differ by 1 are halves of one number, rounded down, before or after 1 is added. So rows that are
-    near each other fall together at one of four grids of the two columns that reach farthest.
+    If a and b differ by at most 1, floor(a / 2) = floor(b / 2) or floor((a + 1) / 2) = floor((b + 1) / 2). So rows that
+    are near each other are in one cell of at least one of four grids, of the two columns that reach farthest.
     """
     near = np.zeros(len(cells), dtype=bool)
     if len(cells) == 0:
@@ -65,7 +65,7 @@ def repeated_poses(joints: FloatArray, by_name: IntArray) -> list[IntArray]:
 def _rows_by_pose(joints: FloatArray, by_name: IntArray) -> tuple[IntArray, IntArray]:
     """The rows of each group of `repeated_poses`, one group after the other, (n,), and where each begins, (n_groups,).
 
-    Without repeats a pose is a pose.
+    A pose without repeats is a group of one row.
     """
     by_joints = pose_labels(joints)
     n = int(by_joints.max(initial=-1)) + 1
@@ -90,10 +90,11 @@ def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[Int
 
 
 def is_apart(joints: FloatArray, used: FloatArray) -> BoolArray:
-    """Return which poses lie farther from all poses used than 95 in 100 of these from the nearest other one, (n,).
+    """Return a mask of the poses that lie apart from the poses used, (n,).
 
-    In joint space, in units of each joint's standard deviation over the poses used; repeats of a pose count once. Of
-    poses drawn like those used, about one in 20 is among them. With fewer than 19 poses used, none is.
+    Such a pose is farther from its nearest used pose than 95 in 100 used poses are from their nearest neighbours.
+    Distances are in joint space, in units of each joint's standard deviation over the poses used; repeats of a pose
+    count once. Of poses drawn like those used, about one in 20 lies apart. With fewer than 19 poses used, none does.
 
     Args:
         joints: The poses, (n, n_actuated) [m or rad].
@@ -112,10 +113,9 @@ def is_apart(joints: FloatArray, used: FloatArray) -> BoolArray:
 def are_drawn_alike(joints: FloatArray, used: FloatArray) -> bool:
     """Return whether poses lie among the poses used as if both were drawn together.
 
-    Of poses drawn alike, m of them among n used, the nearest other pose of one is among the m with a chance of
-    (m - 1) / (m + n - 1). Where more have it there than chance explains, the poses are somewhere else, or crowd
-    together. In joint space, in units of each joint's standard deviation over the poses used; repeats of a pose count
-    once. Poses that were used count as drawn alike.
+    If m poses and n used poses are drawn alike, the nearest neighbour of one of the m is another of the m with a chance
+    of (m - 1) / (m + n - 1). If this holds for more poses than chance explains, the poses are somewhere else, or crowd
+    together. Distances are those of `is_apart`. Poses that were used count as drawn alike.
 
     Args:
         joints: The poses, (m, n_actuated) [m or rad].
@@ -137,8 +137,8 @@ def are_drawn_alike(joints: FloatArray, used: FloatArray) -> bool:
 def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -> list[IntArray]:
     """Cut joint space into boxes of about equally many poses, always across the joint that spreads widest.
 
-    Nothing here depends on the order of the joints, or on the side on which their values are positive. Of joints that
-    spread alike, the one nearest to the base is cut; of these, the one whose values differ first, pose by pose. Where
+    The result depends neither on the order of the joints nor on the direction of their axes. If joints spread alike,
+    the one nearest to the base is cut; if several are as near, the one whose values differ first, pose by pose. If
     the poses cannot be halved, the side to which a joint's values lean has one more.
 
     Args:
@@ -159,7 +159,7 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -
     def cut(part: IntArray, into: int) -> list[IntArray]:
         if into == 1:
             return [part]
-        # rounded, so that of joints that spread alike the first is cut on every processor
+        # rounded: if joints spread alike, every processor cuts the first of them
         joint = int(np.argmax(np.round(np.ptp(centres[part], axis=0), 6)))
         arranged = part[np.argsort(centres[part, joint], kind="stable")]
         left = into // 2
@@ -176,9 +176,9 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -
 
 
 def _both_ways_alike(centres: FloatArray) -> FloatArray:
-    """Return joint values (n, k) about the middle of their range, in units of it, the same if an axis is reversed.
+    """Return joint values (n, k) from the middle of their range, in units of it, with the sign of each joint chosen.
 
-    They lean to the positive side: towards the middle of the range, or, where they lean to none, with the first pose.
+    So the result does not change if an axis is reversed: the mean is positive, or if it is 0, the first value.
     """
     low, high = np.min(centres, axis=0), np.max(centres, axis=0)
     spread = np.where(high > low, high - low, 1.0)

@@ -1,7 +1,7 @@
 """Tables of a robot whose columns other programs have named: `J1 (deg)` ... `J6 (deg)`, `X (mm)`, `Y (mm)`, `Z (mm)`.
 
-Columns are taken for joints where no joint has a column of its name, and there is one for each: of the same letters and
-figures (`Joint 1` for `joint_1`), or numbered from 1. Columns X, Y, Z are the position that is read, where one
+Columns are taken for joints where no joint has a column of its name, and each joint has one with the same letters and
+figures (`Joint 1` for `joint_1`), or all are numbered from 1. Columns X, Y, Z are the position that is read, where one
 instrument reads positions and has no columns; so are NAME_x, NAME_y, NAME_z of the only NAME. U95 X, U95 Y, U95 Z
 next to them are twice the standard deviations of a reading. A column needs its unit for that, because it is not known
 whether a robot's program writes degrees. Guesses are warnings of the logger `calib`. A robot description may
@@ -75,7 +75,7 @@ def _deviation_columns(robot: Robot, table: Table, guessed: Mapping[str, str]) -
 
 
 def _check_units(robot: Robot, table: Table) -> None:
-    """Raise `DataError` if columns would be those of the joints, if their units were written as units are."""
+    """Raise `DataError` if only the spelling of units keeps columns from being those of the joints."""
     odd = _odd_units(table)
     split = [odd.get(name, (name, unit)) for name, unit in zip(table.names, table.units, strict=True)]
     names, units = tuple(name for name, _ in split), tuple(unit for _, unit in split)

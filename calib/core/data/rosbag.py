@@ -99,7 +99,7 @@ def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[st
         finite = spread[np.isfinite(spread)]
         moved = f"; the least that a joint moved is {np.min(finite):.2g} rad or m" if len(finite) else ""
         raise DataError(
-            f"{path}: at none of {count_noun(len(times), 'measurement')} the robot stood still: joint states within"
+            f"{path}: the robot stood still at none of {count_noun(len(times), 'measurement')}: joint states within"
             f" {_WINDOW} s before and after, no further apart than {_STILL:g} rad or m{moved}"
         )
     of_stop = stops(q[still])

@@ -36,7 +36,7 @@ def format_table(columns: Written, comments: Sequence[str] = ()) -> str:
     B,2.0
 
     Args:
-        columns: (header, values) of each column, values of equal length; of an array, cells without a number are empty.
+        columns: (header, values) of each column, values of equal length; NaN in an array gives an empty cell.
         comments: Lines to put first, behind #.
 
     Raises:
@@ -70,7 +70,7 @@ def _format_cells(values: Sequence[object] | FloatArray) -> list[str]:
 def _format_numbers(values: FloatArray) -> list[str]:
     """Return the text by `repr` of each number, in a fifth of the time; empty where it is not finite.
 
-    JSON has the same digits; it writes others where `repr` has an exponent.
+    The JSON writer gives the same digits, except where `repr` has an exponent.
     """
     numbers: list[float] = values.tolist()
     cells = _JSON.dump_json(numbers)[1:-1].decode().split(",") if numbers else []

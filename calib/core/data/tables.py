@@ -1,7 +1,7 @@
 """CSV tables with units in their headers, read with the line and column of every mistake.
 
 A column is `name` or `name [unit]`; without a unit the numbers are SI. Lines that start with # or // are comments.
-Commas, semicolons or tabs part the columns, whichever the header has; where it is not the comma, that may be the
+Commas, semicolons or tabs separate the columns; the header decides. Where they are not commas, a comma may be the
 decimal mark. `calib.core.data.layouts` knows what other programs write around a table; guesses are warnings of
 the logger.
 """
@@ -162,7 +162,7 @@ class Table:
         )
 
     def _check_marks(self, index: int) -> None:
-        """Raise `DataError` where a column has decimal commas and decimal points: which of them part thousands?"""
+        """Raise `DataError` where a column has commas and points, as it is unclear which of them are decimal."""
         comma = next((k for k, row in enumerate(self.rows) if "," in row[index] and "." not in row[index]), None)
         point = next((k for k, row in enumerate(self.rows) if "." in row[index] and "," not in row[index]), None)
         if comma is not None and point is not None:
@@ -276,7 +276,7 @@ def read_table(
 
 
 def _without_comments(lines: Sequence[str], above: int) -> tuple[list[str], list[int]]:
-    """Return the comments of a file, whose first `above` lines are comments too, and numbers of its header and rows."""
+    """Return the comments of a file, and line numbers of header and rows; the first `above` lines count as comments."""
     comments, numbers = list[str](), list[int]()
     for number, line in enumerate(lines, start=1):
         if is_comment(line):
@@ -291,7 +291,7 @@ def _without_comments(lines: Sequence[str], above: int) -> tuple[list[str], list
 
 
 def _check_widths(path: str, rows: Mapping[int, Sequence[str]], width: int, header: int, separator: str) -> None:
-    """Raise `DataError` for a row, by its line, that has not as many cells as the header in that line."""
+    """Raise `DataError` for a row, by its line, with more or fewer cells than the header in line `header`."""
     for number, cells in rows.items():
         if len(cells) != width:
             hint = "; write decimals with a point, or separate columns by semicolons"

@@ -45,8 +45,8 @@ USUAL_FACTORS: dict[str, dict[float, str]] = {
 _STEP = 0.06  # relative step between tried scales
 _USUAL = 2e-3  # relative difference of a factor from a usual one
 _FACTORS = tuple((1.0 + _STEP) ** k for k in range(-16, 17) if k)
-_ALL_SIGNS = 8  # motors up to which every pattern of signs and every two changes are tried
-_ALL_ORDERS = 5040  # number of orders up to which all are tried; else those of two or three columns
+_ALL_SIGNS = 8  # largest number of motors with every pattern of signs and every two changes tried
+_ALL_ORDERS = 5040  # if there are more orders, only those of two or three columns are tried
 _BEAM = 6  # best maps that are changed further
 _ROUNDS = 4
 _HALVED = 0.5
@@ -119,7 +119,7 @@ class ColumnMap:
     def description_line(self, robot: Robot, units: Mapping[str, str | None]) -> str:
         """Return the line of the robot's description that corrects the mistakes: `columns: {elbow: "-elbow [deg]"}`.
 
-        The line includes what the description already says of a column.
+        The line includes the maps that the description already has.
 
         Args:
             units: Units of the file's columns, by name.

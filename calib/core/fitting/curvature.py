@@ -18,10 +18,10 @@ families, whose size is found, do not count either: each of hundreds is uncertai
 As E e^2 depends only on the distribution of d, the other columns t_i are replaced by the fewest with the same
 distribution, the root of their covariance, once for those that priors hold and once for the rest.
 
-Of very many poses, a part determines e: values on the curve read the same at each pose, so that the step back is the
-same, too. T and the span t_i are those of all poses; the step back is that of N / n times the squares of n of the N
-poses, spread over all pairs of frames of each instrument. With 1000 and 5000 poses of a six-axis arm, 250 give the same
-half widths to 2e-7.
+If there are very many poses, some of them determine e: values on the curve read the same at each pose, so that the step
+back is the same, too. T and the span t_i are those of all N poses. The step back is computed from n of them, spread
+over all pairs of frames of each instrument, with their squares multiplied by N / n. With 1000 and 5000 poses of a
+six-axis arm, 250 give the same half widths to 2e-7.
 
 E e^2 widens the intervals of single parameters, on both sides. It is no part of the covariance: positions do not change
 along the curve, and their covariance is that of the linear model around the solution.
@@ -43,7 +43,7 @@ from calib.core.numerics.observability import information
 from calib.core.numerics.statistics import prior_directions
 from calib.core.rows.rows import Rows
 
-_HELD = 0.1  # share of the priors in a direction above which its square counts
+_HELD = 0.1  # the square of a direction counts if priors have more than this share in it
 _STEP = 0.1  # step of a difference of Jacobians, in standard deviations
 _POSES = 250  # poses of each pair of frames that determine the step back
 

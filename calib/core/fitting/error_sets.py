@@ -28,8 +28,8 @@ class ErrorSet(ReadOnlyArrays):
         before, after: Errors before and after calibration of each instrument, by name, (n, n_rows) [SI]; NaN where a
             component was not read.
         singular_value: Each visit's distance to a singularity of the loops; infinite without loops, (n_visits,).
-        passive: Passive joints after calibration, to close the loops from again, (n_visits, n_passive) [m or rad]; None
-            where they were not kept.
+        passive: Passive joints after calibration, from which the loops can be closed again, (n_visits, n_passive)
+            [m or rad]; None if they were not kept.
     """
 
     data: Measurements
@@ -189,7 +189,7 @@ class Errors(dict[str, dict[str, dict[str, object]]]):
 
 
 class Residuals(ReadAsArray, dict[str, FloatArray]):
-    """Residuals by instrument; of a single one also an array: `np.std(fit.residuals)`, `fit.residuals[:10]`."""
+    """Residuals by instrument; if there is only one, also its array: `np.std(fit.residuals)`, `fit.residuals[:10]`."""
 
     __len__ = dict.__len__
 

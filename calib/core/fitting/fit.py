@@ -54,7 +54,7 @@ class WarmStart:
 
     Attributes:
         names: Parameters, (n,).
-        beyond_linear: The attribute of `Statistics`, of these; 0 where no intervals are requested, None if unknown.
+        beyond_linear: `Statistics.beyond_linear` of these; 0 where no intervals are requested, None if unknown.
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
         placed: The nominal robot with base and targets placed, and residuals of these visits, (n_readings, n_rows) [SI]

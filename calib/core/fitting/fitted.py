@@ -48,7 +48,7 @@ class Convergence:
 
     Attributes:
         converged: Whether the weights of a robust loss have settled, and `step_left` is small enough.
-        message: The rule that ended it; or the step left, where this decides.
+        message: The rule that ended it, or the step left if that shows that it has not converged.
         step_left: Largest Gauss-Newton step left, over the standard deviation of its parameter.
         parameter: The parameter of that step.
         has_settled_weights: Whether the weights of a robust loss have settled; True without one.
@@ -190,9 +190,9 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @cached_property
     def covariance(self) -> Covariance:
-        """Covariance of the free parameters of the robot with its joint terms, by name.
+        """Covariance of the free parameters, by name.
 
-        Intervals of parameters also include terms that `--terms auto` left undecided.
+        It omits joint terms that `--terms auto` left undecided; intervals of parameters include them.
         """
         values = self.interval_factor**2 * self.statistics.covariance
         return Covariance(self.free_names, values, self.contains(Uncertainty.COVARIANCE))
@@ -281,7 +281,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @property
     def first_noise(self) -> NoiseEstimate:
-        """Noise of measured positions; of the first group of rows where none are."""
+        """Noise of measured positions; of the first group of rows if no positions are measured."""
         return next((estimate for estimate in self.noise if estimate.group.part.is_position), self.noise[0])
 
     @property
@@ -383,7 +383,7 @@ class Fit(ReadOnlyArrays, HintedObject):
 
     @property
     def undecided(self) -> UndecidedTerms | None:
-        """Joint terms that the data do not exclude, and the robot lacks; None without any."""
+        """Joint terms that the data do not exclude, and that the robot lacks; None if there are none."""
         if self.terms is not None and self.terms.automatic:
             return self.terms.undecided
         return self.unexplained.terms

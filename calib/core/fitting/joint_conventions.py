@@ -10,7 +10,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.words import joints_named, listing
 from calib.core.robots.robot import Robot
 
-_FILLED = 0.75  # part of a turn beyond which values are so near to both of its ends that they may be wrapped there
+_FILLED = 0.75  # values over more than this part of a turn are near both of its ends, and may be wrapped there
 _ROUND = 1e-3  # beyond the ends of a turn, values that were rounded [rad]
 
 

@@ -36,17 +36,17 @@ from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
 
 LARGE_NOISE = 0.1
-"""Noise, over the spread of the measured positions, from which nothing fits."""
-_CLOSER = 0.2  # miss of the nominal robot with the mistake undone, over that with the data unchanged
-_NEAR = 0.2  # the same over the spread of the measured positions
-_HALF = 0.5  # noise of a fit with other scales of joints, over that without
-_AS_GOOD = 1.5  # miss over that of the best, up to which another mistake explains the data as well
+"""Nothing fits if the noise is more than this part of the spread of the measured positions."""
+_CLOSER = 0.2  # with the mistake undone, the nominal robot misses by less than this part of what it missed before,
+_NEAR = 0.2  # and by less than this part of the spread of the measured positions
+_HALF = 0.5  # a fit with other scales of joints leaves less than this part of the noise
+_AS_GOOD = 1.5  # another mistake explains the data as well if it misses by at most this many times the best miss
 _POSES = 20  # poses that suffice to show a gross mistake
 _GLANCE = 4  # one in so many of these shows whether the loops close at all
 _FEW = 3  # rows that may agree by chance, or that a shift must leave
 _SHIFTS = 5
 _RANGES = ((-100, 100), (0, 100), (-1, 1), (0, 1), (0, 1023), (0, 4095), (0, 65535))
-_NO_SIZE = 1e-6  # reach over the size of the measured space: the target is described where nothing moves it
+_NO_SIZE = 1e-6  # ratio of reach to measured space below which the target is described on a link that does not move
 _ANOTHER_UNIT = 0.1  # change of all lengths that is more than a robot's own errors
 _READ = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _WRITTEN = dict(_READ, inches=0.0254, feet=0.3048, cm=1e-2) | {"tenths of an inch": 2.54e-3}
@@ -309,8 +309,8 @@ def zeros_in_words(data: Measurements, robot: Robot) -> str:
         return ""
     return (
         f"{count_noun(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, which some programs write when"
-        f" they"
-        f" see nothing: {listing([data.labels[k] for k in zeros])}; leave {'it' if len(zeros) == 1 else 'them'} out"
+        f" they see nothing: {listing([data.labels[k] for k in zeros])}; leave {'it' if len(zeros) == 1 else 'them'}"
+        " out"
     )
 
 

@@ -25,7 +25,7 @@ from calib.core.numerics.rigid import best_transform
 FEW_POSES = 6
 """Fewest validation poses for which a good rigid fit of their errors shows a real motion."""
 CLOSE = 0.3
-"""Spread of validation points, over that of the used points, up to which errors of the robot look like one motion."""
+"""Validation points within this part of the spread of the used points: errors of the robot look like one motion."""
 EXPLAINED = 0.3
 """Largest part of the errors on validation poses that remains after a rigid motion that explains them."""
 

@@ -21,10 +21,10 @@ from calib.core.robots.terms.term import Condition
 from calib.core.rows.determination import Determination, determination
 from calib.core.rows.unknowns import Unknowns
 
-_STILL = 1e-6  # range of a joint below which it never moved [m, rad]
-_TIED = 0.02  # entry of the projector onto directions that no pose shows, from which joints are tied
-_ALONE = 1e-3  # least spread of poses along a direction of joint space, over the widest one
-_LINE = 1e-3  # width over length below which positions lie on one line
+_STILL = 1e-6  # a joint never moved if its range is less [m, rad]
+_TIED = 0.02  # joints are tied if their entry of the projector onto directions that no pose shows is larger
+_ALONE = 1e-3  # least spread of poses along a direction of joint space, as part of the largest spread
+_LINE = 1e-3  # positions lie on one line if width over length is less
 
 
 def keeps_limits(data: Measurements, final: Evaluation) -> bool:
@@ -143,7 +143,7 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
 
     Args:
         evaluation: The point of its linear model.
-        alone: Whether to examine the free parameters alone.
+        alone: Whether to examine only the free parameters, without the held ones.
 
     Raises:
         NotIdentifiableError: The message names the parameters, and joints that never moved.
@@ -160,7 +160,7 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
     if determined.missing == 0:
         return determined
     names = [p.name for p, use in zip(parameters, free, strict=True) if use]
-    null = linalg.svd(determined.open_columns)[2][determined.together.rank :]
+    null = linalg.svd(determined.free_columns)[2][determined.together.rank :]
     involved = [name for name, size in zip(names, np.max(np.abs(null), axis=0), strict=True) if size > 1e-3]
     doubt = f"; {determined.together.doubt}" if determined.together.unclear else ""
     raise NotIdentifiableError(
@@ -171,7 +171,7 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
 
 
 def _columns(problem: Problem, evaluation: Evaluation, index: IntArray) -> FloatArray:
-    """Return a few rows with the same products as the derivative by parameters (n,), whitened and not scaled."""
+    """Return few rows J with the same J^T J as the whitened derivative by some parameters (n,), not scaled."""
     unknowns = Unknowns.from_robot(problem.robot, np.isin(np.arange(len(problem.robot.parameters)), index))
     return problem.compressed(evaluation, problem.whitening.start(), unknowns).jacobian / unknowns.scales
 

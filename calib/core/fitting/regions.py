@@ -55,7 +55,7 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
     block = np.zeros(len(data), dtype=np.intp)
     for k, visits in enumerate(boxes(data.joints, data.pose_numbers, BLOCKS, depths)):
         block[visits] = k
-    cuts = {"where in joint space was measured": block}
+    cuts = {"the measured part of joint space": block}
     if data.setups is not None and np.ptp(data.setups) > 0:
         cuts["the setup"] = data.setups
     ratios = {name: scatter_without_blocks(rows, statistics, blocks) for name, blocks in cuts.items()}
@@ -68,7 +68,7 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
 
 
 def scatter_without_blocks(rows: Rows, statistics: Statistics, block: IntArray) -> tuple[float, float]:
-    """Return the motion of parameters without blocks (n_visits,) of visits, over that from noise, and its chance."""
+    """Return the motion of parameters without each block (n_visits,), as a ratio to that from noise, and its chance."""
     layout, factors = rows.layout, statistics.factors
     factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
     of_row = block[layout.visit[layout.reading]]

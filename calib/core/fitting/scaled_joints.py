@@ -24,9 +24,9 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.one_coefficient import Gain
 
 SCALED = 0.01
-"""Relative error of a scale beyond that of every gear, belt or screw."""
+"""Relative error of a scale that no gear, belt or screw has."""
 SURE = 6.0
-"""Standard deviations of a gain beyond which it is not chance."""
+"""A gain of more standard deviations is not chance."""
 _EXPECTED = 0.3  # sigma of the gains
 
 

@@ -7,14 +7,14 @@ repeated with rows weighted for it, until offsets change by less than one in twe
 within a pose more than differences between poses. That is right for repeats, and wrong where the model of the readings
 within a pose is itself off (the lens of a camera, the points of a board). So they are kept only where they predict
 left-out poses better: the sum over groups of n log(RMS weighted / RMS plain), n poses each, must be
-below -1. The sum counts the readings of other instruments, which the weights are to protect, where there are any. With
-a robust loss no offsets are looked for: a gross error is one, too.
+below -1. If there are other instruments, the sum counts their readings, which the weights should protect. With
+a robust loss no offsets are looked for, because a gross error looks like an offset.
 
 Where priors are weighed against stated noise, the errors that the model leaves out count too: for a robot with gear
 errors, the noise of a good tracker is the least part. With a statement that residuals contradict, priors would pull
 parameters hundreds of sigmas away from their expected values, and slowly, along bent valleys. So the noise of such a
 group is found as well, where chance explains the residuals in less than one case of a thousand. The linear model around
-the start decides; where its residuals are curvature, and the minimum contradicts nothing, the statement holds again.
+the start decides. If its residuals come from curvature, so that the minimum contradicts nothing, the statement is used.
 (`calib.core.judging.rules_noise` gives the verdict on the statement itself.)
 """
 
@@ -52,19 +52,19 @@ from calib.core.rows.unknowns import Unknowns
 _LOOSE = 1e-3  # tolerance of the solver where another solve follows
 _PLACED = 1e-6  # the same for the state `before`: its errors then hold to a millionth
 _NOISE_ROUNDS = 20
-_NOISE_STANDS = 0.01  # relative change of scales below which they are found
-_FAMILIES_STAND = 5.0  # factor of the tolerance for sizes of families
-_RATIOS_STAND = 0.05  # the same of offsets over noise, from 1 on; they change only weights
-_GAINED = 1.0  # least gain by weights in the log error of left-out poses, summed over the poses
+_NOISE_CONVERGED = 0.01  # scales are found once they change by less than this part
+_FAMILIES_CONVERGED = 5.0  # factor on this part for sizes of families
+_RATIO_CHANGE = 0.05  # ratios of offsets to noise, plus 1, are found once they change by less than this part
+_GAINED = 1.0  # weights must lower the log error of left-out poses, summed over the poses, by this much
 _NO_NOISE = (
     "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
     " --sigma-mm)"
 )
 _ALIKE = 1e-12  # difference of residuals of robots that move alike: rounding [SI]
 STEP_LEFT = 0.05
-"""Standard deviations that a converged fit may be away from its minimum."""
-_FAR = 0.5  # part of the largest remaining step, from which receding parameters are named
-_BLIND = 1e-6  # part of the longest column, in expected units, below which no reading sees a place
+"""A fit has converged if its distance from the minimum is at most this many standard deviations."""
+_FAR = 0.5  # receding parameters are named if they still move by this part of the largest step
+_BLIND = 1e-6  # no reading sees a place whose column is below this part of the longest, in expected units
 ROUNDING = 1e-8
 """10 nm and 10 nrad: below, rounding decides about a step."""
 
@@ -89,7 +89,7 @@ def place(problem: Problem) -> Evaluation:
     for _ in range(_NOISE_ROUNDS):
         placed, solution = problem.solve(placed, groups, places, tolerance=_PLACED)
         again = _as_found(problem, placed, groups)
-        if not np.any(places.prior.has) or np.all(np.abs(again / groups - 1.0) <= _NOISE_STANDS):
+        if not np.any(places.prior.has) or np.all(np.abs(again / groups - 1.0) <= _NOISE_CONVERGED):
             break
         groups = again
     if solution is None or not solution.converged:
@@ -100,7 +100,7 @@ def place(problem: Problem) -> Evaluation:
 
 
 def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, FloatArray]) -> Evaluation | None:
-    """Return the result of `place` from another robot placed by the same readings; None if it moves otherwise.
+    """Return the result of `place` from another robot placed by the same readings; None if robots differ.
 
     Args:
         other: The other robot, base and targets placed.
@@ -203,21 +203,21 @@ def _solve_with_offsets(problem: Problem, start: Evaluation) -> RobustSolution:
 
 
 def _solve_weighed(plain: RobustSolution) -> RobustSolution | None:
-    """Solve with rows weighted for the offsets that are found; None without any, or where they cannot be found."""
+    """Solve with rows weighted for the offsets that are found; None if there are none, or if they cannot be found."""
     solved = plain
     for _ in range(_NOISE_ROUNDS):
         try:
             problem = solved.problem
             ratios = ratios_found(problem, solved.evaluation, solved.groups)
-            stands = np.all(np.abs(ratios - problem.offset_ratios) <= _RATIOS_STAND * (1.0 + problem.offset_ratios))
+            found = np.all(np.abs(ratios - problem.offset_ratios) <= _RATIO_CHANGE * (1.0 + problem.offset_ratios))
             if not np.any(ratios):
                 return None
             solved = _solve_with_noise(
-                problem.with_offset_ratios(ratios), solved.evaluation, TOLERANCE if stands else _LOOSE
+                problem.with_offset_ratios(ratios), solved.evaluation, TOLERANCE if found else _LOOSE
             )
         except NotConvergedError:
             return None
-        if stands:
+        if found:
             return solved
     return None
 
@@ -250,19 +250,19 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> R
         if not finds:
             return RobustSolution(problem, at, groups, solution)
         scales, sizes = scales_found(problem, at, groups)
-        stands = problem.noise_found & ~unstated & ~problem.contradicted_groups(scales)
-        if np.any(stands):
-            problem = replace(problem, noise_found=problem.noise_found & ~stands)
-            groups = np.where(stands, 1.0, scales)
+        consistent = problem.noise_found & ~unstated & ~problem.contradicted_groups(scales)
+        if np.any(consistent):
+            problem = replace(problem, noise_found=problem.noise_found & ~consistent)
+            groups = np.where(consistent, 1.0, scales)
             continue
         counts = problem.noise_found & (scales > EXACT)
         change = float(np.max(np.abs(scales / groups - 1.0)[counts], initial=0.0))
-        change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_STAND)
-        if change <= _NOISE_STANDS and tolerance == exact:
+        change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_CONVERGED)
+        if change <= _NOISE_CONVERGED and tolerance == exact:
             return RobustSolution(problem, at, groups, solution)
-        if change <= 10 * _NOISE_STANDS:
+        if change <= 10 * _NOISE_CONVERGED:
             tolerance = exact
-        if change > _NOISE_STANDS:
+        if change > _NOISE_CONVERGED:
             groups = scales
             problem = replace(problem, unknowns=problem.unknowns.rescale_families(sizes))
     raise NotConvergedError(_NO_NOISE)
@@ -354,12 +354,12 @@ def convergence_at(solved: RobustSolution, rows: Rows, std: FloatArray) -> Conve
     left = unknowns.scales * away / (std + ROUNDING)
     largest = int(np.argmax(left))
     name, step, message = unknowns.names[largest], float(left[largest]), solved.solution.message
-    stands = step < STEP_LEFT
-    if stands and not solved.solution.converged:
+    close = step < STEP_LEFT
+    if close and not solved.solution.converged:
         message = f"no parameter would still move by more than {step:.2g} standard deviations ({name})"
-    elif solved.solution.converged and not stands:
+    elif solved.solution.converged and not close:
         message += f", but {name} would still move by {step:.2g} standard deviations"
-    recedes = solved.solution.recedes and not stands
+    recedes = solved.solution.recedes and not close
     far = np.flatnonzero(away >= _FAR * np.max(away)) if recedes else np.zeros(0, dtype=np.intp)
     receding = tuple(unknowns.names[k] for k in far[np.argsort(-away[far])])
-    return Convergence(solved.has_settled_weights and stands, message, step, name, solved.has_settled_weights, receding)
+    return Convergence(solved.has_settled_weights and close, message, step, name, solved.has_settled_weights, receding)

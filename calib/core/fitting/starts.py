@@ -26,7 +26,7 @@ from calib.core.numerics.least_squares import LeastSquaresSolution
 from calib.core.robots.robot import Robot
 
 _HALVINGS = 5
-_SAME = 0.1  # root mean square difference of predictions, over the smaller residuals, within one minimum
+_SAME = 0.1  # one minimum: predictions differ by less than this part of the smaller residuals (root mean square)
 _ROUNDING = 1e-7  # residuals below this are rounding [m]
 
 

@@ -1,9 +1,8 @@
 """Errors of joints that residuals show in addition to noise, and that no parameter describes.
 
 Residuals larger than the noise show that the model leaves something out: gears, play, a bending link. Its effect at
-another pose is unknown, but its size is known. It is stated as an independent error of each joint at each pose, so that
-a position has it by its lever, in the directions in which joints move it:
-so that a position feels it by its lever, in the directions in which joints move it:
+another pose is unknown, but its size is known. It is stated as an independent error of each joint at each pose. Its
+lever carries it to a position, in the directions in which joints move that position:
 
     covariance of x(q) = B C B^T + delta^2 sum over joints of (s_j dx/dq_j)(s_j dx/dq_j)^T
 
@@ -47,7 +46,7 @@ from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.size_search import least_sizes, likeliest_sizes, scatter_given_noise
 from calib.core.rows.prediction import UndecidedTerms
 
-_SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, that is negligible
+_SHORTEST = 0.3  # a component of usual size is negligible if its length is below this part of the fit's noise
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ from calib.core.rows.rows import Rows
 COVERED = 0.95
 """Chance of `Accuracy.limit95`."""
 _DECIDES = 1.0 - 1e-6
-"""Part of a direction that one pose decides, from which the others cannot predict it."""
+"""If one pose decides more than this part of a direction, the other poses cannot predict it."""
 
 
 def accuracy(fit: Fit) -> Accuracy:

@@ -1,8 +1,9 @@
 """Cross-validation by pose: every pose is predicted once by a fit that did not see it.
 
-Poses are dealt into folds at random; those with the same joint values (repeats of one pose that the file does not mark
-as such) go into the same fold, because a repeat is no new pose. Or every setup is a fold: then what was put up anew in
-it is placed by its own poses, and the errors are those of another place. Or they are cut into blocks of neighbours.
+Poses are dealt into folds at random. Those with the same joint values (repeats of one pose that the file does not mark
+as such) go into the same fold, because a repeat is no new pose. Or every setup is a fold: then its errors are those of
+a robot or an instrument that was put up anew, and its own poses find that new place. Or they are cut into blocks of
+poses that follow each other.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from calib.core.fitting.error_sets import ErrorSet, Folds
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Instrument, Readings
 
-FitBoth = Callable[[Measurements, Measurements], Fit]
+FitAndPredict = Callable[[Measurements, Measurements], Fit]
 """Fits the first measurements and predicts the second (as its validation)."""
 
 
@@ -69,16 +70,16 @@ def cross_validate(
     data: Measurements,
     count: int | Literal["setups"],
     seed: int,
-    fit: FitBoth,
+    fit: FitAndPredict,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Folds:
     """Fit once for each fold, without it.
 
     Args:
-        count: Number of folds, 2 or more; or `setups`, each of which is one.
+        count: Number of folds, 2 or more; or `setups`: each setup is a fold.
         seed: Seed of the random choice.
-        fit: Fits one part and predicts the other; of a module, so that other processes find it.
+        fit: Fits one part and predicts the other; a function of a module, so that other processes find it.
         executor: Executor of the fits; this process if not given.
         progress: Told after each fold.
 
@@ -108,7 +109,7 @@ def cross_validate(
 
 
 @one_blas_thread
-def _leave_out_fold(fit: FitBoth, data: Measurements, held: IntArray) -> tuple[ErrorSet, bool]:
+def _leave_out_fold(fit: FitAndPredict, data: Measurements, held: IntArray) -> tuple[ErrorSet, bool]:
     """Errors at the visits of one fold (n_in_fold,) by the fit of all others, and whether that converged."""
     fitted = fit(data.subset(np.setdiff1d(np.arange(len(data)), held)), data.subset(held))
     assert fitted.validation is not None
@@ -126,7 +127,7 @@ def readings_at(readings: Readings, visits: IntArray) -> IntArray:
 
 
 def stretches(data: Measurements, count: int) -> list[IntArray]:
-    """Cut the measurements into stretches of their order, of about equally many poses.
+    """Cut the measurements, in their order, into stretches of about equally many poses.
 
     Args:
         count: Number of stretches.

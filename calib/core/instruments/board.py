@@ -105,9 +105,8 @@ class Board(Section):
             raise ValueError("'legacy' is for charuco boards")
         if self.kind == "chessboard" and (self.columns + self.rows) % 2 == 0:
             raise ValueError(
-                f"a chessboard of {self.columns} x {self.rows} squares looks the same turned by half a turn, so"
-                f" that its"
-                " points could be exchanged; use one with an odd and an even number of squares (count squares, not"
+                f"a chessboard of {self.columns} x {self.rows} squares looks the same turned by half a turn, so that"
+                " its points could be exchanged; use one with an odd and an even number of squares (count squares, not"
                 " inner corners)"
             )
         if self.kind == "circles" and self.rows % 2 == 0:

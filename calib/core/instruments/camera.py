@@ -15,6 +15,7 @@ r^2 = 4 (63 degrees from the axis), since no such polynomial is valid beyond.
 
 Poses of a body in the camera follow from a few points in each view, for many views at once (`view_poses`). Each view is
 a least-squares problem in six unknowns: points X_j of the body, seen along rays m_j. Damped Gauss-Newton steps, taken
+for all problems together, start from 24 orientations of the body (those of a cube), at the depth that follows from the
 spread of the rays. Three points allow up to four solutions, and four points in a plane sometimes two. Views with fewer
 than four points are not solved, and some of the poses may be wrong (`calib.core.instruments.camera_places`).
 
@@ -35,8 +36,8 @@ from calib.core.numerics.rigid import cross_matrices, nearest_rotation
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 """Intrinsics in OpenCV's order."""
-_GRAZING = 0.05  # cosine to the optical axis below which there is no image: 87 degrees
-_WIDEST = 4.0  # r^2 beyond which distortion no longer grows
+_GRAZING = 0.05  # no image if the cosine to the optical axis is less: 87 degrees
+_WIDEST = 4.0  # distortion does not grow for larger r^2
 _SETTLED = 1e-13
 LEAST_POINTS = 4
 """Least number of points of a view for its pose."""
@@ -52,7 +53,7 @@ def project(points: FloatArray, intrinsics: FloatArray) -> tuple[FloatArray, Flo
     """Return pixels, and their derivatives by points and intrinsics.
 
     Args:
-        points: In the camera's frame, (n, 3) [m].
+        points: Points in the camera's frame, (n, 3) [m].
         intrinsics: (9,) [px and numbers].
 
     Returns:

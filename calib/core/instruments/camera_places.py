@@ -5,11 +5,11 @@ that point X is seen at C^-1 L_i M X. C and M may both be unknown. Guesses come 
 
 1. poses of single views (`calib.core.instruments.camera`) and the hand-eye problem (`calib.core.instruments.hand_eye`):
    from a few views at a time, chosen at random, since some poses are the wrong one of several solutions;
-2. all points at once: with M as it is, or turned like a cube, C is a resection.
+2. all points at once: with M at its place, in each orientation of a cube, C is found by resection.
 
-Each guess is then improved by least squares over C and M together, in rays (pixels without distortion), and the best
-few are returned; with them, C alone with M as it is, since another camera may have shown M already. The random choice
-has a fixed seed, so that results repeat.
+Each guess is then improved by least squares over C and M together, in rays (pixels without distortion). The best few
+are returned, and also one with M unchanged, since another camera may have shown M already. The random choice has a
+fixed seed, so that results repeat.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from calib.core.instruments.camera import LEAST_POINTS, cube_rotations, plane_er
 from calib.core.instruments.hand_eye import solve_poses
 from calib.core.numerics.rigid import cross_matrices
 
-_VIEWS = 25
-_POINTS = 400
-_TRIALS = 60
-_IMPROVED = 8
-_KEPT = 3
-_STEPS = 60
+_VIEWS = 25  # largest number of views whose poses are computed
+_POINTS = 400  # largest number of sightings by which guesses are compared
+_TRIALS = 60  # random choices of views
+_IMPROVED = 8  # guesses improved with some sightings
+_KEPT = 3  # guesses improved with all sightings
+_STEPS = 60  # steps of least squares
 _SEED = 0
 
 Places = tuple[FloatArray, FloatArray]

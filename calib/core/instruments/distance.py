@@ -40,7 +40,7 @@ class DistanceSection(InstrumentSection):
     Attributes:
         target: Name of its target; the instrument's own name if left out.
         end: The fixed point; the origin of the measurement frame if left out.
-        offset: What it reads beyond the distance: a length; `{value, sigma}`; or `unknown`.
+        offset: Reading minus distance: a length; `{value, sigma}`; or `unknown`.
         sigma: Its noise [m].
     """
 

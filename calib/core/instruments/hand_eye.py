@@ -68,7 +68,7 @@ def _times(form: FloatArray, rotation: FloatArray) -> FloatArray:
 
 
 def _best_rotation(form: FloatArray, rotation: FloatArray) -> FloatArray:
-    """The rotation that maximises the form for a given other one, (..., 3, 3)."""
+    """The rotation that maximises the form if the other rotation is given, (..., 3, 3)."""
     return nearest_rotation(_times(form, rotation))
 
 

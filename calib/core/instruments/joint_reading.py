@@ -4,7 +4,7 @@ One row: the joint's value, plus the encoder's reading at the joint's zero,
 
     q_j + zero - reading
 
-taken within half a turn where the joint turns: an encoder does not count turns.
+wrapped to half a turn either way for a joint that turns: an encoder does not count turns.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from calib.core.base.units import DISPLAY_UNIT, Dimension, quantity
 from calib.core.instruments.kind import Column, InstrumentSection, JointComparison, JointInstrument, Part, Readings
 from calib.core.instruments.noise import Noise, PartNoise
 
-_SCALE: dict[str, float] = {"angle": 1e-2, "length": 1e-2}  # of an unknown zero that nothing is known of [rad, m]
+_SCALE: dict[str, float] = {"angle": 1e-2, "length": 1e-2}  # of an unknown zero without `sigma_zero` [rad, m]
 
 
 class JointReadingSection(InstrumentSection):
@@ -33,8 +33,8 @@ class JointReadingSection(InstrumentSection):
         dimension: `angle` for a joint that turns, `length` for one that slides.
         sigma: Noise of a reading.
         offset: Its reading where the joint is at zero.
-        zero: Whether that is right, or found from the measurements.
-        sigma_zero: Expected distance of an unknown zero from `offset`; left out, `offset` says nothing.
+        zero: Whether `offset` is right, or must be found from the measurements.
+        sigma_zero: Expected distance of an unknown zero from `offset`; without it, `offset` is only a start.
     """
 
     joint: str
@@ -98,7 +98,7 @@ class JointReading(JointInstrument):
         return (Column(self.name, self.dimension),)
 
     def predict(self, joint: FloatArray, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return the joint's value and zero, (n, 1) [m or rad]."""
+        """Return the joint's value plus the zero, (n, 1) [m or rad]."""
         return (joint + (unknowns[0] if len(unknowns) else self.offset))[:, None]
 
     def compare(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> JointComparison:

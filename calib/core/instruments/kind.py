@@ -76,7 +76,7 @@ class Place:
         link: Link or joint frame that carries it.
         xyz, rpy: Pose of the place in that link, or with `inverted` of that link in the place [m], [rad].
         unknown: Components that the measurements must find.
-        sigma, sigma_angle: Expected errors of these [m], [rad]; None: the numbers say nothing.
+        sigma, sigma_angle: Expected errors of these [m], [rad]; None: the numbers are only a start.
         inverted: Whether the pose is that of the link in the place.
     """
 
@@ -124,8 +124,8 @@ class Readings(ReadOnlyArrays):
         values: The numbers, (n, n_values); NaN where a component was not read.
         covariance: Noise that the file states, (n, n_rows, n_rows) [SI]; None where it does not.
         details: Further numbers of each reading that a kind needs, (n, n_details).
-        labels: File, line and pose name of each, where they stand in another file than the joint values; None: as its
-            visit.
+        labels: File, line and pose name of each reading, if these are in another file than the joint values; None: as
+            its visit.
     """
 
     visits: IntArray
@@ -358,7 +358,7 @@ class Instrument(ABC):
         return None
 
     def doubts(self, readings: Readings) -> tuple[str, ...]:
-        """Return doubts about the readings by themselves, in words; empty without any."""
+        """Return doubts about the readings by themselves, in words; empty if there are none."""
         return ()
 
     def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
@@ -399,7 +399,7 @@ class FrameInstrument(Instrument, ABC):
         return None
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
-        """Return first guesses at unknown places and numbers, of which the best is kept; empty without any.
+        """Return first guesses at unknown places and numbers, of which the best is kept; empty if there are none.
 
         Measurement frame and targets that points show are placed before (`calib.core.rows.registration`).
         """

@@ -55,7 +55,7 @@ from calib.core.numerics.rigid import cross_matrices, nearest_rotation
 
 TILT = Part("tilt", ("tilt_x", "tilt_y"), "angle", largest=0.1)
 _DOWN = np.array([0.0, 0.0, -1.0])
-_SMALLEST = 1e-12  # square of the part of g that a tilt is the angle of
+_SMALLEST = 1e-12  # smallest squared length of g in the plane of a tilt
 _ROUNDS = 100
 _SETTLED = 1e-10
 
@@ -105,7 +105,7 @@ class Orientation(FrameInstrument):
         return (TILT,) if self.gravity else (ORIENTATION,)
 
     def columns(self) -> tuple[Column, ...]:
-        """Return those of the rotation, or `<name>_tilt_x` and `_tilt_y`."""
+        """Return the columns of the rotation, or `<name>_tilt_x` and `<name>_tilt_y`."""
         return super().columns() if self.gravity else rotation_columns(self.name, self.rotation)
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
@@ -146,7 +146,7 @@ class Orientation(FrameInstrument):
             yield from other_rotations(self.rotation, values)
 
     def orientations(self, values: FloatArray) -> FloatArray | None:
-        """Return R_ab, (n, 3, 3); None of an inclinometer."""
+        """Return R_ab, (n, 3, 3); None for an inclinometer."""
         return None if self.gravity else rotation_matrices(values)
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:

@@ -6,8 +6,8 @@ The camera (frame a: its own place, fixed to a link of the robot or next to it) 
     p = R_ab X + p_ab          (u, v) = image of p (`calib.core.instruments.camera`)          dp = dp_ab - [R_ab X]x dw
 
 For a printed board, readings are predicted where detection would find it: its printed side faces the camera within 65
-degrees; its points lie in the image with a margin of 2 %; a chessboard and circles are seen whole, of markers six
-points or more; a marker or square has 16 px or more. Points outside `focus` are not seen.
+degrees; its points lie in the image with a margin of 2 %; all of a chessboard or circles is seen, or at least six
+points of markers; a marker or square has 16 px or more. Points outside `focus` are not seen.
 
 Points have names, in the column `point` of a file. Where several cameras share columns, the column `camera` names the
 camera. A point that the camera cannot see is NaN when predicted, and no reading.
@@ -45,10 +45,10 @@ from calib.core.numerics.rigid import cross_matrices
 
 PIXEL = Part("pixel", ("u", "v"), "pixel", usual=2.0)
 _STEEPEST = np.cos(np.deg2rad(65.0))
-_MARGIN = 0.02  # margin, over the larger side of the image
+_MARGIN = 0.02  # margin, as part of the larger side of the image
 _LEAST_SEEN = 6  # points
 _SMALLEST = 16.0  # side of a marker, square or spacing of dots [px]
-_WIDER = 1.1  # half width of an image whose middle is only guessed, over the guessed one
+_WIDER = 1.1  # factor on the half width of an image whose middle is only guessed
 _FEW_AWAY = 0.02  # part of the readings that may lie outside by mistake
 _MOSTLY = 0.5  # largest part of the sightings that may lie behind the camera
 
@@ -179,7 +179,7 @@ class Pixel(FrameInstrument):
         return _points_in_camera(view, self.body(details))
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
-        """Return guesses at camera and target; `DataError` if observed points lie behind the camera in all."""
+        """Return guesses at camera and target; `DataError` if observed points lie behind the camera in all guesses."""
         result: list[dict[str, FloatArray]] = []
         for number in np.unique(scene.readings.pairs):
             names = scene.pairs[number]

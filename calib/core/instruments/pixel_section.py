@@ -64,7 +64,7 @@ class IntrinsicsSection(Section):
 
 
 class UnknownIntrinsicsSection(Section):
-    """Expected errors of intrinsics; those that are left out are right."""
+    """Expected errors of intrinsics; intrinsics without one are exact."""
 
     fx: _Positive | None = None
     fy: _Positive | None = None
@@ -86,12 +86,12 @@ class PixelSection(InstrumentSection):
         intrinsics: The camera's model.
         unknown_intrinsics: Expected errors of intrinsics that the measurements must find.
         points: Position of each point in the target frame, by name [m].
-        points_file: A CSV file that says so, columns point, x, y, z; its path as seen from the description.
+        points_file: A CSV file of such points, columns point, x, y, z; its path is relative to the description.
         board: A printed board (`calib.core.instruments.board`), or the YAML file that describes it, in place of points;
             the target frame is then the board's.
         image: Width and height [px]; points outside are not seen. Only predictions need it.
-        focus: From which to which distance along its axis the camera sees sharply [m]. Only predictions need it.
-        columns: Begin of the columns' names: `<columns>_u`, `<columns>_v`; the instrument's name if left out.
+        focus: Smallest and largest distance along its axis of a sharp image [m]. Only predictions need it.
+        columns: First part of the columns' names: `<columns>_u`, `<columns>_v`; the instrument's name if left out.
         sigma: Noise of a coordinate [px].
     """
 
@@ -110,7 +110,7 @@ class PixelSection(InstrumentSection):
     @model_validator(mode="before")
     @classmethod
     def _from_file(cls, value: Any, info: ValidationInfo) -> Any:
-        """Read the points of a file, so that it does not matter where they came from."""
+        """Replace a file of points by its points; refuse more than one of points, file and board."""
         if not isinstance(value, dict):
             return value
         sources = [key for key in ("points", "points_file", "board") if value.get(key)]

@@ -40,8 +40,8 @@ _STEP = 1e-4  # m, rad; for unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
 _ROUNDING = 1e-11  # part of the largest derivative that counts as none
 _STAY, _STAY_TARGET = 1e-3, 0.1  # weights of the distance of a place, or the target, from its described pose
-_FEW = 60  # readings from which starts are compared
-_LOST = 5  # unknown components from which a place may have any orientation
+_FEW = 60  # starts are compared by at most so many readings
+_LOST = 5  # a place with so many unknown components may have any orientation
 _TRIED, _IMPROVED = 5, 50  # evaluations of a start, and of the best ones
 _KEPT = 3
 

@@ -22,15 +22,15 @@ from calib.core.instruments.kind import InstrumentSection, Place, placed
 from calib.core.numerics import linalg
 
 Surface = Literal["socket", "plane", "sphere"]
-_ON_A_LINE = 1e-6  # width of points below which they are on one line [m]
+_ON_A_LINE = 1e-6  # points whose width is less are on one line [m]
 
 
 class TouchedSection(PlaceSection):
-    """A socket, plane or sphere that is touched; of a plane, position is along its normal, and orientation that of it.
+    """A socket, plane or sphere that is touched; a plane has a position along its normal, and the normal's orientation.
 
     Attributes:
         xyz: Socket or centre of a sphere, or a point of a plane, in its link [m].
-        rpy: Turns the z axis to where the ball is above a plane [rad].
+        rpy: Rotation whose z axis is the normal of a plane, on the side of the ball [rad].
         radius: Radius of a sphere: a length; `{value, sigma}`; or `unknown`.
     """
 
@@ -61,9 +61,9 @@ class ArtefactSection(PosedSection):
     """Several sockets or spheres whose places to each other are known: a plate, a bar.
 
     Attributes:
-        pose: `known`, or `unknown`: found from the measurements, as far as its points tell.
+        pose: `known`, or `unknown`: found from the measurements, as far as its points determine it.
         points: Each socket, or centre of a sphere, in the artefact [m].
-        tolerance: Expected error of each coordinate of the points, one standard deviation [m]; they are found then.
+        tolerance: Standard deviation of each coordinate of the points [m]; if given, the points are found.
         radius: Radius of its spheres, all alike: a length; `{value, sigma}`; or `unknown`.
     """
 
@@ -86,7 +86,7 @@ class ArtefactSection(PosedSection):
         return placed(name, self, LENGTH_COMPONENTS + self._turns() if self.pose == "unknown" else ())
 
     def _turns(self) -> tuple[Component, ...]:
-        """Turns that the points tell: all, all but one where they lie on a line, none of a single point."""
+        """Turns that the points determine: all; all but one for points on a line; none for a single point."""
         points = np.array(list(self.points.values()))
         _, sizes, directions = linalg.svd(points - points.mean(axis=0))
         width = np.append(sizes, [0.0, 0.0])
@@ -107,7 +107,7 @@ class TouchSection(InstrumentSection):
             `sphere`.
         radius: Radius of the ball, for planes and spheres [m].
         places: The touched places, by name.
-        artefact: In place of `places`: what is touched is one piece.
+        artefact: The touched piece, in place of `places`.
         sigma: Noise of a touch, each coordinate or the gap [m].
     """
 

@@ -32,8 +32,8 @@ Unlike poses. The noise of a calibration contains mostly errors that its model l
 ones they differ from pose to pose, as noise does. Elsewhere, or where poses crowd together
 (`calib.core.data.pose_groups.are_drawn_alike`), they may be one common error, though no larger. Then the n rows read
 there count as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be off
-there as if k of the N rows used had decided them: N / k times C. If the readings agree by this, nothing shows that the
-robot has changed, and the verdict is about the poses. If a change stands out even so, the robot has drifted.
+there as if k of the N rows used had decided them: N / k times C. If the readings agree then, nothing shows that the
+robot has changed, and the verdict is about the poses. If a change is significant even then, the robot has drifted.
 
 Few readings. With m degrees of freedom, errors s times as large as expected are seen with a chance of 90 % if s^2 times
 the 10 % point of F(m, nu) reaches its limit: 1.6 times with 30, 22 times with one. Readings that would not even show
@@ -78,7 +78,7 @@ from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.rows.simulate import simulate
 
 TELLING = 3.0
-"""Size of errors, over the expected size, that readings must be able to show to agree with a calibration."""
+"""Readings are too few for a verdict if they would not show errors this many times as large as expected."""
 _LEVEL = FALSE_ALARM / 2  # level of each of two tests
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
@@ -108,8 +108,8 @@ class Acceptance:
             [m].
         limit: Distance that is exceeded in one of a thousand cases, if the robot is as calibrated [m].
         coverage_factor: Half the 95 % interval of a change, in standard deviations.
-        has_unlike_poses: Whether the poses are unlike those of the calibration, and that counted. Then all numbers
-            allow for errors of the model that these poses share.
+        has_unlike_poses: Whether the poses are unlike those of the calibration, and the tests allow for it. Then all
+            numbers allow for errors of the model that these poses share.
         has_larger_errors: Whether errors are larger than the calibration claims, without this allowance.
         repeated_visits: Poses of the calibration to measure again for a decision; none if the verdict is settled.
     """
@@ -220,7 +220,7 @@ class _Tests:
     Attributes:
         p_value, p_drift, p_rest, changes: Attributes of `Acceptance`.
         independent: Number of independent squares behind the ratio.
-        far: Whether distances are larger than in one of a thousand cases.
+        far: Whether distances exceed the limit that chance exceeds in one of a thousand cases.
     """
 
     p_value: float
@@ -293,8 +293,7 @@ def visible_changes(
 def poses_needed(
     calibrated: Fit | HasPromise | Promise, poses: PosesLike, name: str, size: float, *, same_setup: bool = False
 ) -> int | None:
-    """Return how many of these poses, from the first, show a change with the chance `POWER`; None if all do not
-    suffice.
+    """Return the number of poses, from the first, that show a change with the chance `POWER`; None if all are too few.
 
     Args:
         calibrated: The promise of the calibration, or the fit itself.

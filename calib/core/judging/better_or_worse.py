@@ -7,20 +7,20 @@ For the same readings k, whitened by the noise that was found, the errors before
 A robot that needs no correction has b_k = e_k (noise) and a_k = e_k + B_k d, with d ~ N(0, C) the error of the fit from
 its own noise: the change is then positive, though nothing is wrong. With G = sum B_k^T B_k,
 
-The calibration is `worse`, or `better`, where the change lies above, or below, these values with a chance of 0.1 %
-each: the quadratic part as a scaled chi-square of the same mean and variance, the mixed part as normal. All is in units
-of a noise that was itself found, with f degrees of freedom: so F replaces the chi-square, and Student's t the normal
+    E T = tr(GC) = m        var of |B d|^2 = 2 tr(GCGC)        var of 2 e^T B d = 4 m
+
+The calibration is `worse`, or `better`, if noise alone gives a larger, or smaller, change in only 0.1 % of cases: the
+quadratic part as a scaled chi-square of the same mean and variance, the mixed part as normal. All is in units of a
+noise that was itself found, with f degrees of freedom: so F replaces the chi-square, and Student's t the normal
 distribution. The unknown e is replaced by the errors of the better state, where they are larger than the noise, because
 they contain errors of the model. Where poses scatter more than independent readings
 (`calib.core.numerics.clusters`), the mixed part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
 Validation poses whose frame moved are compared with the frame placed anew (`calib.core.fitting.moved_frame`).
 
-Validation poses whose frame moved are compared with that placed anew (`calib.core.fitting.moved_frame`).
-
 This test asks whether the uncertainty of the fit explains the change. A fit that is uncertain at unused poses explains
-much, and harms the robot nevertheless. So a calibration is `worse`, too, where these errors are more than `HARM` times
-as large as before, and the differences |a_k|^2 - |b_k|^2, summed pose by pose, have a mean above zero with a chance of
-0.1 % by Student's t; and `better` where they are as much smaller.
+much, and harms the robot nevertheless. So a calibration is `worse`, too, if errors are more than `HARM` times as large
+as before, and the differences |a_k|^2 - |b_k|^2, summed pose by pose, have a mean above zero with a chance of 0.1 % by
+Student's t; and `better` if errors before are larger than after in the same way.
 
 When it fails. Both parts of the change grow with the same d: up to 0.25 % of robots that need no correction are called
 worse instead of 0.1 %. Errors of the model are no noise, and follow the poses: where unused poses are few and alike,
@@ -45,8 +45,8 @@ from calib.core.fitting.moved_frame import validation_errors
 from calib.core.numerics.chances import FEWEST, UNLIKELY
 
 HARM = 1.25
-"""Ratio of errors after to before from which a fit harms. With twice as many rows as parameters, the fewest allowed,
-the noise of a fit makes errors of a robot that needs no correction sqrt(1 + 1/2) = 1.22 times as large."""
+"""A fit harms if errors after it are more than this many times as large as before. With twice as many rows as
+parameters, the fewest allowed, its noise alone makes errors sqrt(1 + 1/2) = 1.22 times as large."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class UnusedErrors:
         name: Name of these poses.
         before, after: Root mean square error of the main part of the readings [SI].
         dimension: Dimension of that part.
-        better, worse: Whether the calibration made them smaller, or larger, beyond chance.
+        better, worse: Whether the calibration made errors smaller, or larger, beyond chance.
     """
 
     name: str

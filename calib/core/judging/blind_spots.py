@@ -19,12 +19,12 @@ from calib.core.judging.rules_reach import terms_beyond
 from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 NO_MATTER = 0.25
-"""Errors by a scale at which it begins to show, over the noise, below which they do not matter."""
+"""A scale that does not show is not mentioned if it makes errors below this part of the noise."""
 LARGE_SCALE = 1e-3
-"""Error of the scale that would be noticed otherwise."""
+"""Scale error that users notice without a calibration."""
 LIKE_SHUFFLED = 0.8
-"""Distance from row to row, over that between distant rows, from which rows may have been shuffled."""
-_FEW = 10  # rows from which their order shows
+"""Rows may have been shuffled if neighbours are at least this part as far apart as distant rows."""
+_FEW = 10  # the order of fewer rows shows nothing
 
 
 def not_covered(fit: Fit) -> tuple[str, ...]:

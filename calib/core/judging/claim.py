@@ -71,8 +71,8 @@ from calib.core.numerics.chances import UNLIKELY
 from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
 
 MORE = 1.25
-"""Ratio of errors at unused poses to claimed ones, up to which a claim holds."""
-_HALF = 0.5  # part of a joint's range between its limits below which its motion is reported
+"""A claim holds if errors at unused poses are at most this many times the claimed ones."""
+_HALF = 0.5  # a joint's motion is reported if it is less than this part of the range between its limits
 
 
 class Benefit(Enum):
@@ -118,7 +118,7 @@ class Claim:
         gain: Change of the errors at these poses.
         region: Poses of the claim, in words.
         joints_moved_little: Joints that moved through less than half of their range, and the part.
-        find_known: Function that returns `rms`, which takes as long as half of the rest of a verdict.
+        find_known: Function that returns `rms`; this is slow, and takes half as long as the rest of a verdict.
     """
 
     at_measured_poses: Accuracy

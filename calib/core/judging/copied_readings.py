@@ -21,7 +21,7 @@ from calib.core.robots.robot import Robot
 
 _SCATTER: dict[Dimension | None, float] = {"length": 5e-6, "angle": 1e-5, "pixel": 0.02}
 """Scatter of the readings of the most repeatable robots [m, rad, px]."""
-_DIGIT = 1e-3  # part of this scatter below which steps make no difference
+_DIGIT = 1e-3  # steps below this part of this scatter make no difference
 
 
 def copied_visits(robot: Robot, data: Measurements) -> IntArray:
@@ -45,7 +45,7 @@ def copied_visits(robot: Robot, data: Measurements) -> IntArray:
 
 
 def _chance_of_same(robot: Robot, data: Measurements, pairs: list[tuple[int, int]]) -> float:
-    """Return the chance that a repeat has the same readings, by differing repeats `pairs`; 0 without numbers."""
+    """Return the chance that a repeat has the same readings, from `pairs` of unlike repeats; 0 without numbers."""
     chances = []
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)

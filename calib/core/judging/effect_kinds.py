@@ -17,7 +17,7 @@ class Trait(Enum):
     """A property that some kinds of effects have."""
 
     IN_COURSE = "changes in the course of the measurement, and goes on changing after it"
-    MOVED = "is of something else than the robot that moved: its base, an instrument or a target"
+    MOVED = "comes from a motion of something other than the robot: its base, an instrument or a target"
     MISPLACED = "is of a target that sits elsewhere than the description says"
     FOLLOWS_JOINTS = "follows the values of joints: at poses like those measured it stays as it is"
     BY_THE_DOZEN = "is tried by the dozen for each joint or target, and the best is kept"
@@ -123,12 +123,12 @@ class Pattern:
         kind: Kind of the effect.
         name: The axis, joint or target; `xyz` for all axes.
         p_value: Chance of such a pattern from noise, over all tests.
-        size: Root mean square of its contribution [m]; of readings in another unit where no positions are [SI].
+        size: Root mean square of its contribution to positions [m], or if there are none, to other readings [SI].
         amount: The shift or slip [m], half the backlash or the height of a wave [m or rad], the relative error of
             lengths, the error for a unit of the neighbour; NaN for a curve.
         significant: Whether it counts as a finding.
         dimension: Dimension of `size`.
-        detail: Cycles of a wave, the first visit of a slip, in words; the other joint of a coupling, or before a link.
+        detail: In words, the cycles of a wave or the first visit of a slip; the other joint of a coupling or a link.
     """
 
     kind: Kind

@@ -49,7 +49,7 @@ SLIPS = 15
 """Number of places in the course of the measurement at which a slip of a target is tested."""
 _DEGREE = 3
 _SAME = 1e-6  # cycles that rounding may add
-_ON_GRID = 0.99  # length of the mean of a wave of length 1 from which it is the same at all visits
+_ON_GRID = 0.99  # a wave of length 1 is the same at all visits if its mean is longer than this
 _VISITS_LOOKED_AT = 256
 
 
@@ -107,7 +107,7 @@ class EffectSetting:
 
     @property
     def metre(self) -> float:
-        """Size of a whitened position row [m]; of the first kind of rows where there are no positions."""
+        """Standard deviation of the noise of a position row [m]; without positions, of the first kind of rows."""
         return float(self.fit.scales.groups[self._first] * self.fit.whitening.groups[self._first].typical)
 
     @property
@@ -344,9 +344,9 @@ def _other_joints(robot: Robot, target: str) -> list[int]:
 
 
 def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, FloatArray]]:
-    """Return the changes of all readings by moving a target along the axes of a link, (n, n_rows, 3) each.
+    """Yield the changes of all readings if a target moves along the axes of a link, (n, n_rows, 3) each.
 
-    The links are its own, then those behind each joint that does not move the target.
+    The first link is the target's own; the others are those behind each joint that does not move the target.
     """
     robot, all_readings = setting.fit.robot, setting.data.readings
     seen = [

@@ -10,10 +10,10 @@ mean contribution of cause k over all orders of adding the causes (the Shapley v
 numbers, because causes such as a gain and a length partly explain the same error.
 Three Gauss points integrate it. A part is negative where a cause makes these readings worse.
 
-The robot before has its unknown base and targets placed as well as possible. So the part of the change J_k d_k of
-another cause that they can absorb, its projection on the columns of the places, is counted with them: a base that
-stands lower and a first joint that is higher are the same robot, and the split must not depend on which was found.
-Their own part is then near zero, because their errors are not in the error before.
+Before calibration, unknown base and targets are placed as well as possible. These places can absorb a part of the
+change J_k d_k of another cause: its projection on their columns. That part counts as one of the places: a base that
+is lower and a first joint that is higher are the same robot, and the split must not depend on which was found. The
+part of the places is then near zero, because their errors are not in the error before.
 
 On unused readings (validation), s_k is the error that the calibration really removes, and e(1) the rest. On the used
 readings, noise was fitted too: with m rows, leverage h_k of the parameters of cause k (the sum over the rows of
@@ -23,10 +23,10 @@ and |e(1)|^2 as much too small; this is corrected.
 The rest splits into noise and unexplained errors only if the noise is known otherwise: from repeats of poses (which
 contain the robot's repeatability too), or as stated. Noise that was found from the residuals is the whole rest.
 
-Standard deviations are from the choice of poses (from the sums of each pose, which repeats share) and, for causes, from
-their parameters: s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own parameters) + J^T J_k d_k; with places,
-J_k projected. The transposed J is taken at the end: directions that the readings leave open move no reading there, and
-must not count, however uncertain they are.
+Standard deviations come from the choice of poses (by the sum of each pose, since its repeats share errors). Those of
+causes also come from their parameters: s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own parameters) +
+J^T J_k d_k, with J_k projected if there are places. J^T is taken after calibration (t = 1). There, directions that the
+readings do not determine move no reading. So they do not count, however uncertain they are.
 
 When it fails. With few poses the split of the rest is uncertain. Parameters of a named parametrisation all count as
 geometry.
@@ -56,8 +56,8 @@ NOISE, UNEXPLAINED = "noise", "not explained"
 REST = "noise and unexplained errors, not separable"
 ENOUGH_REPEATS = 10.0
 """Degrees of freedom that repeats need to count as known noise."""
-_AS_LARGE = 1.1  # ratio of rest to noise (RMS) up to which the rest counts as noise
-_SURE = 0.5  # two standard deviations of the unexplained mean square, over that of noise, must end below
+_AS_LARGE = 1.1  # the rest counts as noise if it is at most this many times the noise (RMS)
+_SURE = 0.5  # the unexplained mean square plus two standard deviations must be below this part of the noise's
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,9 @@ class ErrorBudget:
     """Causes of the error before calibration.
 
     Attributes:
-        used: Whether it covers the used readings, corrected for that; else the validation readings.
+        used: Whether it covers the used readings, corrected for the fit to them; else the validation readings.
         part: Part of the readings that it covers.
-        n_readings, n_poses: How many.
+        n_readings, n_poses: Number of these readings, and of their poses.
         before, after: Mean square error of a reading before and after [SI, squared].
         shares: The causes, then the rest; they add up to `before`.
         noise_from: `repeats` or `stated`; empty where the noise is not known.
@@ -179,7 +179,7 @@ def _integrate(
     steps = (members * way[unknowns.index]).T
     places, n_causes = _cause_of_places(unknowns, members), len(members)
     removed = np.zeros((layout.n_rows, n_causes))
-    pulling = np.zeros((layout.n_rows, 2 + n_causes))  # what the J of the end is multiplied with
+    pulling = np.zeros((layout.n_rows, 2 + n_causes))  # factors of J^T at t = 1
     of_counted = slice(None) if np.all(counted) else counted
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
@@ -214,7 +214,7 @@ def _batches(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout)
 
 def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:
     """Return h_k of the module docstring, (n_causes,)."""
-    n = rows.jacobian.shape[1]  # of rows alone that count: sums over them stay as they are
+    n = rows.jacobian.shape[1]  # only rows that count; a triangular factor has the same sums over them
     jacobian = rows.factor[:n, :-1] if np.all(counted) else reduce_rows(rows.jacobian[counted])
     pulled = (jacobian @ rows.posterior_information.root) @ rows.posterior_information.root.T
     placing = jacobian[:, unknowns.placement] @ _root_of_span(jacobian[:, unknowns.placement])
@@ -225,7 +225,7 @@ def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolA
 
 
 def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
-    """Number of the cause of unknown places; without any, of some cause, to which nothing is added."""
+    """Number of the cause of unknown places; any cause if there are no places, since nothing is added then."""
     return int(np.argmax(members[:, int(np.argmax(unknowns.placement))]))
 
 
@@ -255,7 +255,7 @@ def _std(parts: FloatArray, pose: IntArray) -> float:
 
 
 def _noise(errors: ErrorSet, stated: float, width: float) -> tuple[float, float, str]:
-    """Mean square of the noise of a reading with so many components, its standard deviation, and where it is from."""
+    """Mean square of the noise of a reading with `width` components, its standard deviation, and its source."""
     scatter, freedom = repeatability(errors)
     if freedom >= ENOUGH_REPEATS and errors.main_part.is_position:
         return width * scatter**2, width * scatter**2 * float(np.sqrt(2.0 / freedom)), "repeats"
@@ -266,8 +266,8 @@ def _advice(left: float, noise: float, beyond: CauseShare, source: str) -> str:
     """One sentence on whether to go on modelling."""
     if not source:
         return (
-            "Whether more modelling would help is unknown without the noise: state it (--sigma-mm), or read some poses"
-            " several times"
+            "Without the noise, it is unknown whether more modelling would help: state it (--sigma-mm), or read some"
+            " poses several times"
         )
     known = "repeatability (the scatter of repeats)" if source == "repeats" else "the stated noise"
     if left <= _AS_LARGE**2 * noise and beyond.mean_square + 2.0 * beyond.std <= _SURE * noise:

@@ -22,7 +22,7 @@ from calib.core.judging.linear_fit import LinearFit
 from calib.core.numerics import linalg
 from calib.core.numerics.losses import StudentisedErrors
 
-_LEAST_FACTOR = 1e-3  # ratio of found to stated noise of a group, relative to all, below which it has no noise
+_LEAST_FACTOR = 1e-3  # least ratio of found to stated noise of a group, as part of that of all groups
 
 
 @memoize
@@ -111,7 +111,7 @@ def patterns(fit: Fit) -> tuple[Pattern, ...]:
 @memoize
 @one_blas_thread
 def changes(fit: Fit) -> tuple[Pattern, ...]:
-    """Return significant changes in the course of the measurement, with effects that follow joint values as parameters.
+    """Return significant changes in the course of the measurement, tested beside effects that follow joint values.
 
     Where poses were measured in the order of their joint values, an error that follows a joint looks like a change.
     """
@@ -131,7 +131,7 @@ def changes(fit: Fit) -> tuple[Pattern, ...]:
 @memoize
 @one_blas_thread
 def budget(fit: Fit) -> ErrorBudget | None:
-    """Return the error budget of the validation readings, or without these of all.
+    """Return the error budget of the validation readings; of all readings if there are no validation readings.
 
     None if the robot cannot be assembled at a step between before and after.
     """
@@ -141,7 +141,7 @@ def budget(fit: Fit) -> ErrorBudget | None:
 @memoize
 @one_blas_thread
 def joint_budget(fit: Fit) -> ErrorBudget | None:
-    """Return the error budget with the joints as causes; None as for `budget`."""
+    """Return the error budget with the joints as causes; None in the same cases as `budget`."""
     return _budget(fit, joint_causes(fit.robot))
 
 

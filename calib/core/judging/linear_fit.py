@@ -14,8 +14,8 @@ from calib.core.numerics.tall import Span
 from calib.core.rows.rows import Rows
 
 ABSORBED = 1e-6
-"""Least part of an effect's square after the fit from which it is visible."""
-_SURELY = 5.0  # standard deviations of an effect from which it is found nine times of ten, among so many
+"""An effect is visible if at least this part of its square remains after the fit."""
+_SURELY = 5.0  # an effect of so many standard deviations is found nine times of ten, although many are tested
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ _OPTIONS: dict[Answer, tuple[str, ...]] = {
     Answer.HOLD_OUT: ("test the result on poses of the file that it is fitted to", "--validate", "0.25"),
     Answer.STATE_NOISE: ("state a smaller noise, or leave out what was read twice, and fit again",),
 }
-"""Answers that are another `calib fit`: its aim, and its option."""
+"""Aim and option of another `calib fit`, for the answers that need one."""
 ROBOT, DATA, FOLDER, AGAIN = "ROBOT", "DATA", "DIR", "DIR-2"
 """Placeholders in a command for the files of a user: robot, measurements, result folder, folder of the next result."""
 
@@ -90,7 +90,7 @@ def next_step(fit: Fit) -> NextStep:
         open_answers = [Answer.OTHER_POSES if answer is Answer.TRY_STARTS else answer for answer in open_answers]
     first = Answer.LEAVE_OUT if Answer.LEAVE_OUT in open_answers else next(iter(open_answers), None)
     if first in _OPTIONS:  # outliers come first: their effects look like noise, and like joint terms
-        return _repeat_fit(fit, *_OPTIONS[first], noise_stands=first is not Answer.STATE_NOISE)
+        return _repeat_fit(fit, *_OPTIONS[first], same_noise=first is not Answer.STATE_NOISE)
     if first is Answer.OTHER_POSES:
         return NextStep("see what these poses do not determine, and measure others", f"calib check {ROBOT} {DATA}")
     if verdict.grade != "FAIL" and fit.validation is None and fit.folds is None:
@@ -108,9 +108,9 @@ def _tried_answers(fit: Fit) -> set[Answer]:
     return {answer for answer, was in tried.items() if was}
 
 
-def _repeat_fit(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stands: bool = True) -> NextStep:
-    """Return a fit with the known options of this fit, and another."""
-    options = {} if fit.sigma_given is None or not noise_stands else {"--sigma-mm": f"{millimetres(fit.sigma_given):g}"}
+def _repeat_fit(fit: Fit, aim: str, *words: str, folder: str = AGAIN, same_noise: bool = True) -> NextStep:
+    """Return a fit with the known options of this fit, and one more option."""
+    options = {} if fit.sigma_given is None or not same_noise else {"--sigma-mm": f"{millimetres(fit.sigma_given):g}"}
     options |= {} if fit.loss == "none" else {"--loss": fit.loss}
     options |= {} if fit.terms is None else {"--terms": fit.terms.requested}
     options |= {} if fit.starts is None else {"--starts": str(fit.starts.total)}
@@ -118,7 +118,7 @@ def _repeat_fit(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stan
     options |= fit.requested_options.options() | ({"--seed": str(fit.seed)} if fit.seed else {})
     options |= {words[0]: " ".join(words[1:])} if words else {}
     options_text = (shlex.quote(word) for option in options.items() for word in option if word)
-    without = () if noise_stands else ("--sigma-mm",)
+    without = () if same_noise else ("--sigma-mm",)
     return NextStep(aim, " ".join(("calib fit", ROBOT, DATA, *options_text, "--out", folder)), without)
 
 

@@ -37,7 +37,7 @@ from calib.core.rows.whitening import Whitening
 POWER = 0.9
 """Chance with which a change shall be seen."""
 _OUTLIERS = 0.05  # largest part of the readings that is left out
-_PARALLEL = 1.0 - 1e-6  # cosine from which columns count as equal
+_PARALLEL = 1.0 - 1e-6  # columns with a larger cosine count as equal
 _JOINT_STEP = 1e-3  # unit of changes of joint zeros [rad, or characteristic lengths]
 
 
@@ -87,8 +87,8 @@ class Promise:
     def with_common_error(self, n_rows: int) -> Promise:
         """Return the promise where unexplained errors may be one common error of n rows, though no larger.
 
-        In a region of its own, such an error moves parameters as if only as few rows as parameters had decided them,
-        and the rows count as so few. The equations are in `calib.core.judging.acceptance`.
+        In a region of its own, such an error moves parameters as if they were decided by only as many rows as there are
+        parameters, so only that many rows count. The equations are in `calib.core.judging.acceptance`.
         """
         decided = max(self.decided, 1.0)
         wider = max((self.freedom + self.decided) / decided, 1.0)
@@ -291,7 +291,7 @@ class System:
         """Return the reading that is furthest off, and the chance of such an error among all."""
         layout, left = self.rows.layout, self._orthogonal_part(self.rows.residuals)[: len(self.rows.residuals)]
         widths, used = np.maximum(layout.width, 1), np.ones(layout.n_readings)
-        # the scale is known with the degrees of freedom of the promise; `studentised` counts half of those it gets
+        # the scale has the degrees of freedom of the promise; `studentised` halves the ones that it is given
         tests = studentised(left, self.rows.span, layout.reading, widths, used, 2.0 * self.promise.freedom, 1.0)
         reading = int(np.argmin(tests.chance))
         n_read = len(np.unique(layout.reading[layout.group >= 0]))

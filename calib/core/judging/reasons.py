@@ -152,12 +152,12 @@ class Verdict(HintedObject):
     def __eq__(self, other: object) -> bool:
         """Whether two verdicts are equal; comparison with a text is a mistake that would go unnoticed."""
         if isinstance(other, str):
-            raise UnknownOptionError(f"Verdict: is not text; here: fit.verdict.grade == {other!r}")
+            raise UnknownOptionError(f"Verdict: is not text; write fit.verdict.grade == {other!r}")
         return isinstance(other, Verdict) and vars(self) == vars(other)
 
     def __bool__(self) -> bool:
         """Neither true nor false: a FAIL would be as true as a PASS."""
-        raise UnknownOptionError("Verdict: is not true or false; here: fit.verdict.grade == 'PASS'")
+        raise UnknownOptionError("Verdict: is not true or false; write fit.verdict.grade == 'PASS'")
 
     def __str__(self) -> str:
         lines = [f"  {reason.grade}: {reason.text}" for reason in self.reasons]

@@ -39,7 +39,7 @@ class IsoFigure:
     Attributes:
         name: `AP`, `RP`, `vAP`, `AD`, `RD`, `dAP` or `dRP`; for orientations with the axis, such as `AP_rx`.
         poses: The pose, or the two poses of a distance.
-        cycles: Number of cycles, of the pose with fewest.
+        cycles: Number of cycles of the pose that has the fewest.
         figure: Value and interval [m or rad].
     """
 
@@ -89,7 +89,7 @@ def _pose_scatters(errors: ErrorSet, part_name: str = "") -> list[PoseScatter]:
 
 
 def repeat_table(errors: ErrorSet) -> dict[str, Any] | None:
-    """Return AP and RP [mm] of the points that were read more than once at a pose, mean and largest; None without."""
+    """Return mean and largest AP and RP [mm] of points that were read more than once at a pose; None if none was."""
     several = _pose_scatters(errors)
     if not several:
         return None
@@ -124,11 +124,10 @@ def repeatability(errors: ErrorSet) -> tuple[float, int]:
 
 
 def pose_error_over_repeatability(errors: ErrorSet, n_effective: float) -> tuple[float, float]:
-    """Return the error of pose means, as noise of one reading, over the scatter of repeats, and the chance of the
-    ratio.
+    """Return the ratio of two noises of one reading, by the errors of pose means and by repeats, and its chance.
 
-    Without errors of the model, the mean of n readings has the scatter of one reading over the root of n. NaN and 1
-    without repeats, or where they do not scatter at all.
+    Without errors of the model, the mean of n readings scatters by the noise of one reading, divided by the root of n.
+    The ratio is NaN and its chance 1 if there are no repeats, or if they do not scatter at all.
 
     Args:
         errors: Errors of the used visits.

@@ -13,9 +13,9 @@ kinds, which share the chance of a false finding evenly; in a family, the chance
 number of its tests. A finding needs a chance below 1 % over all families, and an effect of at least a tenth of the
 noise: enough data make any trifle significant. Where poses scatter more than independent readings
 (`calib.core.numerics.clusters`), F is divided by the excess scatter of the effect's score, summed pose by pose, and nu
-is that of this scatter. A fit follows each pose a little, so that its residuals scatter too little: a finding must also
-hold with the residuals of each pose by the fit, and the effect, of all other poses. Of waves and of slips, which are
-tried by the dozen for each joint or target, the best is kept.
+is that of this scatter. A fit follows each pose a little, so that its residuals scatter too little. So a finding must
+also hold with other residuals: those of each pose if fit and effect are found from all other poses. Of waves and of
+slips, which are tried by the dozen for each joint or target, the best is kept.
 
 The direction of approach and, without a time, the course of the measurement come from the order of the rows in the data
 file, which must be the order of measurement.
@@ -48,8 +48,8 @@ from calib.core.numerics.chances import EXACT, FALSE_ALARM
 from calib.core.numerics.tall import KEPT, slices
 
 SMALLEST_EFFECT = 0.1
-"""Least root mean square of an effect, over that of the noise, that counts as a finding."""
-_NUMBERS_AT_ONCE = 1 << 24  # numbers of what findings explain
+"""An effect counts as a finding if its root mean square is more than this part of the noise."""
+_NUMBERS_AT_ONCE = 1 << 24  # largest size of the array of what findings explain
 _VISITS_AT_ONCE = 512  # their factors stay in the processor's cache
 _ALIKE = 9.2  # times the noise squared: chance makes a sine and cosine explain more in 1 % of cases
 
@@ -80,7 +80,7 @@ class _EffectTests:
         p_values: Chance of such a gain if readings are independent, (m,).
         ratios: F of the module docstring, (m,).
         ranks: Columns left after M, (m,).
-        gains: By how much |r|^2 would fall, (m,).
+        gains: Decrease of |r|^2, (m,).
         coefficients: c, (m, k).
         absorbed: (J T)^T Z, (m, rank, k).
     """
@@ -167,7 +167,7 @@ def _effects_with_residuals(residuals: LinearFit, kept: Sequence[tuple[_EffectTe
 def _moments(residuals: LinearFit, some: list[Effects]) -> Iterator[_Moments]:
     """Yield the moments of effects with one base; see the module docstring."""
     base, span = some[0].base, residuals.span
-    tall = len(span) > KEPT  # then J T is not kept, and made of sums over rows
+    tall = len(span) > KEPT  # then J T is not stored: it is computed from sums over rows
     known = [span[:]] if not tall else [span.jacobian] if span.more is None else [span.jacobian, span.more]
     others = [base, residuals.rows.residuals[:, None], *known]
     b, n, width = base.shape[1], len(span.root), sum(other.shape[1] for other in others)

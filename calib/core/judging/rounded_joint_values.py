@@ -30,13 +30,13 @@ from calib.core.numerics.clusters import blocks_of_equal_length
 from calib.core.robots.robot import Robot
 
 _STEPS = tuple(round(figure * 10.0**power, 12) for power in range(2, -6, -1) for figure in (5.0, 2.0, 1.0))
-_CLOSE = 1e-6  # part of a step by which a value on the grid may be off
-_DIFFERENT = 8  # values that a joint must take for its steps to show
+_CLOSE = 1e-6  # a value is on the grid if it is off by less than this part of a step
+_DIFFERENT = 8  # a joint with fewer different values shows no steps
 _UNITS: dict[Dimension, tuple[str, ...]] = {"angle": ("deg", "rad"), "length": ("mm", "m")}
 
 
 def rounding(fit: Fit) -> tuple[str, float, float] | None:
-    """Return joint values in steps; None where there are none.
+    """Return the steps to which joint values seem rounded; None if there are none.
 
     Returns:
         The steps in words; the part of the noise variance that rounding to them makes; and the chance that residuals

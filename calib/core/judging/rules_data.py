@@ -27,31 +27,31 @@ from calib.core.numerics.losses import HIGH_LEVERAGE
 from calib.core.rows.rows import Rows
 
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little
-"""Degrees of freedom below which intervals are very wide."""
+"""With fewer degrees of freedom, intervals are very wide."""
 FEW_SHARED = 5
-"""The same for poses whose readings share errors; poses from which distances of targets have a meaning."""
+"""The same for poses whose readings share errors. Distances of targets mean something from so many poses."""
 RIGID = 1e-6
-"""Scatter of the distance of two targets below which no instrument read both [m]."""
+"""No instrument read both of two targets if their distance scatters by less [m]."""
 COSTLY = 0.36
-"""Part of the squared residuals from outliers, from which errors are a fifth smaller without them."""
+"""If outliers make this part of the squared residuals, errors are a fifth smaller without them."""
 FEW_OF = 0.01
-"""Largest part of validation readings whose outliers do not decide the grade."""
+"""Part of the validation readings that may be outliers without an effect on the grade."""
 EXCLUDED = 0.1
 """Part of the poses, or of the readings, that may be outliers."""
 BEYOND_REPEATS = 1.5
-"""Found noise over the scatter of repeats from which something systematic remains."""
+"""If the found noise is more than this many times the scatter of repeats, something systematic remains."""
 ROUNDED = 0.2
-"""Least part of the noise variance from steps of the joint values at which they are named."""
+"""Steps of the joint values are named if they make more than this part of the noise variance."""
 ALL_ROUNDED = 2.0
-"""The same, beyond which the joints really stood at these round values: rounding would have made more noise."""
+"""If steps would make more than this part, the joints really stood at these round values."""
 COPIED = 0.03
 """Part of the readings that may be copies of others."""
 FAR = 3.0
-"""Residual over the median residual from which a reading of 0, 0, 0 is not the origin of the measurement frame."""
+"""A reading of 0, 0, 0 with a residual this many times the median is not the origin of the measurement frame."""
 USED_FOR_BOTH = 0.1
 """Largest part of the validation poses that may repeat poses of the fit."""
 ANOTHER = {"load": 0.05, "temperature": 2.0}
-"""Differences in stated conditions [kg, K] from which a measurement at the same joint values is a different one."""
+"""With larger differences in stated conditions [kg, K], measurements at the same joint values are different ones."""
 
 
 def poses_that_say_little(fit: Fit) -> Iterator[Reason]:

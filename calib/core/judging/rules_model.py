@@ -28,20 +28,20 @@ from calib.core.robots.robot_files import lost_by
 from calib.core.rows.registration import registration
 
 ELSEWHERE = 0.2
-"""Largest ratio of errors of the nominal robot with base or targets placed by the data, to those with the stated ones,
-at which the statement is wrong."""
+"""The stated place of base or targets is wrong if placing them by the data leaves less than this part of the errors of
+the nominal robot."""
 NEAR = 0.1
-"""Largest of the same errors, over the spread of the measured positions, for a robot that fits."""
+"""The same errors are smaller than this part of the spread of the measured positions if the robot fits."""
 BELIEVED = 0.5
-"""Weight of a robust loss from which a reading counts."""
+"""A reading counts if a robust loss gives it more than this weight."""
 AT_END = 0.55
-"""Part of all residuals that looks like a change in the course of the measurement, up to which a claim holds at its
-end. A linear growth is sqrt(3) times as large there as on average, so that the whole is 1.25 times as large at
-sqrt(0.3)."""
+"""Ratio of a change in the course of the measurement to all residuals, up to which a claim holds at its end. A linear
+growth is sqrt(3) times as large at the end as on average, so the residuals are 1.25 times as large there if the ratio
+is sqrt(0.3)."""
 AFTER = 0.3
-"""Part of all residuals that certainly changes in that course, up to which a claim holds afterwards, for half as long
-as the measurement took. A linear growth has seven times its mean square there, so that the whole is 1.25 times as large
-at sqrt(0.09)."""
+"""The same ratio for a change that is certain, up to which a claim holds after the measurement, for half as long as it
+took. A linear growth has seven times its mean square there, so the residuals are 1.25 times as large if the ratio is
+sqrt(0.09)."""
 _NOT_THE_ROBOT = (
     ". The fit describes its own measurements, not the robot. Measure more poses, spread over the space where the robot"
     " will work"
@@ -50,7 +50,7 @@ _FURTHER_ERRORS = ". There the robot has errors that the poses used do not show.
 _AT_LIMIT = 1e-6  # distance from its limit at which a passive joint stopped a fit [m, rad]
 _MOST_PATTERNS = 3  # named in the sentence
 OTHER_MINIMUM = 10.0
-"""Difference of the cost within which another minimum explains the data as well."""
+"""Another minimum explains the data as well if its cost is larger by at most this."""
 
 
 def check_convergence(fit: Fit) -> Iterator[Reason]:
@@ -143,15 +143,15 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
             )
 
 
-def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
-    """Compare errors on unused poses with the claim; `needless` says that the robot needs no correction."""
+def claim_broken(fit: Fit, claim: Claim, *, no_correction: bool) -> Iterator[Reason]:
+    """Compare errors on unused poses with the claim; `no_correction` says that the robot needs no correction."""
     moved = moved_frame(fit)
     misplaced = moved is not None and moved.errors is None  # errors are those of the frame
     worse, further = ("", "") if misplaced else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
     anew = "" if moved is None or misplaced else ", their frame placed anew,"
     for accuracy in (seen.accuracy for seen in claim.unused if not seen.holds):
         times, claimed = accuracy.rms / claim.at_measured_poses.rms, claim.at_measured_poses
-        if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not needless:
+        if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not no_correction:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse at {accuracy.pose_words}{anew}:"
                 f" {accuracy.in_unit(accuracy.rms)} RMS after, {accuracy.in_unit(accuracy.before)} before, and"
@@ -167,7 +167,7 @@ def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
 
 
 def _where(fit: Fit, accuracy: Accuracy) -> str:
-    """A clause for more validation poses unlike the measured ones than chance explains; empty without."""
+    """A clause for more validation poses unlike the measured ones than chance explains; empty if there are not more."""
     unlike = unlike_measured(fit)
     if accuracy.poses is not PoseUse.VALIDATION or fit.validation is None or not is_elsewhere(unlike):
         return ""
@@ -231,7 +231,7 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
     placed = ""
     if moved.errors is not None:
         before, after = (millimetres(errors.rms("after")) for errors in (fit.validation, moved.errors))
-        placed = f". Placed anew, its error falls from {before:.3g} to {after:.3g} mm RMS, by which it is judged here"
+        placed = f". With the frame placed anew, the judged RMS error falls from {before:.3g} to {after:.3g} mm"
     yield Code.FRAME_MOVED.says(
         f"the tracker, the base or its frame probably moved between the two files, by {millimetres(moved.shift):.3g} mm"
         f" and {np.degrees(moved.angle):.2g} deg: this explains all but {millimetres(moved.rms_after):.3g} mm"
@@ -262,10 +262,10 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
 
 
 def _chance_of_gain(fit: Fit) -> float:
-    """Chance that the parameters explain as much of a robot at nominal, with only base and targets placed.
+    """Chance that parameters explain as much if the nominal robot, with base and targets placed, has no error.
 
-    With few poses their noise is uncertain, so that by it alone almost any gain may be chance. Where all noise is
-    stated, and not contradicted, the statement is a second measure: the gain is chi-square by it.
+    With few poses the noise found is uncertain, so that almost any gain may be chance. If all noise is stated, and the
+    residuals agree with it, the gain is also tested as a chi-square with the stated noise. The smaller chance counts.
     """
     layout = fit.rows.layout
     root = np.sqrt(fit.weights)[layout.reading]

@@ -23,23 +23,23 @@ from calib.core.rows.observed import observe
 from calib.core.rows.registration import register
 
 NOISE_RATIO = 3.0
-"""Found over stated noise from which the statement, or the model, is wrong."""
+"""If the found noise is more than this many times the stated one, the statement or the model is wrong."""
 MOST_LEFT_OUT = 20.0
-"""Found over stated noise beyond which better poses prove nothing: the joint origins of real robots leave up to ten
-times the noise of a tracker; a target that is described on a neighbouring link leaves seventy times."""
+"""Beyond this ratio of found to stated noise, better poses prove nothing: the joint origins of real robots leave up to
+ten times the noise of a tracker; a target that is described on a neighbouring link leaves seventy times."""
 GROSS = 2.0
-"""Noise of every instrument, over its largest usual noise, from which the result rests on errors of the model."""
+"""If every instrument has more than this many times its largest usual noise, the model makes most of the errors."""
 DOUBTFUL = 0.05
-"""Noise, over an impossible noise of such an instrument, from which other meanings of its numbers are tried."""
+"""Other meanings of an instrument's numbers are tried if the noise is more than this part of an impossible one."""
 GROSS_RATIO = 50.0
-"""Found over stated noise from which mistakes in the data are looked for."""
+"""Mistakes in the data are looked for if the found noise is more than this many times the stated one."""
 LEFT_OUT = 0.01
-"""Noise, over the spread of the measured positions, that a model of a healthy robot may leave (real ones: 0.1 %)."""
+"""A model of a healthy robot may leave this part of the spread of the measured positions (real ones: 0.1 %)."""
 NOT_STATED = 2.0
 """Factor on that limit where the noise of the instrument is not stated and adds to it: a camera that observes a small
 space has 1 % of it."""
-_CLOSER = 0.2  # error with another meaning over that with the present one
-_TRIED = 20  # poses that are tried, of many
+_CLOSER = 0.2  # another meaning is better if it leaves less than this part of the error
+_TRIED = 20  # largest number of poses that are tried
 _FEWEST_READINGS = 4
 
 
@@ -196,7 +196,7 @@ def _stated_noise_text(estimate: NoiseEstimate) -> str:
 
 
 def _first_answer(fit: Fit) -> Answer:
-    """First answer to noise that no healthy robot leaves: a few readings can make all of it."""
+    """First answer to noise that no healthy robot leaves, since a few wrong readings can cause all of it."""
     return Answer.LEAVE_OUT if findings.outliers(fit) else Answer.CORRECT
 
 
@@ -244,7 +244,7 @@ def _noise_above_statement(fit: Fit, estimate: NoiseEstimate, text: str) -> Reas
     if better or no_worse:
         outcome = "get better by more than chance explains" if better else "get neither better nor worse"
         text += (
-            f" poses that were not used {outcome}. The rest is what the model leaves out, or outliers. The stated"
+            f" poses that were not used {outcome}. The remaining error is what the model leaves out, or outliers. The"
             " uncertainty of positions includes it. State the noise of robot and sensor together (--sigma-mm)"
         )
         if estimate.sigma > MOST_LEFT_OUT * (estimate.stated or np.inf):
@@ -263,7 +263,7 @@ def _noise_above_statement(fit: Fit, estimate: NoiseEstimate, text: str) -> Reas
 
 @memoize
 def measured_space(fit: Fit) -> float:
-    """Root mean square distance of measured positions from their centre [m], of the widest instrument; inf without."""
+    """Root mean square distance of measured positions from their centre [m], of the widest instrument; inf if none."""
     errors = fit.identification
     sizes = []
     for instrument in errors.instruments:

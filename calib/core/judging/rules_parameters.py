@@ -28,42 +28,40 @@ from calib.core.robots.terms.term import Context
 from calib.core.robots.terms.terms import TERMS
 
 PLAUSIBLE = 4.0
-"""Expected errors (sigmas) that a parameter may be away from nominal."""
+"""Number of its sigmas by which a parameter may differ from nominal."""
 IMPOSSIBLE = 20.0
-"""Expected errors away from nominal that no error of the stated size explains: the limit of what is plausible, for a
-sigma that was guessed five times too small. Calibrated robots stay near 2; a joint counted the wrong way gives
-hundreds, and its prior then pulls all other parameters out of place."""
+"""Expected errors (sigmas) that a parameter cannot be away from nominal: `PLAUSIBLE` of them, if the sigma was guessed
+five times too small. Calibrated robots stay near 2; a joint counted the wrong way gives hundreds, and its prior then
+pulls all other parameters out of place."""
 SMALLEST_SHARE = 0.05
-"""Share of a parameter that the data must decide for its deviation to say anything."""
+"""Share of a parameter's variance that the data must remove before its deviation counts."""
 SCALED = 2e-3
 """Relative length error that no robot and no instrument has as a whole: heat makes a tenth of it."""
 SCALED_SIGMAS = 6.0
-"""Standard deviations of a scale, by the sigmas of the parameters, beyond which these do not explain it. Few degrees of
-freedom take more: as many as chance does not explain, by Student's t (`_least_sigmas`)."""
+"""A scale further from 1 than this many of its standard deviations is not explained by errors of the parameters. Few
+degrees of freedom take more: as many as chance does not explain, by Student's t (`_least_sigmas`)."""
 MOST = 0.5
-"""Part of squared residuals and deviations, beyond noise, that a scale must explain to be the cause: other errors look
-a bit like it."""
-_NOTHING = 1e-6  # part of its length at which a robot has shrunk to a point
+"""A scale is the cause if it explains this part of the squares (of residuals and deviations) that noise leaves over:
+other errors look a bit like a scale."""
+_NOTHING = 1e-6  # a robot scaled by less than this has shrunk to a point
 MANIFOLD = 0.3
-"""Scale error from which messages state the ratio of lengths, not percent."""
+"""Messages state a larger scale error as a ratio of lengths, a smaller one in percent."""
 UNUSUAL = 10.0
-"""Size of a joint term that was chosen, over the usual size, from which something else may be the cause."""
+"""If a chosen joint term is more than this many times its usual size, something else may be the cause."""
 JOINT_SCALED = 0.01
 """Relative error of motion that no joint has: gears, belts and screws are off by a thousandth."""
-_SUREST = 0.2  # least certainty of a scale, over that of the surest: an error that bends looks like smaller scales
+_SUREST = 0.2  # least certainty of a scale, as part of the largest: a curved error looks like smaller scales
 LOOSE_ANGLE = 0.1
-"""Standard deviation of an angle beyond which its effect is not linear [rad]."""
+"""The effect of an angle with a larger standard deviation is not linear [rad]."""
 
 
 def far_from_nominal(fit: Fit) -> Iterator[Reason]:
     """List parameters far from nominal.
 
-    Where priors share an error between parameters that the data cannot distinguish, each moves by less than the error:
-    a deviation u scatters by the root of the share that the data decide, and is compared with that. Without a prior,
-    noise alone moves a parameter too: two standard deviations of it are allowed. The place of a target is never
-    impossible:
-        its
-    place in the description may be a guess.
+    Priors share an error between parameters that the data cannot distinguish, so each moves by less than the error. If
+    the data decide a share p of a parameter, its deviation is expected to be sqrt(p) sigma, and is compared with that.
+    Without a prior, noise alone moves a parameter too: two standard deviations of it are allowed. The place of a target
+    is never impossible: its place in the description may be a guess.
     """
     far, impossible = [], []
     for parameter, away in _deviations(fit):
@@ -93,11 +91,10 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
 
     In the linear model around the solution, with deviations u over the sigmas of all parameters but placements, a scale
     s of all readings is tried together with the parameters: |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. Noise is
-    scaled as well: else zero lengths would explain a robot whose lengths are all free best. Residuals are over the
-    found noise,
-        so
-    that without a scale the squares add up to about the rows less the places. Joints that turn too far draw larger
-    arcs, which look like longer links: no scale is the cause where gains of all joints explain as much.
+    scaled as well: otherwise, if all lengths of a robot are free, lengths of zero would explain it best. Residuals are
+    divided by the found noise: without a scale, their squares add up to about the number of rows less that of places.
+    Joints that turn too far draw larger arcs, which look like longer links: if gains of all joints explain as much, the
+    scale is not the cause.
     """
     if fit.computed:
         return
@@ -138,11 +135,11 @@ def _least_sigmas(fit: Fit, n_scales: int) -> float:
 
 
 def _remaining_residuals(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int]:
-    """Return the remainders of further columns (n_rows, k), and of the residuals as the last, over the found noise.
+    """Return what parameters leave of further columns (n_rows, k), and of the residuals, divided by the found noise.
 
     Returns:
-        Few rows with the same products as all measured ones, above one for each deviation of a parameter, (n, k + 1);
-        and the number of measured rows.
+        Remainders, (n, k + 1), those of the residuals last: a few rows with the same products as all measured rows,
+        then a row for each deviation of a parameter; and the number of these measured rows.
     """
     linear, inside, n = findings.linear(fit), ~fit.unknowns.placement, len(fit.unknowns)
     rows, tried = linear.rows, np.hstack([columns, linear.rows.residuals[:, None]])
@@ -162,7 +159,7 @@ def _cost_with(
     """Return the least cost of the residuals (n,) with some columns (n, k) fitted, and the size of the first.
 
     Args:
-        columns, right: Their remainders after the parameters.
+        columns, right: Columns and residuals, less what the parameters explain of them.
         n_measured: Number of measured rows; the others are priors.
         is_scale: Whether the column scales all lengths, and noise with them.
     """
@@ -175,11 +172,10 @@ def _cost_with(
 
 
 def joints_scaled(fit: Fit) -> Iterator[Reason]:
-    """Look for joints that move by another factor than their values say, by joint terms or by the residuals.
+    """Look for joints that move further or less than their values say: joint terms or the residuals show the factor.
 
     Joint origins hide most of it: a robot may fit to a tenth of a millimetre although a motor turns three percent too
-        far.
-    The residuals still show the factors of all joints, each with all others fitted.
+    far. The residuals still show the factors of all joints, each with all others fitted.
     """
     if fit.computed:
         return
@@ -201,9 +197,9 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
 
 
 def _gain_errors(fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Relative excess of each joint's motion by the terms of its own error, and its standard deviation, (n_actuated,).
+    """How much further each joint moves by its own terms, relative, and the standard deviation of this, (n_actuated,).
 
-    It is the slope of the straight line through its errors at the used poses.
+    It is the slope of the straight line through the errors of the joint at the used poses.
     """
     robot, q = fit.robot, fit.identification.data.joints
     slopes = np.zeros((len(robot.joint_names), len(robot.parameters)))

@@ -24,13 +24,13 @@ from calib.core.rows.jacobian import linearise
 from calib.core.rows.prediction import order_of_joints, recombined_joints, without_common_motion
 
 BEYOND_LIMIT = 0.01
-"""Distance beyond a joint's limit from which a pose is named [rad, or characteristic lengths]."""
+"""A pose is named if it is further beyond a joint's limit [rad, or characteristic lengths]."""
 CORNER = 0.1
 """Part of the range between its limits that at least one joint must move through."""
 LESS_KNOWN = 3.0
-"""Uncertainty of positions elsewhere, over that at the used poses, beyond which the calibration does not reach."""
+"""A calibration does not reach where positions are more than this many times as uncertain as at the used poses."""
 WIDENED = np.sqrt(2.0)
-"""Uncertainty of positions with joint terms over that without them, from which most of it comes from the terms."""
+"""If joint terms make positions this many times as uncertain, most of the uncertainty comes from the terms."""
 _TRIED = 50  # poses at which a joint is moved through its limits in the model
 _NO_VARIANCE = 1e-9  # part of a variance that counts as none
 _SAMPLED = 200  # poses at which uncertainties are computed
@@ -55,7 +55,7 @@ def check_joint_motion(fit: Fit) -> Iterator[Reason]:
     allowed = _joint_ranges(robot)
     part = np.ptp(data.joints, axis=0) / allowed
     still = np.isin(robot.joint_names, unmoved_joints(robot, data.joints))
-    if np.all(part[~still] < CORNER):  # that is one corner
+    if np.all(part[~still] < CORNER):  # `one_corner` reports this
         return
     for j in np.flatnonzero((part < CORNER) & ~still):
         elsewhere = _poses_over_range(fit, int(j), float(allowed[j]))
@@ -114,7 +114,7 @@ def _uncertain_at_used(fit: Fit) -> float:
 
 
 def _well_known(fit: Fit, at_used: float) -> float:
-    """Uncertainty of positions up to which they are well known [m], given that at the used poses."""
+    """Largest uncertainty of well-known positions [m], from the uncertainty `at_used` at the used poses."""
     lengths = fit.first_noise.group.part.dimension == "length"
     return max(LESS_KNOWN * at_used, np.sqrt(3.0) * fit.sigma if lengths else 0.0)
 
@@ -207,7 +207,7 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
 
 
 def _widening_sentence(fit: Fit, q: FloatArray) -> str:
-    """A clause on the uncertainty of positions at q (n, n_actuated) against that at the used poses, if terms widen it.
+    """The uncertainty of positions at q (n, n_actuated) and at the used poses, in words; empty if terms widen neither.
 
     Base and tool are placed anew, because their place does not depend on the terms.
     """
@@ -233,7 +233,7 @@ def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
 
 
 def _uncertain(flat: FloatArray, *covariances: FloatArray) -> list[float]:
-    """Root mean square uncertainty of positions with derivatives as from `_relative`, for each covariance [m]."""
+    """Root mean square uncertainty of positions for each covariance [m]; `flat` are derivatives from `_relative`."""
     products = flat.T @ flat / len(flat)
     return [float(np.sqrt(max(3.0 * float(np.sum(products * covariance)), 0.0))) for covariance in covariances]
 
@@ -264,7 +264,7 @@ def check_tolerance(fit: Fit, claim: Claim) -> Iterator[Reason]:
     measured, allowed = claim.at_measured_poses, f"the tolerance of {millimetres(known[path]):.4g} mm ({path})"
     if not measured.is_position or measured.dimension != "length":
         yield Code.TOLERANCE.says(
-            f"whether the tool is within {allowed} is not known: positions were not measured", answer=Answer.LOOK
+            f"it is not known whether the tool is within {allowed}: positions were not measured", answer=Answer.LOOK
         )
     elif not np.isfinite(measured.limit95):
         yield Code.TOLERANCE.says(

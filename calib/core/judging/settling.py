@@ -1,12 +1,12 @@
 """Poses of a calibration that settle whether a robot has changed, if they are measured again.
 
-At a used pose the model has the same error now as then: a difference there is the robot's, whatever the model leaves
-out. Of all used poses, those are chosen one by one that increase the information on the change most, base and targets
-eliminated, which are placed anew (its determinant: `calib.core.numerics.observability`, O1), until the change shows
-with the chance `POWER`.
+At a pose of the calibration, the model has the same error now as then: so a difference there is a change of the robot.
+Poses are chosen one by one: each increases the information on the change most (its determinant, as O1 in
+`calib.core.numerics.observability`), with base and targets eliminated, because these are placed anew. Enough poses are
+chosen if the change shows with the chance `POWER`.
 
-When it fails. Of more poses than `MOST`, evenly chosen ones are examined. The change is taken as large as it was found:
-a smaller one takes more poses.
+When it fails. If there are more poses than `MOST`, only some are examined, evenly spread. If the change is smaller than
+it was found, it takes more poses.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from calib.core.rows.simulate import simulate
 MOST = 300
 """Largest number of examined poses."""
 _COUNTS = (8, 12, 16, 24, 32)  # numbers of poses to measure again
-_NOTHING = 1e-6  # information before any pose was chosen, of columns of length 1
+_NOTHING = 1e-6  # information before any pose is chosen, for columns of length 1
 
 
 def poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
-    """Return the names of poses of the calibration that show a found change, best first; none where none do."""
+    """Return the names of poses of the calibration that show a found change, best first; none if no poses show it."""
     if not len(promise.joints):
         return ()
     first = np.unique(pose_labels(promise.joints), return_index=True)[1]
@@ -38,7 +38,7 @@ def poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
             shown = {own.name: own.visible for own in _system(promise, promise.joints[order[:count]]).changes()}
             if shown.get(change.name, np.inf) <= abs(change.value) or count >= len(order):
                 break
-    except CalibrationError:  # its poses cannot be looked at again, such as those of setups
+    except CalibrationError:  # poses cannot be simulated, such as those of setups
         return ()
     return tuple(promise.names[k] for k in order[:count])
 

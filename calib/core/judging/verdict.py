@@ -85,7 +85,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
 )
 _ORDER = ("FAIL", "CHECK", "PASS")
 _IN_MISTAKE = {Code.ZERO_READINGS, Code.EQUAL_COLUMNS, Code.JOINT_SCALED}
-"""Reasons that the likely mistake contains."""
+"""Reasons that a likely mistake already names."""
 _NOTHING_FITS = {Code.NOT_CONVERGED, Code.NOT_ASSEMBLED, Code.NOISE_AS_LARGE_AS_ROBOT, Code.FAR_FROM_NOMINAL}
 _MOVED = {Code.AT_BOUNDS}  # effect of a base that is a little elsewhere
 
@@ -100,9 +100,9 @@ def judge(fit: Fit) -> Verdict:
     """
     reasons = [*(reason for rule in _RULES for reason in rule(fit)), *_reasons_of_others(fit)]
     codes, claim = {reason.code for reason in reasons}, claim_of(fit)
-    needless = Code.NOTHING_TO_CORRECT in codes
+    no_correction = Code.NOTHING_TO_CORRECT in codes
     if claim is not None and Code.WORSE_ON_VALIDATION not in codes:
-        reasons = [*rules_model.claim_broken(fit, claim, needless=needless), *reasons]
+        reasons = [*rules_model.claim_broken(fit, claim, no_correction=no_correction), *reasons]
     if claim is not None:
         reasons += rules_reach.check_tolerance(fit, claim)
     reasons = [reason for reason in reasons if reason.code not in _superseded_codes(reasons)]
@@ -122,7 +122,7 @@ def judge(fit: Fit) -> Verdict:
         text = f"{mistake}; correct the data, or the description where that is wrong"
         reasons = [reason for reason in reasons if reason.code not in _IN_MISTAKE]
         reasons.insert(0, Code.LIKELY_MISTAKE.says(text, grade="FAIL" if gross else "CHECK"))
-    if claim is not None and claim.holds and (claim.gain is Benefit.BETTER or needless):
+    if claim is not None and claim.holds and (claim.gain is Benefit.BETTER or no_correction):
         reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
     reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.counted, reason.code != Code.FRAME_MOVED))
     grade = reasons[0].grade if reasons else "PASS"
@@ -134,8 +134,8 @@ def judge(fit: Fit) -> Verdict:
 def _superseded_codes(reasons: Sequence[Reason]) -> set[Code]:
     """Codes of reasons that other reasons supersede or explain.
 
-    No gain gives way to harm; patterns, and scales of joints, to residuals as large as the robot; such residuals to a
-    robot that did not move; instruments that disagree to a column that was copied over another.
+    Harm supersedes no gain. Residuals as large as the robot supersede patterns and scales of joints, and a robot that
+    did not move supersedes such residuals. A column that was copied over another explains instruments that disagree.
     """
     codes = {reason.code for reason in reasons}
     pairs = (
@@ -234,5 +234,5 @@ class JudgedFit(Fit):
     @property
     def known_robot(self) -> KnownRobot:
         """The calibrated robot, with its uncertainty and the measured poses."""
-        joints, needless = self.identification.data.joints, self.verdict.nothing_to_correct
-        return KnownRobot(self.robot, self.uncertainty, joints, needless)
+        joints, no_correction = self.identification.data.joints, self.verdict.nothing_to_correct
+        return KnownRobot(self.robot, self.uncertainty, joints, no_correction)

@@ -20,7 +20,7 @@ Test. With eigenvalues w of all H_b and y = r / f
 
 for independent errors; D over its mean is compared with F of the same mean and variance. Standard deviations that
 suppose independent rows are too small by the root of D over its mean. D also measures how far parameters move when
-blocks are left out in turn: with u those of the fit, u_b without block b, and A_b the information without it,
+blocks are left out in turn: with u the parameters of the fit, u_b without block b, and A_b the information without it,
 D f^2 = sum over blocks of (u - u_b)^T A_b (u - u_b). No further fit is needed.
 
 When it fails. A core of few blocks is uncertain: `freedom` counts the squares behind one of its directions. An error
@@ -41,7 +41,7 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.tall import Span
 
-_OWN = 0.99  # part of a direction that a block decides, from which the other blocks cannot predict it
+_OWN = 0.99  # if a block decides this part of a direction, the other blocks cannot predict it
 _ROWS_AT_ONCE = 30_000
 _NONE = 1e-150  # noise of data that were computed, not measured
 
@@ -189,7 +189,7 @@ class LeftOutBlocks:
             residuals: r, whitened, (n_rows,).
             further_columns: Further columns of U, (n_rows, n_further); none if not given.
             seen: U without the weights of a robust loss, (n_rows, k), of the rows that move; U if not given.
-            alone: Part of a direction that a block decides, from which nothing moves along it.
+            alone: Nothing moves along a direction of which a block decides at least this part.
         """
         moved, largest = np.zeros(len(residuals)), np.zeros(int(self._block.max(initial=-1)) + 1)
         for rows, hat in self._hats:

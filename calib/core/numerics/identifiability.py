@@ -13,9 +13,9 @@ the largest to the smallest non-zero singular value.
 
 Any column of a dependent group may be dropped: every valid choice predicts the same positions. The choices differ only
 in rounding, and the condition number depends on the scales of columns. So condition numbers within a factor `TIE`
-count as equal, and the first tied name in the robot description's `elimination_order` is dropped. Where it names none
-of them, the smallest condition number decides, and among equal ones (to six digits, so that every machine agrees) the
-later parameter is dropped.
+count as equal, and the first tied name in the robot description's `elimination_order` is dropped. If it names none of
+them, the smallest condition number decides. If these are equal too (to six digits, so that every machine agrees), the
+last parameter is dropped.
 
 Reference: Joubair, Zhao, Bigras and Bonev 2015, section Identification.
 """
@@ -32,17 +32,17 @@ from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 
 _AT_ONCE = 1 << 14  # rows of one factorisation
-_BLOCK = 32  # columns that it works on at a time
-_INVERTED = 96  # columns of a triangle that LAPACK inverts as fast
+_BLOCK = 32  # columns of a block in a factorisation
+_INVERTED = 96  # LAPACK inverts a triangle with at most this many columns as fast as by halves
 RANK_TOLERANCE = 1e-9
 """Singular values of the scaled Jacobian below this part of the largest count as zero."""
 CLEAR_GAP = 30.0
-"""Factor between the singular values around the threshold, below which the rank depends on the threshold."""
+"""The rank depends on the threshold if the singular values around it differ by a smaller factor."""
 NO_EFFECT = 1e-7
-"""Length of a column over that of the longest, in metres and radians, below which it is rounding."""
+"""A column is rounding if its length is below this part of the longest, in metres and radians."""
 TIE = 2.0
 """Condition numbers within this factor of the smallest are equally good."""
-_DIGITS = 1e-6  # relative difference of condition numbers below which they are the same number
+_DIGITS = 1e-6  # condition numbers with a smaller relative difference are the same
 
 
 @dataclass(frozen=True, eq=False)

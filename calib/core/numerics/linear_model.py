@@ -1,6 +1,6 @@
 """The linear model of a fit: residuals r + J d of whitened rows around a point, and the prior of d.
 
-Unknowns are scaled, u = (p - p_expected) / s; d is their change from where they are. The rows are those of all readings
+Unknowns are scaled, u = (p - p_expected) / s; d is their change from the point. The rows are those of all readings
 (`calib.core.rows.rows`), or a few that have the same products. Its use:
 
     factor                       the triangular factor of [J r], from which all sums over rows follow
@@ -31,7 +31,7 @@ class RowGroups(ReadOnlyArrays):
 
     Attributes:
         group: Group of each row; -1 for one that was not read, (n_rows,).
-        counts: Rows of each group, (n_groups,); all rows that were read, also where few stand for them.
+        counts: Rows of each group that were read, (n_groups,), even if the model holds fewer with the same products.
     """
 
     group: IntArray
@@ -39,7 +39,7 @@ class RowGroups(ReadOnlyArrays):
 
     @staticmethod
     def from_groups(group: IntArray, n_groups: int) -> RowGroups:
-        """Return the groups of rows (n_rows,), where no row stands for others."""
+        """Return the groups of rows (n_rows,), of a model that holds all rows that were read."""
         return RowGroups(group, np.bincount(group[group >= 0], minlength=n_groups))
 
 

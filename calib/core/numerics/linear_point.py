@@ -23,11 +23,11 @@ from calib.core.numerics.identifiability import extend_reduced, reduce_rows
 from calib.core.numerics.prior import Prior
 
 ON_RADIUS = 0.1
-"""Relative tolerance within which a step counts as being on the edge of its ball."""
+"""A step is on the edge of its ball if its relative distance from the edge is at most this."""
 _BOLD = 4.0  # length of a step where the model has no minimum, in lengths of Newton's step
-_DEPENDENT = 1e-4  # part of a remembered step outside of later ones, below which it adds nothing
+_DEPENDENT = 1e-4  # a remembered step adds nothing if its part outside of later ones is less
 _SINGULAR = 1e-14  # the same for directions that the rows do not see
-_MANY = 128  # columns from which products are used
+_MANY = 128  # products are used for so many columns or more
 _EXACT = 1e-6  # inverse of the condition down to which they are exact enough
 _CLOSE = 1e-12  # relative difference of bounds between which a multiplier is found
 

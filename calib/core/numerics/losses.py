@@ -14,8 +14,8 @@ of d with k degrees of freedom, the efficiency is
 
     m^2 / b       m = E[w + w' d / k],   b = E[w^2 d^2] / k
 
-(for k = 1 this gives the usual 1.345, 2.385 and 4.685). The noise that goes with the weights, of readings whose rows
-are whitened:
+(for k = 1 this gives the usual 1.345, 2.385 and 4.685). The noise of whitened readings, found
+with these weights:
 
     scale       median of |r| / median of chi(k), times sqrt(rows / (rows - n_eff))
     f^2         sum w |r|^2 / sum k w, over its expectation for normal data with noise 1; rows that a weight of zero
@@ -37,9 +37,9 @@ the residual of normal data has
 
 so that T^2 = r^T V^-1 r is the studentised residual: the same for a reading that pulls the fit towards itself as for
 one that does not. T / median of chi(k) is compared with a scale that outliers hardly move, its median over the
-readings. A reading is an outlier where k F(k, nu/2) exceeds (T / scale)^2 with a chance below 1 % over the number of
-readings: good measurements of any number show one in a set out of a hundred. (nu/2, because a median finds a scale
-about half as well as the squares.)
+readings. A reading is an outlier if k F(k, nu/2) exceeds (T / scale)^2 with a chance below 1 % divided by the number of
+readings: one in a hundred good sets has an outlier, whatever its size. (nu/2, because a median finds a scale about half
+as well as the squares.)
 
 Leverage is trace(h)/k: the part of a reading's own error that its prediction follows, the mean over its rows; leverages
 of all rows add up to the effective parameters. The largest eigenvalue of h is the leverage along the worst direction.
@@ -76,8 +76,8 @@ EFFICIENCY = 0.95
 """Part of the information of normal data that a robust loss keeps."""
 _BRACKET = (0.05, 60.0)
 HIGH_LEVERAGE = 0.9
-"""Largest leverage along any direction, above which a reading decides its own prediction and cannot be tested."""
-_SMALLEST = 1e-6  # eigenvalue of V below which a direction has no residual left
+"""A reading with a larger leverage along some direction decides its own prediction, and cannot be tested."""
+_SMALLEST = 1e-6  # a direction with a smaller eigenvalue of V has no residual left
 _NO_NOISE = 1e-12
 
 

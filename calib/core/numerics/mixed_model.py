@@ -67,8 +67,8 @@ from calib.core.numerics.clusters import blocks_of_equal_length
 from calib.core.numerics.identifiability import inverse_of_triangle
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
-_DECIDES = 1e-6  # part of a direction that other poses decide, from which they predict it
-_LEAST_EFFECT = 1e-3  # how far a coefficient moves all rows, over their noise, below which a solution omits it
+_DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
+_LEAST_EFFECT = 1e-3  # a solution omits a coefficient that moves all rows together by less than this part of the noise
 _RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding might make singular
 
 

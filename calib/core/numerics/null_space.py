@@ -16,8 +16,8 @@ elementary vectors are the vertices of {v in the subspace, |v|_1 <= 1}, so
 
     minimise  sum_i w_i |v_i|    subject to  v in the subspace,  v_j = 1
 
-has one as its solution for each entry j, and favours short ones; a second round with w_i = 1 / (|v_i| + 0.1) more so.
-Then every vector is still elementary, but nothing proves that no shorter basis exists.
+has an elementary vector as its solution for each entry j, often a short one. A second round with weights
+w_i = 1 / (|v_i| + 0.1) finds shorter ones. Nothing proves then that no shorter basis exists.
 
 Reference: Rockafellar 1969 (elementary vectors); Edmonds 1971 (greedy algorithm); Candes, Wakin and Boyd 2008
 (reweighting).
@@ -39,10 +39,10 @@ from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
 from calib.core.numerics.identifiability import rank_of, reduce_rows
 
-_SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter that names a group
+_NAMES = 0.1  # a parameter can name a group if it moves at least this part of the largest movement, in sigmas
 ZERO = 1e-6
 """Entries of a vector below this part of its largest are zero."""
-_DEPENDENT = 1e-9  # smallest singular value of rows of an orthonormal basis that counts as none
+_DEPENDENT = 1e-9  # rows of an orthonormal basis are dependent if their smallest singular value is less
 _MOST_SUPPORTS = 60_000
 _BATCH = 4096
 
@@ -113,7 +113,7 @@ def _null_space(scaled_jacobian: FloatArray) -> FloatArray:
 
 
 def _part(null: FloatArray, columns: IntArray, dropped: set[int]) -> list[FloatArray]:
-    """Shortest basis of the null vectors that live on `columns`."""
+    """Shortest basis of the null vectors that are zero outside `columns`."""
     u, s, _ = linalg.svd(null[columns], full_matrices=False)
     basis = u[:, s > 0.5]  # the columns are a whole part, so s is 1 or 0
     vectors = shortest_basis(basis, np.isin(columns, list(dropped)))
@@ -126,7 +126,7 @@ def _group(vector: FloatArray, dropped: set[int]) -> UnseenGroup:
     members = [int(k) for k in np.flatnonzero(vector)]
     size = np.abs(vector)
     # a parameter that hardly moves would have to move by metres or turns to show what the others do
-    moving = [k for k in members if size[k] >= (1 - ZERO) * _SPEAKS * size.max()]
+    moving = [k for k in members if size[k] >= (1 - ZERO) * _NAMES * size.max()]
     first = next((k for k in moving if k in dropped), moving[0])
     members.remove(first)
     ordered = (first, *members)

@@ -49,7 +49,7 @@ from calib.core.numerics.identifiability import Rank, inverse_of_triangle, numer
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 OUTSIDE = 1e-6
 """Least length outside the determined directions at which a unit vector counts as undetermined."""
-_CLEAR = 1e-6  # inverse of the condition of a factor from which no singular value is near the threshold of the rank
+_CLEAR = 1e-6  # if 1 / condition of a factor is larger, no singular value is near the threshold of the rank
 
 
 def observability(singular_values: FloatArray, n_poses: int) -> dict[str, float]:

@@ -39,14 +39,14 @@ from calib.core.numerics.rigid import cross_matrices, rotations_by
 from calib.core.numerics.tall import slices
 
 _TURNS = cross_matrices(np.eye(3))  # [e_k]x
-_RANK = 1e-9  # turn of a link below which it does not determine its point [rad]
+_RANK = 1e-9  # a link that turns less does not determine its point [rad]
 _OPEN = 1e-6  # singular values below this part of the largest leave a rotation open
 _POINT_WEIGHT, _TURN_WEIGHT = 1e-5, 1e-7  # weights of the distances to the guesses, relative to the measurements
-_STILL = 1e-11  # step below which a descent ends [rad]
-_SAME = 1e-6  # difference of rotations below which they are one minimum
+_STILL = 1e-11  # a descent ends with a smaller step [rad]
+_SAME = 1e-6  # rotations with a smaller difference are one minimum
 _ITERATIONS, _LAST_STEPS, _NOISE_ROUNDS = 80, 8, 20
-_RELATIVE, _ABSOLUTE = 1e-2, 1e-12  # change of the noise at which its iteration ends: relative, and in m
-_SMALLEST = 1e-3  # extent of points below which the turn about them counts as open [m], times `_OPEN`
+_RELATIVE, _ABSOLUTE = 1e-2, 1e-12  # the iteration of the noise ends at a smaller change: relative, and in m
+_SMALLEST = 1e-3  # the turn about points counts as open if they extend less [m], times `_OPEN`
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def place(
         counts: Number of readings averaged at each pose, (n,).
         guess: Expected pose of the measurement frame in the base link.
         frame_known: Whether the guess is exact, so that only the points are found.
-        rough_beyond: Root mean square error [m] beyond which the search ends without counting distances to the guessed
+        rough_beyond: If the root mean square error is more [m], the search ends without the distances to the guessed
             points, which could only raise the error.
 
     Raises:

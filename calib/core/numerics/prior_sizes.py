@@ -15,7 +15,7 @@ marginal likelihood,
 
     H_fg = 2 |J_f^T Q J_g|^2,      J_f^T Q J_f = I - C_ff,      J_f^T Q J_g = -C_fg,      V = (H + I)^-1
 
-where the added I is the expectation of each size to a factor of e: where the data say nothing, V is 1 and not infinite.
+where the added I expects each size to be right to a factor of e: if the data say nothing, V is 1 and not infinite.
 Coefficients that the data decide hardly change; unseen coefficients vary as widely as their size might. On a simulated
 six-axis arm with curves, single intervals of 95 % held the truth in 91.7 % of cases without this addition, and in 95 %
 with it (`docs/theory/joint_terms.md`). When it fails: sizes that are uncertain by more than a factor of e.
@@ -37,7 +37,7 @@ from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.prior import Prior
 
 _ROUNDS = 100
-_STANDS = 0.01  # relative change of a size at which it is found
+_CONVERGED = 0.01  # a size is found once it changes by less than this part
 _SMALLEST = 1e-3  # least size of a family
 _SEEN = 0.05  # coefficients of a family that the data must decide for its size to be found
 _RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding has made singular
@@ -168,7 +168,7 @@ def find_noise_with_families(
 
     Args:
         products: Products of the rows, whitened by the stated noise.
-        prior, deviations: Prior of the columns, and u at the rows, (n_free,).
+        prior, deviations: Prior of the columns, and u at which the rows were computed, (n_free,).
         sought: Mask of the groups whose scales are to be found, (n_groups,).
         family: Family of each parameter, -1 for none, (n_free,).
         start: Scales of the groups to start from, (n_groups,).
@@ -180,7 +180,7 @@ def find_noise_with_families(
     scales, sizes = start.copy(), np.ones(len(members))
     alone = int(np.sum(products.count > 0)) == 1
     for _ in range(_ROUNDS):
-        factor = np.append(sizes, 1.0)[family]  # everything else is over these
+        factor = np.append(sizes, 1.0)[family]  # deviations and variances below are divided by these
         gram, pull = products.weigh(scales)
         root = inverse_root(prior.add_to(gram, factor))
         step = -root @ (root.T @ (pull + prior.gradient(deviations / factor) / factor))
@@ -203,6 +203,6 @@ def find_noise_with_families(
                 if sizes[f] * growth[f] < 1.0:
                     growth[f] = min(np.sqrt((square + 1.0) / determined), 1.0 / sizes[f])
         scales, sizes = np.maximum(scales * change, EXACT / 10), np.maximum(sizes * growth, _SMALLEST)
-        if np.all(np.abs(growth - 1.0) <= _STANDS) and np.all(np.abs(change - 1.0) <= _STANDS / 10):
+        if np.all(np.abs(growth - 1.0) <= _CONVERGED) and np.all(np.abs(change - 1.0) <= _CONVERGED / 10):
             break
     return scales, sizes

@@ -13,13 +13,13 @@ References: kabsch1976, umeyama1991.
 
 The position of a point follows from measured distances to known points without a first guess.
 
-For points p_k with centroid p0, q_k = p_k - p0, the unknown centre p0 + x and distances d_k that all may be too long by
-one unknown length o, |q_k - x| = d_k - o; squares minus their mean are linear in x and o:
+The known points are p_k, their centroid is p0, and q_k = p_k - p0. The unknown point is p0 + x, and all distances d_k
+may be too long by one unknown length o: |q_k - x| = d_k - o. Squares minus their mean are linear in x and o:
 
     2 q_k . x  -  2 (d_k - mean d) o   =   (|q_k|^2 - d_k^2) - mean
 
-Points in one plane (or on one line) leave x open across it but for its length: |x|^2 = mean of (d_k - o)^2 - |q_k|^2.
-That gives two mirror images; only a first guess distinguishes them.
+If the points lie in one plane (or on one line), only the length of x is known across it: |x|^2 = mean of
+(d_k - o)^2 - |q_k|^2. That gives two mirror images; only a first guess distinguishes them.
 Errors of the points and distances are not weighted: the result is a first value for a fit.
 """
 
@@ -31,7 +31,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
 
 _DETERMINED = 1e-3  # singular values below this part of the largest count as zero
-_SMALLEST = 1e-9  # length below which there is none [m]
+_SMALLEST = 1e-9  # a smaller length counts as zero [m]
 _AS_GOOD = 2.0  # misses within this factor of the smallest do not distinguish mirror images
 
 
@@ -68,7 +68,7 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
 
     Args:
         points, lengths: The known points, and the distances from them.
-        near: A place near it, (3,) [m]: it decides between mirror images, and stands in where nothing is determined.
+        near: A place near it, (3,) [m]: it decides between mirror images, and in directions without distances.
     """
     middle = points.mean(axis=0)
     q = points - middle

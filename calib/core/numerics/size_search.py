@@ -39,14 +39,14 @@ from calib.core.numerics.mixed_rows import FLAT
 _LEAST = -6.0  # logarithm of the least size of a family
 _MOST = 4.0
 _LEAST_PART = 1e-3  # least noise and scatter, over what would explain all residuals
-_SMALL = 0.1  # part of the start of a search below which a falling size is set to its bound
+_SMALL = 0.1  # a falling size is set to its bound below this part of the start of the search
 _AT_BOUND = 1e-9  # difference of a logarithm from its bound
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
-_STANDS = 0.03  # gradient of twice the cost by a logarithm at which a size is found
+_CONVERGED = 0.03  # a size is found at a smaller gradient of twice the cost by its logarithm
 _GAIN = 5e-4  # least fall of the cost for which the search continues
 _ROUNDS = 80
-_HOPELESS = 1e6  # damping beyond which no step lowers the cost
+_HOPELESS = 1e6  # with more damping, no step lowers the cost
 
 
 def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: BoolArray | None = None) -> SolvedModel:
@@ -67,7 +67,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: 
     for _ in range(_ROUNDS):
         gradient = at.gradient + _slope(at)
         free = ~(none | ((at.logs <= bounds.least + _AT_BOUND) & (gradient > 0.0)))
-        if not np.any(free) or np.max(np.abs(gradient[free])) < _STANDS / 2.0:
+        if not np.any(free) or np.max(np.abs(gradient[free])) < _CONVERGED / 2.0:
             break
         information = at.average_information + np.diag(_curvature(at))
         better, damping = _try_step(at, gradient, information, free, bounds, damping)
@@ -84,7 +84,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: 
 
 
 def scatter_given_noise(at: SolvedModel) -> float:
-    """Return the scatter d, enlarged by what rows cannot tell from noise; 0 where they show neither.
+    """Return the scatter d, enlarged by the part that rows cannot tell from noise; 0 where they show neither.
 
     By the rows, d^2 is normal about its likeliest value, with a standard deviation t, and not negative; with known
     noise the deviation would be t_0. With p and F the normal density and distribution, its mean is d^2 + e(t), with

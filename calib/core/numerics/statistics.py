@@ -1,7 +1,7 @@
 """The uncertainty of parameters: covariance, intervals and the found noise of a least-squares fit with priors.
 
 Unknowns are u = (p - p_expected) / s with scales s (the parameters' sigma). Whitened data rows have J u ~ N(r, f^2),
-with f the factor by which the assumed noise was off (1 where it was found from the residuals, about 1 where it was
+with f the true noise over the assumed noise (1 where it was found from the residuals, about 1 where it was
 stated well). Parameters with a prior have P u ~ N(0, I) (`calib.core.numerics.prior`: mostly u ~ N(0, 1) for each).
 With T T^T = (J^T J + P^T P)^-1 (`calib.core.numerics.observability`):
 
@@ -21,16 +21,16 @@ Where the readings of a pose share errors, or some poses scatter more than other
 its transpose is replaced by the scatter of the poses themselves (`calib.core.numerics.clusters`).
 `calib.core.numerics.prior_sizes` adds to C where the size of some priors was found from the same data.
 `calib.core.fitting.robust` gives f and its counterpart in C with a robust loss.
-`calib.core.fitting.curvature` adds to the variance in intervals where readings see a direction that only a prior holds,
-beyond the linear model. That is no part of C, nor of std; it takes longer than all the rest, so that it is computed
-with the first intervals.
+`calib.core.fitting.curvature` adds to the variance in intervals if only a prior holds a direction in the linear model,
+but readings see it beyond that. The addition is no part of C, nor of std. It takes longer than all the rest, and is
+therefore computed only when intervals are asked for.
 
-Intervals are value +- t std, widened as above, with Student's t at 97.5 % and the degrees of freedom above, because the
-noise is found from the same residuals; with the degrees of freedom of the scatter of poses, where that counts and they
-are fewer. The data decide the share 1 - C_kk of a parameter (prior variance 1): near 1 the measurements know the value,
-near 0 the prior holds it.
+Intervals are value +- t std, widened as above, with Student's t at 97.5 %, because the noise is found from the same
+residuals. Its degrees of freedom are those above, or those of the scatter of poses if that is used and has fewer. The
+data decide the share 1 - C_kk of a parameter (prior variance 1): near 1 the measurements know the value, near 0 the
+prior holds it.
 
-When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from pose to
+When it fails. The rest is linear in the parameters at the solution, and counts noise that is independent from pose to
 pose. Errors that the model leaves out are not noise: `calib.core.judging.residual_patterns` tests for them.
 
 Reference: jcgm100 (GUM), sections 4.2 and G.3; tarantola2005, section 3.2, for the resolution.
@@ -57,11 +57,11 @@ from calib.core.numerics.tall import Span, slices, squares_of_rows
 from calib.core.numerics.variance_components import require_freedom
 
 DECIDED_BY_DATA = 0.9
-"""Share of a parameter's expected variance that the data must remove for `identified`; up to 1 - this, `prior`."""
+"""`identified`: the data remove at least this share of a parameter's expected variance; `prior`: at most 1 - this."""
 Status = Literal["identified", "partly", "prior", "weak", "placed", "held"]
 """The source of a parameter's value; see `status`."""
 _BY_PRIOR = 1.0 - DECIDED_BY_DATA
-_ENOUGH = 0.5  # degrees of freedom of a group below which its own rows say nothing about its noise
+_ENOUGH = 0.5  # with fewer degrees of freedom, the rows of a group say nothing about its noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Factors(ReadOnlyArrays):
         freedom: Degrees of freedom of each group, (n_groups,).
         effective: Factor for the scatter of the parameters, in place of f in C, (n_groups,); `values`, except with a
             robust loss.
-        slope: Weight of the data against priors, over that without a robust loss; 1 without one.
+        slope: Ratio of the weight of the data against priors, with and without the robust loss; 1 if there is none.
     """
 
     values: FloatArray
@@ -120,7 +120,7 @@ class Statistics(ReadOnlyArrays):
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
         effective_parameters: Number of parameters that the data decide, n_eff of the module docstring.
         poses: Common scatter of the readings of each pose; None if readings are independent.
-        beyond_linear: Errors beyond the linear model, which enter `half_width` only; None for none.
+        beyond_linear: Errors beyond the linear model, which enter `half_width` only; None if there are none.
         wider: Further factor on standard deviations and intervals, (n_free,).
     """
 
@@ -182,9 +182,8 @@ def status(data_share: float, relative_std: float, *, prior: bool, placement: bo
     """Return the source of a free parameter's value.
 
     With a prior: `identified`, `partly` or `prior`, by the share of the prior's variance that the data removed. Without
-        a
-    prior: `identified` where the same share of the expected error's variance is gone, else `weak`. A parameter of an
-    unknown place of base or target has no expected error either: `placed`.
+    a prior: `identified` if the same share of the expected error's variance is gone, otherwise `weak`. A parameter of
+    an unknown place of base or target has no expected error either: `placed`.
 
     Args:
         data_share: The attribute of `Statistics`.
@@ -297,11 +296,11 @@ def statistics(
     """
     root = known.root
     share = prior_shares(known, prior)
-    core = share.copy()  # with a robust loss J counts times the root of the slope in T, and in the scatter
+    core = share.copy()  # with a robust loss, J is multiplied by the root of the slope, in T and in the scatter
     shared = _scatter_beyond_chance(poses)
     if shared is not None:
         core += shared.core
-    elif len(factors.effective) == 1:  # the rows have all that is not the share of the priors
+    elif len(factors.effective) == 1:  # the rows have the rest of the information
         core += factors.slope * factors.effective[0] ** 2 * (np.eye(len(share)) - share)
     else:
         for part in slices(len(span)):

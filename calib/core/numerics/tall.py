@@ -11,7 +11,7 @@ from calib.core.base.arrays import FloatArray, IntArray
 
 ROWS_AT_ONCE = 1 << 13
 KEPT = 1 << 15
-"""Rows up to which a product is kept."""
+"""A product is kept if it has at most this many rows."""
 Places = IntArray | slice
 """Indices or a slice of rows."""
 

@@ -41,8 +41,8 @@ from calib.core.numerics.linear_model import LinearModel
 
 _ROUNDS = 60
 _SETTLED = 1e-4
-_GONE = 0.03  # size of a shared error, relative to the scales, below which a shrinking one is dropped
-_STANDS = 0.01  # relative change of a shared error at which its iteration ends
+_GONE = 0.03  # a shrinking shared error is dropped below this size, relative to the scales
+_CONVERGED = 0.01  # the iteration of a shared error ends once it changes by less than this part
 
 
 def require_freedom(freedom: float, n_rows: int) -> None:
@@ -267,7 +267,7 @@ def _with_shared(
         gone = (growth < 1.0) & (np.sum(shared.squares(), axis=0) < _GONE**2 * len(block))
         growth = np.where(gone, 1.0, growth)
         scales, tau = np.maximum(scales * change, EXACT / 10), np.where(gone, 0.0, tau * growth)
-        if np.all(np.abs(change - 1.0) <= 10 * _SETTLED) and np.all(np.abs(growth - 1.0) <= _STANDS):
+        if np.all(np.abs(change - 1.0) <= 10 * _SETTLED) and np.all(np.abs(growth - 1.0) <= _CONVERGED):
             break
     return Components(scales, tau, likelihood)
 

@@ -16,7 +16,7 @@ from calib.core.judging.repeatability import CONDITIONS, IsoFigure, conditions
 from calib.core.numerics.chances import FALSE_ALARM
 
 _SHOWN, _WIDTH = 5, 120  # changes; characters of a line
-_LARGEST = 1.0  # detectable size beyond which a change is too large for the linear model [m or rad]
+_LARGEST = 1.0  # a change is too large for the linear model if its detectable size is larger [m or rad]
 _LARGER = "errors are larger than at the poses of the calibration"
 _PATTERN = "errors are no larger than at the poses of the calibration, but have the pattern of a change of the robot"
 _SENTENCES = {

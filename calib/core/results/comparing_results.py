@@ -9,7 +9,7 @@ different measurements is independent; the pull of the shared prior is not. So t
 
     V = S_a + S_b - S_a L S_b - S_b L S_a
 
-and not S_a + S_b, with which parameters that depend on the prior would never differ. Each difference is compared with
+With S_a + S_b, parameters that depend on the prior would never differ. Each difference is compared with
 its standard deviation by Student's t, with the degrees of freedom of Welch and Satterthwaite; Holm's step-down then
 keeps the chance of any false difference below 5 %, over all pairs of results, however the parameters are correlated.
 All together are tested by Hotelling's T^2, which detects differences that correlated parameters hide from each other,
@@ -18,7 +18,8 @@ was set up elsewhere is not a change of the robot.
 
 When it fails. Fits that used the same readings share their noise: these are not tested. Where errors are systematic
 (verdict CHECK) the covariances are too small, and too many differences count as real. A parameter held in one of the
-fits moves others. Priors with a found size, or not the same in both, count as none, which finds less.
+fits moves others. A prior whose size was found, or that differs between the fits, counts as no prior: then fewer
+differences are found.
 
 Reference: holm1979, satterthwaite1946.
 """
@@ -47,7 +48,7 @@ from calib.core.results.result_content import to_dict
 from calib.core.results.result_reading import load_result
 from calib.core.robots.robot import Robot
 
-_OWN = 1e-3  # part of the variance of both above which a difference does not come from the prior alone
+_OWN = 1e-3  # a difference with less than this part of both variances comes from the prior alone
 _ERRORS = {
     "validation": "readings that it did not use",
     "cross_validation": "poses left out in turn",
@@ -203,9 +204,7 @@ def _notes(first: _Result, other: _Result) -> list[str]:
     notes = ["tested as measurements with independent noise; no reading is in both."]
     only = sorted(set(first.free) ^ set(other.free))
     if only:
-        notes.append(
-            f"{count_noun(len(only), 'parameter')} free in one alone ({only[0]}); this may make others differ."
-        )
+        notes.append(f"{count_noun(len(only), 'parameter')} free in only one ({only[0]}); this may make others differ.")
     if "CHECK" in {result.grade for result in (first, other)}:
         notes.append("a verdict is CHECK; where errors are systematic, too many differences count as real.")
     return notes

@@ -21,7 +21,7 @@ class Difference:
     """One parameter in the results.
 
     Attributes:
-        rows: Its row in `result.json` of each result, in its unit; None without such a parameter.
+        rows: Its row in the `result.json` of each result, in its unit; None if the result has no such parameter.
         p_values: Chance of so large a difference to the first result, for each of the others, corrected for the number
             of tests of all pairs; NaN where there is no test.
     """

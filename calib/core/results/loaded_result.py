@@ -13,7 +13,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.other_words import HintedObject
-from calib.core.base.registry import brought
+from calib.core.base.registry import load_entry
 from calib.core.base.units import error_scale
 from calib.core.base.words import count_noun, html_with_title, listing
 from calib.core.data.in_memory import PosesLike, as_poses
@@ -51,7 +51,7 @@ class CalibratedRobot:
             format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
             force: As in `calib.export`.
         """
-        brought("calib.methods", "export")(self.robot, path, format, force=force)
+        load_entry("calib.methods", "export")(self.robot, path, format, force=force)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

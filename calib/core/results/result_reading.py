@@ -83,7 +83,7 @@ def read_content(folder: Path | str) -> dict[str, Any]:
 
 
 def forced_lines(folder: Path | str) -> list[str]:
-    """Return the lines for an exported file about its result: none, unless the result failed."""
+    """Return lines for an exported file if its result failed; empty if it did not."""
     verdict = read_content(folder)["verdict"]
     if verdict["grade"] != "FAIL":
         return []

@@ -123,9 +123,8 @@ def _failure_comment(verdict: Verdict, how: str) -> list[str]:
 def _residual_table(fit: Fit) -> bytes:
     """Return CSV, one row per reading: joints, reading, errors before and after [mm], [mrad], [deg].
 
-    A cell is empty where there is no number: of unfitted readings, of robots without loops. Readings that were left out
-        as
-    outliers are last, in their own set.
+    A cell is empty where there is no number: of unfitted readings, of robots without loops. The last set is that of
+    readings left out as outliers.
     """
     blocks: list[tuple[IntArray, dict[str, Sequence[object] | FloatArray]]] = []
     count, sets = 0, residual_sets(fit)
@@ -193,7 +192,7 @@ def _residual_columns(
 
 
 def _parameter_table(fit: Fit, comments: Sequence[str]) -> str:
-    """Return CSV: a row for each parameter in its display unit, behind comments; also a parameter file."""
+    """Return CSV: a row for each parameter in its display unit, after comments; also a parameter file."""
     rows = fit.parameters.rows()
     columns = [("parameter" if key == "name" else key, [row[key] for row in rows]) for key in _PARAMETER_COLUMNS]
     return format_table(columns, comments)

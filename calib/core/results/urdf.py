@@ -1,8 +1,7 @@
 """The URDF of a robot's current values, optionally with a comment on their origin.
 
 Everything but the edited origin values keeps its bytes. An export of an export is identical: where nothing is edited,
-the file stays as it was, and a comment of an earlier export is replaced.
-the file goes out as it came in, and a comment of an earlier export is replaced, never repeated.
+the file stays as it was, and a comment of an earlier export is replaced, never repeated.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from calib.core.robots.urdf.writing import quote_attribute
 _MARK = "calib: calibrated origins"
 _MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")
 _ROUNDING = 1e-9
-"""Change of a parameter in its unit [mm, deg], up to which it is not shown: 1e-3 nm or 2e-11 rad."""
+"""A parameter is not shown if its change is at most this in its unit [mm, deg]: 1e-3 nm or 2e-11 rad."""
 _EARLIER = re.compile(rb"\r?\n?<!-- " + _MARK.encode() + rb".*?-->", re.DOTALL)
 
 

@@ -122,12 +122,12 @@ class EarlierResult(LoadedResult):
 
     @cached_property
     def uncertainty(self) -> ParameterUncertainty:
-        """From `covariance.csv`."""
+        """Uncertainty of the parameters, from `covariance.csv`."""
         return self._uncertainty(self.robot, "covariance.csv", self.content, self._undecided_terms())
 
     @property
     def covariance(self) -> Covariance:
-        """From `covariance.csv`."""
+        """Covariance of the free parameters, from `covariance.csv`."""
         return Covariance(self.free_names, self.uncertainty.covariance)
 
     def _uncertainty_of(self, robot: Robot) -> ParameterUncertainty:
@@ -148,7 +148,7 @@ class EarlierResult(LoadedResult):
         freedom, joint_error = float(own["interval_degrees_of_freedom"]), float(own.get("joint_error", 0.0))
         factor = float(scipy.special.stdtrit(freedom, 0.975))
         if not np.isfinite(factor) or joint_error < 0 or covariance.shape != (len(names), len(names)):
-            raise ValueError(f"{name} or degrees of freedom are no such numbers")
+            raise ValueError(f"the numbers in {name}, or the degrees of freedom, are wrong")
         free = np.array([p.name in names for p in robot.parameters])
         return ParameterUncertainty(free, covariance / scale[:, None] / scale, factor, undecided, joint_error)
 
@@ -183,12 +183,12 @@ class EarlierResult(LoadedResult):
     @property
     @_readable
     def joints(self) -> FloatArray:
-        """From `residuals.csv`, (n, n_actuated) [m or rad]."""
+        """Joint values of the fitted visits, from `residuals.csv`, (n, n_actuated) [m or rad]."""
         return self._joints()[np.array(self._residuals.text("set")) == "identification"]
 
     @_readable
     def readings(self) -> dict[str, dict[bytes, float]]:
-        """Return them from `residuals.csv`."""
+        """Return the readings, from `residuals.csv`."""
         table, joints = self._residuals, self._joints()
         sets, targets = np.array(table.text("set")), np.array(table.text("target"))
         first = next(k for k, name in enumerate(table.names) if name.startswith("error_after_"))
@@ -213,7 +213,7 @@ class EarlierResult(LoadedResult):
 
     @property
     def rms(self) -> float:
-        """From `result.json`."""
+        """Root mean square error after calibration [SI], from `result.json`."""
         name = next(name for name in ("validation", "cross_validation", "identification") if name in self.errors)
         blocks = {block["name"]: [part["name"] for part in block["parts"]] for block in self.content["instruments"]}
         read = [part for name in blocks for part in self.robot.instrument(name).parts if part.name in blocks[name]]
@@ -223,7 +223,7 @@ class EarlierResult(LoadedResult):
     @property
     @_readable
     def promise(self) -> Promise:
-        """From `result.json`, with the poses of `residuals.csv`."""
+        """The promise, from `result.json` and the poses of `residuals.csv`."""
         content, sigma = self.content, dict[tuple[str, str], float]()
         for block in content["instruments"]:
             instrument = self.robot.instrument(block["name"])

@@ -17,19 +17,19 @@ from typing import Any
 
 from calib.core.robots.mechanism import Mechanism
 
-_MANY = 5000  # poses of robots with loops that are worth loading numba: one of a fit saves 0.1 ms
-_MANY_OPEN = 20_000  # the same of robots without loops, and of draws, which save 0.03 ms
-_TO_COMPILE = 7  # times as many are worth compiling it first
+_MANY = 5000  # number of poses, with loops, for which loading numba pays: each pose of a fit saves 0.1 ms
+_MANY_OPEN = 20_000  # the same without loops, and for draws, where a pose saves 0.03 ms
+_TO_COMPILE = 7  # factor on these numbers if the functions must be compiled first
 _AVAILABLE = find_spec("numba") is not None
 _requested: ContextVar[bool | None] = ContextVar("compiled kinematics", default=None)
 
 
 @contextmanager
 def compile_kinematics(use: bool = True) -> Iterator[None]:
-    """Inside, compute kinematics by compiled code where numba is installed; or never.
+    """In the block, compute kinematics by compiled code if numba is installed; or never.
 
     Args:
-        use: Whether.
+        use: Whether to use compiled code.
     """
     before = _requested.set(use)
     try:
@@ -39,12 +39,12 @@ def compile_kinematics(use: bool = True) -> Iterator[None]:
 
 
 def compile_for(n_poses: int, many: int = _MANY_OPEN) -> AbstractContextManager[None]:
-    """Inside, compute kinematics by compiled code where so many poses in all are worth it, unless a caller decides
+    """In the block, compute kinematics by compiled code if that is faster for `n_poses`, unless a caller decides
     otherwise.
 
     Args:
-        n_poses: How many, one part after the other.
-        many: How many are worth loading code that is already compiled.
+        n_poses: Number of poses, one part after the other.
+        many: Number of poses that is worth loading code that is already compiled.
     """
     return compile_kinematics() if _requested.get() is None and pays(n_poses, many) else nullcontext()
 
@@ -53,8 +53,8 @@ def pays(n_poses: int, many: int = _MANY_OPEN) -> bool:
     """Whether compiled code saves more time than it takes, if so many poses have to be computed.
 
     Args:
-        n_poses: How many.
-        many: How many are worth loading code that is already compiled.
+        n_poses: Number of these poses.
+        many: Number of poses that is worth loading code that is already compiled.
     """
     return _AVAILABLE and n_poses >= many and (n_poses >= _TO_COMPILE * many or _functions().is_compiled())
 
@@ -74,7 +74,7 @@ def kernels(mechanism: Mechanism, n_poses: int) -> Any:
 
     Args:
         mechanism: The robot; loops that constrain directions are left to the reference.
-        n_poses: How many poses are computed at once.
+        n_poses: Number of poses that are computed at once.
     """
     requested = _requested.get()
     use = pays(n_poses, many(mechanism)) if requested is None else requested

@@ -2,9 +2,8 @@
 
 A calibrated robot may have more than a file has room for: terms of its joints' errors, origins behind the last axis,
 all but the zeros of its joints. Its other values belong to those that are lost: joint origins that were found together
-with a joint's curve are wrong without it. So a file never gets a part of the robot. It gets the robot that is best
-among those that it can hold whole, fitted to the same measurements; and how good that one is, at poses that it has not
-seen.
+with a joint's curve are wrong without it. So a file never gets a part of the robot. It gets the best robot of those
+that it can hold whole, fitted to the same measurements, with the accuracy of that robot at poses that it has not seen.
 """
 
 from __future__ import annotations
@@ -51,11 +50,11 @@ class Accuracy:
     `calib.core.fitting.unseen_errors` has the definitions.
 
     Attributes:
-        poses: At which poses.
-        n_poses: How many.
+        poses: The poses, in words.
+        n_poses: Number of poses.
         part: Part of the readings there, such as `position`.
         dimension: Its dimension.
-        before: Root mean square error of the nominal robot, base and targets placed alone [SI].
+        before: Root mean square error of the nominal robot, with only base and targets placed [SI].
         rms: Root mean square error of the robot [SI].
         limit95: Limit that the error at one more such pose keeps with a chance of 95 % or more [SI]; NaN where the
             poses are too few to say.
@@ -98,8 +97,8 @@ class FileRobot(ReadOnlyArrays):
 
     Attributes:
         values: Values of all its parameters, by name [SI]; none where it is the nominal robot with joint zeros.
-        accuracy: How good it is.
-        withheld: Why it is not to be used without being forced; empty where it may.
+        accuracy: Its accuracy.
+        withheld: Reason why it must be forced to be used; empty if it may be used.
         signs, offsets: Joint zeros: joints are at sign * q + offset at command q, (n_actuated,) [m or rad];
             empty where the values say all.
     """

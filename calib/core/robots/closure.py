@@ -2,8 +2,8 @@
 
 Assembly modes: which of several closed configurations a robot is in, distinguished by the signs of determinants.
 
-Two solutions of the loops that are joined without passing a singularity have the same sign of det C_p, C_p = dr/dp. The
-sign is taken of each strongly connected part of C_p's pattern, one for each five-bar, so that two flips cannot cancel.
+Two solutions of the loops that are joined without passing a singularity have the same sign of det C_p, C_p = dr/dp.
+Each strongly connected part of C_p's pattern, such as each five-bar, has its own sign: two flips cannot cancel.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from calib.core.robots.mechanism import Mechanism, RelativeFrame
 
 
 class LoopRows:
-    """The rows of all loops of a mechanism, at some poses after others.
+    """The rows of all loops of a mechanism, computed for some poses at a time.
 
     Args:
         mechanism: The robot.
@@ -38,7 +38,7 @@ class LoopRows:
         )
 
     def chunks(self, n: int) -> Iterator[slice]:
-        """Yield n poses in parts that are good at once."""
+        """Yield n poses in parts small enough for the processor's cache."""
         return kinematics.chunks(n, kinematics.n_at_once(self.shared.reduced))
 
     def sweep_at(self, actuated: FloatArray, passive: FloatArray) -> kinematics.Sweep:
@@ -195,7 +195,7 @@ def blocks(pattern: BoolArray) -> tuple[tuple[IntArray, ...], tuple[IntArray, ..
 
 
 def _match_rows(pattern: BoolArray) -> IntArray:
-    """Give every row a column of its own among its entries: rows without one make others change theirs. (n,)."""
+    """Return a column for each row (n,), each used once and with an entry there; rows change columns if needed."""
     row_of_column = np.full(len(pattern), -1)
 
     def finds_place(row: int, visited: set[int]) -> bool:

@@ -2,8 +2,8 @@
 
 Newton. Solve r(a, p) = 0 for the passive joints p of given actuated joints a from a start nearby: p <- p - C_p^-1 r,
 with C_p = dr/dp. A start is near enough if each correction is at most half of the one before, the first below 0.5 rad.
-Corrections that follow each other are about |d_3| = |d_2|^3 / |d_1|^2 at most, and residuals alike. Where this says
-that the next correction closes the loops, and the slopes there are not wanted, it is the last one.
+Corrections that follow each other are about |d_3| = |d_2|^3 / |d_1|^2 at most, and residuals alike. If this says that
+the next correction closes the loops, no residual is computed after it.
 
 Why not minimise |r| from a guess: plain Newton from a crude guess ends in another assembly mode in about a
 fifth of a five-bar's poses (docs/theory/loops.md prints the figure), and a small residual does not show it.
@@ -19,8 +19,7 @@ the nearest solved pose, so that one step is usually enough. Poses that this doe
 robot and carried over from there, or by way of stepping stones spread around them. All poses advance together in
 arrays. After a small change of parameters the old solution is the start (`seed`).
 
-When it fails. A pose that no way reaches without passing a singularity stays unsolved; so does one whose own loops
-cannot be closed.
+When it fails. A pose stays unsolved if every way to it passes a singularity, or if its loops cannot be closed.
 """
 
 from __future__ import annotations
@@ -40,12 +39,12 @@ TOLERANCE = 1e-12
 _EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 16  # roundings of a coordinate on the way around a loop, at most about
 LARGEST_STEP = 0.5
-"""Of any passive joint in one correction [rad, or characteristic lengths]."""
+"""Largest motion of a passive joint in one correction [rad, or characteristic lengths]."""
 _MAX_NEWTON = 12
-_SURE = 0.1  # part of the tolerance that a residual which is not computed must come to
+_SURE = 0.1  # largest predicted residual, as part of the tolerance, that need not be computed
 _SMALLEST_PART = 1 / 256  # part of the way from start to goal, before continuation gives up
 _SMALLEST_AT_ONCE = 1 / 16  # the same where a pose that is hard to reach may be left out
-_SMALLEST_CHANGE = 1 / 64  # part of the change of the origins that is not halved any more
+_SMALLEST_CHANGE = 1 / 64  # smallest step, as part of the change of the origins
 _TOGETHER = 64  # steps that are tried at once while few poses are left
 _NEIGHBOURS = 3  # solved poses to start from
 _MOST_KNOWN = 10_000  # poses solved together that serve as starts: more are hardly nearer, and take longer to search
@@ -53,10 +52,10 @@ _STONES, _FROM_STONES = 64, 6
 
 
 def closing_tolerance(mechanism: Mechanism) -> float:
-    """Return the closure residual that can be reached [m, rad]: `TOLERANCE`, but what rounding leaves of long links.
+    """Return the closure residual that can be reached [m, rad]: `TOLERANCE`, or for long links the rounding errors.
 
-    Coordinates of the size L of the links are multiples of eps L, and some are added on the way around a loop. Where
-    the robot stands plays no part: `Mechanism.reduced_to`.
+    Coordinates of the size L of the links are multiples of eps L, and some are added on the way around a loop. The
+    position of the robot does not count: `Mechanism.reduced_to`.
     """
     return max(TOLERANCE, 10 * _ROUNDINGS * _EPS * mechanism.length)
 
@@ -100,11 +99,11 @@ def _correct(
     slope_actuated: FloatArray,
     accepted: BoolArray,
 ) -> None:
-    """Fill in what `newton` says, passive joints in place.
+    """Fill in the results of `newton`, passive joints in place.
 
     Args:
         mechanism, mode, actuated, passive: Arguments of `newton`.
-        limits: Largest residual of a closed pose, and largest one that is not computed but known from two before it.
+        limits: Largest residual of a closed pose, if computed, and if predicted from the two before it.
         slope, slope_actuated, accepted: Where to put the results.
     """
     (enough, sure), (n, n_passive), loops = limits, passive.shape, LoopRows(mechanism)
@@ -158,7 +157,7 @@ def follow(
 
     Args:
         actuated: Actuated joints, (n, n_actuated) [m or rad].
-        thorough: Whether poses are tried in every way that do not follow from the nearest solved one.
+        thorough: Whether every way is tried for poses that cannot be reached from the nearest solved one.
 
     Returns:
         Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses were solved (n,); limits of
@@ -189,14 +188,14 @@ def follow(
 
 
 class _Solutions:
-    """Solved poses so far: passive joints, C_p, and which."""
+    """Solved poses so far: passive joints, C_p, and a mask."""
 
     def __init__(self, n: int, n_passive: int) -> None:
         self.passive, self.slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
         self.ok = np.zeros(n, dtype=bool)
 
     def take(self, passive: FloatArray, slope: FloatArray, ok: BoolArray, index: IntArray | None = None) -> None:
-        """Keep what was solved of the poses `index`, or of all."""
+        """Store the solutions `ok` of the poses `index`, or of all poses."""
         rows = np.flatnonzero(ok) if index is None else index[ok]
         self.passive[rows], self.slope[rows], self.ok[rows] = passive[ok], slope[ok], True
 
@@ -245,7 +244,7 @@ def _solve_outwards(
     *,
     thorough: bool = True,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Solve poses nearest to home first, each from the nearest pose solved so far; those left, once more from all."""
+    """Solve poses nearest to home first, each from the nearest pose solved so far; try the rest again at the end."""
     solutions = _Solutions(len(actuated), len(mechanism.passive))
     effort = (_NEIGHBOURS, _SMALLEST_PART) if thorough else (1, _SMALLEST_AT_ONCE)
     points = actuated / mechanism.driven_scale
@@ -263,12 +262,12 @@ def _solve_outwards(
     return solutions.passive, solutions.slope, solutions.ok
 
 
-def hangs_together(
+def follow_from_nearer(
     mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Follow each of some closed poses from a closed pose nearer to home, all at once.
 
-    Where all arrive at the passive joints that they are known to have, each of them follows from home.
+    If all arrive at their known passive joints, all of them can be reached from home.
 
     Args:
         actuated: Actuated joints, (n, n_actuated) [m or rad].
@@ -333,8 +332,8 @@ def _continue(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Follow the solution from actuated and passive joints to the actuated joints `goal` with adaptive steps.
 
-    Where the last step failed, several shorter ones are tried together while few poses are left; the longest counts
-    that is accepted, as if they had been tried one after the other.
+    If the last step failed and few poses are left, several shorter steps are tried together. The longest accepted one
+    counts, as if they had been tried one after the other.
     """
     start_a, at_p = start[0], start[1].copy()
     way = goal - start_a

@@ -1,4 +1,4 @@
-"""Formats of files, what each holds of a calibrated robot, the robot that it gets for that, and what its file says.
+"""Formats of files: how much of a calibrated robot each holds, the robot to write into it, and the remarks in it.
 
 Formats are brought by capabilities and other packages, under the group `calib.formats`: each entry is a tuple of
 `Format`. `calib.core.robots.accuracy_of_files` says what holding means.
@@ -17,7 +17,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import lost_by, without_terms
 
 WHOLE = "the terms are in parameters.csv of the result folder, and calib predict, solve and compensate use them"
-"""Where to have what a file loses."""
+"""Where joint terms are that a file does not hold."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Format:
     """A format of files.
 
     Attributes:
-        name: As `calib export --format` has it.
+        name: Its name for `calib export --format`.
         holds: How much of a robot it holds.
         fits: Whether it can hold a robot with its loops and terms.
         write: The robot with its current values and lines for the comment in, the file out; raises `InputError` where
@@ -66,21 +66,21 @@ def formats_that_hold(holds: Holds, robot: Robot) -> list[str]:
 def held_of(robot: Robot, file_format: str) -> Holds:
     """Return how much of a robot a file of a format holds.
 
-    What lies behind the last axis is looked at only in a fit of a robot that has such files.
+    The part behind the last axis counts only for a robot of a fit that has such files.
     """
     holds = formats()[file_format].holds
     return Holds.ORIGINS if holds is Holds.TO_LAST_AXIS and holds not in robot.files else holds
 
 
 def robot_for(robot: Robot, file_format: str, *, force: bool = False) -> Robot:
-    """Return the robot for a file of a format; for joint zeros, the robot itself, which knows them.
+    """Return the robot to write into a file of a format; for joint zeros, the robot itself, which knows its zeros.
 
     Args:
-        robot: The robot; one of a fit knows which robot is best in each kind of file.
+        robot: The robot; the robot of a fit has the best robot for each kind of file.
         force: Whether the file is written even if it is worse than the nominal robot, or of unknown accuracy.
 
     Raises:
-        ComputationError: It is, and is not forced.
+        ComputationError: The file is worse, or of unknown accuracy, and `force` is not set.
     """
     holds = held_of(robot, file_format)
     known = robot.files.get(holds)
@@ -100,13 +100,13 @@ def robot_for(robot: Robot, file_format: str, *, force: bool = False) -> Robot:
 
 
 def loses(robot: Robot, holds: Holds) -> bool:
-    """Whether such a file must state a limit: what it loses, or that it was forced."""
+    """Whether a file that holds this much must state a limit: what it loses, or that it was forced."""
     known = robot.files.get(holds)
     return bool(lost_by(robot, holds)) or (known is not None and bool(known.withheld))
 
 
 def remarks_on_file(robot: Robot, holds: Holds) -> list[str]:
-    """Return the remarks in such a file of a robot: what it loses, and its error, as far as known."""
+    """Return the remarks in a file that holds this much: what it loses, and its error, as far as known."""
     lost, known = lost_by(robot, holds), robot.files.get(holds)
     if known is None:
         without = f"joint terms of {listing(lost)}, which are not in this file"

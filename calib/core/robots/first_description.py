@@ -1,4 +1,4 @@
-"""Robot descriptions to start from: the commented text of one of a plain URDF, for each way to measure."""
+"""Robot descriptions to start from: text with comments for a plain URDF, for each way to measure."""
 
 from __future__ import annotations
 
@@ -97,10 +97,10 @@ class Measure:
     Attributes:
         text: Base, targets and instruments, as the description has them.
         point: Name of the measured point.
-        comments: Advice for filling in the file, line by line; none where a program writes it.
+        comments: Advice for filling in the file, line by line; none if a program writes the file.
         read_apart: Whether readings come in another file, so that this one has the joint values alone.
-        column: A column of what is read, as an example.
-        between_ends: Whether it reads the end of the robot from its beginning, both at unknown places.
+        column: A column of readings, as an example.
+        between_ends: Whether it measures between base and end of the robot, at unknown places on both.
     """
 
     text: str
@@ -155,7 +155,7 @@ targets:
   # The point whose accuracy is reported.
   tool: {{{{frame: {{target}}}}}}
   # Roughly where the first corner of the board is; x to the right and y down on the paper, z into it. Write where
-  # yours is: poses are proposed from which the camera sees it. Many poses see this place.
+  # yours is: poses are proposed from which the camera sees it. This place is seen from many poses.
   board:
     {{{{frame: {{base}}, xyz: {{board_xyz}}, rpy: {{board_rpy}}, position: unknown, orientation: unknown}}}}
 
@@ -207,8 +207,8 @@ instruments:
 targets:
 {_POINT}
 # Read from a ROS 2 bag: joints from sensor_msgs/JointState by their names, and the topic /reflector
-# (geometry_msgs/PointStamped, PoseStamped or TransformStamped) [m]. Of another topic, say under `columns` what its
-# columns are, such as vicon/tool_x: reflector_x. The robot must stand still at each reading; needs rosbags.
+# (geometry_msgs/PointStamped, PoseStamped or TransformStamped) [m]. If your topic has another name, translate its
+# columns under `columns`: vicon/tool_x: reflector_x. The robot must stand still at each reading; needs rosbags.
 instruments:
   reflector: {{{{kind: position, target: reflector}}}}
 """,
@@ -216,7 +216,7 @@ instruments:
         (),
     ),
 }
-"""What `calib init --measure` knows, by name."""
+"""Ways to measure of `calib init --measure`, by name."""
 
 
 def description_text(
@@ -231,8 +231,8 @@ def description_text(
     Args:
         description: Its description.
         remark: Remark on the joints that it leaves out.
-        measure: How is measured, of `MEASURES`; positions of the target if not given.
-        words: Further texts of this measure, as YAML.
+        measure: The way to measure, a name in `MEASURES`; positions of the target if not given.
+        words: Further texts of this way to measure, as YAML.
     """
     target = next(iter(description.targets))
     lengths, angles = default_sections()

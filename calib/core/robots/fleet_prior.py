@@ -1,12 +1,12 @@
 """The prior from other robots of a model: the key `fleet` of a robot description, which `calib fleet` writes.
 
-Robots of a fleet differ in every parameter by its spread s_k, each by itself, from a mean that is itself known only so
-well. In units of the spreads, the mean is unsure by G z with z ~ N(0, I): a column of G is one combination of
-parameters that the fleet leaves open, a row is `unsure` of one parameter. So one more robot of the model is
+Each parameter of a robot differs from the fleet's mean by a spread s_k, independently of the others. The mean itself is
+uncertain. In units of the spreads, it is unsure by G z with z ~ N(0, I): a column of G is one combination of parameters
+that the fleet leaves open, a row is `unsure` of one parameter. So one more robot of the model is
 
     p_k = nominal_k + offset_k + s_k u_k,        u ~ N(0, I + G G^T)
 
-which keeps apart what parameters are together (known, where poses saw their sum) and one by one (hardly known).
+So the sum of two parameters can be well known (because poses saw it), although each of them alone is hardly known.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class FleetSection(Section):
 
     Attributes:
         robots: Number of robots from which it was learned.
-        noise_freedom: With how many degrees of freedom results of the fleet confirmed the noise that is stated, so that
-            few readings need not find it; 0 where they did not.
+        noise_freedom: Degrees of freedom with which results of the fleet confirmed the stated noise; 0 if they did not.
+            With few readings, this noise is used.
         parameters: Prior of each parameter, by name.
         unlike: Parameters in which this robot is unlike the others: they have no prior of the fleet.
     """
@@ -71,14 +71,14 @@ class FleetSection(Section):
         return name in self.parameters and name not in self.unlike
 
     def check(self, parameters: Sequence[Parameter], where: str) -> None:
-        """Raise `DescriptionError` for a parameter that a robot does not have, or that is none of its own."""
+        """Raise `DescriptionError` for a parameter that a robot does not have, or that robots do not share."""
         known = {p.name: p for p in parameters}
         for name in (*self.parameters, *self.unlike):
             require_known(name, known, f"{where}: fleet: no parameter", DescriptionError)
             if known[name].placement or known[name].family:
                 raise DescriptionError(
-                    f"{where}: fleet: '{name}' is not a parameter that robots of a model share: places differ by where"
-                    " each was measured, and the size of curves is found; leave it out"
+                    f"{where}: fleet: '{name}' is not a parameter that robots of a model share: places depend on where"
+                    " each was measured, and sizes of curves are found from data; leave it out"
                 )
 
     def expected(self, parameters: Iterable[Parameter], where: str) -> tuple[Parameter, ...]:
@@ -105,7 +105,7 @@ class FleetSection(Section):
         """Return it with all uncertainties multiplied by a factor.
 
         Args:
-            factor: How many times.
+            factor: The factor.
             parameters: Parameters of the robot, whose dimensions tell what spreads mean.
         """
         dimension = {p.name: p.dimension for p in parameters}

@@ -33,7 +33,7 @@ from calib.core.robots.urdf.text import UrdfText
 _ROUNDS = 30  # steps of Newton's method
 _SETTLED = 1e-12  # [rad]
 _MISSED = 1e-9  # allowed distance of a direction from what was read
-_CONTRADICTS = np.radians(45.0)  # from here on a reading and a statement are not of the same direction [rad]
+_CONTRADICTS = np.radians(45.0)  # angle from which a reading contradicts the stated direction [rad]
 _SAME_AXIS = 1e-3  # difference of two axes, seen across gravity, that turn a link alike
 
 
@@ -55,7 +55,7 @@ class GravityTurn(JointTerm):
 
     @classmethod
     def from_section(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
-        """Raise `ValueError`: it comes with a description's `gravity`, and has no entry of its own."""
+        """Raise `ValueError`: this term belongs to a description's `gravity`, and has no entry of its own."""
         raise ValueError("gravity's direction is found where the description's `gravity` has a sigma")
 
     def driven_joint_names(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
@@ -117,8 +117,9 @@ def turned_joints(
 ) -> FloatArray:
     """Return the angles of two joints at which a sensor would read gravity as it did, (n, 2) [rad]; NaN if none.
 
-    Newton's method from where they are: with g as read, R of the sensor's link and axes e of the joints in the root
-    link, R g = d, and its derivative by a joint is e x R g. Of three equations, two count: all vectors have length 1.
+    Newton's method from their values in `q`: with g as read, R of the sensor's link and axes e of the joints in the
+    root link, R g = d, and its derivative by a joint is e x R g. Of three equations, two count: all vectors have
+    length 1.
 
     Args:
         mechanism: The nominal mechanism.
@@ -166,7 +167,7 @@ def accelerations(
         mechanism: The nominal mechanism.
         joints: All joints, (n, n_joints) [m or rad].
         context: Readings of sensors, and their setups.
-        turns: As they are found, (2,) [rad], or none, (0,).
+        turns: Found turns of gravity, (2,) [rad], or none, (0,).
 
     Returns:
         (n, 3) [m/s^2], and as many for each turn [m/s^2 per rad].
@@ -198,7 +199,7 @@ def _measured_direction(
 
 
 def contradiction_angles(description: Description, mechanism: Mechanism, q: FloatArray, context: Context) -> FloatArray:
-    """Return how far gravity as it was read is from a stated direction, where that is too far, (n,) [rad]; else NaN.
+    """Return the angle between read and stated gravity, (n,) [rad]; NaN where it is not too large.
 
     NaN, too, where the sensor's link is in a loop.
 
@@ -297,7 +298,7 @@ def gravity_torque(
         slope: C_p there, (n, n_passive, n_passive).
         load: Mass of the payload, (n,) [kg].
         payload: Frame at whose origin it hangs; None: that of the first target that motors move.
-        acceleration: By gravity in the root link's axes, (n, 3) [m/s^2].
+        acceleration: Acceleration of gravity in the root link's axes, (n, 3) [m/s^2].
 
     Raises:
         DescriptionError: The URDF has no masses, and it is not stated that a payload alone loads the joints.
@@ -309,7 +310,7 @@ def gravity_torque(
         gravity += _gravity(masses, joints, acceleration)
     elif payload is None:
         raise DescriptionError(
-            f"{where}: what gravity bends needs masses, and the URDF has none; add <inertial> to its"
+            f"{where}: bending by gravity needs masses, and the URDF has none; add <inertial> to its"
             " links, or say with `payload` which frame carries the masses of a column 'load', or leave the term out"
         )
     if np.any(load):

@@ -22,7 +22,7 @@ from calib.core.robots.urdf.text import UrdfJoint, UrdfText
 
 _COMMAND_ROUNDS = 50
 _COMMANDED = 1e-10  # largest distance of a joint from its goal at the end [m or rad]
-_STANDS = 1e-14  # the iteration ends once all joints are nearer to their goals [m or rad]
+_CONVERGED = 1e-14  # the iteration ends once all joints are nearer to their goals [m or rad]
 
 
 def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, where: str) -> tuple[JointTerm, ...]:
@@ -181,7 +181,7 @@ def commands_for(robot: RobotData, actual: FloatArray, context: Context | None =
         part, off = np.where(worse, part / 2, part), np.where(worse, off, still)
         best, step = np.where(worse, best, q), np.where(worse, step / 2, part * left)
         q = best + step
-        if not np.any(still >= _STANDS):
+        if not np.any(still >= _CONVERGED):
             break
     q[np.flatnonzero(off > _COMMANDED)] = np.nan
     return q

@@ -1,9 +1,9 @@
 """Points spread evenly over the joints of a robot, the same ones however it is described.
 
-The coordinates of a Halton point are unlike each other. Which joint has which follows from the robot at home: joints
-are sorted by how far they are from the base, then by how they move the targets there; and the way that a joint moves
-them says which end of its range is which. So neither the names of joints and their order count, nor which way of an
-axis is called positive. Of the way the part along directions counts that no robot has, so that rounding decides
+The coordinates of a Halton point are unlike each other. The robot at home decides which joint gets which: joints are
+sorted by their distance from the base, then by how they move the targets; and the motion of the targets decides which
+end of a joint's range is the lower one. So names and order of joints do not count, nor which direction of an axis is
+called positive. The motion is compared along skew directions that no robot's axes have, so that rounding decides
 nothing.
 """
 

@@ -22,7 +22,7 @@ Ranges = Mapping[str, tuple[float, float]]
 TRIES = 4
 """Number of values tried in each box, for each requested value."""
 _DRAWN_IN = 2.0 / 3.0
-_SMALLEST_BOX = 0.01  # size of the smallest box, over the joint limits
+_SMALLEST_BOX = 0.01  # size of the smallest box, as part of the joint limits
 _ROUNDS = 50  # rounds of trials where targets must stay in a range
 _AT_ONCE = 2**15  # values tried at once
 _LONGEST = 1e3  # stroke of a sliding joint [m]
@@ -76,9 +76,9 @@ def joint_box(
                 raise InputError(f"within: {name} lies outside its joint limits {low:.6g} to {high:.6g} [m or rad]")
             continue
         if mechanism.dimensions[name] == "length" and not high - low < _LONGEST:
-            stated = f"limits {low:g} to {high:g} m, which are none" if np.isfinite(high - low) else "no limits"
+            stated = f"limits as wide as {low:g} to {high:g} m" if np.isfinite(high - low) else "no limits"
             raise DataError(
-                f"{path}: sliding joint '{name}' has {stated} to spread poses over; give a range (--within), or a file"
+                f"{path}: sliding joint '{name}' has {stated}; give a range to spread poses over (--within), or a file"
                 " of poses"
             )
         if np.isfinite(high - low) and high - low > _MOST_TURNS * 2 * np.pi:

@@ -35,13 +35,13 @@ _part = _JIT(no_cpython_wrapper=True, no_cfunc_wrapper=True)  # of compiled func
 
 
 class _FirstUse(event.Listener):
-    """Says once that functions of this file are being compiled, and not read from where they are kept."""
+    """Reports once that functions of this file are compiled, because no stored code was found."""
 
     def __init__(self) -> None:
         self._notified = False
 
     def on_start(self, event: Any) -> None:
-        """Say it."""
+        """Report it."""
         compiled = getattr(event.data.get("dispatcher"), "py_func", None)
         if not self._notified and getattr(compiled, "__module__", "") == __name__:
             self._notified = True
@@ -73,10 +73,10 @@ class Loops(NamedTuple):
 
     Attributes:
         a, b: Frames of the loop that each row belongs to, (n_rows,).
-        axis: Which coordinate, in the axes of a, (n_rows,).
+        axis: Number of the coordinate, in the axes of a, (n_rows,).
         signs: Effect of each joint: +1 moves only b, -1 only a, else 0, (n_rows, n_joints).
-        leader: Which coordinate each joint follows, or -1, (n_joints,).
-        factor: And by what factor, (n_joints,).
+        leader: Coordinate that each joint follows, or -1, (n_joints,).
+        factor: Factor on that coordinate, (n_joints,).
     """
 
     a: IntArray
@@ -88,7 +88,7 @@ class Loops(NamedTuple):
 
 
 def tree(mechanism: Mechanism, reduced: JointSubset) -> Tree:
-    """Return the joints that count of a mechanism as arrays."""
+    """Return those joints of a mechanism that count, as arrays."""
     return Tree(reduced.parents, mechanism.placements[reduced.joints], mechanism.axes[reduced.joints])
 
 
@@ -134,7 +134,7 @@ def _twist(T: FloatArray, i: int, xi: FloatArray, V: FloatArray) -> None:
 
 @_part
 def _rows(T: FloatArray, a: IntArray, b: IntArray, axis: IntArray, rows: FloatArray) -> None:
-    """Put what a world twist moves in each row, at p_b along an axis x of frame a, into rows: [x, p x x]."""
+    """Fill `rows` with the motion of each row by a world twist, at p_b along an axis x of frame a: [x, p x x]."""
     for r in range(len(a)):
         i, k = b[r], 3 * axis[r]
         x, y, z = T[a[r], k], T[a[r], k + 1], T[a[r], k + 2]
@@ -241,14 +241,14 @@ def close(
         blocks, signs: `places` and `signs` of the assembly mode.
         rest: Joint values without the passive ones, (n, n_joints).
         passive: Where to start; where it ends, (n, n_passive).
-        scale: By what changes of passive joints are divided, (n_passive,).
+        scale: Divisor of changes of each passive joint, (n_passive,).
         enough: Largest residual of a closed pose.
-        sure: Largest residual that is not computed but known from two before it; 0: none.
-        largest: Correction up to which a start is near.
-        rounds: How many corrections.
+        sure: Largest residual of a closed pose if predicted from the two before it; 0: none is predicted.
+        largest: Largest first correction from a start that is near enough.
+        rounds: Largest number of corrections.
         slope: Where to put C_p of closed poses, (n, n_passive, n_passive); empty: not wanted.
         by_motor: The same for C_a, (n, n_passive, n_actuated).
-        closed: The same for which poses closed in the assembly mode, (n,).
+        closed: Where to put the mask of the poses that closed in the assembly mode, (n,).
     """
     (n, n_passive), n_joints = passive.shape, rest.shape[1]
     T, q, V = np.empty((n_joints + 1, 12)), np.empty(n_joints), np.empty(6)

@@ -14,8 +14,8 @@ alike drop out of V_b - V_a.
 * A twist xi of the frame before origin i, in its own axes, is V = Ad(T_before) xi in the world. So a **right**
   perturbation `placement * exp6(xi)`, xi = [linear; angular] in the joint's own frame, is Ad(T_before placement) xi.
 
-Pinocchio has no batch interface, so the poses are looped over in Python; all further algebra runs on arrays of poses.
-Joints that do not matter have left the model (`JointSubset`).
+Pinocchio has no batch interface, so a loop in Python runs over the poses; all further algebra runs on arrays of poses.
+The model has only the joints that matter (`JointSubset`).
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.robots.mechanism import JointSubset, Mechanism, RelativeFrame, flat_poses
 
 CHUNK = 64
-"""Poses at once: all arrays of theirs stay in the processor's cache, and none needs new pages of memory."""
+"""Number of poses to compute at a time: their arrays stay in the processor's cache, without new pages of memory."""
 _JOINTS_AT_ONCE = 48 * CHUNK
 _AT_HOME = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
 
 
 def n_at_once(reduced: JointSubset) -> int:
-    """Return how many poses are good at once: more than `CHUNK` where few joints count."""
+    """Return how many poses to compute at a time: more than `CHUNK` if few joints count."""
     return max(CHUNK, _JOINTS_AT_ONCE // max(len(reduced.joints), 1))
 
 
 def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
-    """Yield n poses in parts of about equal size, each half as many again at most: no part is hardly worth its start.
+    """Yield n poses in parts of about equal size, at most 1.5 times `size`, so that no part is small.
 
     Args:
-        n: How many there are.
-        size: How many are good at once.
+        n: Number of poses.
+        size: Number of poses to compute at a time.
     """
     count = max(round(n / size), min(n, 1))
     for k in range(count):
@@ -82,7 +82,7 @@ class TwistMap:
 
     Attributes:
         twists: Combinations, (6 n_joints, k); None: every origin twist.
-        signs: By which sign each origin moves each row, then each row of the loops, (n_rows + n_loop_rows, n_reduced).
+        signs: Sign with which each origin moves each row and each row of the loops, (n_rows + n_loop_rows, n_reduced).
         n_rows: Number of rows without those of the loops.
         before: The twists in the frames before the origins that count, (n_reduced, 6, k).
         reduced: The joints that count.
@@ -125,12 +125,12 @@ class TwistMap:
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """Joints that follow coordinates, and by which sign they move some rows.
+    """Joints that follow coordinates, and the signs by which they move some rows.
 
     Attributes:
         joints: Place of each joint among those that count, (n_followers,).
-        weights: Its sign in each row times what it does when its coordinate grows by one, (n_rows or 1, n_followers).
-        sums: Which coordinate each of them follows, as ones, (n_followers, n_coordinates); None: one each, in order.
+        weights: Sign of each in each row, times its motion for one unit of its coordinate, (n_rows or 1, n_followers).
+        sums: 1 where a joint follows a coordinate, else 0, (n_followers, n_coordinates); None: one each, in order.
     """
 
     joints: IntArray
@@ -139,7 +139,7 @@ class Coordinates:
 
     @classmethod
     def from_signs(cls, reduced: JointSubset, signs: FloatArray, select: FloatArray) -> Coordinates:
-        """Return those of coordinates.
+        """Return the joints that follow some coordinates.
 
         Args:
             signs: Effect of each joint that counts: +1 moves only b, -1 only a, else 0, (n_rows or 1, n_reduced).
@@ -168,9 +168,9 @@ class SweepCache:
 
     @cached_property
     def pinocchio(self) -> tuple[pin.Model, pin.Data, FloatArray, FloatArray]:
-        """Pinocchio's model and data, and what it computes there.
+        """Pinocchio's model and data, and arrays for its results.
 
-        That is `flat_poses` of all joints, (n_joints, 12), and the Jacobian, (n_velocities, 6).
+        These are `flat_poses` of all joints, (n_joints, 12), and the Jacobian, (n_velocities, 6).
         """
         model = self.mechanism.model_around(self._pairs)
         data = pin.Data(model)
@@ -193,7 +193,7 @@ class SweepCache:
         return self.reduced.places[a], self.reduced.places[b], axis
 
     def twist_map(self, twists: FloatArray | None, signs: FloatArray) -> TwistMap:
-        """Return twists along which to differentiate, those of the last call without computing them again.
+        """Return twists along which to differentiate; those of the last call are kept.
 
         Args:
             twists: (6 n_joints, k), or None for every origin twist.
@@ -349,7 +349,7 @@ def twist_map(swept: Sweep, pair: RelativeFrame) -> FloatArray:
 
 
 def _with_moments(points: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return [r, p x r], what a twist moves at points p (n, 1 or k, 3) along rows r (n, k, 3): r^T (v + w x p)."""
+    """Return [r, p x r]: times a twist, the motion r^T (v + w x p) of points p (n, 1 or k, 3) along r (n, k, 3)."""
     x, y, z = points[:, :, 0], points[:, :, 1], points[:, :, 2]
     u, v, w = rows[:, :, 0], rows[:, :, 1], rows[:, :, 2]
     result = np.empty((*rows.shape[:2], 6))
@@ -375,7 +375,7 @@ def motion_map(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool)
     dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
 
     Args:
-        angular: Whether dw is wanted too.
+        angular: Whether to return dw too.
 
     Returns:
         (n, n_pairs * (3 or 6), 6), one pair's rows after the other's.
@@ -395,10 +395,10 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
     """Return d(value)/d(coordinates), (n, n_rows, n_coordinates).
 
     Args:
-        mapping: From `twist_map` or `motion_map`.
-        coordinates: In the model of the same joints.
+        mapping: Result of `twist_map` or `motion_map`.
+        coordinates: Coordinates in the model of the same joints.
     """
-    assert swept.jacobian is not None  # compiled code has its own way
+    assert swept.jacobian is not None  # compiled code does not come here
     moved: FloatArray = np.matmul(mapping, swept.jacobian[:, :, coordinates.joints]) * coordinates.weights
     return moved if coordinates.sums is None else moved @ coordinates.sums
 
@@ -406,10 +406,10 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
 def origin_derivative(
     swept: Sweep, mapping: FloatArray, loops: tuple[FloatArray, FloatArray] | None, along: TwistMap, result: FloatArray
 ) -> None:
-    """Compute map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
+    """Compute map (V_b - V_a) along origin twists, minus their effect through the loops, (n, n_rows, k).
 
     Args:
-        mapping: From V_b - V_a to the rows, (n, n_rows, 6).
+        mapping: Map from V_b - V_a to the rows, (n, n_rows, 6).
         loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
         along: The twists, and what they move.
         result: Array to fill, (n, n_rows, k).

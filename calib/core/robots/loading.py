@@ -38,7 +38,7 @@ from calib.core.robots.urdf.text import UrdfText, read_urdf
 from calib.core.robots.urdf.ur_kinematics import is_ur_kinematics
 
 _SAME_ORIGIN = 1e-4
-"""How far a stock origin may be from that of its model: rounded digits [m], [1]."""
+"""Difference that rounding may leave between the origins of a stock URDF and of its model [m or 1]."""
 
 
 def load(path: str | Path) -> Robot:
@@ -83,7 +83,7 @@ def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None)
     if not mjcf.motors:
         raise DescriptionError(
             f"{urdf.path}: has loops, and no joint has an actuator; add actuators to its motors"
-            " (of SDF: a plugin with their joint_name)"
+            " (in SDF: a plugin with their joint_name)"
         )
     open_loops = describe(chain, urdf_path).model_copy(update={"name_mot": mjcf.motors})
     description, remarks = _with_loops(open_loops, urdf), [*mjcf.remarks]
@@ -116,8 +116,8 @@ def _with_loops(description: Description, urdf: UrdfText) -> Description:
 def describe(chain: ArmChain, urdf_path: str) -> Description:
     """Return the description that a plain URDF stands for.
 
-    The base is the link that the first moving joint stands on, not the root: where an unknown base is, a fixed joint
-    between the two says nothing.
+    The base is the link that the first moving joint stands on, not the root: if the base is unknown, a fixed joint
+    between the two does not matter.
 
     Args:
         chain: Its arm, or the chain to the link that carries the measured point.
@@ -177,7 +177,7 @@ def as_robot(robot: RobotLike) -> Robot:
     """Return a robot as it is, or loaded from its description or URDF.
 
     Raises:
-        InputError: It is neither, such as a fit; or a folder, whose values are not those of a description.
+        InputError: It is none of these, such as a fit; or it is a folder, whose values the description does not have.
     """
     if isinstance(robot, (Path, str)):
         if Path(robot).is_dir():

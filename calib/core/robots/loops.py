@@ -4,14 +4,14 @@ Problem. Find passive joints p with r(a, p) = 0 for given actuated joints a. Sev
 up or down); only the one that can be reached from the home configuration without passing a singularity is the robot.
 
 Method. Newton from a solution under similar parameters where one is known; else the loops are followed from home
-(`calib.core.robots.continuation`). A solution beyond the limits of a passive joint does not count. On the way of a fit
-to its minimum it does: a limit would be a wall there, behind which the minimum may lie.
+(`calib.core.robots.continuation`). A solution beyond the limits of a passive joint does not count, except while a fit
+moves to its minimum: there, a limit would be a wall in front of the minimum.
 
 The home configuration itself must close and be regular; it decides the assembly mode (`check_home`).
 
-When it fails. A pose without a solution, or one that no way reaches without passing a singularity, is not closed, and
-the error says why: a loop stays open, a passive joint passes its limit, or the assembly mode differs. Closures must be
-as many as passive joints and independent at home.
+When it fails. A pose is not closed if it has no solution, or if every way to it passes a singularity. The error says
+why: a loop stays open, a passive joint passes its limit, or the assembly mode differs. There must be as many closures
+as passive joints, and they must be independent at home.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from calib.core.robots.closure import (
     scale_closure,
     singular_values,
 )
-from calib.core.robots.continuation import closing_tolerance, follow, hangs_together, newton
+from calib.core.robots.continuation import closing_tolerance, follow, follow_from_nearer, newton
 from calib.core.robots.mechanism import Mechanism
 
 LIMIT_MARGIN = 1e-9
 """How far beyond its limit a passive joint may be [m, rad]."""
-_OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from its drawing
+_OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from the nominal one
 _SAME_SOLUTION = 1e-6  # difference of passive joints [rad, or characteristic lengths]
 _CLOSED = 1e-6  # the search for the smallest gap ends a few nanometres from closed [m or rad]
 
@@ -53,7 +53,7 @@ class LoopSolution:
 
     Attributes:
         passive: Passive joints, NaN where a pose does not close, (n, n_passive) [m or rad].
-        ok: Which poses closed, (n,).
+        ok: Mask of the poses that closed, (n,).
         slope: C_p at the solution, NaN where open, (n, n_passive, n_passive); None where there was a seed.
     """
 
@@ -83,7 +83,7 @@ def close(
         seed: Passive joints of the same poses solved with slightly different parameters, (n, n_passive); poses that do
             not follow from it at once are solved afresh.
         thorough: See `calib.core.robots.continuation.follow`; False may leave poses open that close.
-        limits: Whether a solution beyond the limits of a passive joint is none.
+        limits: Whether solutions beyond the limits of a passive joint are refused.
     """
     n = len(actuated)
     if not mechanism.loops:
@@ -112,10 +112,10 @@ def close(
 
 
 def reached_from_home(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray) -> bool:
-    """Whether closed poses (n, n_actuated), (n, n_passive) surely follow from home; False where that is not known."""
+    """Whether closed poses (n, n_actuated), (n, n_passive) can surely be reached from home; False if unknown."""
     if not mechanism.loops:
         return True
-    arrived, ok = hangs_together(mechanism, mode, actuated, passive)
+    arrived, ok = follow_from_nearer(mechanism, mode, actuated, passive)
     if not np.all(ok) or not np.all(are_within_limits(mechanism, passive)):
         return False
     apart = (wrap_turns(mechanism, mode, arrived) - passive) / mechanism.passive_scale

@@ -14,7 +14,7 @@ with selection matrices E that also hold `<mimic>` multipliers, so that a follow
 
 Where a joint term tilts the link behind a joint (`calib.core.robots.terms.term`), that link hangs on joints of
 its own, one for each rotation that the joint itself does not make. They are given like the actuated ones and come after
-them in q_actuated; they are not commanded, and what they are follows from the commands.
+them in q_actuated; they are not commanded, and their values follow from the commands.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ class JointSubset:
     the root link's origin would otherwise lose the digits that closed loops need. Joints of other branches cost time.
 
     Attributes:
-        joints: Which origins stay, parents first, (n_reduced,).
-        places: Where each frame is among them, 1 and up, or 0: it does not move, (n_joints + 1,).
+        joints: Indices of the origins that stay, parents first, (n_reduced,).
+        places: Number of each frame among them, from 1; 0 for a frame that does not move, (n_joints + 1,).
         parents: `places` of the frame before each origin that stays, (n_reduced,).
         model: The model of these alone, all origins at zero.
     """
@@ -73,8 +73,8 @@ class JointSubset:
 def flat_poses(poses: Any) -> FloatArray:
     """Return a view of Pinocchio's vector of poses as numbers, (n, 12): rotations column by column, then positions.
 
-    The one place that looks at memory of C++, which keeps the elements of a vector one behind the other, the two parts
-    of each alike: asking Pinocchio for each pose of each joint takes several times as long as computing them.
+    No other function reads the memory of C++, where the elements of a vector follow each other, and so do the two parts
+    of each. Asking Pinocchio for each pose of each joint takes several times as long as computing them.
     """
     return np.lib.stride_tricks.as_strided(poses[0].rotation.T, (len(poses), 12), (_POSE_BYTES, 8))
 
@@ -111,7 +111,7 @@ class Mechanism(ReadOnlyArrays):
     Attributes:
         model: Pinocchio model with one joint per URDF joint, then `base` and the targets.
         origin_names: Name of origin i; its joint index is i + 1.
-        frames: Joint index of every link and joint name: of a joint, that of the link behind it.
+        frames: Joint index of every link, and of every joint (the index of the link behind it), by name.
         actuated, passive: Names of the joints that the user gives, and that the loops decide.
         tilts: Names of the joints that tilt links.
         select_actuated, select_passive: E of the module docstring, (n_joints, n_driven or n_passive).
@@ -207,7 +207,7 @@ class Mechanism(ReadOnlyArrays):
         return self._reductions[pairs]
 
     def model_around(self, pairs: tuple[RelativeFrame, ...]) -> pin.Model:
-        """Return Pinocchio's model of this part, with the origins of this mechanism; nobody may change it."""
+        """Return Pinocchio's model of `reduced_to`, with the origins of this mechanism; nobody may change it."""
         if pairs not in self._models:
             reduced = self.reduced_to(pairs)
             model = reduced.model.copy()

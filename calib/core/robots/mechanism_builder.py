@@ -135,7 +135,7 @@ def _dimension(joint: UrdfJoint) -> Dimension:
 
 
 def _tree(urdf: UrdfText, tilted: Collection[str]) -> tuple[pin.Model, dict[str, int], tuple[str, ...]]:
-    """Return the model, the joint index of every link and joint name (a link's where both have the name), and tilts."""
+    """Return the model, the joint index of every link and joint (if both have one name, the link's), and the tilts."""
     model = pin.Model()
     frames = {urdf.root: 0}
     indices: dict[str, int] = {}
@@ -156,7 +156,7 @@ def _tree(urdf: UrdfText, tilted: Collection[str]) -> tuple[pin.Model, dict[str,
 
 
 def _tilts(joint: UrdfJoint) -> Iterator[tuple[str, FloatArray]]:
-    """The name and axis of each rotation that a joint does not make itself: two across its axis if it turns."""
+    """The name and axis of each tilt of a joint: two across its axis, and if it slides, one about its axis."""
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first /= np.linalg.norm(first)
@@ -165,7 +165,7 @@ def _tilts(joint: UrdfJoint) -> Iterator[tuple[str, FloatArray]]:
 
 
 def _new_name(name: str, other: str, taken: list[str]) -> str:
-    """Return `name`, or `other` where that is taken, with as many _ behind it as make it new."""
+    """Return `name`, or if it is taken, `other`, with a _ added until it is new."""
     while name in taken:
         name, other = other, f"{other}_"
     return name
@@ -202,7 +202,7 @@ def _loop(description: Description, frames: Mapping[str, int], index: int, where
 
 @dataclass(frozen=True)
 class _JointGroups:
-    """The role of each joint: given by the user, decided by the loops, following another one; the others are held.
+    """The role of each joint: moved by the user, by the loops, or by another joint that it mimics; the rest is held.
 
     Attributes:
         moving: Joints that can move, by name.

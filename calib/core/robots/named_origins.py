@@ -21,8 +21,8 @@ class NamedComponent:
     """A component of an origin under another name.
 
     Attributes:
-        name: In the trade.
-        origin, component: Which it is.
+        name: Name in the trade.
+        origin, component: The component.
         sign: +1, or -1 where the trade counts the other way.
         sigma: Expected error [m or rad].
         unit: Unit of tables.

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.core.base.errors import DescriptionError, InputError, ParameterError, nearest, require_known
 from calib.core.base.parameter import Parameter, index_of
-from calib.core.base.registry import brought, list_entry_points
+from calib.core.base.registry import list_entry_points, load_entry
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
 from calib.core.base.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
 from calib.core.instruments.kind import Place
@@ -116,7 +116,7 @@ def result_use(description: Description) -> ResultUse | None:
     """Return the `result_use` of a named parametrisation: how the calibrated robot is used; None if it has none."""
     if not isinstance(description.parametrisation, str):
         return None
-    use: ResultUse | None = getattr(brought(ENTRY_POINTS, description.parametrisation), "result_use", None)
+    use: ResultUse | None = getattr(load_entry(ENTRY_POINTS, description.parametrisation), "result_use", None)
     return use
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.registry import brought
+from calib.core.base.registry import load_entry
 from calib.core.base.words import count_noun, listing
 from calib.core.robots.robot_data import RobotData
 
@@ -69,5 +69,5 @@ def check_poses(robot: RobotData, joints: FloatArray) -> PoseCheck:
     Raises:
         DescriptionError: An obstacle or a mesh that the description names cannot be.
     """
-    check: PoseCheck = brought("calib.methods", "check_poses")(robot, joints)
+    check: PoseCheck = load_entry("calib.methods", "check_poses")(robot, joints)
     return check

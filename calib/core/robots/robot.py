@@ -42,8 +42,8 @@ class Robot(RobotData, HintedObject):
 
     Its data are those of `calib.core.robots.robot_data.RobotData`: `values`, (n_parameters,) [m or rad], of its
     `parameters`; `mechanism`, with the origins that they give, and `nominal`, with nominal ones; `description`, `urdf`,
-    `instruments`, joint `terms`, `mode` (home and assembly mode), `path`; of a fit, `files` (the robots that
-    files get).
+    `instruments`, joint `terms`, `mode` (home and assembly mode), `path`; after a fit, `files` (the robots
+    for files).
     """
 
     _other_words = "a robot"
@@ -128,7 +128,7 @@ class Robot(RobotData, HintedObject):
         For joint zeros alone it is the nominal one, to which the zeros in `files` belong.
 
         Args:
-            holds: How much; see `calib.core.robots.accuracy_of_files`.
+            holds: Part of a robot that the file holds; see `calib.core.robots.accuracy_of_files`.
 
         Raises:
             ComputationError: Joint terms would be lost, and no fit says what is best without them.
@@ -272,7 +272,7 @@ class Robot(RobotData, HintedObject):
             (count, n_actuated) [m or rad].
 
         Raises:
-            InputError: The count or the seed is negative, or a range is not one; or more than fits into memory.
+            InputError: The count or the seed is negative, a range is not valid, or the result does not fit into memory.
             DataError: Not enough were found, even near home; or a sliding joint has no limits.
         """
         if count < 1:

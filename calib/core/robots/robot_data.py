@@ -1,8 +1,8 @@
 """The data of a robot: its description, its mechanism, its parameters and their values.
 
-What is done with it are functions: joints from commands (`calib.core.robots.joint_errors`), closed loops
-(`calib.core.robots.configurations`), what files hold of it (`calib.core.robots.robot_files`). Users hold a `Robot`,
-which has as methods what they need of these.
+Other modules have the functions of a robot: joints from commands (`calib.core.robots.joint_errors`), closed loops
+(`calib.core.robots.configurations`), the robots that files can hold (`calib.core.robots.robot_files`). A `Robot` has
+those that users need as methods.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class RobotData(ReadOnlyArrays):
         values: Current parameter values, (n_parameters,) [m or rad]: of the parametrisation, then unknown numbers of
             the instruments, then coefficients of the terms.
         mode: Home configuration and assembly mode of the nominal robot.
-        files: The robots that files get, by how much these hold; of a fit alone, and gone where values are changed.
+        files: The robot that each kind of file holds. Only the robot of a fit has them; a change of values drops them.
     """
 
     path: str
@@ -115,8 +115,8 @@ class RobotData(ReadOnlyArrays):
     def unreported_targets(self) -> dict[str, int]:
         """Targets for which the uncertainty of positions is not reported, and their places among the targets.
 
-        Readings hardly determine where a target is that is read only from unknown places, as by a camera beside the
-        robot. It is left out if other targets are read in the measurement frame, or from known places.
+        If a target is read only from unknown places, as by a camera beside the robot, readings hardly determine its
+        position. It is left out if other targets are read in the measurement frame, or from known places.
         """
         read: dict[bool, set[str]] = {True: set(), False: set()}
         for instrument in self.instruments:
@@ -129,7 +129,7 @@ class RobotData(ReadOnlyArrays):
 
     @property
     def reported_targets(self) -> list[int]:
-        """Places of the targets that are not left out."""
+        """Indices of the targets that are not left out."""
         return [k for k, name in enumerate(self.target_names) if name not in self.unreported_targets]
 
     @cached_property
@@ -162,7 +162,7 @@ class RobotData(ReadOnlyArrays):
 
     @property
     def turns_gravity(self) -> bool:
-        """Whether gravity's direction is found: two coefficients, the last ones, with which all `term_columns` vary."""
+        """Whether the last two coefficients are gravity's direction, with which all `term_columns` vary."""
         return any(not term.adds for term in self.terms)
 
     def instrument(self, name: str) -> Instrument:
@@ -184,7 +184,7 @@ class RobotData(ReadOnlyArrays):
         return slice(start, start + len(self.instrument(name).unknowns))
 
     def pairs(self, instrument: Instrument) -> tuple[RelativeFrame, ...]:
-        """Return what an instrument looks along, in the order of `Readings.pairs`."""
+        """Return the pairs of frames that an instrument measures between, in the order of `Readings.pairs`."""
         return self._pairs[instrument.name]
 
     @cached_property

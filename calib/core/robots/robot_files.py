@@ -95,6 +95,6 @@ def write_description(robot: RobotData, path: Path | str, *, force: bool) -> Non
 
 
 def _replace_numbers(text: Triple, numbers: FloatArray) -> Triple:
-    """The numbers (3,), but those of the file where only rounding lies between."""
+    """The numbers (3,), or those of the file if they differ only by rounding."""
     x, y, z = (old if abs(new - old) <= _ROUNDING else float(new) for old, new in zip(text, numbers, strict=True))
     return (x, y, z)

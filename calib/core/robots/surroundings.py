@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, mod
 from calib.core.base.sections import Angle, Length, PositiveLength, Section
 
 CORNER_CUBE = 0.5235987755982988
-"""How far off its axis a corner cube may be seen [rad]: 30 deg, as makers of spherical reflectors state it."""
+"""Angle from its axis within which a corner cube is seen [rad]: 30 deg, as makers of spherical reflectors state."""
 FLOOR, UNCHECKED = "floor", "unchecked"
 KINDS = ("box", "cylinder", "sphere", "mesh", "plane")
 _Three = tuple[Length, Length, Length]
@@ -97,7 +97,7 @@ class SightSection(Section):
     Attributes:
         frame: The link that it stands on; the root link if left out.
         xyz: Where its beam starts [m].
-        width: Width of what must be free [m].
+        width: Width of the free space that the beam needs [m].
     """
 
     frame: str | None = None
@@ -131,7 +131,7 @@ Obstacles = Annotated[
         json_schema_input_type=dict[str, ObstacleSection | Literal["floor"] | None] | Literal["floor", "unchecked"],
     ),
 ]
-"""By name; `floor` is one word. `unchecked`: nobody asks whether the robot collides."""
+"""Obstacles by name; `floor` alone is one too. `unchecked`: collisions are not checked."""
 
 
 def _acceptance(given: Any) -> Any:
@@ -141,4 +141,4 @@ def _acceptance(given: Any) -> Any:
 Acceptance = Annotated[
     AcceptanceSection, BeforeValidator(_acceptance, json_schema_input_type=AcceptanceSection | float | str)
 ]
-"""An angle alone is about the target's z axis."""
+"""A single angle is about the target's z axis."""

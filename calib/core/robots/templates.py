@@ -17,7 +17,7 @@ class LoopTemplate:
     """A kind of mechanism.
 
     Attributes:
-        what: In a few words.
+        what: The robot in a few words.
         lengths: Every length with its default [m].
         build: Its function.
     """
@@ -46,7 +46,7 @@ TEMPLATES = {
         stewart,
     ),
 }
-"""By the name that the command line gives them."""
+"""Templates by their names on the command line."""
 
 
 def read_lengths(name: str, given: Iterable[str]) -> dict[str, float]:

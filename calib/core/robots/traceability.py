@@ -1,7 +1,7 @@
 """The traceability of measurements in a robot description: the key `traceability`.
 
-Nothing of it is needed, and nothing changes a fit: `calib certificate` makes an uncertainty budget of it, and writes it
-down. Free text goes through as it is.
+All of it is optional, and changes no fit: `calib certificate` computes an uncertainty budget from it, and
+writes both. Free text is written as it is.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def _kelvin(value: Any) -> Any:
 
 
 def _text(value: Any) -> Any:
-    """Return what YAML reads as a number or a date as the text that it was."""
+    """Return a number or a date of YAML as text again."""
     return str(value) if isinstance(value, (int, float, datetime.date)) and not isinstance(value, bool) else value
 
 
@@ -62,14 +62,14 @@ class CertifiedInstrumentSection(ItemSection):
     """An instrument, and the error that its calibration certificate allows, the same in all readings.
 
     Attributes:
-        certificate, date, laboratory: Of its own calibration.
-        scale: How far lengths may be off in proportion, 1.
+        certificate, date, laboratory: Those of its own calibration.
+        scale: How far lengths may be off, relative.
         offset: How far positions may be off along each axis, or distances [m].
         offset_angle: How far angles may be off, about each axis of orientations [rad].
-        focal_length: How far a camera's may be off in proportion, 1.
-        principal_point: How far a camera's may be off along each axis [px].
+        focal_length: How far the focal length of a camera may be off, relative.
+        principal_point: How far the principal point of a camera may be off along each axis [px].
         stated: Whether these are expanded uncertainties, or maximum permissible errors (limits, rectangular).
-        k: Coverage factor of expanded ones.
+        k: Coverage factor of expanded uncertainties.
     """
 
     certificate: Text | None = None
@@ -94,7 +94,7 @@ class ReflectorSection(Section):
 
     Attributes:
         diameter: Its diameter [m].
-        centring: Standard uncertainty of where its centre is, another one at each reading [m].
+        centring: Standard uncertainty of the place of its centre, with an independent error at each reading [m].
     """
 
     diameter: _NotNegative | None = None
@@ -102,13 +102,13 @@ class ReflectorSection(Section):
 
 
 class TemperatureSection(Section):
-    """Of the robot.
+    """Temperatures of the robot.
 
     Attributes:
         calibration, use: Mean temperatures [degC].
         uncertainty: Standard uncertainty of their difference [K].
         expansion: Coefficient of the robot's lengths [1/K].
-        expansion_uncertainty: Standard uncertainty of that [1/K].
+        expansion_uncertainty: Standard uncertainty of the coefficient [1/K].
     """
 
     calibration: Temperature | None = None
@@ -119,12 +119,12 @@ class TemperatureSection(Section):
 
     @property
     def difference(self) -> float:
-        """Temperature of use less that of calibration [K]; 0 where either is not stated."""
+        """Temperature of use minus that of calibration [K]; 0 where either is not stated."""
         return 0.0 if self.use is None or self.calibration is None else self.use - self.calibration
 
 
 class TraceabilitySection(Section):
-    """All of it; see docs/howto/certificate.md.
+    """The whole key `traceability`; see docs/howto/certificate.md.
 
     Attributes:
         date: Day of the measurements, ISO 8601.

@@ -32,7 +32,7 @@ _SAME = 1e-9
 _MEASURED_AGAIN = 1e-4
 """A candidate nearer than this to a measured pose is that pose [m, rad]."""
 WHITENED = 1.0
-"""Unit of rows where no instrument measures a length, instead of its noise."""
+"""Unit of rows, instead of the noise of a length, if no instrument measures a length."""
 _SHOWN = 10
 _MIXING = 0x9E3779B97F4A7C15 - 2**64  # odd, and far from a power of two
 

@@ -35,9 +35,9 @@ from calib.core.robots.mechanism import RelativeFrame
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import relative_poses
 
-_HARDLY_MOVES = 0.03  # positions, of a motion of 1 [m per m]
+_HARDLY_MOVES = 0.03  # a motion is left out if positions move less per unit of it [m per m]
 _ROUNDS = 50
-_STANDS = 1e-12  # motion left [m]
+_CONVERGED = 1e-12  # motion left [m]
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class CommonMotion(ReadOnlyArrays):
             off = np.concatenate([positions - x, _turns(rotations, turned)], axis=2)[..., None]
             step = motion._best_motion(motion.columns(x, turned), off)[:, 0]
             motion = replace(motion, robot=motion._move_robot(motion.basis @ step))
-            if np.max(np.abs(step), initial=0.0) < _STANDS:
+            if np.max(np.abs(step), initial=0.0) < _CONVERGED:
                 break
         return motion
 

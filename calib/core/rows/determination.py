@@ -28,7 +28,7 @@ class Determination(ReadOnlyArrays):
         together: Rank of the free parameters, poses and priors.
         columns: Unit columns of all parameters, or their triangular factor, (n, n_parameters).
         lengths: Divisor of each column, (n_parameters,) [m per m or rad].
-        open_columns: Unit columns of the free parameters, and a row for each prior, (n, n_free).
+        free_columns: Unit columns of the free parameters, and a row for each prior, (n, n_free).
     """
 
     everything: Rank
@@ -36,7 +36,7 @@ class Determination(ReadOnlyArrays):
     together: Rank
     columns: FloatArray
     lengths: FloatArray
-    open_columns: FloatArray
+    free_columns: FloatArray
 
     def lines(self) -> list[str]:
         """Return sentences with both ranks of the poses alone, their gaps, and doubts where they are unclear."""

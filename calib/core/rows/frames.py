@@ -15,7 +15,7 @@ An error of the robot in the fit that readings cannot tell from the place of the
 corrected. If a program is in the measurement frame, it is counted: the robot most likely has this error.
 With d the error of the parameters and J' the derivative of positions by them, positions are off by J' d. In the
 measurement frame all parameters count; for a program there, those of the robot itself; in the robot's own base frame
-the common motion that follows d is subtracted. The stated covariance is exactly this one. It counts the noise of the
+the common motion that follows d is subtracted. The stated covariance is that of J' d. It counts the noise of the
 measurements and the priors of undetermined combinations, as far as a position in this frame depends on them.
 """
 
@@ -48,7 +48,7 @@ class CorrectionFrame(ReadOnlyArrays):
     Attributes:
         known: The calibrated robot with its uncertainty.
         robot: The calibrated robot; its own parameters are as near to nominal as readings allow.
-        meant: The nominal robot, its base and tools where they are in this frame.
+        meant: The nominal robot, with its base and tools placed in this frame.
         nominal: The robot of the description.
         words: Name of the frame in a sentence.
         counts: Mask of the free parameters that move positions in this frame, (n_free,).
@@ -104,7 +104,7 @@ class CorrectionFrame(ReadOnlyArrays):
             In the axes of the frame, (n, n_targets, 6).
         """
         uncertainty, shape = self.known.uncertainty, (len(q), len(self.robot.target_names), 6)
-        if uncertainty is None or self.motion is not None:  # common motion takes it
+        if uncertainty is None or self.motion is not None:  # such errors are part of the common motion
             return np.zeros(shape)
         left = (self.known.robot.values - self.robot.values)[uncertainty.free][self.counts]
         if not np.any(left):
@@ -156,7 +156,7 @@ def program_frame(known: KnownRobot) -> CorrectionFrame:
     places = {p.name: value for p, value in zip(robot.parameters, robot.values, strict=True) if p.placement}
     words = "in the measurement frame"
     if loose.points or loose.frames:
-        words += ", and include that the place of the measured point on its link is not known"
+        words += ", and the unknown place of the measured point on its link counts as an error"
     meant = nominal.with_parameters(places) if places else nominal
     return CorrectionFrame(known, robot, meant, nominal, words, of_robot, None)
 

@@ -32,7 +32,7 @@ from calib.core.rows.observed import Observed, observe, predict_readings
 
 _POSES = 256
 _ROUNDS = 10
-_STANDS = 1e-6  # change of a scaled parameter; the next change is about its square
+_CONVERGED = 1e-6  # largest change of a scaled parameter at the end; the next one is about its square
 _AROUND_HOME = 0.5  # motion is analytic: these poses show all that any poses show [rad, or characteristic lengths]
 
 
@@ -50,7 +50,7 @@ def nearest_to_nominal(robot: Robot) -> Robot:
     sigma = np.array([parameters[k].sigma_si for k in free])
     expected = np.array([parameters[k].expected_si for k in free])
     q = poses_around_home(robot)
-    predicted = predict_readings(robot, robot.assemble(q))  # NaN outside of an image: as if the image went on
+    predicted = predict_readings(robot, robot.assemble(q))  # NaN outside of an image; set to 0 below
     readings = {name: replace(reading, values=np.nan_to_num(reading.values)) for name, reading in predicted.items()}
     before, _ = _stack(observe(robot, robot.assemble(q), readings))
     for _ in range(_ROUNDS):
@@ -63,7 +63,7 @@ def nearest_to_nominal(robot: Robot) -> Robot:
         values = robot.values.copy()
         values[free] += sigma * step
         robot = robot.with_parameters(values)
-        if np.max(np.abs(step), initial=0.0) < _STANDS:
+        if np.max(np.abs(step), initial=0.0) < _CONVERGED:
             break
     return robot
 

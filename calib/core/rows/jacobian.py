@@ -211,7 +211,7 @@ def _fill_motion(
 
     Args:
         swept: Kinematics of the poses.
-        mapping: From V_b - V_a to x, (n, n_rows, 6).
+        mapping: Map from V_b - V_a to x, (n, n_rows, 6).
         direct: Further derivative of x by the passive joints, (n_rows, n_passive).
         result: Array to fill.
     """

@@ -10,7 +10,7 @@ independent error of each joint at each pose, as large as residuals show (`calib
 
     covariance of x(q)  =  B C B^T + delta^2 K K^T,      K = d(position)/d(joints), scaled
 
-The part that residuals cannot tell from noise counts. The robot's repeatability comes on top.
+The part that residuals cannot tell from noise counts too. The robot's repeatability is not included.
 
 Joint terms that a choice left out, and that the data do not exclude, have coefficients that are zero and uncertain
 (`UndecidedTerms`). They join the free parameters in C and in B, with their correlations.
@@ -43,8 +43,8 @@ CHUNK = 1024
 """Number of poses computed at once."""
 ROWS = (slice(3), slice(3, 6))
 """Rows of positions and of turns."""
-_DIFFERS = 1.5  # uncertainty in the measurement frame over the predicted one, above which both are reported
-_CERTAIN = 1e-12  # variance of a length that does not show, over its square
+_DIFFERS = 1.5  # both are reported if positions in the measurement frame are this many times as uncertain
+_CERTAIN = 1e-12  # variance of a length that does not show, as part of its square
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,7 +121,7 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
             frame += f" (in the measurement frame to {self.measured.summary()['mean']:.2g} mm on average)"
         mean = np.mean(millimetres(self.distance), axis=0)
         texts = [f"{name} (known to {mean[k]:.2g} mm)" for name, k in self.left_out.items()]
-        return frame + (f"; not counted: {listing(texts)}, read from unknown places only" if texts else "")
+        return frame + (f"; not counted: {listing(texts)}, seen only from unknown places" if texts else "")
 
     def table(self) -> dict[str, object]:
         """Return `summary` as data, with its frame, and the summary in the measurement frame if that is another."""
@@ -184,7 +184,7 @@ def recombined_joints(q: FloatArray, most: int) -> FloatArray:
     """Return the joint values of poses q (n, n_actuated) in new combinations, at most `most` [m or rad].
 
     The values of each joint are shifted by a different number of poses, in the order of `order_of_joints`. So every
-    joint stays in its measured range, and the uncertainty shows of joints that moved only together.
+    joint stays in its measured range, and joints that moved only together show their uncertainty.
     """
     n, n_joints = q.shape
     mixed = np.stack([np.roll(q[:, j], k * n // n_joints) for j, k in enumerate(order_of_joints(q)[0])], axis=1)
@@ -299,7 +299,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         free: Mask of the calibrated parameters, (n_parameters,); the others count as exact.
         covariance: Covariance of the free parameters without undecided joint terms, (n_free, n_free) [m, rad].
         coverage_factor: Half a 95 % interval, in standard deviations.
-        undecided: Joint terms that the data do not exclude; None without any.
+        undecided: Joint terms that the data do not exclude; None if there are none.
         joint_error: Standard deviation of an independent error of each joint at each pose [rad; characteristic lengths
             of a sliding joint].
         contains: Contributions to the uncertainty of positions.

@@ -63,7 +63,7 @@ def registration(
     """Return the measurement frame and targets of the first setup by the measurements, and the names of these targets.
 
     Args:
-        robot: The robot; what the measurements leave open stays near its current values.
+        robot: The robot; components that the measurements do not determine stay near its current values.
         frame_known: Whether the measurement frame counts as known, against the description.
         targets_known: Whether targets that the description calls known count as known.
 

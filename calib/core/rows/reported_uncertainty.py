@@ -3,7 +3,7 @@
 If an instrument stands at a known place, this is the measurement frame. Otherwise readings may hardly determine the
 places of base and instruments. Distances from unknown points, for example, leave the place of the base to its priors,
 with an uncertainty of millimetres, although no motion of the robot is that uncertain. Then positions are reported in
-the robot's own base frame, placed where positions agree best over the measured poses.
+the robot's own base frame, placed where predicted and true positions agree best over the measured poses.
 
 Let J be the derivative of positions by the free parameters, d the error of the parameters, and C its covariance. Let
 A z(d) be the motion of all positions as one body that fits J d best over these poses (`calib.core.rows.common_motion`).
@@ -75,6 +75,6 @@ class ReportedUncertainty(ReadOnlyArrays):
 
     @cached_property
     def _common(self) -> Callable[[UncertaintyJacobian], FloatArray]:
-        """Function for the common motion by errors of the parameters."""
+        """Function that returns the derivative of the common motion by the parameters."""
         assert self.motion is not None
         return following_motion(self.motion, self.robot, self.uncertainty)

@@ -40,9 +40,9 @@ from calib.core.rows.whitening import stated_noise
 
 _LONGEST_STEP = 0.2  # step of a joint [rad, or characteristic lengths]
 _ROUNDS, _STEPS = 3, 100
-_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a search ends where a step gains less, and is still further away [m]
+_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a search ends at a smaller gain of a step, if it is further from contact [m]
 MET = 1e-10
-"""Distance below which the robot touches [m]."""
+"""The robot touches if the distance is less [m]."""
 _FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
 
 
@@ -56,8 +56,8 @@ def simulate(
 ) -> Measurements:
     """Return simulated measurements of a robot at its current parameter values.
 
-    Instruments read as planned (`calib.core.data.plan_files.read_plan`), else all that they can. At a touch, the joint
-    values are changed until the robot touches. Unstated noise is zero.
+    Instruments read what is planned (`calib.core.data.plan_files.read_plan`); without a plan, all that they can. At a
+    touch, the joint values are changed until the robot touches. Unstated noise is zero.
 
     Args:
         robot: The true robot.
@@ -130,7 +130,7 @@ def _noise_in_words(robot: Robot, sigma: float | None) -> str:
     words = f"normal noise, sigma {millimetres(sigma):g} mm per axis"
     if sigma == 0 or all(part.is_position for instrument in robot.instruments for part in instrument.parts):
         return words
-    return f"{words} of positions, else as the description states it"
+    return f"{words} of positions, other noise as the description states it"
 
 
 def _touches(
@@ -159,7 +159,7 @@ def touching_configurations(
     Args:
         poses: Poses to start from; poses without a touch stay, or follow a touch that repeats the same pose.
         touches: Planned touches of each touching instrument, with the distance of each miss.
-        off: Errors of the joints beside their commands, (n, n_actuated) [m or rad]; zero if not given.
+        off: Errors of the joints in addition to their commands, (n, n_actuated) [m or rad]; zero if not given.
 
     Returns:
         Commands, (n, n_actuated) [m or rad]; distance of each from contact, (n,) [m], less than `MET` where it touches.
@@ -168,7 +168,7 @@ def touching_configurations(
     (lower, upper), follows = _limits(robot, poses), _follows(poses, touches)
     scale, commands = robot.mechanism.joint_scale, poses.joints
     everyone, given_up = np.arange(len(poses)), np.zeros(len(poses), dtype=bool)
-    for _ in range(_ROUNDS):  # again where a move turned the direction from which the next visit is approached
+    for _ in range(_ROUNDS):  # because a moved visit can change the direction of approach to the next one
         gaps, slopes = _gaps(robot, poses, commands, errors, touches, everyone)
         miss, damping = np.linalg.norm(gaps, axis=1), np.full(len(poses), _FIRST_DAMPING)
         active = np.flatnonzero((miss >= MET) & ~given_up)
@@ -211,7 +211,7 @@ def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held
     """The step of the module docstring for joints that no limit holds, limited in length, (n, n_actuated)."""
     free = np.where(held[:, None, :], 0.0, slopes)
     size = np.einsum("nij,nij->n", slopes, slopes) / slopes.shape[2] + 1e-300
-    # By singular values: in J^T J, rounding over little damping would move the joints along directions without a gap.
+    # Singular values, not J^T J: with little damping, its rounding errors would move joints that change no gap.
     left, values, right = linalg.svd(free, full_matrices=False)
     gradient = np.matmul(left.transpose(0, 2, 1), gaps[:, :, None])[:, :, 0]
     step: FloatArray = -np.matmul((gradient * values / (values**2 + (damping * size)[:, None]))[:, None, :], right)[

@@ -22,7 +22,7 @@ ASSUMED: dict[Dimension, float] = {"length": 1e-4, "angle": 1e-4, "pixel": 0.5}
 """Noise of one component if it is neither stated nor shown by residuals [SI]; messages must say that it is assumed."""
 
 
-_AGAIN = 10  # readings beyond the first of their pose from which a shared offset is looked for
+_AGAIN = 10  # a shared offset is looked for if there are so many readings beyond the first of their pose
 
 
 class Whitening:
@@ -75,7 +75,7 @@ class Whitening:
         """Whiten arrays by instrument, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
 
         Args:
-            arrays: By instrument.
+            arrays: Arrays by instrument.
             in_place: Whether the arrays may be overwritten, so that large ones are not copied.
 
         Returns:
@@ -152,7 +152,7 @@ class Whitening:
         return columns
 
     def weighing(self, ratios: FloatArray) -> SharedError | None:
-        """Return the errors shared by a pose, for ratios of offsets to group scales, (n_offsets,); None without any."""
+        """Return the errors shared by a pose, for ratios of offsets to group scales, (n_offsets,); None if all 0."""
         weighed = ratios > 0
         if not np.any(weighed):
             return None

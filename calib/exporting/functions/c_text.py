@@ -14,16 +14,16 @@ from calib.exporting.functions.trees import FunctionTree
 
 _FUNCTIONS = """\
 int @_forward(const double q[@_N], const @_conditions *given, int tool, double pose[16]);
-    Pose of a tool, four rows of four [m]. Returns 1, or 0 where the pose is not known, which then is NaN.
+    Pose of a tool, four rows of four [m]. Returns 1; or 0 if the pose is not known: then it is NaN.
 size_t @_forward_many(size_t n, const double *q, const @_conditions *given, int tool, double *poses);
-    The same of n commands, one behind the other; conditions are n, too, or NULL. Returns how many poses are known.
+    The same for an array of n commands, with an array of n conditions or NULL. Returns how many poses are known.
 int @_jacobian(const double q[@_N], const @_conditions *given, int tool, double jacobian[6 * @_N]);
-    Its motion by each command, six rows: x, y, z, then the rotation vector, in the measurement frame. Returns 1 or 0.
+    Motion of a tool by each command, six rows: x, y, z, rotation vector, in the measurement frame. Returns 1 or 0.
 int @_inverse(const double pose[16], const double start[@_N], const @_conditions *given, int tool,
               const int use[6], double q[@_N]);
-    Commands within the joint limits that bring a tool to a pose, met to 1e-10 (m and rad), by damped Newton steps from
-    a start, and where that fails again from home, whose solution may be in another posture. `use` says which of x, y,
-    z, rx, ry, rz shall be met; NULL: all. Returns 1, or 0 where nothing was found; q then is NaN.
+    Commands within the joint limits that bring a tool to a pose, to 1e-10 (m and rad), by damped Newton steps from a
+    start. If these fail, the search begins again at home; its result may be another posture. `use` says which of x, y,
+    z, rx, ry, rz shall be reached; NULL: all. Returns 1; or 0 if nothing was found: then q is NaN.
 
 Nothing is allocated, and nothing is kept between calls. Include the file where it is needed; link with -lm."""
 

@@ -63,7 +63,7 @@ class JointShare:
         driven: Index of the driven joint.
         source: The quantity x.
         place: Index of the joint, if x has a value for each.
-        knee: As above; 0: x itself.
+        knee: The constant under the root; 0: x itself is used.
         rate: The coefficient, with all constants.
     """
 
@@ -270,9 +270,9 @@ def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str
     if facts.base is None:
         text.append("Joints move that frame.")
     else:
-        text.append(f"{base} is the pose of that frame in the root link: it times a pose is the pose in the root link.")
+        text.append(f"{base} is the pose of that frame in the root link; {base} times a pose is in the root link.")
     if facts.tree.closures:
-        text.append("Where loops do not close, or not as they are assembled at home, the numbers are NaN.")
+        text.append("Where loops do not close in the assembly mode of home, the numbers are NaN.")
     return [" ".join(line.split()) for line in text]
 
 

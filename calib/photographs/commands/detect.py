@@ -162,8 +162,7 @@ def summary(detection: Detection) -> list[str]:
     if missing and len(usable) >= LEAST_IMAGES:
         lines.append(
             f"In no image: {count_noun(len(missing), 'point')} of the board ({listing(missing)}); check columns and"
-            f" rows,"
-            " and that nothing covers them"
+            " rows, and that nothing covers them"
         )
     return lines
 

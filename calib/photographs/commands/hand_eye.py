@@ -200,16 +200,15 @@ def _pairs(
         of_camera = [name for name in places if _OF_CAMERA.search(name)]
         if len(of_camera) != 1:
             raise DataError(
-                f"{path}: holds poses {listing(list(places))}, and which is the marker in the camera does not show;"
-                f" call"
-                " them camera_x, ... and tool_x, ..., or give the tool's in a file of its own (--poses)"
+                f"{path}: holds poses {listing(list(places))}, and it is not clear which is the marker in the camera;"
+                " call them camera_x, ... and tool_x, ..., or give the tool's in a file of its own (--poses)"
             )
         of_tool = next(name for name in places if name not in of_camera)
         output.say(f"{path}: taken for the marker in the camera: {of_camera[0]}; for the tool in the base: {of_tool}")
         rows = [str(k + 1) for k in range(len(table.lines))]
         return rows, poses_of(table, places[of_tool], angles), poses_of(table, places[of_camera[0]], angles)
     if places:
-        need = "with --poses, give the marker's alone" if poses else "give the poses of the tool with --poses FILE"
+        need = "with --poses, give only the marker's" if poses else "give the poses of the tool with --poses FILE"
         raise DataError(f"{path}: has poses {listing(list(places))}; {need}")
     return None
 

@@ -75,7 +75,7 @@ def command(
         )
         if len(model.description.setups) > 1:
             output.note(
-                "note: all sampled poses are in the first setup; they do not show what was moved before the others"
+                "note: all sampled poses are in the first setup; they do not show what is moved for the other setups"
             )
     else:
         pose_set, source = read_pose_files(data, model), ", ".join(data)

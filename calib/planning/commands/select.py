@@ -63,7 +63,7 @@ _TRIED = (3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 65, 80, 100)
     metavar="all|each|LIST",
     default=ALL,
     show_default=True,
-    help="What reads at a chosen pose. all: every instrument; each: those that help most; LIST: one of these, such"
+    help="Instruments that read at a chosen pose. all: every one; each: those that help most; LIST: one of a list, such"
     " as tracker,sockets+ballbar (those joined by + read together).",
 )
 @click.option(
@@ -134,7 +134,7 @@ def command(
     a column `instrument`. A candidate for a touch must name what is touched, in the column of that instrument.
     """
     if (count is None) == (goal_mm is None):
-        raise InputError("give one of --count and --goal-mm: how many poses, or what they shall reach")
+        raise InputError("give one of --count and --goal-mm: the number of poses, or the error to reach")
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = with_values(load_robot(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)

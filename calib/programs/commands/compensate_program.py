@@ -40,7 +40,7 @@ def compensate_controller(
     suffix, out, output = Path(job.program).suffix, Path(job.out), job.output
     if out.suffix.lower() != suffix.lower():
         raise InputError(
-            f"{out}: the program has the language of {job.program}, whose names end in {suffix}; end it so, too"
+            f"{out}: the program has the language of {job.program}; give the output the same ending, {suffix}"
         )
     program = read_program(job.program, frames, harmless)
     places = [out, *(out.with_suffix(Path(source.path).suffix) for source in program.sources[1:])]

@@ -31,7 +31,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step of a routine; `maybe` is a jump that may not be taken."""
+    """A step of a routine; `maybe` is a jump that the program may skip."""
 
     kind: str
     place: str = ""
@@ -105,7 +105,7 @@ class Flow:
             DataError: There is a routine with this name.
         """
         if name in self.routines:
-            raise DataError(f"{where}: '{name}' is declared twice; name each routine otherwise")
+            raise DataError(f"{where}: '{name}' is declared twice; give each routine its own name")
         self.routines[name] = _Routine(at_any_time)
         self._open.append((name, []))
 
@@ -173,7 +173,7 @@ class Flow:
         self._add(_Step("jump", name))
 
     def note_jump(self, name: str) -> None:
-        """Record a jump that may not be taken."""
+        """Record a jump that the program may skip."""
         self._add(_Step("maybe", name))
 
     def _new(self) -> str:
@@ -319,6 +319,6 @@ def _join_states(one: State, other: State) -> State:
     both = dict(one)
     for key, value in one.items():
         if value != other.get(key) and not isinstance(value, Unknown):
-            differs = Unknown("depends on the way on which the program comes here")
+            differs = Unknown("depends on the path by which the program comes here")
             both[key] = other[key] if isinstance(other.get(key), Unknown) else differs
     return both

@@ -42,9 +42,9 @@ class DataUses:
                     work.append(source)
 
     def is_set(self, name: str) -> bool:
-        """Return whether the program sets it."""
+        """Return whether the program sets a name."""
         return name in self._set
 
     def why_not(self, name: str) -> str:
-        """Return why its numbers must stay as they are; empty if they may be changed."""
+        """Return why the numbers of a name must stay as they are; empty if they may be changed."""
         return self._set.get(name) or self._decides.get(name, "")

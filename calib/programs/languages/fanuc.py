@@ -77,7 +77,7 @@ class FanucReader(Reader):
         self.uses.decide(self.names(first, stop), self.code.line(first))
 
     def statement(self, at: int, stop: int) -> None:
-        """Process an instruction, behind its conditions."""
+        """Process an instruction that follows its conditions."""
         code, opened = self.code, 0
         comma = code.find_mark(at, stop, ",")
         while comma < stop and code.tokens[at].text in ("IF", "SELECT", "=", "ELSE"):

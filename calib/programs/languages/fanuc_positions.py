@@ -31,7 +31,7 @@ WORDS = word_pattern(
 _SECTION = re.compile(r"^/(\w+)", re.MULTILINE)
 _CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 _POSE, _JOINTS = ("X", "Y", "Z", "W", "P", "R"), ("J1", "J2", "J3", "J4", "J5", "J6")
-_TURNING = (0, 3, 4, 5)
+_TURNING = (0, 3, 4, 5)  # joints that CONFIG keeps within half a turn
 
 
 def sections_of(source: ProgramSource) -> tuple[slice, slice]:
@@ -76,9 +76,9 @@ class FanucPosition:
         return f"P[{number_at(self.code, self.text_start)}]"
 
     def target(self) -> ProgramTarget:
-        """Return the target, in its frame and of its tool.
+        """Return the target, with the numbers of its frame and tool.
 
-        Letters of CONFIG compare with the reference pose: N, U, T are the same sides as there; F: wrist flipped, D:
+        Letters of CONFIG compare with the reference pose. N, U, T: the same side as in that pose; F: wrist flipped, D:
         elbow down, B: behind axis 1. All turns must be 0.
 
         Raises:

@@ -7,8 +7,8 @@ A move is refused with its line unless everything that it depends on is known: t
 axis, whether numbers are relative, their unit, and the zero and tool.
 - `calib.programs.languages.gcode_dialects` lists the words that leave all this unchanged. After any other word (a
   macro, a change of tools), position and modes are unknown until the program sets them again.
-- A program cannot set zero and tool again. An unlisted word after the first move therefore ends what can be
-  compensated; before the first move, it prepares the machine and leaves the program's zero.
+- A program cannot set zero and tool again. So all moves after an unlisted word are refused if the word comes after the
+  first move. Before the first move, such a word prepares the machine and leaves the program's zero.
 - Homing of all axes leads to the position that the user gives; homing of one axis may move the others.
 - Always refused: words that certainly change the meaning of X, Y and Z; lines that are run elsewhere, repeatedly or
   under a condition; moves that are not straight. For unknown firmware, a line on which firmwares disagree.
@@ -132,7 +132,7 @@ class _GcodeReader:
     def _name(self, line: GcodeLine) -> None:
         """Process a command that is a name (`START_PRINT`)."""
         if line.name in CONDITIONAL:
-            raise line.refusal(f"{line.name} depends on what is not known here; write out what is run")
+            raise line.refusal(f"{line.name} depends on values that are not known here; write out the lines that run")
         given = {key.upper(): value for key, _, value in (part.partition("=") for part in line.rest.split())}
         self._read_other_word(line.name, line, given.get("NAME", "default"))
         if line.name == self.dialect.restoring and given.get("MOVE", "0") != "0":
@@ -240,10 +240,10 @@ class _GcodeReader:
         given, end = line.argument_texts, list[float]()
         for axis, at in zip(AXES, self.position, strict=True):
             if at is None and (relative or axis not in given):
-                say = "" if self.home else "say so with --start X,Y,Z, or "
+                say = "" if self.home else "give the position with --start X,Y,Z, or "
                 raise line.refusal(
-                    f"where the machine stands along {axis} is not known here{self.since and f' after {self.since}'};"
-                    f" {say}give X, Y and Z in the first move and in the first after homing"
+                    f"the machine's position along {axis} is not known here{self.since and f' after {self.since}'};"
+                    f" {say}give X, Y and Z in the first move and in the first move after homing"
                 )
             value = float(given[axis]) * unit if axis in given else 0.0
             end.append(value if axis in given and not relative else (at or 0.0) + value)
@@ -273,8 +273,8 @@ class _GcodeReader:
             options = "--harmless" if self.dialect.name else "--dialect or --harmless"
             raise line.refusal(
                 f"{self.shifted} may have moved zero or axes, or changed the tool; if not, say so with {options}; else"
-                " compensate what is behind it by itself"
+                " write the part after it into a file of its own"
             )
         if self.relative is None or self.unit is None:
-            raise line.refusal(f"{self.since} may have changed modes; write G90 or G91, and G20 or G21, behind it")
+            raise line.refusal(f"{self.since} may have changed modes; write G90 or G91, and G20 or G21, after it")
         return self.unit, self.relative

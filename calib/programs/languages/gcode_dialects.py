@@ -1,8 +1,8 @@
 """The meaning of G-code words in firmwares: which words leave the machine as it was, and where firmwares differ.
 
 A word that is on no list here may do anything. The lists follow the firmwares' manuals (Marlin's and RepRapFirmware's
-dictionaries of G-code, Klipper's page of commands, LinuxCNC's lists of G and M codes). If the firmware is unknown, only
-words count as harmless that are so in all of them.
+dictionaries of G-code, Klipper's page of commands, LinuxCNC's lists of G and M codes). If the firmware is unknown,
+a word counts as harmless only if it is harmless in all of them.
 """
 
 from __future__ import annotations

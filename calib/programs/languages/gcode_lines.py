@@ -33,7 +33,7 @@ class GcodeLine:
 
     Attributes:
         where: Name of the line in messages.
-        counter: The line number (N word); empty without.
+        counter: The line number (N word); empty if there is none.
         name: The command, if it is a name (`START_PRINT`).
         words: Letters and their numbers.
         rest: Other text: letters without a number, or the text after the name.
@@ -54,7 +54,7 @@ class GcodeLine:
 
     @cached_property
     def tool(self) -> str:
-        """The tool with which the line begins; empty without."""
+        """The tool with which the line begins; empty if there is none."""
         return _code(*self.words[0]) if self.words and self.words[0][0] == "T" else ""
 
     @cached_property
@@ -69,7 +69,7 @@ class GcodeLine:
 
     @cached_property
     def homing(self) -> str:
-        """The command that homes or probes; empty without."""
+        """The command that homes or probes; empty if there is none."""
         return next((code for code in self.codes if code.split(".")[0] in _HOMING), "")
 
     @cached_property
@@ -84,7 +84,7 @@ class GcodeLine:
         return takers
 
     def owner(self, vouched: Collection[str]) -> str:
-        """Return the command other than a motion that takes X, Y, Z; empty without."""
+        """Return the command other than a motion that takes X, Y, Z; empty if there is none."""
         own = _OWN_WORDS | {*vouched} | {code for code in self.codes if code[0] == "M" and code not in _WITHOUT_WORDS}
         return next((code for code in self.codes if code in own), self.homing)
 
@@ -113,7 +113,7 @@ def read_line(line: str, where: str, dialect: Dialect) -> GcodeLine | None:
     if unsure and not dialect.parentheses:
         raise DataError(f"{where}: '{unsure:.40}' is code for some firmwares; remove it, or say --dialect cnc or rrf")
     if code.startswith("/"):
-        raise DataError(f"{where}: whether lines with / are run is not known; remove the line, or the mark")
+        raise DataError(f"{where}: it is not known whether lines with / are run; remove the line, or the mark")
     words, end = [], 0
     while match := _WORD.match(code, end):
         words.append((match[1].upper(), match[2]))
@@ -165,7 +165,7 @@ def require_order(line: GcodeLine, owner: str, dialect: Dialect) -> None:
         raise line.refusal(f"{dialect.name} may not run lines without a command; write G0 or G1")
     if dialect.at_once:
         mixed = owner not in ("", line.homing) and bool(moving or "" in takers)
-    else:  # words belong to the command before them, and E is written behind all others
+    else:  # words belong to the command before them, and E is written after all others
         mixed = not takers <= {owner or "".join(moving)} or bool(owner and moving and takers)
         behind = codes[max((codes.index(code) + 1 for code in takers if code), default=0) :] if takers else []
         mixed = (

@@ -38,7 +38,7 @@ class GcodeMove:
         tail: Other words, without E.
         comments: Comments on the line, as written.
         e: E at the beginning and at the end; None without E, or where the move cannot be cut.
-        e_text: E as written; empty without.
+        e_text: E as written; empty if there is none.
         e_relative: Whether E counts from its last value.
     """
 
@@ -57,7 +57,7 @@ class GcodeMove:
 
     @property
     def motion(self) -> tuple[str, ...]:
-        """G0 or G1 as written; empty on a line without."""
+        """G0 or G1 as written; empty if the line has none."""
         return tuple(word for word in self.lead[-1:] if word.startswith("G"))
 
 

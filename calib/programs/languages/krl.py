@@ -192,7 +192,7 @@ class KrlReader(KrlFrames):
         data = Data("", 0, span) if code.bracket_content(*span, "{") else self.declared.get(name)
         if data is None:
             single = span[1] == span[0] + 1 and code.tokens[span[0]].kind == "name" and not name.startswith("$")
-            otherwise = "is declared nowhere here" if single else "is computed at run time"
+            otherwise = "is not declared here" if single else "is computed at run time"
             raise LeftOutError(self.uses.why_not(name) or otherwise)
         return data
 

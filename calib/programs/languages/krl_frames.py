@@ -130,7 +130,7 @@ class KrlFrames(Reader):
             for first, stop in code.split(data.span[0] + 1, data.span[1] - 1):
                 members[code.tokens[first].text] = code.text(first + 1, stop)
         if not {"TOOL_NO", "BASE_NO"} <= set(members) or self.uses.is_set(name):
-            why = f"{name} is {'set while the program runs' if members else 'declared nowhere here'}"
+            why = f"{name} is {'set while the program runs' if members else 'not declared here'}"
             return dict.fromkeys(SELECTED, Unknown(why, whole=True))
         tool = self.frame_named(f"TOOL_DATA[{members['TOOL_NO']}]", state)
         base = self.frame_named(f"BASE_DATA[{members['BASE_NO']}]", state)
@@ -180,7 +180,7 @@ class KrlFrames(Reader):
         elif what in BAS_FORMS and not maybe:
             self.flow.change(SELECTED, lambda state: {**state, **self._form(state["FDAT_ACT"], state)})
         elif what not in BAS_HARMLESS:
-            self.flow.mark_unknown(f"is not selected behind {code.excerpt(at, span[1] + 1)}", SELECTED)
+            self.flow.mark_unknown(f"is not selected after {code.excerpt(at, span[1] + 1)}", SELECTED)
         return True
 
     # selections for one motion or spline
@@ -206,7 +206,7 @@ class KrlFrames(Reader):
 
         def restored(state: State) -> State:
             saved = state.get(key)
-            values = saved if isinstance(saved, tuple) else [Unknown("is not known behind a spline")] * 3
+            values = saved if isinstance(saved, tuple) else [Unknown("is not known after a spline")] * 3
             return {**state, **dict(zip(SELECTED, values, strict=True))}
 
         self.flow.change(SELECTED, restored)

@@ -36,7 +36,7 @@ def numbers_of(pose: pin.SE3, rotation: Rotation, near: Sequence[float]) -> tupl
 
 
 def _to_vector(R: FloatArray, near: FloatArray) -> FloatArray:
-    """Rotation vector, (3,), of all that are the same rotation the nearest to `near`."""
+    """The rotation vector nearest to `near`, (3,), among those of the same rotation."""
     v = np.asarray(pin.log3(R))
     angle = float(np.linalg.norm(v))
     if angle < 1e-9:
@@ -50,7 +50,7 @@ def _to_quaternion(R: FloatArray, near: FloatArray) -> FloatArray:
 
 
 def _to_xyz(R: FloatArray, near: FloatArray) -> FloatArray:
-    """Roll, pitch and yaw, (3,), of both that are the same rotation the nearest to `near`."""
+    """Roll, pitch and yaw nearest to `near`, (3,), among both triples of the same rotation."""
     angles = np.asarray(pin.rpy.matrixToRpy(R))
     other = np.array([angles[0] + np.pi, np.pi - angles[1], angles[2] + np.pi])
     best = _nearest((v + 2 * np.pi * np.round((near - v) / (2 * np.pi)) for v in (angles, other)), near)

@@ -1,9 +1,9 @@
 """Joint values for the poses of a program, on the branch of the inverse kinematics that the program means.
 
 An arm reaches a pose in several ways. A program states the branch by quarter turns, signs or turns of its joints, or by
-the side of axis 1 and of the arm on which the wrist is; if it states nothing, the target before decides. So each pose
-is first solved from the pose before. If that solution is far away or contradicts the program, the solver starts from
-many joint values and takes the solution that agrees with the program and is nearest to the pose before.
+the side of axis 1 and of the arm on which the wrist is; if it states nothing, the previous pose decides. So each pose
+is first solved from the previous one. If that solution is far away or contradicts the program, the solver starts from
+many joint values and takes the solution that agrees with the program and is nearest to the previous pose.
 
 Sides are relative to a reference pose: all joints at zero for ABB and KUKA, home for FANUC's N, U and T. The wrist is
 the origin of axis 5. If the wrist axes of an arm do not meet, the side can be wrong near the border between two sides.
@@ -115,7 +115,7 @@ class NominalCell:
         reached = self._nearest_solution(goals, np.vstack([before, self._probes(_STARTS[-1])]), before, None, sides)
         if reached is None:
             return None, "is out of the nominal robot's reach"
-        return None, f"is reached by the nominal robot, but not as its configuration says ({says.text if says else ''})"
+        return None, f"is reached by the nominal robot, but not in configuration {says.text if says else ''}"
 
     def _nearest_solution(
         self, goals: Goals, starts: FloatArray, before: FloatArray, says: Configuration | None, sides: Sides

@@ -21,7 +21,7 @@ _WORDS = word_pattern(r"![^\n]*", r"[^\W\d]\w*", r":=|<=|>=|<>|[-+*/()\[\]{}=<>,
 SIZES = {"ROBTARGET": 4, "JOINTTARGET": 2, "TOOLDATA": 3, "WOBJDATA": 5}  # number of components by type
 _REFERENCES = ("INOUT", "PERS", "VAR", "REF")
 TWO_TARGETS = re.compile(r"(MOVE|TRIGG|ARC|DISP|PAINT)C")
-_BY_NAME = ("SETDATAVAL", "SETALLDATAVAL", "GETDATAVAL")  # these set or read even LOCAL data, named by a text
+_BY_NAME = ("SETDATAVAL", "SETALLDATAVAL", "GETDATAVAL")  # set or read data, even LOCAL ones, by a name in a text
 _FIXED = {"TOOL0": Frame(), "WOBJ0": Frame()}
 
 
@@ -126,7 +126,7 @@ class RapidData(Reader):
         if not known:
             place = 4 if TWO_TARGETS.match(word) else 3
             name = self.code.excerpt(*spans[place]) if len(spans) > place else "?"
-            raise LeftOutError(f"tool '{name}' is declared nowhere here; give its module with --frames")
+            raise LeftOutError(f"tool '{name}' is not declared here; give its module with --frames")
         return self._usable(known[-1])
 
     def work_object(self, options: Mapping[str, Span]) -> Frame:
@@ -136,7 +136,7 @@ class RapidData(Reader):
         name = self.code.text(*options["WOBJ"])
         if not self._is_frame(name, "WOBJDATA"):
             shown = self.code.excerpt(*options["WOBJ"])
-            raise LeftOutError(f"work object '{shown}' is declared nowhere here; give its module with --frames")
+            raise LeftOutError(f"work object '{shown}' is not declared here; give its module with --frames")
         return self._usable(name)
 
     def _usable(self, name: str) -> Frame:

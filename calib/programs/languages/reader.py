@@ -75,7 +75,7 @@ class Reader(Statements):
 
     Attributes:
         declared: Data by name.
-        foreign: The first call that may set shared data, and the remedy, in words; empty without.
+        foreign: The first call that may set shared data, and the remedy, in words; empty if there is none.
     """
 
     language: str
@@ -133,13 +133,13 @@ class Reader(Statements):
                 self.note_arguments(span, f"is an argument of '{shown}', which can set it")
             self.flow.call(name, maybe=maybe)
         elif not self.read_known_call(at, span, maybe=maybe):
-            self.note_arguments(span, f"is an argument of '{shown}', which is declared nowhere here and can set it")
+            self.note_arguments(span, f"is an argument of '{shown}', which is not declared here and can set it")
             self.uses.decide(self.names(*span), self.code.line(at))
             self.call_elsewhere(shown, self.code.line(at))
 
     def call_elsewhere(self, shown: str, line: int) -> None:
         """Process a call of a routine that is declared elsewhere."""
-        called, remedy = f"'{shown}' (line {line}), which is declared nowhere here and may", f"say --harmless {shown}"
+        called, remedy = f"'{shown}' (line {line}), which is not declared here and may", f"say --harmless {shown}"
         self.flow.mark_unknown(f"is not known after {called} {self.danger}; {remedy} if it does not", self.lost)
         self.foreign = self.foreign or f"{called} set data; {remedy} if it does not"
 
@@ -154,7 +154,7 @@ class Reader(Statements):
     def declare(self, key: str, data: Data) -> None:
         """Process a declaration."""
         if key in self.declared:
-            self.uses.note_change(re.split(r"[\[{]", key)[0], "is declared in several places; name each otherwise")
+            self.uses.note_change(re.split(r"[\[{]", key)[0], "is declared in several places; give each its own name")
             data = replace(data, span=NO_VALUE)
         self.declared[key] = data
 
@@ -200,7 +200,7 @@ class Reader(Statements):
         try:
             goal = find()
             if state is None:
-                raise LeftOutError("is a place to which the program never comes")
+                raise LeftOutError("is never reached by the program")
             place = goal.place
             reached, frames = target(goal, state)
             self.visits.append(Visit(where, reached.name or shown, place, reached, frames=frames))

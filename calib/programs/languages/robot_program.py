@@ -92,13 +92,13 @@ class ProgramTarget:
     Attributes:
         line: Number of its line, from 1.
         path: Path of its file.
-        name: Name in the program; empty without.
+        name: Name in the program; empty if it has none.
         cells: Its numbers: joint values; or a position and an orientation as the language writes it.
         rotation: Form of the orientation; None: joint values.
         frame: T_base_frame of the frame in which the pose is given.
         tool: T_flange_tool of the tool whose pose it is.
         configuration: The stated joint configuration.
-        near: Stated joint values near the pose [m or rad]; empty without.
+        near: Stated joint values near the pose [m or rad]; empty if none are stated.
     """
 
     line: int
@@ -193,7 +193,7 @@ class RobotProgram:
     Attributes:
         language: Name of its language.
         sources: Its files, the given file first.
-        targets: In the order in which the text first goes to them.
+        targets: Targets in the order in which the text first goes to them.
         left_out: Targets that stay unchanged.
     """
 

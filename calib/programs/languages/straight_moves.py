@@ -128,9 +128,8 @@ def compensate_moves(
     require_nominal_controller(robot)
     if len(robot.joint_names) != 3:
         raise DataError(
-            f"{robot.name}: has {count_noun(len(robot.joint_names), 'motor')}; a program of X, Y and Z is for a"
-            f" machine of"
-            " three, Cartesian or delta; give joints or poses (CSV)"
+            f"{robot.name}: has {count_noun(len(robot.joint_names), 'motor')}; a program of X, Y and Z is for a machine"
+            " of three, Cartesian or delta; give joints or poses (CSV)"
         )
     if not tolerance > 0:
         raise InputError("the tolerance between points must be positive")

@@ -34,7 +34,7 @@ _MOVED_ALONG = {
     "track_conveyor_linear": "stop_conveyor_tracking",
     "track_conveyor_circular": "stop_conveyor_tracking",
 }
-"""Functions that start, and that end, a motion of all targets by an amount computed at run time: names of settings."""
+"""Functions that begin to shift all targets at run time, with the functions that end it; they are names of settings."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class UrscriptReader(Reader):
             where = self.sources[0].path, self.code.line(at)
             self.uses.decide(self.names(*span), where[1])
             if name in _MOVED_ALONG:
-                why = f"moves along by '{name}' (line {where[1]})"
+                why = f"is shifted at run time by '{name}' (line {where[1]})"
                 self.flow.note_setting(_MOVED_ALONG[name], Unknown(why))
             self.visits.append(
                 Visit(where, name, None, why="moves the robot by an amount that it computes at run time")
@@ -168,7 +168,7 @@ class UrscriptReader(Reader):
         return (self._pose(self._constant(span)) if span else None) or Unknown(_NO_TOOL, whole=True)
 
     def _named_argument(self, span: Span) -> tuple[str, Span]:
-        """The name of an argument, empty without, and the span of its value."""
+        """The name of an argument, empty if it has none, and the span of its value."""
         named = span[1] > span[0] + 1 and self.code.is_mark(span[0] + 1, "=")
         return (self.code.tokens[span[0]].text, (span[0] + 2, span[1])) if named else ("", span)
 
@@ -200,7 +200,7 @@ class UrscriptReader(Reader):
         inside = code.bracket_content(span[0] + 1, span[1], "(")
         if word.text not in ("get_inverse_kin", "pose_trans") or word.text in self.routines or inside is None:
             single = span[1] == span[0] + 1 and word.kind == "name"
-            raise LeftOutError((self.uses.why_not(word.text) or "is declared nowhere here") if single else _AT_RUN_TIME)
+            raise LeftOutError((self.uses.why_not(word.text) or "is not declared here") if single else _AT_RUN_TIME)
         given = code.split(*inside)
         if word.text == "pose_trans":
             feature = self._pose(self._constant(given[0])) if len(given) == 2 else None

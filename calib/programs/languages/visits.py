@@ -14,7 +14,7 @@ from calib.core.base.errors import DataError
 from calib.programs.languages.robot_program import NotCompensated, ProgramSource, ProgramTarget, RobotProgram
 
 Place = tuple[int, int]
-"""The place of numbers: the index of the file, and of their first word."""
+"""Where numbers stand: index of the file, and index of their first word."""
 
 
 @dataclass(frozen=True)

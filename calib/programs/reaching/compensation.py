@@ -7,15 +7,15 @@ tool there:
 
 Frame. Both sides are seen from the frame of the program (`calib.core.rows.frames`): a measured frame, or the robot's
 own base frame, placed for the best agreement of both robots. A tool with an unknown place on its link is placed in the
-same way. Hence a moved tracker or reflector changes no command. A base or tool whose origin is known or a parameter
-belongs to the robot and is corrected. The expected error is the uncertainty of exactly this difference. Goals are those
-of the description's tool, the only tool that a controller has.
+same way. Hence a moved tracker or reflector changes no command. A base or tool with a known or a fitted origin belongs
+to the robot and is corrected. The expected error is the uncertainty of exactly this difference. Goals are those of the
+description's tool, the only tool that a controller has.
 
 No correction. If the verdict of the calibration finds nothing to correct, q' = q, and the error of the calibrated robot
 counts into the expected error.
 
-Kept components. The full pose, if the joints can reach it. For a robot with less freedom the position, with the
-orientation as near as the joints allow. Joints with freedom to spare stay near the program's.
+Kept components. The full pose is kept if the joints can reach it. A robot with less freedom keeps the position, with
+the orientation as near as the joints allow. Redundant joints stay near those of the program.
 
 Method. Each row starts at its own nominal joints and follows the loops from there (`reaching.descend`), which keeps the
 program's branch of the inverse kinematics and its assembly mode. Goals given as poses are first solved for the nominal
@@ -143,8 +143,8 @@ class Compensation(ReadOnlyArrays):
         with np.errstate(invalid="ignore"):
             rows = np.flatnonzero(steps[1] > steps[0] + _JUMP) + 1
         return [
-            f"{self.labels[k]}: a joint goes {steps[1][k - 1]:.2f} rad from the row before, in the program"
-            f" {steps[0][k - 1]:.2f}; the robot is near a singular pose there"
+            f"{self.labels[k]}: a joint goes {steps[1][k - 1]:.2f} rad from the row before, but only"
+            f" {steps[0][k - 1]:.2f} rad in the program; the robot is near a singular pose there"
             for k in map(int, rows)
         ]
 
@@ -170,7 +170,7 @@ def compensate(
     if keep is not None and keep not in KEEP:
         raise InputError(f"keep '{keep}'{nearest(keep, KEEP)}")
     if keep is not None and isinstance(program, Goals):
-        raise InputError("keep: a program of poses or positions says itself what it asks for; leave it out")
+        raise InputError("keep: is for programs of joints, not of poses or positions; leave it out")
     shape = () if isinstance(program, (Goals, Poses)) else np.shape(program)
     if shape[-2:] == (4, 4) and (len(shape) == 3 or len(known.robot.joint_names) != 4):
         program = goals_of_poses(cast(ArrayLike, program))
@@ -282,7 +282,7 @@ def _reasons(
         if not (why or reached):
             degrees = f" and {np.degrees(angle[k]):.3f} deg" if angle[k] > TOLERANCE else ""
             why = f"is out of reach by {millimetres(float(miss[k])):.3f} mm{degrees}"
-        result.append(why or ("" if closed[k] else "is reached on no way from home in its assembly mode"))
+        result.append(why or ("" if closed[k] else "cannot be reached from home in its assembly mode"))
     return result
 
 

@@ -1,7 +1,7 @@
 """The expected distance of a target from its goals at given commands.
 
-Errors are in the frame of the goals (`calib.core.rows.frames`) and normal: their covariance is that of the predicted
-position, their mean the error of the calibrated robot that was not corrected.
+Errors are in the frame of the goals (`calib.core.rows.frames`) and normal. Their covariance is that of the predicted
+position. Their mean is the known error that was not corrected, of the calibrated robot.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class ExpectedError(ReadOnlyArrays):
     Attributes:
         distance: Root mean square distance along the stated coordinates of the goal, (n,) [m].
         distance95: Limits of the distance in 95 of 100 cases, (2, n) [m].
-        angle: Root mean square angle from the orientation or z axis of the goal, (n,) [rad]; NaN without.
+        angle: Root mean square angle from the orientation or z axis of the goal, (n,) [rad]; NaN if it has none.
         angle95: Limits of the angle in 95 of 100 cases, (2, n) [rad].
         frame: Frame of the goals, in words.
         nothing_to_correct: Whether commands are the nominal robot's, because the verdict finds nothing to correct.

@@ -149,8 +149,8 @@ def _goals(goals: Goals | ArrayLike) -> Goals:
     odd = np.any(np.isnan(goals.positions) != np.isnan(goals.positions[:1]), axis=1)
     if np.any(odd):
         raise DataError(
-            f"{goals.labels[int(np.argmax(odd))]}: other coordinates are NaN than in the first goal; a coordinate that"
-            " is left free is NaN in all goals. Or give calib.Goals"
+            f"{goals.labels[int(np.argmax(odd))]}: its NaN coordinates are not those of the first goal; a coordinate"
+            " that is left free is NaN in all goals. Or give calib.Goals"
         )
     return goals
 

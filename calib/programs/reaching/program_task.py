@@ -37,8 +37,8 @@ class ProgramTask:
         goals: Goals of its target, and their conditions.
         joints: Joint values with which the nominal robot reaches the goals, (n, n_actuated) [m or rad].
         reasons: Reason for each goal that the nominal robot does not reach; empty for the others.
-        kept_components: The kept components, of `KEEP`.
-        nearly_reached: Full poses to stay near, if less than the pose is kept; else None.
+        kept_components: The kept components, one of `KEEP`.
+        nearly_reached: Full poses to stay near if only a position or an axis is kept; else None.
     """
 
     goals: Goals
@@ -54,7 +54,7 @@ def task_of_joints(meant: Robot, program: Poses, keep: str | None) -> ProgramTas
     Args:
         meant: The nominal robot, in the frame of the program.
         program: The joint values.
-        keep: Kept components, of `KEEP`; None: the pose if the joints move the target in all directions, else the
+        keep: Kept components, one of `KEEP`; None: the pose if the joints move the target in all directions, else the
             position.
 
     Raises:

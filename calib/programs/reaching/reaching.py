@@ -42,7 +42,7 @@ from calib.programs.reaching.goals import Goals
 _CONVERGED = 2e-13  # norm of e at which rounding dominates [m]
 LARGEST_STEP = 0.5  # largest step of a joint [rad, or characteristic lengths]
 _ITERATIONS = 100
-NEARLY = 1e-11  # norm of e below which a step without gain is rounding [m]
+NEARLY = 1e-11  # a step without gain is rounding if the norm of e is less [m]
 _SMALLEST_GAIN = 1e-7  # relative decrease of the distance that justifies another step
 _SMALLEST_DAMPING, _LARGEST_DAMPING = 1e-12, 1e6  # relative to the mean diagonal of J^T J
 NEAR_LIMIT = 1e-3  # a passive joint this close to its limit is held back [rad, or characteristic lengths]

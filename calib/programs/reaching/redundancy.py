@@ -48,7 +48,7 @@ from calib.programs.reaching.reaching import (
 _STEPS = 60
 _TOLERANCE = 1e-7  # tolerance of w within the null space [rad, or characteristic lengths]
 _SHORTEST = 1e-3  # smallest tried part of a step
-_WEIGHT = 100.0  # sigma; with 20, two in a hundred searches end early, with 1 a seventh of them
+_WEIGHT = 100.0  # sigma; with 20, two in a hundred searches end early, with 1 one search in seven
 _ROUNDING = 1e-12  # rounding of a step: a smaller component crosses no limit
 
 

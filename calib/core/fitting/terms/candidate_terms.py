@@ -19,9 +19,9 @@ from calib.core.robots.terms.terms import TERMS
 from calib.core.rows.prediction import UndecidedTerms
 
 TELLS = 3.0
-"""Log evidence from which a kind of term is proven: odds of 20 to 1 (kass1995)."""
-_OF_ORDER = "the data do not state the direction of approach (columns approach_JOINT)"
-_SAME_TORQUE = 1e-6  # range of the torque of gravity below which a joint's load is constant [N m or N]
+"""A kind of term is proven by at least this log evidence: odds of 20 to 1 (kass1995)."""
+_NO_DIRECTION = "the data do not state the direction of approach (columns approach_JOINT)"
+_SAME_TORQUE = 1e-6  # a joint's load is constant if the torque of gravity changes by no more [N m or N]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class CandidateTerm:
         return any(p.family for term in self.terms_in(robot) for p in term.parameters)
 
     def scaled_sections(self, robot: Robot, factors: Mapping[str, float]) -> tuple[TermSection, ...]:
-        """Return the entries for some joints, in a robot with these terms, with sigmas times a factor of each joint."""
+        """Return the entries for the joints of `factors`, with the sigmas in a robot times the factor of each joint."""
         terms = self.terms_in(robot)
         sigma = {t.joint: float(factors[t.joint] * t.parameters[0].sigma_si) for t in terms if t.joint in factors}
         resized: list[TermSection] = []
@@ -185,7 +185,7 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> CandidateTerm:
         if not sections:
             return CandidateTerm(name, refusal="gravity loads no joint differently from pose to pose")
     doubtful = Condition.APPROACH in kind.depends_on and not data.states_approach
-    return CandidateTerm(name, sections, reason_against=_OF_ORDER if doubtful else "")
+    return CandidateTerm(name, sections, reason_against=_NO_DIRECTION if doubtful else "")
 
 
 def why_term_unknown(kind: type[JointTerm], data: Measurements) -> str:
@@ -201,7 +201,7 @@ def why_term_unknown(kind: type[JointTerm], data: Measurements) -> str:
 
 
 def _shows(kind: type[JointTerm], joint: str, robot: Robot, data: Measurements) -> bool:
-    """Whether a joint can show a kind of term in these measurements; for a coupling the joint that drives."""
+    """Whether a joint can show a kind of term in these measurements; of a coupling, the driving joint is meant."""
     if kind.needs_more(robot.mechanism.dimensions[joint]):
         return False
     if Condition.APPROACH in kind.depends_on:

@@ -14,7 +14,7 @@ from calib.core.robots.terms.term import Context
 
 _POINTS = 721
 BEYOND = 0.02
-"""Distance outside the measured range, over that range, up to which a joint's curve holds."""
+"""A joint's curve also holds outside of the measured range, up to this part of it at each end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,10 +24,10 @@ class JointCurve(ReadOnlyArrays):
     Attributes:
         dimension: Whether a length or an angle.
         command: Commanded values over the measured range, (n,) [m or rad].
-        error: Actual minus commanded by the family, (n,) [m or rad].
+        error: Actual minus commanded value, by the curve, (n,) [m or rad].
         std: Standard deviation of `error`, (n,) [m or rad].
         rms: Root mean square of the error over the used visits [m or rad].
-        rms_std: Root mean square of its standard deviation over these [m or rad].
+        rms_std: Root mean square of its standard deviation over the used visits [m or rad].
     """
 
     joint: str

@@ -1,11 +1,11 @@
 """The mixed model of kinds of joint errors around a fit (`calib.core.numerics.mixed_model`).
 
-Around the fit, rows are linear in its free parameters and in the coefficients of joint terms that its robot lacks. Each
-kind of term is a family, or one for each joint where joints differ (`JointTerm.differs`). Each joint also has an error
-that differs from pose to pose, which stands for errors of no kind.
+Near a fit, the rows are linear in its free parameters, and in the coefficients of joint terms that the fit lacks. The
+coefficients of one kind of term are a family; where joints differ (`JointTerm.differs`), each joint has its own family.
+Each joint also has an error that differs from pose to pose, which stands for errors of no kind.
 
-Uncertainty of the sizes. With coefficients u and covariance C of several sets of sizes, cov u = mean of C + covariance
-of u around those of the fit. The difference to the C of the fit is added to the covariance of the fit.
+Uncertainty of the sizes. Each possible set of sizes gives coefficients u with a covariance C. Their total covariance,
+mean of C + mean of (u - u_fit)(u - u_fit)^T, less the C of the fit, is added to the covariance of the fit.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
 _POSES = 500  # number of poses from which sizes are found
-_LITTLE = 0.01  # part of the largest variance of readings by undecided terms; smaller directions are left out
+_LITTLE = 0.01  # directions of undecided terms that add less than this part of the largest variance are left out
 
 
 @dataclass(frozen=True)
@@ -83,13 +83,13 @@ class KindModel:
     """Rows of kinds of joint errors around a fit.
 
     Args:
-        scales: Sigma of its free parameters, (n_free,) [SI], so that families of the fit keep their sizes; if not
-            given, they are families of this model, too.
+        scales: Sigmas of the fit's free parameters, (n_free,) [SI]: the fit's families keep their sizes. If not given,
+            the fit's families are families of this model, too.
 
     Attributes:
         robot: The robot with terms of all kinds.
         families: The families of the model.
-        of_kinds: Mask of the families of these kinds, (n_families,).
+        of_kinds: Mask of the families that come from `kinds`, (n_families,).
     """
 
     def __init__(self, fit: SolvedProblem, kinds: Sequence[CandidateTerm], scales: FloatArray | None = None) -> None:
@@ -157,7 +157,7 @@ class KindModel:
             model: Model of `rows`.
             fitted: Logarithms of the sizes of the fit, (n_sizes,).
             others: Logarithms of each possible set of sizes, (n_sets, n_sizes).
-            terms: Entries of terms that the fit lacks, and these sets have.
+            terms: Entries of terms that these sets have, and the fit lacks.
         """
         at = model.solve(fitted)
         added, before = -at.covariance, at.condensed_coefficients

@@ -74,7 +74,7 @@ LEAST_POSES = 16
 _SMALL = 0.05  # part of the usual size: so small a family is fitted only if the rows show it
 _SHOWS = 1.0  # rise of the log likelihood by a family that the rows show
 _DRAWS = 24
-_SHORTEST = 0.3  # length of a component of usual size, over the noise of the fit, below which it is dropped
+_SHORTEST = 0.3  # a component of usual size is dropped if its length is below this part of the fit's noise
 _LIMITS = (0.025, 0.975)
 
 
@@ -159,7 +159,7 @@ class _TermModel:
         return self._solved[kinds]
 
     def _most_evidence(self, kind: str, kinds: frozenset[str]) -> float:
-        """The most that a kind may raise the log likelihood, by solved sets of kinds: more kinds fit better."""
+        """Upper bound of a kind's gain of log likelihood, from solved sets of kinds, because more kinds fit better."""
         fewer, more = kinds - {kind}, kinds | {kind}
         worst = min((at.cost for known, at in self._solved.items() if known <= fewer), default=np.inf)
         return worst - min((at.cost for known, at in self._solved.items() if known >= more), default=-np.inf)
@@ -273,7 +273,7 @@ class _TermModel:
         return draw_sizes(self._solved_model, _DRAWS, np.random.default_rng(self._fit.seed))
 
     def undecided(self, fitted_terms: tuple[TermSection, ...]) -> UndecidedTerms | None:
-        """Return the uncertainty that the sizes leave in these terms and in the others; None without any."""
+        """Return the uncertainty that the sizes leave in these terms and in the others; None if they leave none."""
         fitted = np.append(self._is_fitted, np.ones(len(self._smallest_logs) - len(self._families), dtype=bool))
         logs = np.where(fitted, self._chosen_model.logs, self._smallest_logs)
         others = missing_terms(self._fit.robot.with_terms(fitted_terms), self._sections)
@@ -282,8 +282,8 @@ class _TermModel:
     def expected_rms(self) -> float:
         """Return the expected root mean square error at left-out poses, of the main part of the readings [SI].
 
-        NaN where each pose stands alone, where no terms are fitted, and where poses have several readings: the shape of
-        their shared error is not known, and may be far from that of joint errors.
+        NaN where each pose stands alone, where no terms are fitted, and where poses have several readings: the error
+        that these share is unknown, and may be unlike errors of joints.
         """
         fit, layout = self._fit, self._fit.whitening.layout
         if layout.n_readings > len(np.unique(layout.pose)) or not np.any(self._is_fitted & self._kind_model.of_kinds):

@@ -61,8 +61,8 @@ def budget_grid(fit: Fit) -> Grid | None:
     unit, before, causes = budget["unit"], budget["rms_before"], budget["causes"]
     of, on_page = "poses not used", "that the fit has not used"
     if budget["set"] == "identification":
-        of = "poses used, corrected for the noise that the fit followed"
-        on_page = "that the fit has used (corrected for the noise that it followed)"
+        of = "used poses, corrected for noise that the fit absorbed"
+        on_page = "that the fit has used (corrected for noise that it absorbed)"
     columns = (
         GridColumn("", "cause", words=True),
         GridColumn(f"RMS {unit}", f"RMS [{unit}]"),

@@ -1,4 +1,4 @@
-"""The robots of a fit's files: the content of each kind of file, and its error."""
+"""How much of a calibrated robot each kind of file holds, and the error that it leaves."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from calib.core.robots.robot_files import lost_by
 
 
 def files_of(fit: Fit) -> dict[Holds, FileRobot]:
-    """Return the robot for each kind of file that this robot has."""
+    """Return the robot that each kind of file can hold; none for kinds without a format."""
     nowhere = () if formats_that_hold(Holds.TO_LAST_AXIS, fit.nominal) else (Holds.TO_LAST_AXIS,)
     known = {holds: fit.robot.files.get(holds) for holds in Holds if holds not in nowhere}
     return {holds: file_robot for holds, file_robot in known.items() if file_robot is not None}

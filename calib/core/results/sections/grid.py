@@ -58,7 +58,7 @@ class Grid:
         caption: Text above it on a page.
         columns: Its columns; the first names the rows.
         rows: Their cells.
-        counting: Rows that count most.
+        counting: Numbers of the rows that matter most; a page marks them.
     """
 
     title: str

@@ -40,7 +40,7 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
                 }
             )
         n_readings = len(fit.identification.data.readings.get(instrument.name, ()))
-        kind = sections[instrument.name].kind if sections else "position"  # none is listed: those of every target
+        kind = sections[instrument.name].kind if sections else "position"  # without `instruments`, each target has one
         blocks.append({"name": instrument.name, "kind": kind, "n_readings": n_readings, "parts": parts})
     return blocks
 

@@ -15,7 +15,7 @@ _NONE = "none, because the measurements show none"
 
 
 def terms_table(fit: Fit) -> dict[str, object]:
-    """Return the request, the entries, the choice, and where curves hold."""
+    """Return the requested terms, the entries of the description, the choice, and where curves hold."""
     choice = fit.terms
     tried = [] if choice is None else choice.trials
     return {
@@ -51,7 +51,7 @@ def terms_lines(fit: Fit) -> list[str]:
     lines += (
         [f"Joint terms that the measurements neither show nor exclude: {listing(left, '; ', count)}"] if left else []
     )
-    return lines + ([f"Joint terms that they cannot show: {listing(refused, '; ', count)}"] if refused else [])
+    return lines + ([f"Joint terms that these data cannot show: {listing(refused, '; ', count)}"] if refused else [])
 
 
 def _size_in_words(trial: TermTrial) -> str:
@@ -66,7 +66,7 @@ def _size_in_words(trial: TermTrial) -> str:
 
 
 def _coefficients(fit: Fit, kind: str) -> list[str]:
-    """Return the outcome for each coefficient of a kind with one for each joint, in a line."""
+    """Return the coefficients of a kind that has one for each joint, in a line."""
     terms = [term for term in fit.robot.terms if type(term) is TERMS[kind] and len(term.parameters) == 1]
     found = [fit.parameters[term.parameters[0].name] for term in terms]
     clear = [c for c in found if abs(c.value_si) > float(c.half95_si)]
@@ -77,7 +77,7 @@ def _coefficients(fit: Fit, kind: str) -> list[str]:
 
 
 def terms_added(fit: Fit) -> list[str]:
-    """Return the added joint terms in a line; none without a choice."""
+    """Return the added joint terms in a line; no line if there was no choice."""
     if fit.terms is None or not fit.terms.automatic:
         return []
     added = [trial.term for trial in fit.terms.trials if trial.added]

@@ -14,16 +14,16 @@ _NEAR = 1e-6
 
 
 def check_term(term: JointTerm, q: FloatArray, j: int, context: Context) -> None:
-    """Raise `ComputationError` where a term does not keep what its class promises.
+    """Raise `ComputationError` if a term does not keep what its class promises.
 
     Args:
         q: Commands that show it, (n, n_actuated) [m or rad].
         j: Place of its joint among the actuated ones.
-        context: Conditions that show it, the torque among them if it asks for it.
+        context: Conditions that show it; also the torque, if the term needs it.
 
     Raises:
-        ComputationError: Columns have a wrong shape or are not finite, do not change with what it says that it depends
-            on, or are not those of its formula; a derivative by the torque is not that of the columns.
+        ComputationError: Columns have a wrong shape, are not finite, do not change with a condition of `depends_on`, or
+            are not those of the formula; or `torque_derivative` is not that of the columns.
     """
     subject, shape = type(term).__qualname__, (len(q), len(term.parameters))
     columns = term.columns(q, j, context)
@@ -35,7 +35,7 @@ def check_term(term: JointTerm, q: FloatArray, j: int, context: Context) -> None
         off = np.abs(formula.columns(context.inputs(q)) - columns)
         _require(bool(np.all(off < _NEAR)), f"{subject}: its formula gives other columns than `columns`")
     for condition in term.depends_on:
-        by_torque = condition == Condition.LOAD and term.needs_torque  # which has the load in it
+        by_torque = condition == Condition.LOAD and term.needs_torque  # the torque contains the load
         less = None if by_torque else _without(context, condition)
         changes = less is None or not np.array_equal(term.columns(q, j, less), columns)
         _require(changes, f"{subject}: says that it depends on {condition.words}, and columns are the same without it")
@@ -44,7 +44,10 @@ def check_term(term: JointTerm, q: FloatArray, j: int, context: Context) -> None
         step = 1e-6 * max(float(np.max(np.abs(context.torque))), 1.0)
         ends = [term.columns(q, j, replace(context, torque=context.torque + s * rate)) for s in (step, -step)]
         off = np.abs(term.torque_derivative(q, j, context, rate) - (ends[0] - ends[1]) / (2 * step))
-        _require(bool(np.all(off < 1e-4 * max(float(np.max(np.abs(columns))), 1.0))), f"{subject}: by_torque is wrong")
+        _require(
+            bool(np.all(off < 1e-4 * max(float(np.max(np.abs(columns))), 1.0))),
+            f"{subject}: torque_derivative is wrong",
+        )
 
 
 def _without(context: Context, condition: Condition) -> Context | None:

@@ -61,7 +61,7 @@ class Coupling(JointTerm):
 
     @classmethod
     def entries(cls, term: str, joints: Sequence[str], actuated: Sequence[str]) -> tuple[TermSection, ...]:
-        """Return one for every joint driven by every other one that moved: who drives, data say."""
+        """Return an entry for each pair of a joint and another one that moved: data show which joint drives which."""
         pairs = ((joint, other) for joint in actuated for other in joints if joint != other)
         return tuple(CouplingSection(joint=joint, term=term, driven_by=other) for joint, other in pairs)
 

@@ -32,7 +32,7 @@ class Source(Enum):
 
 
 Known = Mapping[Source, FloatArray]
-"""The numbers of n commands, (n, n_joints) or (n, 1) each."""
+"""Values of each source at n commands, (n, n_joints) or (n, 1)."""
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ class OneCoefficient(JointTerm):
     Attributes:
         source: Quantity that phi is proportional to, for the term's own joint if there is one for each (class
             attribute).
-        factor: By which factor (class attribute).
+        factor: Factor from this quantity to phi (class attribute).
         word: Last part of the coefficient's name (class attribute).
         expected_angle: Expected size of the coefficient of a joint that turns, where nothing is stated [rad] (class
             attribute).

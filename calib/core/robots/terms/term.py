@@ -77,7 +77,7 @@ Condition.LOAD = Condition("the load", "load", "mass")
 Condition.ANOTHER_JOINT = Condition("another joint")
 CONTEXT: dict[str, Dimension | None] = {"time": "time", "temperature": "temperature", "load": "mass", **GRAVITY}
 """Columns with the conditions of a visit, and their dimensions."""
-_STEP = 1e-4  # step of a central difference by the torque, over the largest torque
+_STEP = 1e-4  # step of a central difference by the torque, as part of the largest torque
 REFERENCE_TEMPERATURE = 20.0
 """Temperature at which lengths hold [degC]; fixed, so that a coefficient means the same for every file."""
 

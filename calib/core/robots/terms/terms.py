@@ -55,9 +55,9 @@ else:
 
 
 def condition_columns(terms: Iterable[JointTerm] = ()) -> dict[str, Dimension | None]:
-    """Return the columns of a file that say under which conditions a visit was made, with what they measure.
+    """Return the columns of a file for the conditions of a visit, with their dimensions.
 
-    Those of a term that cannot be loaded are left out; naming that term raises the reason.
+    Columns of a term that cannot be loaded are left out; the error is raised when that term is used.
 
     Args:
         terms: A robot's joint terms; some read columns of their own.
@@ -72,7 +72,7 @@ def condition_columns(terms: Iterable[JointTerm] = ()) -> dict[str, Dimension | 
 
 
 def terms_text(terms: str | Sequence[str]) -> str:
-    """Return a choice of terms as text: a list of names or of `JOINT=TERM` with commas between, text as it is.
+    """Return a choice of terms as text: names or `JOINT=TERM` with commas between; text is returned unchanged.
 
     Raises:
         InputError: It is neither, or an empty list.

@@ -1,14 +1,14 @@
 """The arm's chain in a URDF, if the link with the measured point is not named.
 
-The arm is the chain with the most motors, without the fingers of a gripper; of equally long chains, the first in the
-file. Fingers are first recognised by structure: two or more joints on one link whose longest two have about the same
-reach, all shorter than a third of the way from the arm's first joint to there. (In the robots of Pinocchio's
+The arm is the chain with the most motors, without the fingers of a gripper; if chains are equally long, the first in
+the file. Fingers are first recognised by structure: two or more joints on one link whose longest two have about the
+same reach, all shorter than a third of the way from the arm's first joint to that link. (In the robots of Pinocchio's
 example-robot-data, hands reach up to a quarter of that way, the arms of a torso more than twice as far.) A gripper with
 one moving joint looks like a last axis; there names decide: the last joint and its link are both called finger, gripper
 or the like, and the joint before is not.
 
-When it fails. A tool changer with two short tools that have motors looks like a gripper, and of two legs and an arm
-with as many joints the first in the file is taken. Omitted joints are always reported, and `calib init --target`
+When it fails. A tool changer with two short tools that have motors looks like a gripper. If legs and an arm have
+equally many joints, the first in the file is taken. Omitted joints are always reported, and `calib init --target`
 overrules.
 """
 
@@ -22,8 +22,8 @@ from calib.core.base.errors import DescriptionError, require_known
 from calib.core.base.words import listing
 from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText, require_supported
 
-_SHORT = 1 / 3  # reach of fingers over the way from the arm's first joint to them
-_ALIKE = 0.5  # reach of the second longest finger over that of the longest
+_SHORT = 1 / 3  # fingers reach less than this part of the way from the arm's first joint to them
+_ALIKE = 0.5  # the second longest finger reaches at least this part of the longest
 _FINGER = re.compile("finger|thumb|jaw|claw", re.IGNORECASE)
 _GRIPPER = re.compile(f"gripper|{_FINGER.pattern}", re.IGNORECASE)
 _SHOWN = 8
@@ -197,7 +197,7 @@ class _Tree:
         }
 
     def _end(self, body: str) -> str:
-        """The last link in the file at the end of a body: no stiff finger, and beyond a palm if there is one."""
+        """The last link in the file at an end of a body, without stiff fingers; beyond the palm if the body has one."""
         ties = {link for loop in self.urdf.mjcf.loops for link in loop.links} if self.urdf.mjcf else set()
         links = [link for link in self.urdf.links if self.body[link] == body and link not in ties]
         plain = [link for link in links if not self._is_stiff_finger(link)] or links

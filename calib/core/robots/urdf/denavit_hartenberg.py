@@ -15,8 +15,8 @@ the common normal of the two axes, and Z' turns about and slides along the next 
 next joint, so it is multiplied onto the next M. Of the two directions of a common normal, the one with cos(theta) >= 0
 is taken.
 
-Parallel axes. If two axes meet at a small angle s, an error of the axes moves the foot of their common normal by 1/s as
-much, and the foot may be far outside the robot; at s = 0 it is anywhere. Where the sine of the angle is below
+Parallel axes. If two axes meet at a small angle s, an error e of the axes moves the foot of their common normal by e/s,
+and the foot may be far outside the robot; at s = 0 it is anywhere. Where the sine of the angle is below
 `NEARLY_PARALLEL`, Hayati's form is used: d = 0, X goes to the point where the next axis pierces the plane z = 0, and a
 turn beta about y, which is zero in other rows, gives the axis its direction. Both forms have four numbers, and Hayati's
 has no singularity there.
@@ -46,7 +46,7 @@ Kind = Literal["revolute", "prismatic", "fixed"]
 CONVENTIONS: tuple[Convention, ...] = ("standard", "modified")
 KINDS: tuple[Kind, ...] = ("revolute", "prismatic", "fixed")
 NEARLY_PARALLEL = 0.05
-"""Sine of the angle between two axes below which Hayati's form is used."""
+"""Hayati's form is used if the sine of the angle between two axes is less."""
 _FAR_AWAY = 5.0  # distance of an origin, along the joint's axis, from the joint before it [m]
 _COINCIDENT = 1e-12  # axes with a smaller distance have no common normal with a direction [m]
 _ROUNDING = 1e-14  # smaller numbers are rounding errors of 0 [m or rad]

@@ -53,7 +53,7 @@ from calib.core.robots.urdf.writing import (
 
 _DRAWN = 12  # configurations for the directions of a loop
 _SPREAD = 0.3  # standard deviation from the file's configuration [m, rad]
-_MOVES = 1e-7  # singular value over the largest above which joints move along a direction
+_MOVES = 1e-7  # joints move along a direction whose singular value is more than this part of the largest
 _SHOWN_GROUPS = 3  # number of shape groups: MuJoCo draws groups 0, 1 and 2
 _NOT_HELD = "a URDF cannot hold it; take it out of the file, or its joints if the arm does not need them"
 _MESHES = (".stl", ".obj", ".dae", ".ply")
@@ -365,7 +365,7 @@ class _MjcfReader:
         return ids, [_se3(data[0:3], straight), _se3(data[3:6], straight)]
 
     def _loop_axes(self, bodies: list[int], points: list[FloatArray]) -> tuple[FloatArray, int]:
-        """Axes of a loop in its first body, (3, 3), those along which joints move first, and the number of these."""
+        """Axes of a loop in its first body, (3, 3), and how many of them, the first ones, joints move along."""
         mujoco, model = self.mujoco, self.model
         data, random = mujoco.MjData(model), np.random.default_rng(0)
         columns = []

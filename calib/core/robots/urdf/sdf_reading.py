@@ -3,9 +3,9 @@
 With the poses of links, joints and frames resolved in the model (`relative_to`, `attached_to`):
 
     link        a link of its name in its frame
-    joint       T_parent_joint; then T_joint_child, by a link between them unless that is the identity
+    joint       T_parent_joint; a link between them and T_joint_child unless T_joint_child is the identity
     axis        in the joint's frame; in the model's before SDF 1.5, or with `use_parent_model_frame`
-    mimic       with its reference value in the offset
+    mimic       with the offset of URDF: offset - multiplier * reference
     a link that is the child of two joints
                 a loop, cut open at the later joint: two coinciding links, z along its axis. It holds x and y if all
                 other joints of the loop turn about parallel axes, or slide across them; else x, y and z
@@ -50,7 +50,7 @@ def read_sdf(source: bytes, path: str) -> MjcfRobot:
     model = next(root.iter("model"), None)
     if model is None or model.find("link") is None:
         what = "it includes others" if root.find(".//include") is not None else "it has no model with links"
-        raise UrdfError(f"{path}: {what}; write one whole model, such as by gz sdf -p, or give the URDF")
+        raise UrdfError(f"{path}: {what}; write one whole model, such as with gz sdf -p, or give the URDF")
     for tag in ("include", "model"):
         if model.find(tag) is not None:
             raise UrdfError(

@@ -47,7 +47,7 @@ TYPES = {
     "ur30": (0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543),
 }
 """The maker's d1, a2, a3, d4, d5, d6 of each type [m]."""
-_FAR = 0.03  # RMS distance from a type above which a robot is not of the type [m]
+_FAR = 0.03  # a robot is not of a type if its RMS distance from it is larger [m]
 _TOOL = np.array([0.0, 0.0, 0.1])  # compared point in the last joint's frame [m]
 _POSES = 200
 

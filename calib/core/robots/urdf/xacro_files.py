@@ -51,7 +51,7 @@ def expand(path: Path | str, arguments: Mapping[str, str]) -> bytes:
         UrdfError: The package is missing, or the file cannot be expanded.
     """
     given = [f"{name}:={value}" for name, value in arguments.items()]
-    elsewhere = f"or expand it where ROS is: {' '.join(['xacro', str(path), *given])} > robot.urdf"
+    elsewhere = f"or expand it on a computer with ROS: {' '.join(['xacro', str(path), *given])} > robot.urdf"
     environment = {name: os.environ[name] for name in (*_PACKAGES, *_SYSTEM) if name in os.environ}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     command = [sys.executable, "-P", "-X", "utf8", "-m", __name__, str(Path(path).resolve()), *given]
@@ -98,7 +98,7 @@ def _process(xacro: Any, path: str, values: dict[str, str]) -> Any:
 
     Raises:
         _OutsideError: Arguments without a value; it names all of them.
-        Exception: Others, of xacro.
+        Exception: Any other error of xacro.
     """
     lacking: dict[str, str] = {}
     while True:

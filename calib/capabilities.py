@@ -32,6 +32,7 @@ ENTRY_POINTS = tuple(
         ("calib.kinds", "sighting", "calib.redundancy.sighting:Sighting"),
         ("calib.kinds", "pointing", "calib.redundancy.pointing:Pointing"),
         ("calib.kinds", "cable", "calib.redundancy.cable:Cable"),
+        ("calib.reasons", "negative_spool", "calib.redundancy.cable:check_spools"),
         ("calib.kinds", "hole_pattern", "calib.redundancy.hole_pattern:HolePattern"),
         ("calib.reasons", "between_holes", "calib.redundancy.hole_pattern:check_holes"),
         ("calib.terms", "play", "calib.redundancy.drive_terms:Play"),

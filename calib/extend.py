@@ -16,9 +16,22 @@ A package names its additions in its `pyproject.toml`, under these groups of ent
 A notebook registers kinds and terms in `KINDS` and `TERMS`. `check_kind` and `check_term` test them.
 """
 
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import ComputationError, DataError, DescriptionError, InputError
 from calib.core.base.parameter import Parameter
-from calib.core.base.sections import FrameSection, PositiveAngle, PositiveLength, Quantity, Section
+from calib.core.base.sections import (
+    KNOWN_ZERO,
+    Component,
+    FrameSection,
+    LengthOrUnknown,
+    OwnLength,
+    PositiveAngle,
+    PositiveLength,
+    PositiveLengthOrUnknown,
+    Quantity,
+    Section,
+)
+from calib.core.base.units import millimetres, quantity
 from calib.core.commands.common import Output
 from calib.core.commands.first_files import FirstFiles
 from calib.core.data.other_formats import OtherFormat, SomeFile
@@ -55,10 +68,12 @@ from calib.quality.protocol import Check, Phase
 
 __all__ = [
     "KINDS",
+    "KNOWN_ZERO",
     "TERMS",
     "Check",
     "Column",
     "Comparison",
+    "Component",
     "ComputationError",
     "Condition",
     "Context",
@@ -66,6 +81,7 @@ __all__ = [
     "DescriptionError",
     "FirstFiles",
     "Fit",
+    "FloatArray",
     "Format",
     "FormatFile",
     "Formula",
@@ -75,16 +91,19 @@ __all__ = [
     "Holds",
     "InputError",
     "InstrumentSection",
+    "IntArray",
     "Joint",
     "JointComparison",
     "JointInstrument",
     "JointTerm",
+    "LengthOrUnknown",
     "NamedComponent",
     "NamedOrigins",
     "Noise",
     "Origin",
     "OtherFormat",
     "Output",
+    "OwnLength",
     "Parameter",
     "Parametrisation",
     "Part",
@@ -93,6 +112,7 @@ __all__ = [
     "Place",
     "PositiveAngle",
     "PositiveLength",
+    "PositiveLengthOrUnknown",
     "Proportional",
     "Quantity",
     "Readings",
@@ -111,5 +131,7 @@ __all__ = [
     "check_kind",
     "check_term",
     "coefficient",
+    "millimetres",
+    "quantity",
     "twist_of_edit",
 ]

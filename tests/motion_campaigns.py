@@ -52,8 +52,10 @@ ROBOTS = (
     "docs/examples/stewart.yaml",
 )
 LEG = {"cylinder": [0.1, 0.7], "xyz": [0.237, 0.34, -0.04], "rpy": [0, np.pi / 2, 0]}  # see medrue.workspace
+OWN_KEYS = {"tiago_no_hand": {"self_clearance": 0.002}}  # at 3.3 mm of its wrist, less than the usual 5 mm, it turns
 FINER = 10
 POSES_IN_A_SCENE = 5  # campaigns of a robot among the same boxes, each with other poses
+LEAST = 1e-3  # clearance of which the steps are a part, at least [m]
 ARC = 1.02  # by which a point's way between two steps is longer than the straight line, at most
 
 
@@ -68,15 +70,26 @@ def source(name):
 
 
 def load(path, **keys):
-    """Return the robot of a URDF or of a description, with further keys."""
+    """Return the robot of a URDF or of a description, with further keys; joints that cannot be 0 have a home."""
     if path.suffix != ".yaml":
-        return calib.robot(path, **keys)
+        return calib.robot(path, **{"home": _middles(path)} | OWN_KEYS.get(path.stem, {}) | keys)
     content = yaml.safe_load(path.read_text())
     content["urdf"] = str(path.resolve().parent / content["urdf"])
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, path.name)
         file.write_text(yaml.safe_dump(content | keys))
         return calib.load(file)
+
+
+def _middles(urdf):
+    """Middles of the limits without 0."""
+    limits = {joint.get("name"): joint.find("limit") for joint in ET.parse(urdf).getroot().iterfind("joint")}
+    ends = {
+        name: [float(limit.get(key, 0)) for key in ("lower", "upper")]
+        for name, limit in limits.items()
+        if limit is not None
+    }
+    return {name: (low + high) / 2 for name, (low, high) in ends.items() if low > 0 or high < 0}
 
 
 def _transform(xyz, rpy):
@@ -391,7 +404,7 @@ def campaign(path, seed, n_poses=5):
     found, steps, gap = set(), 0, 0.0
     for one, other in itertools.pairwise(corners):
         moved = np.abs(np.diff(scene.configurations(np.array([one, other]))[0], axis=0))[0]
-        n = max(1, int(np.ceil(np.max(reach @ moved / (scene.margins / 2), initial=0.0))))
+        n = max(1, int(np.ceil(np.max(reach @ moved / (np.maximum(scene.margins, LEAST) / 2), initial=0.0))))
         values = values_at(robot, scene, one + np.linspace(0, 1, n + 1)[:, None] * (other - one))
         if robot.mechanism.loops:
             gap = max(gap, gap_of_loops(robot, checker, values))

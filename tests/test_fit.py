@@ -10,9 +10,9 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, measurements, noisy, write_six_axis
 
 import calib
-from calib.core.fitting.fitted import Convergence
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.settings import Settings
+from calib.core.fitting.solved_fit import Convergence
 from calib.core.fitting.solving import convergence_at, place, reuse_placement, solve_from, uncertainty_at
 from calib.core.fitting.terms.candidate_terms import missing_terms
 from calib.core.results.result_reading import load_result, read_content

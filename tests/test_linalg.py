@@ -86,7 +86,6 @@ def test_the_second_method_gives_what_the_first_would(numpy_fails):
     truth = np.arange(20.0)
     assert linalg.lstsq(tall, tall @ truth) == pytest.approx(truth, abs=1e-9)
     assert linalg.pinv(tall) @ tall == pytest.approx(np.eye(20), abs=1e-11)
-    assert linalg.cond(tall) == pytest.approx(sizes[0] / sizes[-1])
     basis = linalg.orth(np.hstack([tall, tall]))
     assert basis.shape == (60, 20)
     assert basis @ (basis.T @ tall) == pytest.approx(tall, abs=1e-12)
@@ -102,10 +101,9 @@ def test_of_a_stack_only_the_matrices_that_failed_have_the_second_method(numpy_f
     assert values[0, 1] == pytest.approx(10 * alone[0] + 1.0, abs=1e-12)
 
 
-def test_rank_and_condition_of_singular_matrices():
+def test_rank_of_singular_matrices():
     singular = np.diag([2.0, 1.0, 0.0])
     assert (linalg.matrix_rank(singular), linalg.matrix_rank(-singular, hermitian=True)) == (2, 2)
-    assert linalg.cond(np.stack([singular, np.eye(3)])).tolist() == [np.inf, 1.0]
     assert linalg.solution_and_rank(singular, np.ones(3))[1] == 2
     assert linalg.pinv(singular).tolist() == np.diag([0.5, 1.0, 0.0]).tolist()
 

@@ -8,7 +8,7 @@ import scipy
 
 from calib.core.numerics.mixed_model import MixedModel
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows
-from calib.core.numerics.size_search import draw_sizes, information_by_size, likeliest_sizes
+from calib.core.numerics.size_search import draw_sizes, information_by_size, least_sizes, likeliest_sizes
 
 GROUPS = np.tile([0, 0, 1], 20)
 POSES = np.repeat(np.arange(20), 3)
@@ -131,7 +131,7 @@ def test_a_pose_that_is_left_out_is_predicted_by_a_solution_without_its_rows(sma
 def test_blocks_that_are_left_out_are_predicted_by_a_solution_without_their_rows(small):
     solved, weight = MixedModel.from_rows(small).solve(LOGS), np.array([2.0, 0.5])
     block = np.arange(20) % 3
-    squares = solved.left_out_squares(block[[small.pose[places[0]] for places in solved.model.poses]], weight)
+    squares = solved.left_out_squares(block[small.pose], weight)
     for k in range(3):
         there, others = np.flatnonzero(block[POSES] == k), np.flatnonzero(block[POSES] != k)
         kept = MixedModel.from_rows(
@@ -153,8 +153,7 @@ def test_what_a_block_alone_decides_is_no_error_of_it(small):
         solved = MixedModel.from_rows(
             MixedRows(columns, values, family, GROUPS * 0, small.has_stated_noise[:1], POSES, none)
         ).solve(LOGS[:3])  # fmt: skip
-        at = np.array([small.pose[places[0]] for places in solved.model.poses])
-        squares.append(solved.left_out_squares((at >= 10).astype(int), np.ones(1)))
+        squares.append(solved.left_out_squares((POSES >= 10).astype(int), np.ones(1)))
     np.testing.assert_allclose(squares[1], squares[0], rtol=1e-6)
     assert squares[0][0] > 1.0
 
@@ -220,6 +219,25 @@ def test_components_that_rows_do_not_see_are_put_aside():
     assert MixedModel.from_rows(rows).x.shape == (40, 1)
     length = np.sqrt(2.0) * np.linalg.norm(one)
     assert [MixedModel.from_rows(rows, factor * length).x.shape[1] for factor in (0.99, 1.01)] == [1, 0]
+
+
+def test_of_more_columns_than_rows_as_many_components_are_kept_as_there_are_rows():
+    columns = np.random.default_rng(7).normal(size=(6, 40))
+    none, n = np.zeros((6, 0)), np.arange(6)
+    rows = MixedRows(columns, columns[:, 0], np.zeros(40, dtype=int), 0 * n, np.array([True]), n, none)
+    x = MixedModel.from_rows(rows).x
+    assert x.shape == (6, 6)
+    np.testing.assert_allclose(x @ x.T, columns @ columns.T, atol=1e-12)
+
+
+def test_an_absent_family_ends_at_its_bound_where_the_noise_is_a_small_part_of_the_values():
+    """A search ends beside the likeliest noise, on either side: no noise at all is no alternative to it."""
+    rng = np.random.default_rng([9, 6])
+    columns = rng.normal(size=(120, 10)) * np.repeat([1.0, 0.01], 5)
+    values, none = columns[:, :5] @ rng.normal(size=5) + 0.01 * rng.standard_normal(120), np.zeros((120, 0))
+    group, family = np.zeros(120, dtype=int), np.repeat([0, 1], 5)
+    model = MixedModel.from_rows(MixedRows(columns, values, family, group, np.array([False]), np.arange(120), none))
+    assert likeliest_sizes(model).logs[1] == least_sizes(model)[1]
 
 
 def test_noise_and_scatter_are_told_apart_by_directions_that_joints_do_not_move():

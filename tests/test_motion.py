@@ -325,6 +325,7 @@ def test_the_route_command_writes_programs_and_a_table_that_joins_by_pose(tmp_pa
         ("obstacles:\n  rock: {mesh: rock.stl}\n", "rock.stl' is not there"),
         ("obstacles:\n  rock: {plane: true, frame: l3}\n", "a plane cannot move"),
         ("obstacles:\n  rock: {sphere: 1 mm, frame: l33}\n", "no link or joint 'l33'"),
+        ("obstacles: unchecked\n", "nobody should drive an unchecked way"),
     ],
 )
 def test_scenes_that_cannot_be_are_one_line(tmp_path, run_calib, more, said):
@@ -342,6 +343,10 @@ def test_no_free_candidate_and_a_missing_mesh_are_said(tmp_path, run_calib):
     run = run_calib("select", yaml, tmp_path / "p.csv", "-n", 1, "--out", tmp_path / "c.csv")
     assert run.code == 2
     assert "none of the candidates is free: 2 of 2 poses not free" in run.err
+    (tmp_path / "f.csv").write_text((tmp_path / "p.csv").read_text() + "c,0.1,0,0,0,0,0\n")
+    run = run_calib("select", yaml, tmp_path / "f.csv", "-n", 2, "--out", tmp_path / "c.csv")
+    assert (run.code, run.err.count("\n")) == (2, 1)
+    assert "only 1 of the candidates are free, and 2 are to be chosen: 2 of 3 poses not free (2 " in run.err
     run = run_calib("route", yaml, tmp_path / "p.csv", "--out", tmp_path / "r")
     assert run.code == 3
     assert "none of 2 poses can be visited" in run.err
@@ -383,6 +388,10 @@ def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_pa
     (tmp_path / "arm.srdf").write_text("<robot name='other'/>")
     with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
         surroundings(calib.load(yaml))
+    (tmp_path / "arm.srdf").write_text("<robot name='six axes'>")
+    with pytest.raises(DescriptionError, match=r"arm.srdf: is not XML \(no element found"):
+        surroundings(calib.load(yaml))
+    (tmp_path / "arm.srdf").write_text("<robot name='other'/>")
     (tmp_path / "p.csv").write_text("pose,j1,j2,j3,j4,j5,j6\na,0.5,0,0,0,0,0\n")
     for command in ("route", "sample", "select"):
         given = () if command == "sample" else (tmp_path / "p.csv",)
@@ -391,6 +400,41 @@ def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_pa
         assert (run.code, run.err.count("\n")) == (2, 1)
         assert "is the SRDF of robot 'other'" in run.err
         assert not (tmp_path / "out").exists()
+
+
+def test_only_what_touches_at_a_home_within_the_limits_is_left_unchecked(tmp_path):
+    folded, near = np.array(
+        [[0, 0, 0, 0, -2.4, 0], [0, 0, 0, 0, -2.0, 0]]
+    )  # the wrist hits the forearm; 17 mm are left
+    home = "self_clearance: 20 mm\nhome: {j5: %s}\n"
+    touching = calib.load(_write(tmp_path, home % folded[4]))
+    assert check_poses(touching, folded[None]).is_free
+    assert "not checked, as they touch at home: l4 - l6" in surroundings(touching).scene.remarks
+    up = as_poses(touching, np.zeros((1, 6)), ["up"])
+    assert any("nothing around the robot is checked" in remark for remark in plan_route(touching, up).remarks)
+    close = calib.load(_write(tmp_path, home % near[4]))
+    assert check_poses(close, np.array([folded, near])).hits == ("l4 - l6", "")
+    assert "checked without clearance, as they are nearer at home: l4 - l6" in surroundings(close).scene.remarks
+    assert not check_move(surroundings(close).scene, near, np.zeros(6)).hit
+    parts = _shaped().rsplit('lower="-3"', 2)  # of the fifth joint
+    shorter = parts[0] + 'lower="-2.2"' + parts[1] + 'lower="-3"' + parts[2]
+    impossible = calib.load(_write(tmp_path, home % folded[4], shorter))
+    assert check_poses(impossible, folded[None]).hits == ("l4 - l6",)
+    with pytest.raises(InputError, match=r"j5 = -137\.5 deg, beyond its limits \(-126\.1 deg to 171\.9 deg\)"):
+        plan_route(impossible, up)
+
+
+@needs_ompl
+def test_a_pose_that_no_way_leads_to_is_left_out_with_the_pair_that_blocks_the_straight_one(tmp_path):
+    post = {"post": ((0.06, 0.06, 3.0), (0.0, 0.5, 1.0))}  # only the first joint moves, and the post is in its way
+    first, *others = _shaped().split('lower="-3" upper="3"')
+    urdf = 'lower="-3" upper="3"'.join([first, 'lower="1.1" upper="1.3"'.join(others[:2])])
+    urdf = 'lower="-0.1" upper="0.1"'.join([urdf, *others[2:]])
+    robot = calib.load(_write(tmp_path, _obstacles("1 mm", post) + "home: {j2: 1.2}\n", urdf))
+    poses = as_poses(robot, np.array([[-1, 1.2, 0, 0, 0, 0], [2.6, 1.2, 0, 0, 0, 0]]), ["before", "behind"])
+    route = plan_route(robot, poses)
+    assert [stop.name for stop in route.stops] == ["before"]
+    assert re.fullmatch(r"no free way leads there, l\d - post blocks the straight one", route.left_out["behind"])
 
 
 def test_a_wall_and_a_turned_reflector_are_in_sight(tmp_path):

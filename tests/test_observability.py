@@ -101,3 +101,15 @@ def test_the_root_squares_to_the_covariance_however_clear_the_rank_is(smallest, 
     )
     assert known.root.shape[1] == known.rank.rank == int(np.sum(seen))
     assert known.log_determinant == pytest.approx(float(np.sum(np.log(squares[seen]))), abs=1e-8)
+
+
+@pytest.mark.parametrize("smallest", [1.0, 1e-7])
+def test_many_columns_with_priors_give_the_same_covariance(smallest):
+    rng = np.random.default_rng(4)
+    rows = rng.standard_normal((300, 150)) * np.where(np.arange(150) < 149, 1.0, smallest)
+    priors = np.eye(150)[:140]
+    known = information(rows, priors)
+    scale = np.append(np.ones(149), smallest)
+    inverse = np.linalg.inv((rows.T @ rows + priors.T @ priors) / np.outer(scale, scale)) / np.outer(scale, scale)
+    np.testing.assert_allclose(known.covariance * np.outer(scale, scale), inverse * np.outer(scale, scale), atol=1e-7)
+    np.testing.assert_allclose(known.root @ known.root.T, known.covariance, rtol=1e-7, atol=1e-12)

@@ -83,3 +83,20 @@ def test_intervals_of_families_that_are_hardly_seen_hold():
             hits.append(np.abs(sizes * u - truth) < 1.96 * sizes * np.sqrt(np.diag(variance)))
     assert 0.93 < np.mean(inside) < 0.97
     assert np.mean(plainly) < np.mean(inside) - 0.01
+
+
+def test_what_rows_do_not_see_of_a_family_says_nothing_about_its_size():
+    rng = np.random.default_rng(5)
+    seen = rng.standard_normal((40, 6))
+    residuals = 2.0 * seen @ rng.standard_normal(6) + rng.standard_normal(40)
+    turn = np.linalg.qr(rng.standard_normal((10, 10)))[0]
+    unseen = np.hstack([seen, np.zeros((40, 4))]) @ turn  # six directions of ten coefficients
+    found = []
+    for jacobian in (seen, unseen):
+        n = jacobian.shape[1]
+        products = Products.from_rows(jacobian, residuals, np.zeros(40, dtype=int), 1)
+        family, prior, zero = np.zeros(n, dtype=int), Prior(np.ones(n, dtype=bool)), np.zeros(n)
+        found.append(find_noise_with_families(products, prior, zero, np.array([True]), family, np.ones(1)))
+    (noise, size), (same_noise, same_size) = found
+    assert np.allclose(same_noise, noise, rtol=1e-9)
+    assert np.allclose(same_size, size, rtol=1e-9)

@@ -5,6 +5,8 @@ What is read is made by other code: the six-axis arm written out, formulas of po
 """
 
 import argparse
+import ast
+import importlib
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +21,7 @@ from six_axis_arm import joints, write_six_axis
 from test_kind_coverage import BALL, Chain, six_axis_chain
 
 import calib
+from calib import extend, redundancy
 from calib.core.instruments.kind import Readings, View
 from calib.core.instruments.kinds import KINDS
 from calib.core.judging.verdict import judge
@@ -29,6 +32,7 @@ from calib.core.robots.terms.terms import TERMS
 from calib.core.rows.jacobian import linearise
 from calib.exporting.joint_tables import joint_tables, lost_by_tables
 from calib.extend import check_kind, check_term
+from calib.planning.assessment_text import text_report, to_dict
 from calib.redundancy.rotary_axes import FORMATS
 from viz.error_charts import error_charts
 from viz.result_charts import joint_shares
@@ -40,6 +44,8 @@ NEAR = {"j3.ry": -0.006, "j4.rx": 0.004, "j5.ry": 0.005, "j3.z": 0.601}
 FREE = "  - {origin: j3, components: [ry], sigma: 20 mrad}\n  - {origin: j4, components: [rx], sigma: 20 mrad}\n"
 FREE += "  - {origin: j5, components: [ry], sigma: 20 mrad}\n  - {origin: j3, components: [z], sigma: 5 mm}\n"
 BALLS = {"near": [0.5, 0.1, 0.3], "far": [0.2, -0.6, 0.5]}
+OFF = 0.02 * np.array([[1, -1, 0.5], [-1, 1, 1], [0.5, 1, -1]])  # of the taxels' described places [m]
+TAXELS = {"palm": [0.5, 0.0, 0.3], "wrist": [0.35, 0.3, 0.1], "elbow": [0.3, -0.2, -0.1]}
 SENSOR = np.array([0.03, -0.02, 0.08, 0.1, 2.0, -0.5])
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SIGMA, ARCSEC = 2e-5, np.radians(1 / 3600)
@@ -105,6 +111,36 @@ def sighted(folder):
         noisy = values + SIGMA * rng.standard_normal(values.shape)
         readings = Readings(np.arange(60), number, noisy, None, number[:, None].astype(float))
         return calib.as_measurements(robot, q, {"eye": readings})
+
+    return robot, true, drawn
+
+
+class OwnLink:
+    """The arm as its own link l1 sees it, as `kind_checks.brought` wants it."""
+
+    def positions(self, q):
+        onto, back = six_axis_chain(np.asarray(q), NEAR), Rotation.from_rotvec(-q[:, [0]] * [0, 0, 1.0])
+        return back.apply(onto[:, :3, :3] @ BALL + onto[:, :3, 3] - [0, 0, 0.4])[:, None]
+
+
+def self_touched(folder):
+    """A finger on the hand that touches taxels of its own first link, whose places are off by centimetres."""
+    yaml = f"{ARM}targets: {{finger: {{frame: l6, xyz: {BALL.tolist()}}}}}\ninstruments:\n"
+    yaml += "  skin: {kind: touch, target: finger, sigma: 0.02 mm, places: {"
+    yaml += ", ".join(
+        f"{name}: {{frame: l1, xyz: {(np.array(at) + off).tolist()}, position: unknown, sigma: 20 mm}}"
+        for (name, at), off in zip(TAXELS.items(), OFF, strict=True)
+    )
+    robot = load(folder, "arm.yaml", f"{yaml}}}}}\nparametrisation:\n{FREE}")
+    places = {name: dict(zip("xyz", at, strict=True)) for name, at in TAXELS.items()}
+    true = NEAR | {f"{name}.{axis}": value for name, at in places.items() for axis, value in at.items()}
+
+    def drawn(rng):
+        words = np.array(list(TAXELS))[rng.integers(0, 3, 90)]
+        points = np.array([TAXELS[word] for word in words]) + SIGMA * rng.standard_normal((90, 3))
+        q, ok = brought(OwnLink(), rng.uniform(-1.5, 1.5, (90, 6)), points)
+        kept = np.flatnonzero(ok)[:50]
+        return calib.as_measurements(robot, q[kept], {"skin": [str(word) for word in words[kept]]})
 
     return robot, true, drawn
 
@@ -279,6 +315,7 @@ def spooled(folder):
 
 CASES = {
     "sighting": sighted,
+    "self_touch": self_touched,
     "pointing": pointed,
     "holes": pegged,
     "drive": driven,
@@ -439,6 +476,34 @@ def test_what_a_hand_that_turns_about_the_vertical_alone_cannot_tell_is_named(tm
     assert [found["camera.x"], found["camera.y"]] == pytest.approx([-0.456, -0.037], abs=2e-4)
 
 
+def test_a_check_of_parameters_that_move_no_position_predicts_no_position_error(tmp_path):
+    robot, _, drawn = pointed(tmp_path)
+    assessment = calib.check(robot, drawn(np.random.default_rng(0)))
+    text, content = text_report(assessment, "stars"), to_dict(assessment)
+    assert "No free parameter moves a position" in text
+    assert "mm" not in text
+    assert (content["accuracy_mm"]["rms"], content["accuracy_mm"]["max"]) == (None, None)
+    assert "none of which moves a position" in repr(assessment)
+
+
+@pytest.mark.skipif(not (SHARED / "telescope_altaz").is_dir(), reason="the stars are not here")
+def test_stars_on_both_sides_of_an_equatorial_mount_give_the_published_terms(tmp_path):
+    """Hour angle and declination stand for azimuth and altitude; RTS2's check_python_gpoint_gem has the terms.
+
+    Its FO, declinations that change with the cosine of the hour angle, is -AN at the few hour angles of these stars;
+    its CH and NP have the other sign than CA and NPAE.
+    """
+    rows = np.genfromtxt(SHARED / "telescope_altaz" / "gpoint_in_gem.txt")
+    lst, read, true = rows[:, 2], rows[:, 3:5], rows[:, 7:9]
+    q, stars = (np.radians(np.column_stack([lst - at[:, 0], at[:, 1]])) for at in (read, true))
+    yaml = MOUNT_YAML.replace(", sigma: 5 arcsec", "").partition("joint_terms")[0] + "held: [IA, AW]\n"
+    robot = load(tmp_path, "mount.yaml", yaml, MOUNT)
+    fit = calib.fit(robot, calib.as_measurements(robot, q, {"star": stars}))
+    terms = dict(zip(fit.free_names, fit.robot.values[fit.unknowns.index] / ARCSEC, strict=True))
+    published = {"IE": -1613.58, "CA": 216.39, "NPAE": -444.38, "AN": -143.16}
+    assert terms == pytest.approx(published, abs=5.0)  # a standard deviation is 7 to 21 arc seconds
+
+
 @pytest.mark.skipif(not (SHARED / "telescope_altaz").is_dir(), reason="the stars are not here")
 def test_every_second_star_of_a_real_telescope_tells_of_the_others(tmp_path):
     rows = np.genfromtxt(SHARED / "telescope_altaz" / "altaz.csv", delimiter=",", skip_header=1)
@@ -522,6 +587,17 @@ def test_a_controller_gets_where_each_axis_of_rotation_is(tmp_path):
         FORMATS[0].write(arm, [])
     with pytest.raises(calib.DescriptionError, match="the URDF has no joint 'a', 'b' or 'c'"):
         load(tmp_path, "arm.yaml", ARM + "targets: {pin: {frame: l6}}\nparametrisation: rotary_axes\n")
+
+
+@pytest.mark.parametrize("path", sorted(Path(redundancy.__file__).parent.glob("*.py")), ids=lambda path: path.stem)
+def test_a_machine_needs_no_more_than_the_public_door(path):
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 120
+    for node in (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)):
+        if node.module.startswith("calib"):
+            own = importlib.import_module(node.module)
+            for alias in node.names:
+                assert getattr(extend, alias.name) is getattr(own, alias.name)
 
 
 def main():

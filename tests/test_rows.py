@@ -46,7 +46,7 @@ class Case:
     def rows(self, groups=None):
         unknowns = Unknowns.from_robot(self.robot)
         groups = self.whitening.start() if groups is None else np.array(groups)
-        return self.whitening.rows(self.observed, groups, unknowns, unknowns.deviations(self.robot.values))
+        return self.whitening.rows(self.observed, groups, unknowns, self.robot.values)
 
     def plain(self, target):
         """Residuals (n, 3) [m] and scaled Jacobian (n, 3, n_free) [m] of a target, gaps left out."""

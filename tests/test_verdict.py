@@ -11,7 +11,7 @@ from six_axis_arm import FREE, YAML, joints, measurements, noisy, write_six_axis
 
 import calib
 from calib.core.data.measurements import with_points
-from calib.core.fitting.fitted import Convergence
+from calib.core.fitting.solved_fit import Convergence
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import _margin_above_mean
 from calib.core.judging.blind_spots import unordered

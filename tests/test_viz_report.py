@@ -23,6 +23,7 @@ from calib.core.judging.next_step import next_step
 from calib.core.results.sections.budget import worst_joint, worst_joints
 from viz.error_charts import _views, error_charts, page_rows
 from viz.joint_charts import corrections, dials
+from viz.judgement import robot_to_load
 from viz.pose_sources import from_fit
 from viz.report_page import (
     command_line,
@@ -383,6 +384,54 @@ def test_outliers_have_a_mark_of_their_own_in_every_plot():
     assert bad[0].startswith("pose 50 (left out")
 
 
+def test_outliers_do_not_hide_what_is_left_at_the_joints_nor_colour_a_square():
+    fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))))
+    charts, _ = charts_of(fit)
+    for panel in charts["by-joint"].panels:
+        low, high = panel["y"]["ends"]
+        sizes = sorted(abs(y) for layer in panel["layers"] if layer["kind"] == "points" for y in layer["y"])
+        assert panel["y"]["beyond"]
+        assert -low == high
+        assert sizes[-2] < high < 2 * sizes[-2] < sizes[-1]  # all but the spoiled reading, and not much more
+    for panel in charts["planes"].panels:
+        cells, points = panel["layers"]
+        assert max(float(text.split()[3]) for text in cells["texts"]) < 0.3  # mm; the spoiled reading is 1 mm off
+        assert len(points["x"]) == 84  # and is drawn
+
+
+def test_a_cause_that_makes_the_error_larger_has_a_bar_back(fit, monkeypatch):
+    """Made up: 4 = 2 + 1.5 - 1 + 1.5 mm^2 of four causes."""
+    causes = [{"cause": name, "mean_square": part, "rms": 1.0, "share": 0.1, "remark": ""}
+              for name, part in zip("abcd", (2.0, 1.5, -1.0, 1.5), strict=True)]  # fmt: skip
+    monkeypatch.setattr("viz.result_charts.budget_table", lambda _: {"causes": causes, "unit": "mm", "rms_before": 2.0})
+    chart = waterfall(fit)
+    (bars,) = chart.panels[0]["layers"]
+    assert bars["right"][0] == pytest.approx(2.0)
+    assert np.square(bars["right"]) - np.square(bars["left"]) == pytest.approx([2.0, 1.5, 1.0, 1.5], abs=1e-3)
+    assert len(set(bars["colours"])) == 2
+    assert bars["colours"][0] == bars["colours"][1] != bars["colours"][2]
+    assert "makes it larger" in chart.text
+
+
+@pytest.mark.parametrize(
+    ("grade", "command", "words"),
+    [
+        (
+            "PASS",
+            COMMAND,
+            "calibrated.urdf, beside this page, for simulators and ROS; for a controller: calib export c",
+        ),
+        ("CHECK", "", "calibrated.urdf, beside this page, for simulators and ROS; preliminary: see Next"),
+        ("FAIL", COMMAND, "none: the verdict is FAIL (--force writes calibrated.urdf)"),
+    ],
+)
+def test_the_page_names_the_file_to_load(fit, monkeypatch, grade, command, words):
+    made = dataclasses.replace(fit.verdict, grade=grade)
+    monkeypatch.setattr("viz.judgement.judge", lambda _: made)
+    assert robot_to_load(fit, command).startswith(words)
+    assert f"Robot to load {words}"[:30] in words_of(undrawn(fit, command=command))
+
+
 def test_causes_of_the_error_fall_from_the_error_before_to_zero(fit):
     (panel,) = waterfall(fit).panels
     (bars,) = panel["layers"]
@@ -424,6 +473,7 @@ def test_the_page_alone_answers_ten_questions(fit, html):
         "what is next": rf"Next: {re.escape(str(next_step(fit)).partition(': ')[0])}: calib ",
         "where was it measured": r"Where it was measured x .* mm in",
         "how sure is that": r"predicted positions are known to [\d.]+ mm on average, [\d.]+ mm at worst",
+        "which file is to be loaded": r"Robot to load calibrated\.urdf",
         "what is left, and why": r"not explained [\d.]+ .* The rest is as large as the stated noise",
         "what is not known": r"What could not be identified .*? Held at nominal .*?\bd31\b",
     }

@@ -42,7 +42,14 @@ class Chart:
     wide: int = 300
 
 
-def axis(label: str, *, log: bool = False, ends: Sequence[float] | None = None, names: Sequence[str] = ()) -> Any:
+def axis(
+    label: str,
+    *,
+    log: bool = False,
+    ends: Sequence[float] | None = None,
+    names: Sequence[str] = (),
+    beyond: bool = False,
+) -> Any:
     """Return an axis of a panel.
 
     Args:
@@ -50,9 +57,10 @@ def axis(label: str, *, log: bool = False, ends: Sequence[float] | None = None, 
         log: Whether it is logarithmic.
         ends: Its range; default: the range of the marks.
         names: Categories, the first at the top or on the left, in place of numbers.
+        beyond: Whether marks beyond the ends of an upright axis are drawn at these.
     """
     shown = None if ends is None else [float(value) for value in ends]
-    return {"label": label, "log": log, "ends": shown, "names": list(names)}
+    return {"label": label, "log": log, "ends": shown, "names": list(names), "beyond": beyond}
 
 
 def panel(

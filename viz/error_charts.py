@@ -83,8 +83,9 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
         low, high = (joint.per_si * end for end in limits.get(joint.name, (-np.inf, np.inf)))
         reach = max(float(np.ptp(own)), 1e-3)
         within = np.isfinite([low, high]).all() and high - low < 8 * reach
-        ends = [low, high] if within else [own.min() - 0.05 * reach, own.max() + 0.05 * reach]
-        return axis(f"{joint.name} [{joint.unit}]", ends=ends), own[one]
+        low, high = (low, high) if within else (own.min(), own.max())
+        space = 0.05 * (high - low)  # so that marks at the ends are whole
+        return axis(f"{joint.name} [{joint.unit}]", ends=[low - space, high + space]), own[one]
 
     panels = []
     for a, b in pairs:
@@ -173,7 +174,8 @@ class _Part:
         places, size = _MM * self._rows.anchors, self._sizes["after"]
         known = np.flatnonzero(np.isfinite(places).all(axis=1) & np.isfinite(size))
         known = known[np.argsort(size[known], kind="stable")]  # the largest on top
-        ordinary = size[known[~self._rows.outlier[known]]]
+        usual = ~self._rows.outlier[known]
+        ordinary = size[known[usual]]
         highest = float(ordinary.max()) if len(ordinary) else 1.0
         palette = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b, _ in colours().tolist()]
 
@@ -182,7 +184,7 @@ class _Part:
 
         panels = []
         for view, across, up, x, y in _views(places[known]):
-            cells = _cells(x, y, size[known]) if len(known) else None
+            cells = _cells(x[usual], y[usual], size[known[usual]]) if usual.any() else None
             layers = [] if cells is None else [
                 layer("cells", x=cells[0], y=cells[1], width=cells[3], height=cells[3], colours=painted(cells[2]),
                       texts=[f"mean error here {value:.3g} {self._unit}" for value in cells[2]])
@@ -192,7 +194,7 @@ class _Part:
         return Chart(
             *self._chart_name("planes", "Errors over the workspace, after calibration"),
             f"From dark (0) to bright ({highest:.3g} {self._unit}; outliers beyond). A square is the mean of what was"
-            " measured in it; where there is none, nothing was measured.",
+            " measured in it, without outliers; where there is none, nothing was measured.",
             tuple(panels),
         )
 
@@ -225,6 +227,9 @@ class _Part:
         left, axes = self._scale * self._rows.residuals("after"), self._rows.part.axes
         usual = ~self._rows.outlier
         looks = list("xyz")
+        beyond = self._rows.outlier.any() and np.isfinite(left[usual]).any()
+        reach = 1.2 * float(np.nanmax(np.abs(left[usual]))) if beyond else 0.0
+        y = axis(f"residual [{self._unit}]", ends=[-reach, reach] if reach else None, beyond=reach > 0)
         panels = []
         for number, joint in enumerate(self._joints):
             values, layers = joint.per_si * self._rows.joints[:, number], []
@@ -238,13 +243,11 @@ class _Part:
                         "line", "", colour, **_local_mean(values[known[usual[known]]], component[known[usual[known]]])
                     )
                 )
-            panels.append(
-                panel(axis(f"{joint.name} [{joint.unit}]"), axis(f"residual [{self._unit}]"), layers, height=240)
-            )
+            panels.append(panel(axis(f"{joint.name} [{joint.unit}]"), y, layers, height=240))
         return Chart(
             *self._chart_name("by-joint", "Residuals against each joint"),
             "Predicted minus measured, with its local mean: a line that bends away from zero is an error of that joint"
-            " that no parameter describes.",
+            " that no parameter describes." + (" Outliers further off lie at the edge." if reach else ""),
             tuple(panels),
             280,
         )

@@ -115,4 +115,4 @@ def _dial(name: str, value: float, half: float, unit: str, turn: float) -> dict[
         layer("points", "", COLOURS["after"], x=[-np.sin(needle)], y=[np.cos(needle)], texts=[says]),
     ]
     around = axis("")
-    return dict(panel(around, around, layers, title=f"{name} {value:+.3f} {unit}", height=170, equal=True, bare=True))
+    return dict(panel(around, around, layers, title=f"{name}\n{value:+.3f} {unit}", height=170, equal=True, bare=True))

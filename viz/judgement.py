@@ -9,6 +9,7 @@ from typing import Any
 from calib import Fit
 from calib.core.judging.next_step import next_step
 from calib.core.judging.reasons import Code
+from calib.core.judging.rules_model import why_no_origins
 from calib.core.judging.verdict import judge
 
 
@@ -36,12 +37,29 @@ class Judgement:
 
 def following_words(fit: Fit, command: str) -> str:
     """Return the next step, with file names from the command line of the fit if it has all of them."""
-    following, words = next_step(fit), shlex.split(command)
-    folder = next((words[k + 1] for k, word in enumerate(words[:-1]) if word in ("--out", "-o")), "")
+    following, words, folder = next_step(fit), shlex.split(command), _folder(command)
     data = fit.identification.data.path
     if not folder or not {fit.nominal.path, data} <= set(words):
         return str(following)
     return following.with_file_names(fit.nominal.path, [data], folder, {})
+
+
+def robot_to_load(fit: Fit, command: str) -> str:
+    """Return which file of the result holds the robot, or why there is none, and the command for a controller's."""
+    grade = judge(fit).grade
+    why = "the verdict is FAIL" if grade == "FAIL" else why_no_origins(fit)
+    if why:
+        return f"none: {why} (--force writes calibrated.urdf)"
+    folder = _folder(command)
+    more = f"; for a controller: calib export {folder} (its --help lists the formats)" if folder else ""
+    doubt = "; preliminary: see Next" if grade == "CHECK" else ""
+    return f"calibrated.urdf, beside this page, for simulators and ROS{more}{doubt}"
+
+
+def _folder(command: str) -> str:
+    """Folder of the result in the command line of a fit; empty if it names none."""
+    words = shlex.split(command)
+    return next((words[k + 1] for k, word in enumerate(words[:-1]) if word in ("--out", "-o")), "")
 
 
 def judgement_of_fit(fit: Fit, command: str = "") -> Judgement:

@@ -35,7 +35,7 @@ from calib.core.results.sections.parameters import parameter_grid
 from viz.charts import Charts
 from viz.error_charts import conditions, coverage, error_charts, page_rows
 from viz.joint_charts import corrections, dials
-from viz.judgement import following_words
+from viz.judgement import following_words, robot_to_load
 from viz.page_parts import chart_parts, places
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks, record, signatures
@@ -105,6 +105,7 @@ def report_page(
         worst=worst(fit),
         worst_joint=worst_joint(fit),
         extent=extent(table),
+        to_load=robot_to_load(fit, command),
         measured_in=frame_name(fit.nominal),
         remarks=fit_remarks(fit, beside_record=True),
         record=record(fit),

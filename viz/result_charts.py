@@ -91,9 +91,10 @@ def waterfall(fit: Fit) -> Chart | None:
     if budget is None:
         return None
     causes, unit = budget["causes"], budget["unit"]
-    squares = np.array([max(row["mean_square"], 0.0) for row in causes])
+    squares = np.array([row["mean_square"] for row in causes])
     ends = np.sqrt(np.maximum(np.cumsum(squares[::-1])[::-1], 0.0))  # the error before each cause is removed
     starts = np.append(ends[1:], 0.0)
+    colours = [COLOURS["after"] if end >= start else COLOURS["x"] for start, end in zip(starts, ends, strict=True)]
     texts = [
         f"{row['cause']}: {row['rms']:.3g} {unit} RMS, {100 * row['share']:.2g} % of the mean square"
         if np.isfinite(row["rms"])
@@ -101,14 +102,16 @@ def waterfall(fit: Fit) -> Chart | None:
         for row in causes
     ]
     names = [row["cause"] for row in causes]
-    bars = layer("bars", "", COLOURS["after"], y=np.arange(len(names)), left=starts, right=ends, thick=0.7, texts=texts)
+    sides = {"left": np.minimum(starts, ends), "right": np.maximum(starts, ends)}
+    bars = layer("bars", y=np.arange(len(names)), **sides, thick=0.7, texts=texts, colours=colours)
+    larger = " A cause with a bar in orange makes it larger." if np.any(starts > ends) else ""
     return Chart(
         "waterfall",
         "Causes of the error before calibration",
-        f"From {budget['rms_before']:.3g} {unit} at the top, each cause takes away its part; squares add up.",
+        f"From {budget['rms_before']:.3g} {unit} at the top, each cause takes away its part; squares add up.{larger}",
         (
             panel(
-                axis(f"RMS error [{unit}]", ends=[0, 1.03 * ends[0]]),
+                axis(f"RMS error [{unit}]", ends=[0, 1.03 * max(ends)]),
                 axis("", names=names),
                 [bars],
                 height=90 + 30 * len(names),
@@ -158,5 +161,6 @@ def file_worth_chart(fit: Fit) -> Chart | None:
         layer("bars", "95 % limit", COLOURS["before"], y=places, left=0 * rms, right=limit, thick=0.4, texts=texts),
         layer("bars", "RMS", COLOURS["after"], y=places, left=0 * rms, right=rms, thick=0.7, texts=texts),
     ]
-    shown = panel(axis(f"error [{unit}]"), axis("", names=names), layers, height=90 + 34 * len(names))
+    most = 1.05 * max(np.nanmax(rms), np.nanmax(limit, initial=0.0))
+    shown = panel(axis(f"error [{unit}]", ends=[0, most]), axis("", names=names), layers, height=90 + 34 * len(names))
     return Chart("worth", "What files are worth", "The shorter, the better.", (shown,), 600)

@@ -1,8 +1,11 @@
 """Pairs of shapes that are not checked for collisions, as in MoveIt's setup assistant.
 
 - Links that a joint or a loop connects: their shapes meet there.
-- Links that touch at home, or at nearly all of many poses: nearly constant contact is a matter of their shapes.
+- Links that touch at home, or at nearly all of many poses: nearly constant contact is a matter of their shapes. A home
+  outside the joint limits is none: the robot cannot stand there.
 - Pairs that an SRDF beside the URDF disables.
+
+Links that are only nearer than their clearance at home are built so; they are checked without clearance.
 
 Unlike in MoveIt, pairs that never touched at many poses are checked: they cost microseconds, and rare contacts are the
 ones that break robots. Obstacles and parts of the tool are only exempt from constant contact. An obstacle in constant
@@ -12,7 +15,9 @@ contact with a moving link is misplaced, which is an error.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from xml.parsers.expat import ExpatError
 
 import numpy as np
 
@@ -22,11 +27,12 @@ from calib.core.base.files import read_text
 from calib.core.base.words import count_noun
 from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.links import element_tree
-from calib.motion.scene import CollisionScene, all_shapes, moving_between
+from calib.motion.scene import CollisionScene, all_shapes, exceeds_limits, moving_between
 from calib.motion.shapes import is_moved_frame
 
 _SAMPLES = 400
 _ALWAYS = 0.95  # part of the samples
+_TOUCH = 1e-4  # distance of shapes that touch, at most [m]
 _SHOWN = 6
 
 
@@ -63,22 +69,30 @@ def _without_permanent_contacts(scene: CollisionScene) -> CollisionScene:
     """The scene without pairs that touch at home or at nearly all poses."""
     if not scene.pairs:
         return scene
-    touching = scene.distances(scene.configurations(home_and_more(scene.robot, _SAMPLES, 0))[0])
+    apart = scene.distances(scene.configurations(home_and_more(scene.robot, _SAMPLES, 0))[0])
     names = [scene.name(k) for k in range(len(scene.pairs))]
     given = np.array([scene.bodies[a].is_described or scene.bodies[b].is_described for a, b in scene.pairs], dtype=bool)
     order = np.array([sorted(set(names)).index(name) for name in names])
-    hit = np.stack([np.any(touching[:, order == k] <= 0, axis=1) for k in range(order.max() + 1)], axis=1)[:, order]
-    always = np.mean(hit, axis=0) >= _ALWAYS
-    home = hit[0] & ~given
-    _require_room(scene, touching, always)
-    for reason, out in (("touch at home", home & ~always), ("touch at nearly all poses", always)):
-        left_out = list(dict.fromkeys(np.array(names)[out]))
-        if left_out:
-            more = f" and {count_noun(len(left_out) - _SHOWN, 'further pair')}" if len(left_out) > _SHOWN else ""
-            scene = scene.with_pairs(
-                scene.pairs, f"not checked, as they {reason}: {', '.join(left_out[:_SHOWN])}{more}"
-            )
-    kept = ~(always | home)
+
+    def any_of_name(mask: BoolArray) -> BoolArray:
+        return np.stack([np.any(mask[:, order == k], axis=1) for k in range(order.max() + 1)], axis=1)[:, order]
+
+    near = any_of_name(apart <= 0)
+    at_home = ~given & (not np.any(exceeds_limits(scene.robot, scene.robot.home)))
+    always = np.mean(near, axis=0) >= _ALWAYS
+    touching = at_home & ~always & any_of_name(apart[:1] + scene.margins <= _TOUCH)[0]
+    close = at_home & ~always & ~touching & near[0]
+    _require_room(scene, apart, always)
+    scene = replace(scene, without_clearance=frozenset(scene.pairs[k] for k in np.flatnonzero(close)))
+    for reason, out in (
+        ("not checked, as they touch at home", touching),
+        ("not checked, as they touch at nearly all poses", always),
+        ("checked without clearance, as they are nearer at home", close),
+    ):
+        if listed := list(dict.fromkeys(np.array(names)[out])):
+            more = f" and {count_noun(len(listed) - _SHOWN, 'further pair')}" if len(listed) > _SHOWN else ""
+            scene = scene.with_pairs(scene.pairs, f"{reason}: {', '.join(listed[:_SHOWN])}{more}")
+    kept = ~(always | touching)
     return scene.with_pairs(tuple(pair for pair, stays in zip(scene.pairs, kept, strict=True) if stays))
 
 
@@ -105,7 +119,10 @@ def _disabled_pairs(robot: Robot) -> set[frozenset[str]]:
     """Pairs of links that an SRDF of this robot disables."""
     pairs: set[frozenset[str]] = set()
     for path in _srdf_files(robot):
-        root = element_tree(read_text(path, "an SRDF", DescriptionError).encode())
+        try:
+            root = element_tree(read_text(path, "an SRDF", DescriptionError).encode())
+        except ExpatError as error:
+            raise DescriptionError(f"{path}: is not XML ({error}); correct it, or take it away") from None
         own, same = path.stem == Path(robot.urdf.path).stem, root.get("name") == robot.urdf.name
         named = [
             frozenset(str(element.get(key)) for key in ("link1", "link2"))

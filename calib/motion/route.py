@@ -16,14 +16,16 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import ComputationError, DataError, InputError
 from calib.core.base.registry import load_entry
+from calib.core.base.units import DISPLAY_UNIT, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.base.workers import Progress
 from calib.core.data.measurements import Poses
 from calib.core.robots.robot import Robot
+from calib.core.robots.surroundings import FLOOR, UNCHECKED
 from calib.motion.approach import approaches
 from calib.motion.planner import Planner
 from calib.motion.poses import surroundings, what_hits
-from calib.motion.scene import CollisionScene
+from calib.motion.scene import CollisionScene, exceeds_limits
 
 _NODES = 150  # poses of the roadmap in addition to the stops
 _ROUNDS = 4  # rounds of tries with the next best candidates
@@ -103,12 +105,22 @@ def plan_route(
         progress: Called with the number of tried poses.
 
     Raises:
-        InputError: The robot collides at the start.
+        InputError: The robot collides at the start, or cannot be there; or the description wants no checks.
         ComputationError: None of the poses can be visited.
         DescriptionError: The scene cannot be built; see `calib.motion.poses.surroundings`.
     """
+    if robot.description.obstacles == UNCHECKED:
+        raise InputError(
+            f"{robot.path}: the description says 'obstacles: {UNCHECKED}', and nobody should drive an unchecked way;"
+            f" write what is around the robot, such as 'obstacles: {FLOOR}'"
+        )
     start = np.array(robot.home if start is None else start)
     scene = surroundings(robot).scene
+    if excess := _excess_of_limits(robot, start):
+        raise InputError(
+            f"{robot.path}: the robot cannot start at {excess}; write a 'home' into the description, or give"
+            " --start FILE"
+        )
     if hit := scene.hits(start[None])[0]:
         raise InputError(f"{robot.path}: the robot collides where it starts ({hit}); give another start (--start FILE)")
     planner = Planner(scene, np.vstack([start, _more_free_poses(robot, scene, seed)]), robot.joint_limits, seed)
@@ -126,14 +138,29 @@ def plan_route(
     names = tuple(stop.name for stop in replaced)
     given = dict(zip((*candidates.names, *poses.names), (*candidates.joints, *poses.joints), strict=True))
     round_ = [stop.name for stop in (*stops, *replaced) if np.any(stop.joints != given[stop.name])]
-    notes = (f"reached with joints a whole turn from those given: {listing(round_, shown=8)}",) if round_ else ()
-    return Route(robot, start, (*stops, *replaced), left_out, names, scene.remarks + notes)
+    notes: list[str] = []
+    if round_:
+        notes.append(f"reached with joints a whole turn from those given: {listing(round_, shown=8)}")
+    if robot.description.obstacles is None:
+        notes.append("the description has no 'obstacles': nothing around the robot is checked, not even a floor")
+    return Route(robot, start, (*stops, *replaced), left_out, names, (*scene.remarks, *notes))
+
+
+def _excess_of_limits(robot: Robot, q: FloatArray) -> str:
+    """The first of joint values (n_actuated,) beyond its limits, as text; "" for none."""
+    outside = np.flatnonzero(exceeds_limits(robot, q)).tolist()
+    if not outside:
+        return ""
+    name, limits = robot.joint_names[outside[0]], robot.joint_limits[outside[0]].tolist()
+    value, low, high = (
+        quantity_text(each, robot.mechanism.dimensions[name], ".4g", DISPLAY_UNIT) for each in (q[outside[0]], *limits)
+    )
+    return f"{name} = {value}, beyond its limits ({low} to {high})"
 
 
 def _why_blocked(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
     """Reasons why poses cannot be visited, "" for none."""
-    low, high = robot.joint_limits.T
-    outside = np.any((joints < low - 1e-9) | (joints > high + 1e-9), axis=1)
+    outside = np.any(exceeds_limits(robot, joints), axis=1)
     hits = what_hits(robot, joints)
     return tuple("outside the joint limits" if out else hit for out, hit in zip(outside, hits, strict=True))
 
@@ -173,6 +200,9 @@ def _visit(
         left = np.flatnonzero(np.array(why) == _NO_WAY)
         if progress is not None:
             progress(len(poses) - len(left), len(poses))
+    for k in left.tolist():
+        if blocking := planner.move(planner.nodes[planner.here], poses.joints[k]).hit:
+            why[k] = f"{_NO_WAY}, {blocking} blocks the straight one"
     return stops, {name: reason for name, reason in zip(poses.names, why, strict=True) if reason}
 
 

@@ -33,6 +33,8 @@ Pairs = tuple[tuple[int, int], ...]
 _ROUGH = 0.005
 """The distance of triangles is computed if the distance of hulls minus clearance is less [m]."""
 
+_ROUND = 1e-9  # rounding of joint limits [m or rad]
+
 
 @dataclass(frozen=True, eq=False)
 class CollisionScene:
@@ -43,12 +45,14 @@ class CollisionScene:
         bodies: The shapes.
         pairs: Indices of the two shapes of each pair.
         remarks: Notes on the shapes of links, and on unchecked pairs.
+        without_clearance: Pairs that keep no clearance.
     """
 
     robot: Robot
     bodies: tuple[Body, ...]
     pairs: Pairs
     remarks: tuple[str, ...] = ()
+    without_clearance: frozenset[tuple[int, int]] = frozenset()
 
     def with_pairs(self, pairs: Pairs, *remarks: str) -> CollisionScene:
         """Return the scene with these pairs and further remarks."""
@@ -75,7 +79,8 @@ class CollisionScene:
     @cached_property
     def margins(self) -> FloatArray:
         """Clearance of each pair, (n_pairs,) [m]."""
-        return np.array([max(self.bodies[a].clearance, self.bodies[b].clearance) for a, b in self.pairs])
+        kept = [max(self.bodies[a].clearance, self.bodies[b].clearance) for a, b in self.pairs]
+        return np.where([pair in self.without_clearance for pair in self.pairs], 0.0, kept)
 
     @cached_property
     def _is_rough(self) -> BoolArray:
@@ -189,6 +194,12 @@ def _point_inside(body: Body) -> FloatArray:
     if len(body.corners):
         return body.corners[0, 0]
     return np.array(body.hull.points(0)) if hasattr(body.hull, "points") else np.zeros(3)
+
+
+def exceeds_limits(robot: Robot, q: FloatArray) -> BoolArray:
+    """Return the mask of commands (..., n_actuated) [m or rad] that are outside the joint limits."""
+    low, high = robot.joint_limits.T
+    return (q < low - _ROUND) | (q > high + _ROUND)
 
 
 def moving_between(robot: Robot, a: IntArray, b: IntArray) -> IntArray:

@@ -24,6 +24,7 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import CalibrationError
 from calib.core.instruments.camera import NAMES
 from calib.core.numerics import linalg
+from calib.core.numerics.clusters import LeftOutBlocks
 from calib.photographs.camera_alone import camera_alone
 from calib.photographs.estimation import HandEyeEstimate, estimate, solve
 from calib.photographs.left_out_images import predict_left_out_images, rms
@@ -255,11 +256,8 @@ def _explains(scene: BoardScene, fitted: HandEyeEstimate, k: int, which: str) ->
     def error(columns: FloatArray) -> float:
         flat, image = columns.reshape(r.size, -1), np.repeat(scene.image, 2)
         span = np.linalg.qr(flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300))[0]
-        left, total = r.ravel() - span @ (span.T @ r.ravel()), 0.0
-        for own in (image == i for i in range(len(scene))):
-            remains = np.eye(int(np.sum(own))) - span[own] @ span[own].T
-            total += float(np.sum(linalg.lstsq(remains, left[own], rcond=1e-9) ** 2))
-        return total
+        left = r.ravel() - span @ (span.T @ r.ravel())
+        return float(np.sum((left + LeftOutBlocks(span, image).shifts_without_block(left, alone=1.0 - 1e-9)[0]) ** 2))
 
     return error(wide) < _BETTER * error(j)
 

@@ -39,6 +39,7 @@ from calib.core.rows.candidates import (
     assumed_sigma,
     positions_at,
     require_free,
+    rows_as_stated,
     rows_of_measured,
     rows_of_poses,
 )
@@ -46,7 +47,6 @@ from calib.core.rows.determination import Determination, determination
 from calib.core.rows.observed import observe, planned_readings
 from calib.core.rows.prediction import without_common_motion
 from calib.core.rows.unknowns import Unknowns
-from calib.core.rows.whitening import Whitening
 from calib.planning.exchange import Spacing, exchange, uniform_start
 from calib.planning.pose_sampling import sample
 from calib.planning.selection_problem import TASK, build_problem
@@ -117,9 +117,10 @@ class Assessment(ReadOnlyArrays):
     left_out: tuple[str, ...]
 
     def __repr__(self) -> str:
+        error = f"predicted error {millimetres(self.accuracy.rms):.3g} mm RMS"
         return (
             f"<Assessment of {self.n_poses} poses: {self.determination.free.rank} of {int(np.sum(self.free))} free"
-            f" parameters determined, predicted error {millimetres(self.accuracy.rms):.3g} mm RMS>"
+            f" parameters determined, {error if self.accuracy.maximum else 'none of which moves a position'}>"
         )
 
     def __str__(self) -> str:
@@ -272,10 +273,8 @@ def _columns(
         pose_rows = rows_of_poses(robot, configurations, sigma, everything, planned_readings(robot, poses))
         flat = pose_rows.rows[pose_rows.read]
         return flat, pose_rows.rows, -(-len(flat) // len(poses))
-    whitening = Whitening(robot, poses, sigma)
-    observed = observe(robot, configurations, poses.readings)
-    whitened = whitening.rows(observed, whitening.start(), everything, everything.deviations(robot.values))
-    layout = whitening.layout
+    whitened = rows_as_stated(robot, poses, observe(robot, configurations, poses.readings), everything, sigma)
+    layout = whitened.layout
     flat = whitened.jacobian[layout.group >= 0]
     pose = layout.pose[layout.reading]  # rows pose by pose, padded with zeros
     _, block, counts = np.unique(pose, return_inverse=True, return_counts=True)

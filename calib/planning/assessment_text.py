@@ -33,7 +33,8 @@ def text_report(assessment: Assessment, source: str, width: int = 120, *, verbos
     """
     lines, names = (None, _SHOWN) if verbose else (_LINES, _FEW)
     parts: list[str | Table] = [_heading(assessment, source), *_verdict(assessment, lines, width)]
-    parts += [*_accuracy(assessment), "", _counts(assessment), *assessment.determination.lines(), ""]
+    counts: list[str | Table] = ["", _counts(assessment)] if assessment.accuracy.maximum else []
+    parts += [*_accuracy(assessment), *counts, *assessment.determination.lines(), ""]
     parts += [*_groups(assessment, lines, width), ""]
     parts += [_observability(assessment), _parameters(assessment)] if verbose else []
     return plain_text([*parts, *_doubts(assessment, names)], width, wrap=True).rstrip()
@@ -177,6 +178,8 @@ def _counts(a: Assessment) -> Table:
 
 
 def _accuracy(a: Assessment) -> list[str]:
+    if not a.accuracy.maximum:
+        return ["No free parameter moves a position: what readings tell of each parameter is printed with --verbose."]
     rms, largest = _pair(a.accuracy)
     if math.isfinite(a.accuracy.rms):
         priors = " and the expected errors of the parameters" if any(p.prior for p in a.free_parameters) else ""
@@ -202,9 +205,10 @@ def _pair(task: TaskIndex) -> tuple[str, str]:
 
 
 def _task(task: TaskIndex) -> dict[str, object]:
+    """The error in mm; unknown where no parameter moves a position."""
     return {
-        "rms": millimetres(task.rms),
-        "max": millimetres(task.maximum),
+        "rms": millimetres(task.rms or math.nan),
+        "max": millimetres(task.maximum or math.nan),
         "worst_pose": task.worst_pose,
     }
 

@@ -102,8 +102,10 @@ def select(
     candidates = as_poses(robot, candidates)
     check = check_poses(robot, candidates.joints) if checked else PoseCheck(("",) * len(candidates))
     blocked = np.flatnonzero(~check.is_free).tolist()
-    if blocked and len(blocked) == len(candidates):
-        raise InputError(f"{candidates.path}: none of the candidates is free: {check.summary()}")
+    n_free = len(candidates) - len(blocked)
+    if blocked and n_free < (1 if isinstance(count, Mapping) else total):
+        few = f"only {n_free} of the candidates are free, and {total} are to be chosen" if n_free else ""
+        raise InputError(f"{candidates.path}: {few or 'none of the candidates is free'}: {check.summary()}")
     if starts < 1:
         raise InputError(f"{starts} starts: at least one is needed")
     kinds = ["random" if random_start else "uniform", *["random"] * (starts - 1)]

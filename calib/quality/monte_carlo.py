@@ -140,7 +140,7 @@ def _deviation(linear: ErrorPropagation, unknowns: Unknowns, readings: FloatArra
         except UnreachablePoseError:
             return None
         observed = observe(robot, configurations, data.readings)
-        return fit.whitening.rows(observed, fit.scales.groups, unknowns, u).whiten_shared(weighing)
+        return fit.whitening.rows(observed, fit.scales.groups, unknowns, robot.values).whiten_shared(weighing)
 
     def residuals(u: FloatArray) -> FloatArray:
         rows = rows_at(u.tobytes())

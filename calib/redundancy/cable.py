@@ -12,6 +12,7 @@ together with an unknown anchor if the target hardly moves.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,9 +20,11 @@ from pydantic import Field
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.sections import KNOWN_ZERO, LengthOrUnknown, OwnLength, PositiveLength, PositiveLengthOrUnknown
+from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Column, InstrumentSection, Part, Readings, View
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.instruments.relation import RelatedSection, Relation
+from calib.core.judging.reasons import Reason
 
 
 class CableSection(InstrumentSection):
@@ -93,7 +96,22 @@ class Cable(Relation):
         _, radius, growth = (own.value for own in self.lengths)
         return values + change * self.lines / (self.gear * (radius + growth * self.gear * values / (2 * np.pi)))
 
+    def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        """Yield a motor that counts the other way, or in another unit."""
+        yield f"{self.name} counts the other way: positive angles must let the cable out", -values
+        yield f"degrees of {self.name} were read as radians", np.radians(values)
+        yield f"radians of {self.name} were read as degrees", np.degrees(values)
+
     def _numbers(self, unknowns: FloatArray) -> list[float]:
         """L, R and g of the module docstring."""
         found = iter(unknowns)
         return [float(next(found)) if own.unknown else own.value for own in self.lengths]
+
+
+def check_spools(fit: Fit) -> Iterator[Reason]:
+    """Yield a reason against cables whose spool has a negative radius, as that of a motor that counts the other way."""
+    values = dict(zip((parameter.name for parameter in fit.robot.parameters), fit.robot.values, strict=True))
+    for cable in (cable for cable in fit.identification.instruments if isinstance(cable, Cable)):
+        if values.get(f"{cable.name}.spool", 1.0) < 0:
+            text = f"the radius of the spool of {cable.name} is negative: it counts the other way"
+            yield Reason("FAIL", "negative_spool", f"{text}; positive angles must let the cable out")

@@ -47,7 +47,7 @@ class HolePattern(Relation):
     """Holes of a pattern; details of a reading are i, j, and 1 if these are stated, else 0."""
 
     section = HolePatternSection
-    parts = (Part("hole", ("x", "y", "z"), "length", plural="positions in holes"),)
+    parts = (Part("hole", ("x", "y", "z"), "length", usual=2e-3, plural="positions in holes"),)
     touches = True
     pitch: OwnLength = KNOWN_ZERO
     holes: tuple[int, int] = (1, 1)

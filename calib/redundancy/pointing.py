@@ -10,6 +10,7 @@ When it fails. Directions do not determine lengths.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -66,3 +67,15 @@ class Pointing(Relation):
         """Return directions that are less to the left and up by `change`, (n, 2) [rad]."""
         off = -change / np.column_stack([self.sense * np.cos(values[:, 1]), np.ones(len(values))])
         return values + off
+
+    def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        """Yield other conventions of directions."""
+        azimuth, altitude = values.T
+        for words, directions in (
+            ("azimuths count the other way (`azimuth` in the description)", (-azimuth, altitude)),
+            ("azimuths count from the opposite direction", (azimuth + np.pi, altitude)),
+            ("zenith distances were read as altitudes", (azimuth, np.pi / 2 - altitude)),
+            ("azimuths in hours were read as degrees", (15 * azimuth, altitude)),
+            ("azimuth and altitude were swapped", (altitude, azimuth)),
+        ):
+            yield words, np.column_stack(directions)

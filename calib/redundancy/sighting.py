@@ -53,3 +53,7 @@ class Sighting(Relation):
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return p_ab, (n, 3) [m]."""
         return view.translation
+
+    def seen_points(self, values: FloatArray) -> FloatArray:
+        """Return the coordinates themselves."""
+        return values

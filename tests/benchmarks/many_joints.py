@@ -63,8 +63,8 @@ def measured(robot, n_poses, rng):
     return replace(calib.simulate(true, q + off, SIGMA, 1), joints=q)
 
 
-def main(n, n_poses):
-    """Print the row."""
+def table(n, n_poses):
+    """Lines of the table."""
     robot = chain(n, np.random.default_rng(7))
     data = measured(robot, n_poses, np.random.default_rng(3))
     plain = least(1, fit=lambda: calib.fit(robot, data))["fit"]
@@ -75,9 +75,9 @@ def main(n, n_poses):
     done = time.process_time()
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     terms = ", ".join(f"{trial.term} {trial.size:.3f}" for trial in fit.terms.trials if trial.added)
-    print("| joints | poses | without terms | `--terms auto` | verdict | memory | terms |")
-    print("|---:|---:|---:|---:|---:|---:|---|")
-    print(
+    yield "| joints | poses | without terms | `--terms auto` | verdict | memory | terms |"
+    yield "|---:|---:|---:|---:|---:|---:|---|"
+    yield (
         f"| {n} | {n_poses} | {plain:.1f} s | {chosen - start:.1f} s | {done - chosen:.1f} s ({grade})"
         f" | {memory:.2f} GB | {terms} |"
     )
@@ -88,4 +88,4 @@ if __name__ == "__main__":
     parser.add_argument("joints", type=int, nargs="?", default=20)
     parser.add_argument("poses", type=int, nargs="?", default=400)
     given = parser.parse_args()
-    main(given.joints, given.poses)
+    print("\n".join(table(given.joints, given.poses)))

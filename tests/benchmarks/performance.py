@@ -7,6 +7,8 @@ each is taken. FOLDER holds the measurements of others, as for evaluations.py; w
 """
 
 import argparse
+import subprocess
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -206,15 +208,20 @@ MedRUE, 84 poses, {draws} draws; the times are those of the machine that made th
 Time from prompt to prompt: simulated measurements, modules compiled to byte code, kinematics by numba. The unit is a
 program that only imports the libraries that a fit with pages needs. Commands on 100 000 rows and more, and those of
 `medrue`, ran once. This table alone:
-`python tests/benchmarks/whole_commands.py`.
+`python tests/benchmarks/whole_commands.py --data FOLDER`.
 """
-    yield from whole_commands.table(max(rounds // 5, 1))
+    yield from whole_commands.table(max(rounds // 5, 1), folder)
     yield """
 ## What people wait for
 
 In a program that is already running (this table alone: `python tests/benchmarks/waiting.py --data FOLDER`):
 """
     yield from waiting.table(folder, max(rounds // 5, 1))
+    yield """
+Joint terms of many joints: a simulated chain, in a process of its own (`python tests/benchmarks/many_joints.py`):
+"""
+    script = Path(__file__).with_name("many_joints.py")
+    yield subprocess.run([sys.executable, script], capture_output=True, text=True, check=True).stdout.rstrip()
     yield """
 ## Growth
 

@@ -1,9 +1,10 @@
 """What whole commands take: processor time, and memory, from the shell's prompt to the next.
 
-    python tests/benchmarks/whole_commands.py [--quick]
+    python tests/benchmarks/whole_commands.py [--data FOLDER] [--quick]
 
-The unit is a program that imports the libraries that a fit with pages needs, and ends. Measurements are simulated. The
-byte code of all modules is there, and so is what numba compiles, as they are after a first run.
+The unit is a program that imports the libraries that a fit with pages needs, and ends. Measurements are simulated, but
+those of the UR10: FOLDER holds those of others, as for evaluations.py; without it, these rows are left out. The byte
+code of all modules is there, and so is what numba compiles, as they are after a first run.
 """
 
 import argparse
@@ -74,7 +75,7 @@ def written(path, robot, parts):
             file.write(text if k == 0 else text.partition("\n")[2])
 
 
-def prepared(folder):
+def prepared(folder, data):
     """Write the inputs, and return the commands by name."""
     robots = {"arm": EXAMPLES / "arm.yaml", "five-bar": EXAMPLES / "five_bar.yaml", "MedRUE": Path(robot_file())}
     medrue, rng = calib.load(robots["MedRUE"]), np.random.default_rng(0)
@@ -97,6 +98,19 @@ def prepared(folder):
             some_rows(EXAMPLES / f"{path.stem}_simulated.csv", folder / f"{name}.csv")
             arguments = ["fit", str(path), f"{name}.csv", "--out", f"{name}-{pages}", *["--no-pages"] * (not pages)]
             commands[f"`calib fit`, 30 poses, {name}{', with pages' * pages}"] = arguments
+    written(folder / "paged.csv", arm := calib.load(robots["arm"]), [arm.sample(1000, seed=4)])
+    read = ["simulate", str(robots["arm"]), "paged.csv", "--seed", "2", "--out", "paged-read.csv"]
+    taken(["-m", "calib", *read], folder)
+    paged = ["fit", str(robots["arm"]), "paged-read.csv", "--out", "paged"]
+    commands["`calib fit`, 1000 poses, arm, with pages"] = paged
+    if data:
+        (folder / "robot.urdf").write_bytes((data / "ur10_tracker" / "robot.urdf").read_bytes())
+        (folder / "ur10.yaml").write_bytes((EXAMPLES / "ur10_tracker.yaml").read_bytes())
+        some_rows(data / "ur10_tracker" / "grid.csv", folder / "ur10.csv", 300)
+        for pages in (False, True):
+            arguments = ["fit", "ur10.yaml", "ur10.csv", "--terms", "auto", "--out", f"ur10-{pages}"]
+            name = f"`calib fit --terms auto`, 300 poses, UR10{', with pages' * pages}"
+            commands[name] = [*arguments, *["--no-pages"] * (not pages)]
     commands["`calib check` without data, MedRUE"] = ["check", str(robots["MedRUE"])]
     for where in ("", " anywhere"):
         commands[f"`calib solve`, 1000 targets{where}, MedRUE"] = [
@@ -133,11 +147,11 @@ def prepared(folder):
     return commands
 
 
-def table(rounds):
+def table(rounds, data=None):
     """Lines of the table: ratio to the unit, seconds and memory of this machine, the least of some rounds."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        commands = prepared(folder)
+        commands = prepared(folder, data)
         taken(["-m", "compileall", "-q", *(str(ROOT / package) for package in ("calib", "viz", "medrue"))], folder)
         times = {None: []} | {command: [] for command in commands}
         for turn in range(rounds):
@@ -145,19 +159,27 @@ def table(rounds):
                 if turn == 0 or command is None or (str(MANY) not in command and "medrue" not in command):
                     program = [] if command is None else PROGRAMS[command[1:].split()[0]]
                     times[command].append(taken([*program, *commands.get(command, IMPORTS)], folder))
+        sizes = {
+            command: sum(file.stat().st_size for file in (folder / arguments[arguments.index("--out") + 1]).rglob("*"))
+            for command, arguments in commands.items()
+            if arguments[0] == "fit"
+        }
     unit = min(times.pop(None))[0]
-    yield "| command | over importing the libraries | processor time | memory |"
-    yield "|---|---:|---:|---:|"
+    yield "| command | over importing the libraries | processor time | memory | files |"
+    yield "|---|---:|---:|---:|---:|"
     for command, runs in times.items():
         seconds, memory = min(runs)
         shown = (
             f"{memory:.1f} GB" if str(MANY) in command else ""
         )  # else it may be that of this program before the start
-        yield f"| {command} | {seconds / unit:.1f} | {seconds:.1f} s | {shown} |"
+        files = f"{sizes[command] / 1e6:.2g} MB" if command in sizes else ""
+        yield f"| {command} | {seconds / unit:.1f} | {seconds:.1f} s | {shown} | {files} |"
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one round")
-    for line in table(1 if parser.parse_args().quick else 5):
+    parser.add_argument("--data", type=Path, help="folder with measurements of others")
+    given = parser.parse_args()
+    for line in table(1 if given.quick else 5, given.data):
         print(line, flush=True)

@@ -1,5 +1,7 @@
 """The report in a real Chromium: opens offline, asks nobody, text can be found and selected, prints."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from browser_tab import Tab
@@ -109,6 +111,53 @@ def test_nothing_of_a_plot_is_cut(report):
     assert max(tab.page.evaluate(over)) <= 0
 
 
+WORDS = """async () => { // where each text of each plot is drawn [px]: [plot, text, left, right, top, bottom]
+  const found = [];
+  const { fillText } = CanvasRenderingContext2D.prototype;
+  CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+    const { a, b, c, d, e, f } = this.getTransform();
+    const width = this.measureText(text).width;
+    const shift = { left: 0, start: 0, center: -width / 2, right: -width, end: -width }[this.textAlign];
+    const at = [x + shift, x + shift + width].map((u) => [a * u + c * y + e, b * u + d * y + f]);
+    if (text.trim()) found.push([this.canvas, text, at]);
+    return fillText.apply(this, arguments);
+  };
+  calibrationReport.charts.forEach(({ views }) => views.forEach((view) => view.invalidate_layout()));
+  for (let n = -1; n < found.length;) { n = found.length; await new Promise((next) => setTimeout(next, 300)); }
+  CanvasRenderingContext2D.prototype.fillText = fillText;
+  const canvases = [...new Set(found.map(([canvas]) => canvas))];
+  return found.map(([canvas, text, at]) => [canvases.indexOf(canvas), text, at, canvas.width, canvas.height]); }"""
+
+
+@pytest.mark.parametrize("size", [(1000, 900), (390, 844)])
+def test_texts_of_plots_are_whole_and_numbers_at_an_axis_do_not_touch(show, size, tmp_path_factory):
+    """An arm whose joints have the names of real ones, and turn by 360 degrees both ways."""
+    from viz_examples import long_named_fit
+
+    import viz
+
+    folder = tmp_path_factory.getbasetemp() / "long_names"
+    if not folder.exists():
+        folder.mkdir()
+        viz.report(long_named_fit(folder, repeats=1)).save(folder / "report.html")
+    tab = show((folder / "report.html").as_uri(), size=size)
+    tab.page.evaluate("calibrationReport.all()")
+    words = tab.page.evaluate(WORDS)
+    assert len({plot for plot, *_ in words}) > 20
+    for plot, text, places, width, height in words:
+        for x, y in places:
+            assert -2 <= x <= width + 2, (plot, text, places)
+            assert -2 <= y <= height + 2, (plot, text, places)
+    lines = {}
+    for plot, text, ((x, y), (x1, y1)), _, _ in words:
+        if abs(y1 - y) < 1e-6:
+            lines.setdefault((plot, round(y)), []).append((x, x1, text))
+    for texts in lines.values():
+        apart = sorted(set(texts))
+        for (_, end, one), (begin, _, two) in pairwise(apart):
+            assert begin > end + 2, (plot, one, two)
+
+
 def test_words_in_the_first_column_are_not_broken_on_a_phone(report):
     tab = report(320, 640)
     heights = """[...document.querySelectorAll('.facts th')].filter((e) => !e.textContent.includes(' '))
@@ -197,6 +246,13 @@ def test_compared_results_fit_the_window_and_print(show, tmp_path):
         assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
         assert tab.page.locator("#intervals[data-drawn]").count() == 1
         assert tab.page.locator("#same-rows[data-drawn]").count() == 1
+
+
+def test_small_numbers_of_a_logarithmic_axis_are_not_rounded_to_zero(small_report):
+    shown = small_report.page.evaluate("""() => {
+      const { views } = calibrationReport.charts.find(({ node }) => node.id === "errors");
+      return views[0].model.below[0].formatter.doFormat([1e-6, 1e-4, 0.1 * 7, 1000], {}); }""")
+    assert shown == ["0.000001", "0.0001", "0.7", "1000"]
 
 
 def test_plots_take_the_colours_of_a_dark_page(small_report):

@@ -13,6 +13,45 @@ function element(name, attributes, ...children) {
   return node;
 }
 
+/** Text in lines of at most `most` letters; names are broken after _ and before the part that follows a point. */
+function inLines(text, most) {
+  return (text || "").split("\n").flatMap((line) => line.split(/(?<=[ _])|(?<=\.)(?=[a-z])/i).reduce((lines, piece) => {
+    const longer = (lines.at(-1) || "") + piece;
+    return lines.length && longer.trimEnd().length <= most ? [...lines.slice(0, -1), longer] : [...lines, piece];
+  }, [])).map((line) => line.trimEnd()).join("\n");
+}
+
+/** Distance of an axis' ticks whose numbers do not touch.
+ * @param room length of the axis [px]
+ * @param digit width of a digit [px]
+ */
+function tickDistance(start, end, room, digit) {
+  const whole = String(Math.floor(Math.max(Math.abs(start), Math.abs(end)))).length + (start < 0 ? 1 : 0);
+  for (let power = Math.floor(Math.log10((end - start) / 8)); ; power += 1) {
+    for (const mantissa of room < 150 ? [1, 1.5, 2, 3, 4, 5] : [1, 2, 5]) {
+      const distance = mantissa * 10 ** power;
+      const decimals = Math.max(0, (mantissa % 1 ? 1 : 0) - power);
+      const wide = digit * (whole + (decimals ? decimals + 1 : 0) + 1);
+      if (room * distance / (end - start) > Math.max(wide, room / 8)) return distance;
+    }
+  }
+}
+
+/** Ticks of a logarithmic axis whose numbers do not touch: powers of ten first; room and digit as above. */
+function logarithmicTicks(start, end, room, digit) {
+  const at = (value) => room * Math.log(value / start) / Math.log(end / start);
+  const half = (value) => digit * (String(value).length + 1) / 2;
+  const chosen = [];
+  for (const mantissa of [1, 5, 2, 3, 7]) {
+    for (let power = Math.floor(Math.log10(start)); power <= Math.log10(end); power += 1) {
+      const value = Number(`${mantissa}e${power}`);
+      const free = chosen.every((other) => Math.abs(at(other) - at(value)) > half(other) + half(value));
+      if (value >= start && value <= end && free) chosen.push(value);
+    }
+  }
+  return chosen.sort((a, b) => a - b);
+}
+
 /** The poses that are selected, and who shows them. */
 class Selection {
   /** @param rows of the page's table: texts, poses, marks */
@@ -96,19 +135,23 @@ class Chart {
 
   /** @param room width that the panel has [px] */
   figure({ x, y, layers, title, height, equal, bare }, room) {
+    const letter = this.small ? 6.2 : 7.2; // width of one in the name of an axis [px]
+    const names = y.names.map((name) => inLines(name, room / 15).split("\n"));
+    const frame = room - Math.max(this.small ? 90 : 70, ...names.flat().map((line) => 40 + letter * line.length)); // about
     const range = ({ log, ends, names }, turned) => (names.length ? new Bokeh.Range1d({ start: turned ? names.length - 0.5 : -0.5, end: turned ? -0.5 : names.length - 0.5 })
       : ends ? new Bokeh.Range1d({ start: ends[0], end: ends[1] }) : new Bokeh.DataRange1d({ range_padding: 0.12 }));
     const figure = new Bokeh.Plotting.Figure({
-      height, sizing_mode: "stretch_width", title: title && 7.5 * title.length > room ? title.replace(" ", "\n") : title || null, x_axis_label: 7.2 * x.label.length > room - 60 ? x.label.replace(" [", "\n[") : x.label, y_axis_label: y.label || null,
+      height: height + 13 * names.length * Math.max(0, ...names.map((name) => name.length - 1)), sizing_mode: "stretch_width", title: inLines(title, room / 7.8) || null, x_axis_label: inLines(x.label, frame / letter) || null, y_axis_label: inLines(y.label, (height - 60) / letter) || null,
       x_axis_type: x.log ? "log" : "linear", y_axis_type: y.log ? "log" : "linear",
       x_range: range(x, false), y_range: range(y, true), match_aspect: equal, tools: "pan,wheel_zoom,box_zoom,box_select,tap,reset,save",
       toolbar_location: "above", background_fill_color: null, border_fill_color: null, outline_line_color: null,
       lod_threshold: null,
     });
     this.look(figure, x, y, height, room);
+    if (!x.names.length) this.spaceTicks(figure, x.log, Math.max(40, frame));
     if (bare) [...figure.xaxes, ...figure.yaxes, ...figure.center.filter((part) => part.type === "Grid")].forEach((part) => { part.visible = false; });
     const own = []; // what a selection in this panel changes
-    const hovered = layers.flatMap((layer) => this.layer(figure, layer, own));
+    const hovered = layers.flatMap((layer) => this.layer(figure, layer, own, y.beyond && y.ends));
     figure.add_tools(new Bokeh.HoverTool({ renderers: hovered, tooltips: "<div style='max-width: 260px; white-space: normal'>@text</div>", point_policy: "snap_to_data" }));
     figure.toolbar.logo = null;
     figure.toolbar.autohide = !TOUCH;
@@ -123,24 +166,43 @@ class Chart {
     return figure;
   }
 
+  /** Space the ticks of the lower axis, also after zoom, so that its numbers do not touch. */
+  spaceTicks(figure, log, room) {
+    const ticker = log ? new Bokeh.FixedTicker({ ticks: [], minor_ticks: [] }) : new Bokeh.SingleIntervalTicker({ interval: 1, num_minor_ticks: 0 });
+    const digit = this.small ? 6 : 7;
+    const { start, end } = figure.x_range.properties;
+    const space = () => {
+      const [low, high] = [figure.x_range.start, figure.x_range.end];
+      if (!(high > low)) return;
+      if (log) ticker.ticks = logarithmicTicks(low, high, room, digit);
+      else ticker.interval = tickDistance(low, high, room, digit);
+    };
+    [start, end].forEach((property) => property.change.connect(space));
+    space();
+    figure.xaxes.forEach((axis) => { axis.ticker = ticker; });
+    figure.center.filter((part) => part.type === "Grid" && part.dimension === 0).forEach((grid) => { grid.ticker = ticker; });
+  }
+
   look(figure, x, y, height, room) {
     for (const [axes, { names, log }] of [[figure.xaxes, x], [figure.yaxes, y]]) {
       for (const axis of axes) {
         Object.assign(axis, { axis_label_text_color: this.ink, major_label_text_color: this.ink, axis_line_color: this.ink, major_tick_line_color: this.ink,
-          minor_tick_line_color: null, axis_label_text_font_size: "13px", axis_label_text_font_style: "normal", major_label_text_font_size: this.small ? "10px" : "12px" });
+          minor_tick_line_color: null, axis_label_text_font_size: this.small ? "11px" : "13px", axis_label_text_font_style: "normal", major_label_text_font_size: this.small ? "10px" : "12px" });
         if (names.length) {
           axis.ticker = new Bokeh.FixedTicker({ ticks: names.map((_, k) => k), minor_ticks: [] });
-          axis.major_label_overrides = new Map(names.map((name, k) => [k, 16 * name.length > room ? name.replace(/(.{12,}?) /, "$1\n") : name]));
+          axis.major_label_overrides = new Map(names.map((name, k) => [k, inLines(name, room / 15)]));
         } else if (!log && height < 220) axis.ticker.desired_num_ticks = 3;
-        if (log) axis.formatter = new Bokeh.BasicTickFormatter({ use_scientific: false });
+        axis.formatter = log ? new Bokeh.PrintfTickFormatter({ format: "%.3g" }) : new Bokeh.BasicTickFormatter({ power_limit_low: -5, power_limit_high: 7 });
       }
     }
     for (const grid of figure.center.filter((part) => part.type === "Grid")) Object.assign(grid, { grid_line_color: this.line, grid_line_alpha: 0.7 });
     if (figure.title) Object.assign(figure.title, { text_color: this.ink, text_font_size: "13px" });
   }
 
-  /** Draw a layer; what hover finds of it. */
-  layer(figure, { kind, label, colour, ...columns }, own) {
+  /** Draw a layer; what hover finds of it.
+   * @param ends between which marks are kept, or null
+   */
+  layer(figure, { kind, label, colour, ...columns }, own, ends) {
     const paint = colour || this.ink;
     const known = label ? { legend_label: label } : {};
     if (kind === "line") {
@@ -158,6 +220,7 @@ class Chart {
       text: columns.rows ? columns.rows.map((row) => rows.texts[row]) : columns.texts || all(""),
       mark: columns.rows ? columns.rows.map((row) => rows.marks[row]) : all("circle") };
     delete data.thick;
+    if (ends) data.y = data.y.map((value) => (value === null ? null : 0.96 * Math.min(ends[1], Math.max(ends[0], value / 0.96))));
     const source = new Bokeh.ColumnDataSource({ data });
     const field = (name) => ({ field: name });
     let drawn;
@@ -165,7 +228,7 @@ class Chart {
       drawn = figure.scatter({ x: field("x"), y: field("y"), source, marker: field("mark"), size: n > 300 ? 4 : this.small ? 5 : 7, fill_color: field("colour"), fill_alpha: 0.75,
         line_color: columns.colours ? this.ink : field("colour"), line_width: columns.colours ? 0.4 : 1.2, nonselection_alpha: 0.12, ...known });
     } else if (kind === "bars") {
-      drawn = figure.hbar({ y: field("y"), source, left: field("left"), right: field("right"), height: columns.thick[0], fill_color: field("colour"), fill_alpha: 0.7,
+      drawn = figure.hbar({ y: field("y"), source, left: field("left"), right: field("right"), height: columns.thick[0], fill_color: field("colour"), fill_alpha: 0.9,
         line_color: null, ...known });
     } else {
       drawn = figure.rect({ x: field("x"), y: field("y"), width: field("width"), height: field("height"), source, fill_color: field("colour"), fill_alpha: 0.45, line_color: null });

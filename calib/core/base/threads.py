@@ -13,7 +13,7 @@ from functools import cache, wraps
 from importlib import import_module
 from typing import ParamSpec, TypeVar
 
-from threadpoolctl import ThreadpoolController
+from threadpoolctl import LibController, ThreadpoolController
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -32,17 +32,21 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
         if _limited.get():
             return function(*args, **options)
         before = _limited.set(True)
+        several = [(library, n) for library in _libraries() if (n := library.num_threads) != 1]
         try:
-            with _libraries().limit(limits=1):
-                return function(*args, **options)
+            for library, _ in several:
+                library.set_num_threads(1)
+            return function(*args, **options)
         finally:
+            for library, n in several:
+                library.set_num_threads(n)
             _limited.reset(before)
 
     return limited
 
 
 @cache
-def _libraries() -> ThreadpoolController:
+def _libraries() -> list[LibController]:
     """The BLAS of NumPy, and that of SciPy, which its first use would load; looking them up takes a millisecond."""
     import_module("scipy.linalg")
-    return ThreadpoolController().select(user_api="blas")
+    return list(ThreadpoolController().select(user_api="blas").lib_controllers)

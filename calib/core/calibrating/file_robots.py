@@ -28,8 +28,9 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Workers
 from calib.core.calibrating.calibrate import PROVING
 from calib.core.fitting.fit import WarmStart, fit_data, fit_of_a_part
-from calib.core.fitting.fitted import COMPUTED, Fit
+from calib.core.fitting.fitted import Fit
 from calib.core.fitting.settings import Settings
+from calib.core.fitting.solved_fit import COMPUTED
 from calib.core.fitting.unseen_errors import accuracy
 from calib.core.fitting.validation import cross_validate, n_folds
 from calib.core.judging.verdict import JudgedFit

@@ -15,9 +15,10 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, IntArray
 from calib.core.base.errors import DataError, require_known
 from calib.core.data.instrument_cells import columns_in
-from calib.core.data.measurement_files import poses_of_table, read_measurements
+from calib.core.data.measurement_files import read_measurements
 from calib.core.data.measurements import Poses, check_repeats, setup_pairs
 from calib.core.data.robot_tables import read_robot_table
+from calib.core.data.table_poses import poses_of_table
 from calib.core.data.tables import Source, Table
 from calib.core.instruments.kind import Instrument, Readings
 from calib.core.robots.robot import Robot

@@ -69,7 +69,7 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
     problem, final, times = _problem_at_some_poses(problem, final)
     jacobian = np.sqrt(times) * problem.rows(final, groups).jacobian
     known, columns = information(jacobian, rows.prior.rows), problem.unknowns.select(own)
-    covariance, here = known.root @ known.root.T, jacobian[:, own].T @ jacobian
+    covariance, here = known.covariance, jacobian[:, own].T @ jacobian
     for i in range(n_held):
         for step in (_STEP, -_STEP):
             moved = problem.unknowns.robot_at(final.robot, rows.deviations + step * directions[:, i])

@@ -253,9 +253,14 @@ def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tupl
     """
     if later is None:
         return ()
-    new = _origins(robot, later) - _origins(robot, data)
+    known, new = (set[str]().union(*reading_origins(robot, part)) for part in (data, later))
+    return free_places(robot, new - known)
+
+
+def free_places(robot: Robot, origins: set[str]) -> tuple[str, ...]:
+    """Return the free parameters of the places among some origins."""
     free = zip(robot.parameters, robot.is_free, strict=True)
-    return tuple(p.name for p, is_free in free if p.placement and is_free and p.name.rpartition(".")[0] in new)
+    return tuple(p.name for p, is_free in free if p.placement and is_free and p.name.rpartition(".")[0] in origins)
 
 
 def place_from_data(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robot:
@@ -275,13 +280,12 @@ def place_from_data(later: Measurements, robot: Robot, names: tuple[str, ...]) -
     return robot.with_parameters(place(Problem.from_data(alone, later)).robot.values)
 
 
-def _origins(robot: Robot, data: Measurements) -> set[str]:
-    """Names of the origins at both ends of all readings."""
-    names, origins = ("", *robot.mechanism.origin_names), set[str]()
+def reading_origins(robot: Robot, data: Measurements) -> set[tuple[str, str]]:
+    """Return the names of the origins at both ends of all readings: where they are read from, and what they show."""
+    names, origins = ("", *robot.mechanism.origin_names), set[tuple[str, str]]()
     for name, readings in data.readings.items():
-        pairs = robot.pairs(robot.instrument(name))
-        for pair in {int(k) for k in readings.pairs} if pairs else ():  # a reading of a joint looks along none
-            origins |= {names[pairs[pair].a], names[pairs[pair].b]}
+        pairs = robot.pairs(robot.instrument(name))  # none for readings of joints
+        origins |= {(names[pairs[k].a], names[pairs[k].b]) for k in set(readings.pairs.tolist()) if pairs}
     return origins
 
 

@@ -43,8 +43,9 @@ def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     if not np.any(tried):
         return problem.offset_ratios
     known = problem.offset_ratios * whitening.offset_scale(groups)
-    rows, offsets = problem.plain_rows(evaluation, np.ones(len(groups))), whitening.offset_columns * tried
-    components = find_components(rows, groups, problem.noise_found, offsets, whitening.layout.pose_of_row, known)
+    rows = whitening.rows(evaluation.observed, np.ones(len(groups)), problem.unknowns, evaluation.robot.values)
+    offsets, pose = whitening.offset_columns * tried, whitening.layout.pose_of_row
+    components = find_components(rows, groups, problem.noise_found, offsets, pose, known)
     ratios: FloatArray = components.shared / whitening.offset_scale(components.scales)
     return ratios
 

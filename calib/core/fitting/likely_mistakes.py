@@ -11,7 +11,7 @@ scales, which a fit finds, a fit with them must do so. Columns that are copies o
 
 When it fails. Mistakes of two kinds at once are not found. A robot with a wrong base or tool that the description calls
 known is always far off; the verdict looks for that first. Only instruments that measure points are examined; without
-them, photographs of a board (`calib.core.fitting.photographed_points`).
+them, what a sensor saw (`calib.core.fitting.photographed_points`), or all (`calib.core.fitting.mistaken_readings`).
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from calib.core.base.words import count_noun, listing
 from calib.core.data.measurements import Measurements, with_points
 from calib.core.data.tables import read_table
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
+from calib.core.fitting.mistaken_readings import mistaken_readings
 from calib.core.fitting.photographed_points import photographed_points
 from calib.core.fitting.scaled_joints import joint_scales
 from calib.core.robots.robot import Robot
@@ -86,6 +87,8 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
     photographed = photographed_points(robot, data)
     if photographed is not None:
         (robot, data), noise = photographed, np.inf
+    elif gross and not any(robot.instrument(name).reads_positions for name in data.readings):
+        return mistaken_readings(robot, data)
     data = data.subset(np.flatnonzero(np.isfinite(data.points(robot)).all(axis=(1, 2))))
     zeros = zero_visits(data, robot)
     sound = data.subset(np.setdiff1d(np.arange(len(data)), zeros))

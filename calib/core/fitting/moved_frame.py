@@ -18,7 +18,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, UnreachablePoseError
 from calib.core.base.memoize import memoize
 from calib.core.fitting.error_sets import ErrorSet
-from calib.core.fitting.fit import errors_on, place_from_data
+from calib.core.fitting.fit import errors_on, free_places, place_from_data, reading_origins
 from calib.core.fitting.fitted import Fit
 from calib.core.numerics.rigid import best_transform
 
@@ -79,13 +79,7 @@ def _errors_when_replaced(fit: Fit) -> ErrorSet | None:
     """Errors at the validation poses, which place the frames that they were read from."""
     assert fit.validation is not None
     robot, data = fit.robot, fit.validation.data
-    origins = ("", *robot.mechanism.origin_names)
-    frames = set()
-    for name, readings in data.readings.items():
-        pairs = robot.pairs(robot.instrument(name))
-        frames |= {origins[pairs[number].a] for number in {int(k) for k in readings.pairs}} if pairs else set()
-    free = zip(robot.parameters, robot.is_free, strict=True)
-    names = tuple(p.name for p, is_free in free if is_free and p.placement and p.name.rpartition(".")[0] in frames)
+    names = free_places(robot, {frame for frame, _ in reading_origins(robot, data)})
     if not names:
         return None
     try:

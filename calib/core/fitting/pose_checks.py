@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.core.base.words import joints_named
 from calib.core.data.measurements import Measurements
@@ -150,9 +150,9 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
     """
     robot = problem.robot
     counts = robot.is_free if alone else np.ones(len(robot.parameters), dtype=bool)
-    own = [k for k, p in enumerate(robot.parameters) if counts[k] and not p.family]  # families have priors
-    parameters, free = [robot.parameters[k] for k in own], robot.is_free[own]
-    determined = determination(_columns(problem, evaluation, np.array(own, dtype=np.intp)), parameters, free)
+    own = counts & np.array([not p.family for p in robot.parameters])  # families have priors
+    parameters, free = [p for p, use in zip(robot.parameters, own, strict=True) if use], robot.is_free[own]
+    determined = determination(_columns(problem, evaluation, own), parameters, free)
     if determined.free.rank == 0:
         raise NotIdentifiableError(
             f"{problem.data.path}: no reading depends on any free parameter; measure something that moves with them"
@@ -170,9 +170,9 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
     )
 
 
-def _columns(problem: Problem, evaluation: Evaluation, index: IntArray) -> FloatArray:
-    """Return few rows J with the same J^T J as the whitened derivative by some parameters (n,), not scaled."""
-    unknowns = Unknowns.from_robot(problem.robot, np.isin(np.arange(len(problem.robot.parameters)), index))
+def _columns(problem: Problem, evaluation: Evaluation, chosen: BoolArray) -> FloatArray:
+    """Return few rows J with the J^T J of the whitened derivative by chosen parameters (n_parameters,), not scaled."""
+    unknowns = Unknowns.from_robot(problem.robot, chosen)
     return problem.compressed(evaluation, problem.whitening.start(), unknowns).jacobian / unknowns.scales
 
 

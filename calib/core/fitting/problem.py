@@ -219,17 +219,10 @@ class Problem(ReadOnlyArrays):
             unknowns: Parameters of the columns; the free ones if not given.
         """
         chosen = self.unknowns if unknowns is None else unknowns
-        rows = self.plain_rows(evaluation, groups, chosen)
+        rows = self.whitening.rows(evaluation.observed, groups, chosen, evaluation.robot.values)
         if self.weighing is None and any(known.has(chosen) for known, _ in evaluation.factors):
             rows.remember(self.compressed(evaluation, groups, chosen).factor)
         return rows.whiten_shared(self.weighing)
-
-    def plain_rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
-        """Return the rows, (n_rows, n_unknowns), without whitening for shared errors; arguments as in `rows`."""
-        chosen = self.unknowns if unknowns is None else unknowns
-        jacobian = self.derivative(evaluation, groups, chosen)
-        deviations = chosen.deviations(evaluation.robot.values)
-        return Rows(self.residuals(evaluation, groups), jacobian, chosen.prior, deviations, self.whitening.layout)
 
     def residuals(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
         """Return the residuals of all rows, without whitening for shared errors, (n_rows,); arguments as in `rows`."""

@@ -31,11 +31,11 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import NotConvergedError, NotIdentifiableError
 from calib.core.base.workers import Progress
 from calib.core.fitting.curvature import mean_square_beyond_linear
-from calib.core.fitting.fitted import Convergence
 from calib.core.fitting.found_noise import left_out_rms, ratios_found, scales_found
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.fitting.robust import RobustSolution, solve_robust
 from calib.core.fitting.settings import Settings
+from calib.core.fitting.solved_fit import Convergence
 from calib.core.fitting.starts import explore
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.clusters import Scatter, scatter
@@ -316,9 +316,7 @@ def uncertainty_at(
         unknowns.scales,
         unknowns.prior,
         scatter_of_poses(rows, span, factors, solved.weights),
-        variance_by_sizes(
-            slowed.posterior_information.root @ slowed.posterior_information.root.T, unknowns.family, rows.deviations
-        ),
+        variance_by_sizes(slowed.posterior_information.covariance, unknowns.family, rows.deviations),
         beyond_linear,
     )
     return rows, scales, uncertainty

@@ -40,8 +40,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.core.fitting.solved_fit import SolvedFit
 from calib.core.fitting.terms.candidate_terms import TELLS, CandidateTerm, candidates
-from calib.core.fitting.terms.kind_model import KindModel, SolvedProblem, with_kinds
+from calib.core.fitting.terms.kind_model import KindModel, with_kinds
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.size_search import least_sizes, likeliest_sizes, scatter_given_noise
 from calib.core.rows.prediction import UndecidedTerms
@@ -62,7 +63,7 @@ class UnexplainedErrors:
     terms: UndecidedTerms | None = None
 
 
-def unexplained_errors(fit: SolvedProblem, *, sized: bool) -> UnexplainedErrors:
+def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
     """Return the errors that the residuals of a fit show in addition to noise.
 
     `sized` says whether the sizes of all kinds of joint terms were found for it.
@@ -83,7 +84,7 @@ def solve_beside_noise(model: MixedModel) -> SolvedModel | None:
     return likeliest_sizes(model) if np.any(model.spread > 0.0) else None
 
 
-def _kinds_of_few_coefficients(fit: SolvedProblem) -> tuple[CandidateTerm, ...]:
+def _kinds_of_few_coefficients(fit: SolvedFit) -> tuple[CandidateTerm, ...]:
     """Kinds that a fit lacks and its measurements can show, without curves."""
     kinds = [
         kind for kind in candidates(fit.robot, fit.identification.data) if not (kind.refusal or kind.reason_against)

@@ -9,6 +9,7 @@ wrapped to half a turn either way for a joint that turns: an encoder does not co
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,6 +23,7 @@ from calib.core.base.units import DISPLAY_UNIT, Dimension, quantity
 from calib.core.instruments.kind import Column, InstrumentSection, JointComparison, JointInstrument, Part, Readings
 from calib.core.instruments.noise import Noise, PartNoise
 
+_FACTORS = (2.0, 0.5, 4.0, 0.25)  # usual mistakes in counts a turn
 _SCALE: dict[str, float] = {"angle": 1e-2, "length": 1e-2}  # of an unknown zero without `sigma_zero` [rad, m]
 
 
@@ -118,6 +120,15 @@ class JointReading(JointInstrument):
         mean = float(np.angle(np.mean(np.exp(1j * off))))
         turns = np.round((np.median(off) - mean) / (2 * np.pi))
         return np.array([mean + 2 * np.pi * turns])
+
+    def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        """Yield an encoder that counts the other way, or on another scale."""
+        yield f"{self.name} counts the other way", -values
+        for factor in _FACTORS:
+            yield f"{self.name} was {1 / factor:g} times as far (counts a turn, or a gear)", factor * values
+        if self.dimension == "angle":
+            yield f"degrees of {self.name} were read as radians", np.radians(values)
+            yield f"radians of {self.name} were read as degrees", np.degrees(values)
 
     def _nearest_turn(self, off: FloatArray) -> FloatArray:
         if self.dimension == "length":

@@ -85,6 +85,10 @@ class Relation(FrameInstrument):
         names = [place.name for place in self.own] or [base]
         return tuple((self.target, name) if self.from_target else (name, self.target) for name in names)
 
+    def seen_points(self, values: FloatArray) -> FloatArray | None:
+        """Return positions of places in the axes of the target from values (n, n_values), (n, 3) [m]; None without."""
+        return None
+
     def columns(self) -> tuple[Column, ...]:
         """Return its columns; none for a touch, which has no numbers."""
         return () if self.touches else super().columns()

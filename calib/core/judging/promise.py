@@ -217,7 +217,7 @@ class System:
         for g, group in enumerate(whitening.groups):
             if (group.name, group.part.name) in promise.sigma:
                 scales[g] = max(promise.sigma[group.name, group.part.name], 1e-30) / group.typical
-        rows = whitening.rows(observed, scales, unknowns, unknowns.deviations(robot.values))
+        rows = whitening.rows(observed, scales, unknowns, robot.values)
         joints = whitening.joint_columns(observed) / whitening.row_scale(scales)[:, None]
         kept = np.ones(len(unknowns), dtype=bool) if same_setup else ~unknowns.placement
         covariance = promise.covariance / np.outer(unknowns.scales, unknowns.scales)

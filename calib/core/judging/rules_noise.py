@@ -7,12 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError
 from calib.core.base.memoize import memoize
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.data.measurements import Measurements
-from calib.core.fitting.fitted import Fit, NoiseEstimate
+from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import LARGE_NOISE
+from calib.core.fitting.mistaken_readings import jumbled_residuals
+from calib.core.fitting.solved_fit import NoiseEstimate
+from calib.core.instruments.kind import Part
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import comparisons
 from calib.core.judging.reasons import Answer, Code, Reason
@@ -29,6 +33,9 @@ MOST_LEFT_OUT = 20.0
 ten times the noise of a tracker; a target that is described on a neighbouring link leaves seventy times."""
 GROSS = 2.0
 """If every instrument has more than this many times its largest usual noise, the model makes most of the errors."""
+NO_BETTER = 0.15
+"""Where no positions are measured, nothing fits if the noise is more than this part of the errors with joint values of
+other rows."""
 DOUBTFUL = 0.05
 """Other meanings of an instrument's numbers are tried if the noise is more than this part of an impossible one."""
 GROSS_RATIO = 50.0
@@ -38,6 +45,7 @@ LEFT_OUT = 0.01
 NOT_STATED = 2.0
 """Factor on that limit where the noise of the instrument is not stated and adds to it: a camera that observes a small
 space has 1 % of it."""
+_MEDIAN = 0.6745  # median of the size of a normal error, in standard deviations
 _CLOSER = 0.2  # another meaning is better if it leaves less than this part of the error
 _TRIED = 20  # largest number of poses that are tried
 _FEWEST_READINGS = 4
@@ -60,13 +68,34 @@ def noise(fit: Fit) -> Iterator[Reason]:
             " simulated ones that have noise"
         )
     else:
+        jumbled = {} if np.isfinite(spread) else _jumbled_errors(fit)
         for estimate in fit.noise:
-            if _impossible(fit, estimate):
+            size = jumbled.get((estimate.group.name, estimate.group.part), np.inf)
+            if estimate.sigma > NO_BETTER * size:
+                yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
+                    f"no fit: residuals{_group_noise_in_words(fit, estimate)} of"
+                    f" {noise_in_words(estimate, estimate.sigma)} per axis, where joint values of other rows leave"
+                    f" {noise_in_words(estimate, size)}. Check units, axes, joint order and signs, names of what was"
+                    " read, and whether joint values and readings of each row belong together",
+                    answer=_first_answer(fit),
+                )
+            elif _impossible(fit, estimate):
                 yield _no_fit_reason(fit, estimate)
             elif estimate.freedom > 0:
                 yield from (
                     _check_usual_noise(fit, estimate) if estimate.stated is None else _check_statement(fit, estimate)
                 )
+
+
+def _jumbled_errors(fit: Fit) -> dict[tuple[str, Part], float]:
+    """Errors with each joint at its value in some other row [SI], by group of readings, from their medians."""
+    errors: dict[tuple[str, Part], list[FloatArray]] = {}
+    for name, residuals in jumbled_residuals(fit.robot, fit.identification.data).items():
+        instrument = fit.robot.instrument(name)
+        for k, part in enumerate(instrument.part_of_row):
+            errors.setdefault((instrument.group, instrument.parts[part]), []).append(residuals[:, k])
+    sizes = {group: np.abs(np.concatenate(parts)) for group, parts in errors.items()}
+    return {group: float(np.nanmedian(each)) / _MEDIAN for group, each in sizes.items() if np.isfinite(each).any()}
 
 
 def misread(fit: Fit) -> Iterator[Reason]:

@@ -34,6 +34,9 @@ from calib.core.numerics import linalg
 _AT_ONCE = 1 << 14  # rows of one factorisation
 _BLOCK = 32  # columns of a block in a factorisation
 _INVERTED = 96  # LAPACK inverts a triangle with at most this many columns as fast as by halves
+_EXACT = 1e-6  # inverse of the condition down to which products are exact enough
+MANY_COLUMNS = 128
+"""Products are used in place of rotations for so many columns or more, where they are exact enough."""
 RANK_TOLERANCE = 1e-9
 """Singular values of the scaled Jacobian below this part of the largest count as zero."""
 CLEAR_GAP = 30.0
@@ -129,6 +132,12 @@ def extend_reduced(factor: FloatArray, rows: FloatArray, right: FloatArray | Non
     return factor
 
 
+def factor_products(products: FloatArray) -> FloatArray | None:
+    """Return the triangular factor R with R^T R = products, (n, n); None where it would lose too many digits."""
+    upper, failed = scipy.linalg.lapack.dpotrf(products.T)  # LAPACK's order: not copied twice
+    return None if failed or scipy.linalg.lapack.dtrcon(upper)[0] < _EXACT else np.asarray(upper)
+
+
 def inverse_of_triangle(upper: FloatArray) -> FloatArray:
     """Return the inverse of an upper triangular matrix, (n, n), by halves, so that nearly all work is in products."""
     n = len(upper)
@@ -141,6 +150,12 @@ def inverse_of_triangle(upper: FloatArray) -> FloatArray:
     inverse[first, first], inverse[last, last] = above, below
     inverse[first, last] = scipy.linalg.blas.dtrmm(1.0, below, between, side=1, overwrite_b=1)
     return inverse
+
+
+def square_of_triangle(upper: FloatArray) -> FloatArray:
+    """Return T T^T of an upper triangular T, (n, n): a third of the work of any other product."""
+    half = np.triu(scipy.linalg.lapack.dlauum(upper)[0])
+    return np.asarray(half + np.triu(half, 1).T)
 
 
 def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:

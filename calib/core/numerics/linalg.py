@@ -121,13 +121,6 @@ def matrix_rank(matrix: FloatArray, *, hermitian: bool = False) -> IntArray:
     return np.asarray(np.count_nonzero(values > least, axis=-1))
 
 
-def cond(matrix: FloatArray) -> FloatArray:
-    """Return the largest singular values of matrices (..., m, n) over their smallest, (...); infinite if singular."""
-    values = singular_values(matrix)
-    largest, smallest = values[..., 0], values[..., -1]
-    return np.divide(largest, smallest, out=np.full_like(largest, np.inf), where=smallest > 0)
-
-
 def orth(matrix: FloatArray, rcond: float | None = None) -> FloatArray:
     """Return an orthonormal basis of the space that the columns of a matrix (m, n) span, (m, rank).
 

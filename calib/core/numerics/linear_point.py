@@ -19,7 +19,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import extend_reduced, reduce_rows
+from calib.core.numerics.identifiability import MANY_COLUMNS, extend_reduced, factor_products, reduce_rows
 from calib.core.numerics.prior import Prior
 
 ON_RADIUS = 0.1
@@ -27,8 +27,6 @@ ON_RADIUS = 0.1
 _BOLD = 4.0  # length of a step where the model has no minimum, in lengths of Newton's step
 _DEPENDENT = 1e-4  # a remembered step adds nothing if its part outside of later ones is less
 _SINGULAR = 1e-14  # the same for directions that the rows do not see
-_MANY = 128  # products are used for so many columns or more
-_EXACT = 1e-6  # inverse of the condition down to which they are exact enough
 _CLOSE = 1e-12  # relative difference of bounds between which a multiplier is found
 
 
@@ -203,10 +201,10 @@ def _solve_triangular(triangle: FloatArray, right: FloatArray, *, transposed: bo
 def _reduce(jacobian: RowStack, residuals: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return R, Q^T r, and the square of the part of r that no step removes, to first order."""
     n = jacobian.rows.shape[1]
-    if n >= _MANY:
+    if n >= MANY_COLUMNS:
         products = jacobian.gram(residuals)
-        triangle, failed = scipy.linalg.lapack.dpotrf(products[:n, :n])
-        if not failed and scipy.linalg.lapack.dtrcon(triangle)[0] >= _EXACT:
+        triangle = factor_products(products[:n, :n])
+        if triangle is not None:
             projected = _solve_triangular(triangle, products[:n, n], transposed=True)
             return triangle, projected, max(float(products[n, n] - projected @ projected), 0.0)
     factor = jacobian.reduced(residuals)

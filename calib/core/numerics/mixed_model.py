@@ -63,8 +63,8 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
-from calib.core.numerics.clusters import blocks_of_equal_length
-from calib.core.numerics.identifiability import inverse_of_triangle
+from calib.core.numerics.clusters import LeftOutBlocks, blocks_of_equal_length
+from calib.core.numerics.identifiability import inverse_of_triangle, square_of_triangle
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
 _DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
@@ -162,16 +162,21 @@ class MixedModel(ReadOnlyArrays):
         z, y = self.whiten_columns(seen, scale, variance), self.y / root
         matrix, prior = z.T @ z, self.has_prior[seen]  # a product with its own transpose: half of the work
         matrix[np.diag_indices_from(matrix)] += prior + _RIDGE * np.diag(matrix)
-        upper = np.linalg.cholesky(matrix).T
+        upper = scipy.linalg.cholesky(matrix.T, overwrite_a=True, check_finite=False)  # LAPACK's order: not copied
         v = scipy.linalg.cho_solve((upper, False), z.T @ y, check_finite=False)
         left = y - z @ v
         determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(np.sum(np.log(variance)))
         cost = float(np.sum(left**2) + np.sum(prior * v**2))
-        return SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (determinant + cost))
+        solved = SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (determinant + cost))
+        vars(solved)["z"] = z  # its derivatives use it next
+        return solved
 
     def whiten_columns(self, seen: IntArray, scale: FloatArray, variance: FloatArray) -> FloatArray:
         """Return V^-1/2 Z of the columns `seen`, (n_rows, n_seen)."""
-        return self.x[:, seen] * scale[seen] / np.sqrt(variance)[:, None]
+        columns = self.x[:, seen]
+        columns *= scale[seen]
+        columns /= np.sqrt(variance)[:, None]
+        return columns
 
 
 def _rotate_rows(rows: MixedRows) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
@@ -214,7 +219,7 @@ class SolvedModel(ReadOnlyArrays):
     whitened_residuals: FloatArray
     cost: float
 
-    @property
+    @cached_property
     def z(self) -> FloatArray:
         """V^-1/2 Z, (n_rows, n_seen)."""
         return self.model.whiten_columns(self.seen, self.scale, self.variance)
@@ -232,7 +237,7 @@ class SolvedModel(ReadOnlyArrays):
     @cached_property
     def _spread(self) -> FloatArray:
         """V^-1/2 Z R^-1, (n_rows, n_seen)."""
-        return np.asarray(scipy.linalg.blas.dtrmm(1.0, self._root, self.z, side=1))
+        return np.asarray(scipy.linalg.blas.dtrmm(1.0, self._root, self.z.T, trans_a=1).T)
 
     @cached_property
     def _leverage(self) -> FloatArray:
@@ -265,7 +270,7 @@ class SolvedModel(ReadOnlyArrays):
     def information(self) -> FloatArray:
         """Fisher's information of the logarithms of the sizes, (n_sizes, n_sizes)."""
         shares, members = self._shares, self._members
-        families = 2.0 * members @ (self._root @ self._root.T) ** 2 @ members.T
+        families = 2.0 * members @ square_of_triangle(self._root) ** 2 @ members.T
         families += np.diag(2.0 * members @ (1.0 - 2.0 * self._unseen_part))
         span = scipy.linalg.blas.dtrmm(1.0, self._root, self._spread, side=1, trans_a=1)  # V^-1/2 T
         mixed = members @ (shares @ span**2).T
@@ -303,8 +308,7 @@ class SolvedModel(ReadOnlyArrays):
     def covariance(self) -> FloatArray:
         """Covariance of u of the component columns, (n, n)."""
         result = np.diag(self.scale**2)
-        root = self.scale[self.seen, None] * self._root
-        result[np.ix_(self.seen, self.seen)] = root @ root.T
+        result[np.ix_(self.seen, self.seen)] = square_of_triangle(self.scale[self.seen, None] * self._root)
         return result
 
     def left_out_squares(self, block: IntArray, weight: FloatArray) -> FloatArray:
@@ -313,23 +317,13 @@ class SolvedModel(ReadOnlyArrays):
         Directions that a block alone decides, such as the place of a setup, are not counted.
 
         Args:
-            block: Block of each pose in the order of `MixedModel.poses`, from 0 on, (n_poses,).
+            block: Block of each row, from 0 on, (n_rows,).
             weight: Weight of each group of rows, (n_groups,).
         """
-        weights, squares = weight[self.model.rows.group], np.zeros(int(np.max(block)) + 1)
-        for k in range(len(squares)):
-            places = np.concatenate([self.model.poses[pose] for pose in np.flatnonzero(block == k)])
-            values, vectors = self._remaining_rows(places)
-            determined = values > _DECIDES
-            error = (vectors[:, determined] / values[determined]) @ (
-                vectors[:, determined].T @ self.whitened_residuals[places]
-            )
-            squares[k] = np.sum(weights[places] * self.variance[places] * error**2)
-        return squares
-
-    def _remaining_rows(self, places: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Eigenvalues (k,) and eigenvectors (k, k) of V^1/2 Q V^1/2 of some rows."""
-        return linalg.eigh(np.eye(len(places)) - self._spread[places] @ self._spread[places].T)
+        left = self.whitened_residuals
+        shifts, _ = LeftOutBlocks(self._spread, block).shifts_without_block(left, alone=1.0 - _DECIDES)
+        squares = weight[self.model.rows.group] * self.variance * (left + shifts) ** 2
+        return np.asarray(np.bincount(block, squares))
 
     def left_out_errors(self) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
         """Yield for each pose its rows (k,), the error of its prediction by all others (k,), and its covariance (k, k).
@@ -337,7 +331,7 @@ class SolvedModel(ReadOnlyArrays):
         A pose that alone decides a direction is left out.
         """
         for places, turn in zip(self.model.poses, self.model.turns, strict=True):
-            values, vectors = self._remaining_rows(places)
+            values, vectors = linalg.eigh(np.eye(len(places)) - self._spread[places] @ self._spread[places].T)
             if values[0] > _DECIDES:
                 unit = np.sqrt(self.variance[places])
                 root = turn @ (unit[:, None] * vectors / np.sqrt(values))

@@ -87,6 +87,8 @@ class FamilyPart(ReadOnlyArrays):
 
 
 def _principal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Squares of singular values in rising order (n,), and right singular vectors (n, n)."""
-    values, vectors = linalg.eigh(columns.T @ columns)
-    return np.asarray(values), np.asarray(vectors)
+    """Squares of singular values in rising order (k,), and right singular vectors (n, k), k at most the rows."""
+    if columns.shape[1] <= len(columns):
+        return linalg.eigh(columns.T @ columns)
+    values, left = linalg.eigh(columns @ columns.T)
+    return values, columns.T @ (left / np.sqrt(np.maximum(values, np.finfo(float).tiny)))

@@ -25,14 +25,16 @@ Reference: kass1989; patterson1971; mackay1992; chung2013.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
-from calib.core.numerics.identifiability import inverse_of_triangle
+from calib.core.numerics.identifiability import inverse_of_triangle, square_of_triangle
 from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.prior import Prior
 
@@ -40,6 +42,7 @@ _ROUNDS = 100
 _CONVERGED = 0.01  # a size is found once it changes by less than this part
 _SMALLEST = 1e-3  # least size of a family
 _SEEN = 0.05  # coefficients of a family that the data must decide for its size to be found
+_ASIDE = 1e-4  # part of the largest singular value of a family below which the rows do not see its components
 _RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding has made singular
 
 
@@ -135,6 +138,15 @@ class Products:
             gram += weight * more
         return gram, weights @ self.right_side
 
+    def combine_columns(self, parts: Sequence[tuple[IntArray, FloatArray]]) -> Products:
+        """Return the products of combinations of columns: of columns (k,), their combinations (k, k_new), in turn."""
+
+        def combine(products: FloatArray) -> FloatArray:
+            return np.concatenate([products[..., index] @ combinations for index, combinations in parts], axis=-1)
+
+        gram = np.stack([combine(combine(one).T) for one in self.gram])
+        return Products(gram, combine(self.right_side), self.square, self.count)
+
     def squared_residuals(self, step: FloatArray) -> FloatArray:
         """Return |y + J step|^2 of each group, (n_groups,), for a step (n_free,)."""
         return np.maximum(self.square + 2.0 * self.right_side @ step + self.gram @ step @ step, 0.0)
@@ -176,6 +188,7 @@ def find_noise_with_families(
     Returns:
         Scales of the groups (n_groups,), and a_f of the families (n_families,).
     """
+    products, prior, deviations, family = _combine_seen(products, prior, deviations, family, start)
     members, known = _members(family), prior.together
     scales, sizes = start.copy(), np.ones(len(members))
     alone = int(np.sum(products.count > 0)) == 1
@@ -186,7 +199,7 @@ def find_noise_with_families(
         step = -root @ (root.T @ (pull + prior.gradient(deviations / factor) / factor))
         reached, left = (deviations + step) / factor, products.squared_residuals(step)
         variances = np.einsum("ij,ij->i", root, root) / factor**2
-        inverse = None if alone else root @ root.T
+        inverse = None if alone else square_of_triangle(root)
         change = np.ones(len(start))
         for g in map(int, np.flatnonzero(sought & (products.count > 0))):
             if inverse is None:  # the rows determine all directions that priors do not
@@ -206,3 +219,22 @@ def find_noise_with_families(
         if np.all(np.abs(growth - 1.0) <= _CONVERGED) and np.all(np.abs(change - 1.0) <= _CONVERGED / 10):
             break
     return scales, sizes
+
+
+def _combine_seen(
+    products: Products, prior: Prior, deviations: FloatArray, family: IntArray, scales: FloatArray
+) -> tuple[Products, Prior, FloatArray, IntArray]:
+    """Products, prior, deviations and family of principal components of families, after the other parameters.
+
+    Components that rows do not see are left out: they have their prior, whatever the size is.
+    """
+    gram, others = products.weigh(scales)[0], np.flatnonzero(family < 0)
+    parts: list[tuple[IntArray, FloatArray]] = [(others, np.eye(len(others)))]
+    for index in _members(family):
+        values, vectors = linalg.eigh(gram[np.ix_(index, index)])
+        parts.append((index, vectors[:, values >= _ASIDE**2 * values[-1]]))
+    numbers = np.repeat(np.arange(len(parts)) - 1, [combinations.shape[1] for _, combinations in parts])
+    known = prior.select(others)  # families have independent priors
+    known = replace(known, has=np.append(known.has, numbers[numbers >= 0] >= 0))
+    deviations = np.concatenate([deviations[index] @ combinations for index, combinations in parts])
+    return products.combine_columns(parts), known, deviations, numbers

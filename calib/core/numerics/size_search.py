@@ -44,9 +44,8 @@ _AT_BOUND = 1e-9  # difference of a logarithm from its bound
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
 _CONVERGED = 0.03  # a size is found at a smaller gradient of twice the cost by its logarithm
-_GAIN = 5e-4  # least fall of the cost for which the search continues
+_GAIN = 5e-4  # least fall of the cost for which a step is taken, and the search continues
 _ROUNDS = 80
-_HOPELESS = 1e6  # with more damping, no step lowers the cost
 
 
 def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: BoolArray | None = None) -> SolvedModel:
@@ -79,6 +78,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: 
             break
         damping *= 0.3
     falling = (at.gradient + _slope(at) > 0.0) & (at.logs < bounds.first + np.log(_SMALL)) & ~none
+    falling[model.n_families : model.n_families + len(model.unstated_groups)] = False  # noise is never zero
     without = model.solve(np.where(falling, bounds.least, at.logs)) if np.any(falling) else at
     return without if _cost(without) <= _cost(at) else at
 
@@ -111,18 +111,19 @@ def _mean_beyond(value: float, variance: float) -> float:
 def _try_step(
     at: SolvedModel, gradient: FloatArray, information: FloatArray, free: BoolArray, bounds: _Bounds, damping: float
 ) -> tuple[SolvedModel | None, float]:
-    """Solved model after a step that lowers the cost, and its damping; None if no step does."""
+    """Solved model after a step that lowers the cost, and its damping; None if no step promises enough."""
     inner = information[np.ix_(free, free)]
-    while damping <= _HOPELESS:
+    while True:
         step = np.zeros(len(gradient))
         damped = inner + np.diag(damping * np.diag(inner) + 5e-3)
         step[free] = -np.linalg.solve(damped, gradient[free])
+        if -gradient @ step < 2.0 * _GAIN:
+            return None, damping
         logs = np.clip(at.logs + np.clip(step, -_STEP, _STEP), bounds.least, bounds.most)
         tried = at.model.solve(logs)
         if _cost(tried) < _cost(at):
             return tried, damping
         damping = max(6.0 * damping, 1e-2)
-    return None, damping
 
 
 def draw_sizes(at: SolvedModel, n: int, rng: np.random.Generator) -> FloatArray:

@@ -294,26 +294,28 @@ def statistics(
         poses, beyond_linear: Attributes of the result.
         by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
     """
-    root = known.root
-    share = prior_shares(known, prior)
-    core = share.copy()  # with a robust loss, J is multiplied by the root of the slope, in T and in the scatter
-    shared = _scatter_beyond_chance(poses)
-    if shared is not None:
-        core += shared.core
-    elif len(factors.effective) == 1:  # the rows have the rest of the information
-        core += factors.slope * factors.effective[0] ** 2 * (np.eye(len(share)) - share)
+    root, shared = known.root, _scatter_beyond_chance(poses)
+    by_prior = float(np.sum(prior.times(root) ** 2))
+    if shared is None and len(factors.effective) == 1:  # the rows have the rest of the information
+        factor = factors.slope * factors.effective[0] ** 2
+        scaled_covariance = known.covariance
+        held = prior.times(scaled_covariance)
+        scaled_covariance = factor * scaled_covariance + (1.0 - factor) * (held.T @ held)
     else:
-        for part in slices(len(span)):
+        core = prior_shares(known, prior)  # with a robust loss, J is times the root of the slope in T
+        if shared is not None:
+            core += shared.core
+        for part in slices(len(span)) if shared is None else ():
             pulled, number = span[part], groups[part]
             for group, factor in enumerate(factors.effective):
                 own = pulled[number == group]
                 core += (factors.slope * factor) ** 2 * (own.T @ own)
-    scaled_covariance = root @ core @ root.T
+        scaled_covariance = root @ core @ root.T
     if by_sizes is not None:
         scaled_covariance = scaled_covariance + by_sizes
     scaled_covariance = (scaled_covariance + scaled_covariance.T) / 2  # symmetric to the last digit
     covariance = np.multiply.outer(scales, scales) * scaled_covariance
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(prior.has, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
-    n_effective = float(len(share) - np.trace(share))
+    n_effective = root.shape[1] - by_prior
     return Statistics(factors, factors.total_freedom, covariance, std, decided, n_effective, poses, beyond_linear)

@@ -38,6 +38,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.linear_model import LinearModel
+from calib.core.numerics.observability import Information
 
 _ROUNDS = 60
 _SETTLED = 1e-4
@@ -272,21 +273,11 @@ def _with_shared(
     return Components(scales, tau, likelihood)
 
 
-@dataclass(frozen=True, eq=False)
-class _Root:
-    """T with T T^T = (J^T J + P)^-1, and the logarithm of the determinant of J^T J + P."""
-
-    root: FloatArray
-    log_determinant: float
-
-
-def _solve_by_cholesky(model: LinearModel, rows: FloatArray) -> tuple[_Root, FloatArray]:
-    """Root of the covariance from rows [J y] and priors, and the step; Cholesky's factors are accurate enough."""
-    matrix = model.prior.add_to(rows[:, :-1].T @ rows[:, :-1])
-    lower = np.linalg.cholesky(matrix)
-    root = scipy.linalg.solve_triangular(lower, np.eye(len(matrix)), lower=True).T
+def _solve_by_cholesky(model: LinearModel, rows: FloatArray) -> tuple[Information, FloatArray]:
+    """Information of rows [J y] and priors, and the step; Cholesky's factors are accurate enough."""
+    known = Information(np.linalg.cholesky(model.prior.add_to(rows[:, :-1].T @ rows[:, :-1])).T)
     pull = rows[:, :-1].T @ rows[:, -1] + model.prior.gradient(model.deviations)
-    return _Root(root, 2.0 * float(np.sum(np.log(np.diag(lower))))), -root @ (root.T @ pull)
+    return known, -known.root @ (known.root.T @ pull)
 
 
 def _prior_cost(model: LinearModel, step: FloatArray) -> float:

@@ -203,8 +203,9 @@ def _covariance_table(fit: Fit) -> str:
 
     The hundreds of coefficients of curves are left out, as in the report.
     """
-    places = [k for k, name in enumerate(fit.free_names) if not fit.parameters[name].family]
-    free = [fit.parameters[fit.free_names[k]] for k in places]
+    free = [fit.parameters[name] for name in fit.free_names]
+    places = [k for k, estimate in enumerate(free) if not estimate.family]
+    free = [free[k] for k in places]
     scale = np.array([estimate.per_si for estimate in free])
     shown = np.asarray(fit.covariance)[np.ix_(places, places)] * np.multiply.outer(scale, scale)
     columns: list[tuple[str, list[str] | FloatArray]] = [

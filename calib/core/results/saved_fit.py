@@ -22,12 +22,13 @@ from calib.core.base.version import PROGRAM
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.error_sets import ErrorSet, Folds
 from calib.core.fitting.fit import Minimum, fit_at
-from calib.core.fitting.fitted import Convergence, Fit
+from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import Outlier
 from calib.core.fitting.pose_checks import require_identifiable
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.robust import RobustSolution
 from calib.core.fitting.settings import RequestedOptions, Settings
+from calib.core.fitting.solved_fit import Convergence
 from calib.core.fitting.solving import reset_unseen
 from calib.core.fitting.terms.candidate_terms import TermChoice
 from calib.core.fitting.unexplained import UnexplainedErrors

@@ -23,6 +23,7 @@ from calib.core.robots.loops import LoopSolution, why_open
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
 from calib.core.rows.observed import Observed, observe, planned_readings, predict_readings
+from calib.core.rows.rows import Rows
 from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import ASSUMED, Whitening, stated_noise
 
@@ -128,15 +129,22 @@ def rows_of_poses(
     rows, read = np.zeros((n, width, len(chosen))), np.zeros((n, width), dtype=bool)
     if data.n_readings == 0:
         return PoseRows(rows, read, places, positions, position_rows)
-    whitening = Whitening(robot, data, sigma)
-    whitened = whitening.rows(observed, whitening.start(), chosen, chosen.deviations(robot.values))
-    for name in whitening.layout.instruments:
+    whitened = rows_as_stated(robot, data, observed, chosen, sigma)
+    for name in whitened.layout.instruments:
         visits, n_rows = readings[name].visits, robot.instrument(name).n_rows
         at = places[name].start + n_rows * rank_in_visit(visits)[:, None] + np.arange(n_rows)
-        part = whitened.jacobian[whitening.layout.rows_of(name)]
+        part = whitened.jacobian[whitened.layout.rows_of(name)]
         rows[visits[:, None], at] = part.reshape(len(visits), n_rows, len(chosen))
         read[visits[:, None], at] = True
     return PoseRows(rows, read, places, positions, position_rows)
+
+
+def rows_as_stated(
+    robot: Robot, data: Measurements, observed: Mapping[str, Observed], unknowns: Unknowns, sigma: float | None
+) -> Rows:
+    """Return the rows of readings, whitened by their stated or assumed noise; arguments as in `rows_of_poses`."""
+    whitening = Whitening(robot, data, sigma)
+    return whitening.rows(observed, whitening.start(), unknowns, robot.values)
 
 
 def blocks_of(robot: Robot, looks: Mapping[str, Readings]) -> dict[str, slice]:
@@ -260,11 +268,9 @@ def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[F
     if not isinstance(poses, Measurements):
         part = rows_of_poses(robot, configurations, sigma, looks=planned_readings(robot, poses))
         return part.rows[part.read], part.positions, part.position_rows
-    unknowns = Unknowns.chosen_by_poses(robot)
-    whitening = Whitening(robot, poses, sigma)
-    observed = observe(robot, configurations, poses.readings)
-    whitened = whitening.rows(observed, whitening.start(), unknowns, unknowns.deviations(robot.values))
-    return whitened.jacobian, *positions_at(robot, configurations)
+    observed, unknowns = observe(robot, configurations, poses.readings), Unknowns.chosen_by_poses(robot)
+    rows = rows_as_stated(robot, poses, observed, unknowns, sigma)
+    return rows.jacobian, *positions_at(robot, configurations)
 
 
 def positions_at(robot: Robot, configurations: Configurations) -> tuple[FloatArray, FloatArray]:

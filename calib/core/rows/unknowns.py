@@ -47,12 +47,12 @@ class Unknowns(ReadOnlyArrays):
     @staticmethod
     def from_robot(robot: Robot, free: BoolArray | None = None) -> Unknowns:
         """Return chosen parameters of a robot, by a mask (n_parameters,): its free ones if not given."""
-        chosen = np.flatnonzero(robot.is_free if free is None else free)
-        kept = [robot.parameters[k] for k in chosen]
+        chosen = robot.is_free if free is None else free
+        kept = [parameter for parameter, use in zip(robot.parameters, chosen, strict=True) if use]
         families = tuple(dict.fromkeys(p.family for p in kept if p.family))
         return Unknowns(
             tuple(p.name for p in kept),
-            chosen,
+            np.flatnonzero(chosen),
             np.array([p.sigma_si for p in kept]),
             np.array([p.expected_si for p in kept]),
             _prior(robot, kept),

@@ -128,7 +128,7 @@ class Whitening:
         observed: Mapping[str, Observed],
         groups: FloatArray,
         unknowns: Unknowns,
-        deviations: FloatArray,
+        values: FloatArray,
     ) -> Rows:
         """Return the whitened rows.
 
@@ -136,9 +136,10 @@ class Whitening:
             observed: Observed rows of each instrument, by name.
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: The parameters of the columns.
-            deviations: u of these, (n_free,).
+            values: Values of all parameters at which they were observed, (n_parameters,) [m or rad].
         """
         residuals = self.flatten({name: observed[name].residuals for name in self._names}) / self.row_scale(groups)
+        deviations = unknowns.deviations(values)
         return Rows(residuals, self.columns(observed, groups, unknowns), unknowns.prior, deviations, self.layout)
 
     def columns(self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns) -> FloatArray:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError
 from calib.core.data.instrument_cells import setups_of
-from calib.core.data.measurement_files import conditions_of_table, stands_of_table
+from calib.core.data.table_poses import conditions_of_table, stands_of_table
 from calib.core.data.tables import Table, read_table
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context

@@ -13,24 +13,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.solved_fit import SolvedFit
 from calib.core.fitting.terms.candidate_terms import CandidateTerm
 from calib.core.numerics import linalg
 from calib.core.numerics.mixed_model import MixedModel
 from calib.core.numerics.mixed_rows import MixedRows
-from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import TermSection
 from calib.core.rows.observed import observe
 from calib.core.rows.prediction import UndecidedTerms
-from calib.core.rows.rows import Rows, Scales
 from calib.core.rows.unknowns import Unknowns
-from calib.core.rows.whitening import Whitening
 
 _POSES = 500  # number of poses from which sizes are found
 _LITTLE = 0.01  # directions of undecided terms that add less than this part of the largest variance are left out
@@ -42,35 +38,6 @@ class TermFamily:
 
     term: str
     joint: str = ""
-
-
-class SolvedProblem(Protocol):
-    """The attributes of a `Fit` from which its unexplained errors are found."""
-
-    @property
-    def robot(self) -> Robot: ...  # noqa: D102
-
-    @property
-    def identification(self) -> ErrorSet: ...  # noqa: D102
-
-    @property
-    def configurations(self) -> Configurations: ...  # noqa: D102
-
-    @property
-    def unknowns(self) -> Unknowns: ...  # noqa: D102
-
-    @property
-    def whitening(self) -> Whitening: ...  # noqa: D102
-
-    @property
-    def scales(self) -> Scales: ...  # noqa: D102
-
-    @property
-    def weights(self) -> FloatArray:
-        """Weights of readings by a robust loss, (n_readings,)."""
-
-    @property
-    def weighted_rows(self) -> Rows: ...  # noqa: D102
 
 
 def with_kinds(robot: Robot, kinds: Sequence[CandidateTerm]) -> Robot:
@@ -92,7 +59,7 @@ class KindModel:
         of_kinds: Mask of the families that come from `kinds`, (n_families,).
     """
 
-    def __init__(self, fit: SolvedProblem, kinds: Sequence[CandidateTerm], scales: FloatArray | None = None) -> None:
+    def __init__(self, fit: SolvedFit, kinds: Sequence[CandidateTerm], scales: FloatArray | None = None) -> None:
         self._fit = fit
         self.robot = with_kinds(fit.robot, kinds)
         self._unknowns = Unknowns.from_robot(self.robot)
@@ -135,9 +102,9 @@ class KindModel:
         same = self.robot is fit.robot
         poses = fit.configurations if same else self.robot.assemble(data.joints, near, data.labels, data.conditions)
         observed = observe(self.robot, poses, data.readings, joints=True)
-        weighing, deviations = fit.whitening.weighing(ratios), self._unknowns.deviations(self.robot.values)
+        weighing = fit.whitening.weighing(ratios)
         rows = (
-            fit.whitening.rows(observed, groups, self._unknowns, deviations)
+            fit.whitening.rows(observed, groups, self._unknowns, self.robot.values)
             .with_weights(fit.weights)
             .whiten_shared(weighing)
         )

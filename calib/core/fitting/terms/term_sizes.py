@@ -132,13 +132,11 @@ class _TermModel:
 
     @cached_property
     def _blocks(self) -> IntArray:
-        """Block of each pose of the model by the module docstring, (n_poses,)."""
+        """Block of each row of the model by the module docstring, (n_rows,)."""
         data, depths = self._fit.identification.data, self._fit.robot.mechanism.depths
         setups = np.zeros(len(data), dtype=np.intp) if data.setups is None else data.setups
         layout, block, start = self._fit.whitening.layout, np.zeros(len(data), dtype=np.intp), 0
-        visits = layout.visit[
-            layout.reading[self._kind_model.informative_rows[[places[0] for places in self._solved_model.model.poses]]]
-        ]
+        visits = layout.visit[layout.reading[self._kind_model.informative_rows]]
         each = np.unique(setups[visits])
         for setup in each:
             there = np.flatnonzero(setups == setup)
@@ -152,7 +150,7 @@ class _TermModel:
         full = self._solved_model
         self._solved.setdefault(self._requested_kinds, full)
         if kinds not in self._solved:
-            near = self._solved[min(self._solved, key=lambda known: len(known ^ kinds))].logs
+            near = self._solved[min(self._solved, key=lambda known: self._freedom_of_kinds(known ^ kinds))].logs
             absent = self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds))
             solved = likeliest_sizes(full.model, np.where(np.isneginf(near), full.logs, near), absent)
             self._solved[kinds] = replace(solved)  # without its cached values, which take memory
@@ -229,6 +227,10 @@ class _TermModel:
     def _terms(self) -> NDArray[np.str_]:
         """Kind of each family, (n_families,)."""
         return np.array([family.term for family in self._families], dtype=np.str_)
+
+    def _freedom_of_kinds(self, kinds: frozenset[str]) -> float:
+        """Number of coefficients of some kinds that the rows decide, in the model of all."""
+        return self._solved_model.freedom(np.flatnonzero(np.isin(self._terms, list(kinds))))
 
     def _kinds_by_freedom(self, kinds: frozenset[str]) -> list[str]:
         """Some kinds, sorted by the number of coefficients that rows decide, most first."""

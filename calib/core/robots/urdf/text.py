@@ -35,7 +35,7 @@ from calib.core.robots.urdf.reader import (
 )
 from calib.core.robots.urdf.sdf_reading import read_sdf
 from calib.core.robots.urdf.ur_kinematics import read_origins, ur_urdf
-from calib.core.robots.urdf.writing import readers_by_word, shortest
+from calib.core.robots.urdf.writing import number_attribute, shortest
 from calib.core.robots.urdf.xacro_files import expand
 
 __all__ = [
@@ -137,7 +137,7 @@ class UrdfText:
         if joint.origin_span is None:
             end = joint.tag_span[1]
             blank = _BLANK.match(self.source, end)  # the following line end and indent
-            attributes = " ".join(f'{key}="{readers_by_word(value)}"' for key, value in changes.items())
+            attributes = " ".join(f'{key}="{number_attribute(value)}"' for key, value in changes.items())
             return [(end, end, (blank.group() if blank else b"") + f"<origin {attributes}/>".encode())]
         return _attribute_edits(self.source, joint.origin_span, changes)
 
@@ -215,7 +215,7 @@ def _attribute_edits(source: bytes, span: Span, changes: Mapping[str, Triple]) -
             edits.append((start + first + 1, start + last - 1, _respell(old, value)))
         else:
             at = start + len(b"<origin")
-            edits.append((at, at, f' {key}="{readers_by_word(value)}"'.encode()))
+            edits.append((at, at, f' {key}="{number_attribute(value)}"'.encode()))
     return edits
 
 
@@ -224,7 +224,7 @@ def _respell(old: bytes, values: Triple) -> bytes:
     text = old.decode("ascii", errors="replace")
     numbers = list(NUMBER.finditer(text))
     if len(numbers) != 3 or "&" in text:  # character references: write plain numbers
-        return readers_by_word(values).encode()
+        return number_attribute(values).encode()
     for match, value in reversed(list(zip(numbers, values, strict=True))):
         if float(match.group()) != value:
             text = text[: match.start()] + shortest(value) + text[match.end() :]

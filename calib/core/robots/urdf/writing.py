@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
-from calib.core.robots.urdf.reader import Triple
 
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -34,8 +33,8 @@ def joint_text(
     name: str,
     kind: str,
     links: tuple[str, str],
-    xyz: Triple,
-    rpy: Triple,
+    xyz: Iterable[float],
+    rpy: Iterable[float],
     axis: str,
     limits: tuple[float, float] | None,
 ) -> str:
@@ -51,7 +50,7 @@ def joint_text(
     parent, child = map(quote_attribute, links)
     lines = [
         f"<parent link={parent}/> <child link={child}/>",
-        f'<origin xyz="{readers_by_word(xyz)}" rpy="{readers_by_word(rpy)}"/>',
+        f'<origin xyz="{number_attribute(xyz)}" rpy="{number_attribute(rpy)}"/>',
     ]
     if axis:
         lines.append(f'<axis xyz="{axis}"/>')
@@ -61,8 +60,8 @@ def joint_text(
     return f'  <joint name={quote_attribute(name)} type="{kind}">\n{inside}  </joint>\n'
 
 
-def readers_by_word(values: Triple) -> str:
-    """Return three numbers as an attribute."""
+def number_attribute(values: Iterable[float]) -> str:
+    """Return numbers as an attribute of a URDF."""
     return " ".join(shortest(value) for value in values)
 
 
@@ -87,15 +86,9 @@ def joint_element(
     limits: tuple[float, float] | None = None,
 ) -> Element:
     """Add a joint to a robot, and return it; see `joint_text`."""
-    element = SubElement(root, "joint", name=name, type=kind)
-    SubElement(element, "parent", link=links[0])
-    SubElement(element, "child", link=links[1])
-    SubElement(element, "origin", origin_of(origin))
-    if axis is not None:
-        SubElement(element, "axis", xyz=number_attribute(axis))
-    if limits is not None:
-        SubElement(element, "limit", lower=repr(limits[0]), upper=repr(limits[1]), effort="0", velocity="0")
-    return element
+    along, turned = "" if axis is None else number_attribute(axis), pin.rpy.matrixToRpy(origin.rotation)
+    root.append(ElementTree.fromstring(joint_text(name, kind, links, origin.translation, turned, along, limits)))
+    return root[-1]
 
 
 def inertial_element(link: Element, origin: pin.SE3, mass: str, moments: Mapping[str, str]) -> None:
@@ -116,11 +109,6 @@ def visual_element(link: Element, origin: pin.SE3, shape: Element) -> None:
 def origin_of(place: pin.SE3) -> dict[str, str]:
     """Return the attributes of a URDF's origin."""
     return {"xyz": number_attribute(place.translation), "rpy": number_attribute(pin.rpy.matrixToRpy(place.rotation))}
-
-
-def number_attribute(values: Iterable[float]) -> str:
-    """Return numbers as an attribute of a URDF."""
-    return " ".join(repr(float(value) + 0.0) for value in values)
 
 
 def perpendicular_axes(axis: FloatArray) -> FloatArray:

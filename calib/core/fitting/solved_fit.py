@@ -1,0 +1,262 @@
+"""The end of a fit: the values found, whitened rows at them, and the noise that these show.
+
+`calib.core.fitting.fitted` has what follows for the uncertainty of parameters and positions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.fitting.error_sets import ErrorSet, Residuals
+from calib.core.numerics.chances import EXACT
+from calib.core.numerics.identifiability import Rank
+from calib.core.numerics.losses import Loss
+from calib.core.numerics.statistics import ChiSquare, Statistics, chi_square
+from calib.core.robots.configurations import Configurations
+from calib.core.robots.loops import reached_from_home
+from calib.core.robots.robot import Robot
+from calib.core.rows.determination import Determination
+from calib.core.rows.observed import observe
+from calib.core.rows.rows import Group, Rows, Scales
+from calib.core.rows.unknowns import Unknowns
+from calib.core.rows.whitening import Whitening
+
+COMPUTED = 1e-7
+"""Noise below this [SI] and below a hundredth of the statement is the effect of priors on data without noise."""
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """End of the iteration.
+
+    Attributes:
+        converged: Whether the weights of a robust loss have settled, and `step_left` is small enough.
+        message: The rule that ended it, or the step left if that shows that it has not converged.
+        step_left: Largest Gauss-Newton step left, over the standard deviation of its parameter.
+        parameter: The parameter of that step.
+        has_settled_weights: Whether the weights of a robust loss have settled; True without one.
+        receding_parameters: Parameters whose best values recede, the farthest first: the data do not determine them.
+    """
+
+    converged: bool
+    message: str
+    step_left: float
+    parameter: str
+    has_settled_weights: bool
+    receding_parameters: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """Noise of one group of rows.
+
+    Attributes:
+        sigma: Found standard deviation of one component, typically [SI].
+        stated: Stated standard deviation [SI], or None.
+        freedom: Degrees of freedom of `sigma`.
+    """
+
+    group: Group
+    sigma: float
+    stated: float | None
+    freedom: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SolvedFit(ReadOnlyArrays):
+    """The end of an identification.
+
+    Attributes:
+        nominal: The robot as described.
+        placed: The robot `before`: nominal, with unknown base and targets placed.
+        robot: The calibrated robot.
+        identification: Errors on the visits that were used.
+        validation: Errors on visits that were not used, if there were any.
+        configurations: The assembled visits of `identification`, at the solution.
+        unknowns: The free parameters.
+        statistics: Uncertainty of the free parameters.
+        determination: Ranks of poses and priors at `placed`, as in `calib check`.
+        observability: O1 to O5 on scaled columns.
+        rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
+        whitening: Whitening of the rows.
+        scales: Assumed scales of the noise.
+        seconds: Duration of the whole computation.
+        convergence: How the iteration ended.
+        loss: Robust loss.
+        weights: Weight of each reading, (n_readings,); 1 without a robust loss.
+        sigma_given: Noise of positions that replaced the stated one [m], or None.
+    """
+
+    nominal: Robot
+    placed: Robot
+    robot: Robot
+    identification: ErrorSet
+    validation: ErrorSet | None
+    configurations: Configurations
+    unknowns: Unknowns
+    statistics: Statistics
+    determination: Determination
+    observability: dict[str, float]
+    rows: Rows
+    whitening: Whitening
+    scales: Scales
+    seconds: float
+    convergence: Convergence
+    loss: Loss
+    weights: FloatArray
+    sigma_given: float | None
+
+    @property
+    def converged(self) -> bool:
+        """Whether the iteration reached a minimum."""
+        return self.convergence.converged
+
+    @property
+    def message(self) -> str:
+        """End of the iteration."""
+        return self.convergence.message
+
+    @property
+    def rank(self) -> Rank:
+        """Rank of the free parameters, from the poses alone."""
+        return self.determination.free
+
+    @property
+    def rank_all(self) -> Rank:
+        """Rank of all parameters, held ones included, from the poses alone."""
+        return self.determination.everything
+
+    @property
+    def free(self) -> BoolArray:
+        """Mask of the free parameters, (n_parameters,)."""
+        return np.isin(np.arange(len(self.nominal.parameters)), self.unknowns.index)
+
+    @property
+    def residuals(self) -> dict[str, FloatArray]:
+        """Predicted minus read after calibration, of each instrument, (n_readings, n_rows) [SI]."""
+        return Residuals(self.identification.after)
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return self.unknowns.names
+
+    @cached_property
+    def noise(self) -> tuple[NoiseEstimate, ...]:
+        """Noise of each group of rows, found and stated."""
+        factors, totals = self.statistics.factors, self.whitening.totals(self.scales)
+        return tuple(
+            NoiseEstimate(
+                group,
+                float(factors.values[g] * totals[g] * group.typical),
+                group.typical if group.stated else None,
+                float(factors.freedom[g]),
+            )
+            for g, group in enumerate(self.whitening.groups)
+        )
+
+    @property
+    def first_noise(self) -> NoiseEstimate:
+        """Noise of measured positions; of the first group of rows if no positions are measured."""
+        return next((estimate for estimate in self.noise if estimate.group.part.is_position), self.noise[0])
+
+    @property
+    def sigma(self) -> float:
+        """Found noise of one measured position per axis [m]; of the first kind of rows without positions [SI]."""
+        return self.first_noise.sigma
+
+    @property
+    def sigma_stated(self) -> float | None:
+        """Stated noise of the rows of `sigma`, or None."""
+        return self.first_noise.stated
+
+    @property
+    def offsets(self) -> dict[str, FloatArray]:
+        """Size of the error that readings of one pose share, as the weights assume, (n_rows,) [SI] by instrument."""
+        if not np.any(self.scales.ratios):
+            return {}
+        instruments = self.robot.instruments
+        sizes = self.scales.ratios * self.whitening.offset_scale(self.scales.groups)
+        ends = np.cumsum([instrument.n_rows for instrument in instruments])[:-1]
+        parts = zip(instruments, np.split(sizes, ends), strict=True)
+        return {instrument.name: part for instrument, part in parts if np.any(part > 0)}
+
+    @property
+    def chi_square(self) -> ChiSquare | None:
+        """The stated noise against the residuals; None where some noise was not stated."""
+        if not all(group.stated for group in self.whitening.groups):
+            return None
+        factors = self.statistics.factors
+        factor = factors.values * self.whitening.totals(self.scales)
+        mean_square = float(np.sum(factors.freedom * factor**2) / factors.total_freedom)
+        return chi_square(float(np.sqrt(mean_square)), factors.total_freedom)
+
+    @property
+    def computed(self) -> bool:
+        """Whether the data were computed, not measured: without noise, or with far less than stated."""
+        return all(
+            estimate.sigma < EXACT
+            or (estimate.sigma < COMPUTED and estimate.stated is not None and estimate.sigma < 0.01 * estimate.stated)
+            for estimate in self.noise
+        )
+
+    @cached_property
+    def assembles(self) -> bool:
+        """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
+        closed, robot = self.configurations, self.robot
+        if reached_from_home(robot.mechanism, robot.mode, closed.actuated, closed.passive):
+            return True
+        return bool(np.all(robot.close(self.identification.data.joints, columns=closed.term_columns).ok))
+
+    @cached_property
+    def joint_derivative(self) -> dict[str, FloatArray]:
+        """Derivative of the readings by the actuated joints, of each instrument, (n, n_rows, n_actuated) [SI]."""
+        observed = observe(self.robot, self.configurations, self.identification.data.readings, joints=True)
+        return {name: own.joint_derivative.copy() for name, own in observed.items()}  # the rest takes memory
+
+    def whitened_residuals_and_rows(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
+        """Return whitened residuals before (n_rows,) and rows after calibration, by the found noise, at new visits."""
+        data = errors.data
+        before, after, whitening, factors = self._whitened(errors)
+        configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
+        observed = observe(self.robot, configurations, data.readings)
+        rows = whitening.rows(observed, factors, self.unknowns, self.robot.values)
+        return before, replace(rows, residuals=after)
+
+    def whitened_errors(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray]:
+        """Return whitened residuals before and after calibration, (n_rows,) each, by the noise as found."""
+        return self._whitened(errors)[:2]
+
+    def _whitened(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray, Whitening, FloatArray]:
+        """Residuals before and after (n_rows,), their whitening, and scales of the groups (n_groups,)."""
+        whitening = Whitening(self.robot, errors.data, self.sigma_given)
+        known = {
+            (estimate.group.name, estimate.group.part.name, estimate.group.stated): estimate for estimate in self.noise
+        }
+        factors = whitening.start(errors.after)  # noise of instruments that the fit has not seen
+        for g, group in enumerate(whitening.groups):
+            estimate = known.get((group.name, group.part.name, group.stated))
+            if estimate is not None:
+                factors[g] = max(estimate.sigma, 1e-30) / estimate.group.typical
+        divisor = whitening.row_scale(factors)
+        before, after = (whitening.flatten(state) / divisor for state in (errors.before, errors.after))
+        return before, after, whitening, factors
+
+    @cached_property
+    def validation_rows(self) -> Rows | None:
+        """Whitened rows of the validation visits; None without them."""
+        return None if self.validation is None else self.whitened_residuals_and_rows(self.validation)[1]
+
+    @cached_property
+    def weighted_rows(self) -> Rows:
+        """Whitened rows at the solution, with the weights of a robust loss."""
+        return self.rows.with_weights(self.weights)
+
+    @property
+    def root(self) -> FloatArray:
+        """T of `calib.core.numerics.observability` at the solution, with weights of a robust loss, (n_free, rank)."""
+        return self.weighted_rows.posterior_information.root

@@ -1,6 +1,6 @@
 """Tables of readings that belong to a table of joint values by their order, or by time, where no column `pose` says so.
 
-Only if the robot description asks for it (`join`); what was joined is a warning of the logger `calib`.
+Only if the robot description asks for it (`join`); what was joined is logged as a warning (logger `calib`).
 """
 
 from __future__ import annotations

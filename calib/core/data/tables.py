@@ -183,7 +183,7 @@ def read_number(cell: str, where: str, separator: str = ",") -> float:
         separator: Separator of cells; if that is not the comma, the comma may be the decimal mark.
 
     Raises:
-        DataError: It is empty, no number, or not finite.
+        DataError: The cell is empty, no number, or not finite.
     """
     text = cell.strip()
     if not text:

@@ -76,7 +76,7 @@ def place(problem: Problem) -> Evaluation:
     robot's own errors are part of that noise, so that it is found, whatever the description states for the sensor.
 
     Raises:
-        NotConvergedError: They cannot be placed.
+        NotConvergedError: The places cannot be found.
     """
     robot = problem.robot
     places = problem.unknowns.select(problem.unknowns.placement)

@@ -207,7 +207,7 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
 
 
 def _widening_sentence(fit: Fit, q: FloatArray) -> str:
-    """The uncertainty of positions at q (n, n_actuated) and at the used poses, in words; empty if terms widen neither.
+    """The uncertainty of positions at q (n, n_actuated) and at the used poses, in words; empty if terms hardly matter.
 
     Base and tool are placed anew, because their place does not depend on the terms.
     """

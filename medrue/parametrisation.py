@@ -134,7 +134,7 @@ class MedrueParametrisation:
 
     @cached_property
     def _urdf_origins(self) -> tuple[FloatArray, FloatArray]:
-        """The same in the URDF."""
+        """Xyz and rpy of all origins in the URDF, (n_origins, 3)."""
         given = [self.origins[name] for name in _COORDINATES]
         return np.array([origin.xyz for origin in given]), np.array([origin.rpy for origin in given])
 

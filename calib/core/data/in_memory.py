@@ -129,7 +129,7 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
         sigma: Standard deviation per axis of what was read in each row, (n,) or (n, 3) [m].
 
     Raises:
-        DataError: Not one for each row, or not positive.
+        DataError: There is not one deviation for each row, or one is not positive.
         InputError: Nothing measures positions, or other readings state no noise.
     """
     values = np.asarray(sigma, dtype=float)

@@ -1,7 +1,7 @@
 """The noise found from residuals: scales of groups, sizes of families, offsets that readings share.
 
 All of it follows from the linear model around an evaluation (`calib.core.numerics.variance_components`), where possible
-from a few rows with the same products as all rows (`Problem.compressed`).
+from a few rows with the same J^T J and J^T r as all rows (`Problem.compressed`).
 """
 
 from __future__ import annotations

@@ -272,7 +272,7 @@ def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
         return
     ratios: dict[float, str] = {}
     for (read, of_read), (written, of_written) in product(_READ.items(), _WRITTEN.items()):
-        ratio = float(f"{of_written / of_read:.6g}")  # the same for pairs of units whose quotients round differently
+        ratio = float(f"{of_written / of_read:.6g}")  # equal quotients of units get equal keys
         if abs(np.log(ratio / size)) < _ANOTHER_UNIT:
             ratios.setdefault(ratio, f"positions in {written} were read as {read}")
     yield from ((words, ratio) for ratio, words in ratios.items())

@@ -138,7 +138,7 @@ def _remaining_residuals(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int
     """Return what parameters leave of further columns (n_rows, k), and of the residuals, divided by the found noise.
 
     Returns:
-        Remainders, (n, k + 1), those of the residuals last: a few rows with the same products as all measured rows,
+        Remainders, (n, k + 1), those of the residuals last: a few rows with the same J^T J as all measured rows,
         then a row for each deviation of a parameter; and the number of these measured rows.
     """
     linear, inside, n = findings.linear(fit), ~fit.unknowns.placement, len(fit.unknowns)

@@ -34,7 +34,7 @@ _MOVED_ALONG = {
     "track_conveyor_linear": "stop_conveyor_tracking",
     "track_conveyor_circular": "stop_conveyor_tracking",
 }
-"""Functions that begin to shift all targets at run time, with the functions that end it; they are names of settings."""
+"""Functions that begin to shift all targets at run time, and those that end it; the latter name settings."""
 
 
 @dataclass(frozen=True)

@@ -242,7 +242,7 @@ def _may_be_left_out(fit: Fit, estimate: NoiseEstimate) -> bool:
 
 
 def _most(estimate: NoiseEstimate) -> float:
-    """Largest noise that may remain, over the spread of the measured positions."""
+    """Largest noise that may remain, divided by the spread of the measured positions."""
     return LEFT_OUT if estimate.stated is not None else NOT_STATED * LEFT_OUT
 
 

@@ -100,7 +100,7 @@ def check_inclinometers(description: Description, mechanism: Mechanism, where: s
             if mechanism.dimensions[name] != "angle":
                 raise DescriptionError(f"{place}.joints: '{name}' slides, and tilts nothing; name a joint that turns")
             if not support[mechanism.origin_names.index(name)]:
-                raise DescriptionError(f"{place}.joints: '{name}' does not move {section.frame}; name one before it")
+                raise DescriptionError(f"{place}.joints: '{name}' does not move {section.frame}; name one that does")
             taken[name] = sensor
         if np.any(support @ mechanism.select_passive):
             raise DescriptionError(f"{place}.frame: {section.frame} hangs in a loop; name a link before the loop")

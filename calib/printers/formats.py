@@ -78,7 +78,7 @@ def _trims(geometry: DeltaGeometry) -> str:
 
 
 def _marlin(geometry: DeltaGeometry) -> tuple[list[str], str]:
-    """M666 has the endstops relative to the lowest, never positive; A, B and C are added to the mean arm."""
+    """M666 lowers endstops to the lowest one, so it is never positive; A, B and C are added to the mean arm."""
     rod, height = round(float(np.mean(geometry.arms)), 7), min(geometry.endstops)
     arms = " ".join(f"{axis}{_mm(arm - rod)}" for axis, arm in zip("ABC", geometry.arms, strict=True))
     ends = " ".join(f"{axis}{_mm(height - end + 0.0)}" for axis, end in zip("XYZ", geometry.endstops, strict=True))

@@ -279,7 +279,7 @@ def _noise_above_statement(fit: Fit, estimate: NoiseEstimate, text: str) -> Reas
         )
         if estimate.sigma > MOST_LEFT_OUT * (estimate.stated or np.inf):
             text += (
-                f". Joint origins of real robots leave less than {MOST_LEFT_OUT:g} times the noise of an instrument:"
+                f". On real robots, joint origins leave errors below {MOST_LEFT_OUT:g} times an instrument's noise:"
                 " look at the targets' links, and at units, gear ratios and order of the joint columns"
             )
             return Code.NOISE.says(text, counted=False)

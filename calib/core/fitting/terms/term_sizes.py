@@ -125,7 +125,7 @@ class _TermModel:
 
     @cached_property
     def _rows(self) -> MixedRows:
-        """Rows of the model, divided by the noise found by the fit: stated noise does not contain errors of the robot."""
+        """Rows of the model, divided by the noise that the fit found: stated noise contains no errors of the robot."""
         scales, model = self._fit.scales, self._kind_model
         found = np.zeros(len(scales.groups), dtype=bool)
         return model.rows(model.informative_rows, scales.groups, scales.ratios, found)

@@ -19,8 +19,7 @@ elementary vectors are the vertices of {v in the subspace, |v|_1 <= 1}, so
 has an elementary vector as its solution for each entry j, often a short one. A second round with weights
 w_i = 1 / (|v_i| + 0.1) finds shorter ones. Nothing proves then that no shorter basis exists.
 
-Reference: Rockafellar 1969 (elementary vectors); Edmonds 1971 (greedy algorithm); Candes, Wakin and Boyd 2008
-(reweighting).
+Reference: rockafellar1969 (elementary vectors); edmonds1971 (greedy algorithm); candes2008 (reweighting).
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def null_groups(
     Args:
         scaled_jacobian: (n_rows, n_columns).
         dropped: Columns that are held or dropped. A group names such a column first if it moves enough, and contains as
-            few others of them as possible.
+            few other columns of this kind as possible.
         lengths: Divisor of each column after it was scaled by its sigma, (n_columns,); 1 if not given.
     """
     null = _null_space(scaled_jacobian)
@@ -176,7 +176,7 @@ def _elementary_vectors(complement: FloatArray, size: int) -> Iterator[FloatArra
     supports = combinations(range(n), size)
     while batch := list(islice(supports, _BATCH)):
         index = np.array(batch, dtype=np.intp)
-        # with as many zero columns appended as make it wide enough, the last left singular vector is the null vector
+        # zero columns make a narrow matrix square, so that its last left singular vector is the null vector
         rows = np.concatenate([complement[index], np.zeros((len(index), size, max(0, size - rank)))], axis=2)
         u, s, _ = linalg.svd(rows, full_matrices=False)
         unique = (s[:, -1] < _DEPENDENT) & (s[:, -2] > ZERO if size > 1 else True)

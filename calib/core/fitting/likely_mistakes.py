@@ -6,8 +6,8 @@ off, or on another scale, several at once (`calib.core.fitting.column_maps`); va
 100; joint values up to five rows above or below their measurements; degrees read as radians or radians read as degrees;
 positions in another unit, which their size shows; axes of the measurement frame mirrored, or in another order. Readings
 of exactly 0, 0, 0 are left out before, and named with the rest. A rigid fit places unknown base and targets. A mistake
-is named if undoing it brings the nominal robot much closer to the data, and to within a part of their spread. Columns
-that are copies of each other are named without a trial.
+is named if undoing it brings the nominal robot much closer to the data, and to within a part of their spread; for
+scales, which a fit finds, a fit with them must do so. Columns that are copies of each other are named without a trial.
 
 When it fails. Mistakes of two kinds at once are not found. A robot with a wrong base or tool that the description calls
 known is always far off; the verdict looks for that first. Only instruments that measure points are examined here.
@@ -36,6 +36,8 @@ from calib.core.fitting.scaled_joints import joint_scales
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
 
+LARGE_NOISE = 0.1
+"""Nothing fits if the noise is more than this part of the spread of the measured positions."""
 _CLOSER = 0.2  # with the mistake undone, the nominal robot misses by less than this part of what it missed before,
 _NEAR = 0.2  # and by less than this part of the spread of the measured positions
 _HALF = 0.5  # a fit with other scales of joints leaves less than this part of the noise
@@ -97,7 +99,8 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
         return mistake
     tried = [joint_scales(robot, sound, at) for at in ((None, nearest) if nearest else (None,))]
     scales = min((known for known in tried if known is not None), key=lambda known: known.noise, default=None)
-    if scales is None or not scales.map.is_scaled or scales.noise > _HALF * noise:
+    spread = float(np.sqrt(np.mean(np.var(sound.points(robot), axis=0))))
+    if scales is None or not scales.map.is_scaled or scales.noise > min(_HALF * noise, LARGE_NOISE * spread):
         return ""
     left = f"a fit leaves {millimetres(scales.noise):.3g} mm per axis in place of {millimetres(noise):.3g} mm"
     return f"probable mistake: {scales.map.words(robot, scales.std)}. Corrected, {left}"

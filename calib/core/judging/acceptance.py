@@ -109,7 +109,9 @@ class Acceptance:
             [m].
         limit: Distance that is exceeded in one of a thousand cases, if the robot is as calibrated [m].
         coverage_factor: Half the 95 % interval of a change, in standard deviations.
-        has_unlike_poses: Whether the poses are unlike those of the calibration, and the tests allow for it.
+        has_unlike_poses: Whether the poses are unlike those of the calibration, and the tests allow for it. Then all
+            numbers allow for errors of the model that these poses share.
+        has_larger_errors: Whether errors are larger than the calibration claims, without this allowance.
         repeated_visits: Poses of the calibration to measure again for a decision; none if the verdict is settled.
     """
 
@@ -132,6 +134,7 @@ class Acceptance:
     limit: float
     coverage_factor: float
     has_unlike_poses: bool
+    has_larger_errors: bool
     repeated_visits: tuple[str, ...]
 
     def __repr__(self) -> str:
@@ -171,7 +174,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
     if left_out:  # base and targets are placed without them too
         system = System.from_promise(promise, data.with_readings(system.numbers_without(left_out)), same_setup)
     tests = _Tests.from_system(system)
-    verdict, unlike = "agrees", False
+    verdict, unlike, larger = "agrees", False, tests.has_larger_errors
     if tests.fail:
         verdict = tests.verdict_of_unexplained
         if tests.p_drift >= _LEVEL and _is_noise(promise, system):
@@ -206,6 +209,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
         system.expected.limit(UNLIKELY, promise.freedom),
         float(scipy.special.stdtrit(promise.freedom, 0.975)),
         unlike,
+        larger,
         again,
     )
 
@@ -244,7 +248,12 @@ class _Tests:
     @property
     def fail(self) -> bool:
         """Whether chance does not explain the readings."""
-        return self.p_value < _LEVEL or self.p_drift < _LEVEL or self.far
+        return self.has_larger_errors or self.p_drift < _LEVEL
+
+    @property
+    def has_larger_errors(self) -> bool:
+        """Whether errors are larger than chance explains; if not, they may still have the pattern of a change."""
+        return self.p_value < _LEVEL or self.far
 
     @property
     def verdict_of_unexplained(self) -> str:

@@ -13,6 +13,7 @@ from calib.core.base.memoize import memoize
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit
+from calib.core.fitting.likely_mistakes import LARGE_NOISE
 from calib.core.fitting.mistaken_readings import jumbled_residuals
 from calib.core.fitting.solved_fit import NoiseEstimate
 from calib.core.instruments.kind import Part
@@ -32,8 +33,6 @@ MOST_LEFT_OUT = 20.0
 ten times the noise of a tracker; a target that is described on a neighbouring link leaves seventy times."""
 GROSS = 2.0
 """If every instrument has more than this many times its largest usual noise, the model makes most of the errors."""
-LARGE_NOISE = 0.1
-"""Nothing fits if the noise is more than this part of the spread of the measured positions."""
 NO_BETTER = 0.15
 """Where no positions are measured, nothing fits if the noise is more than this part of the errors with joint values of
 other rows."""

@@ -7,7 +7,7 @@ joint offsets sit on top of it, roll = psi_i + dq.
 Nominal values are read from the URDF itself, so a calibrated URDF can be calibrated again. An origin is the URDF's own
 plus (formula at the values - formula at nominal), so nominal values give back the URDF exactly.
 
-Reference: Joubair, Zhao, Bigras and Bonev 2015, equations 1-17; urdf/README.md has the tree.
+Reference: joubair2015, equations 1-17; urdf/README.md has the tree.
 """
 
 from __future__ import annotations

@@ -177,7 +177,7 @@ def _largest_difference(robot: Robot, joints: FloatArray) -> float:
 
 
 def _slopes(robot: Robot, joints: FloatArray) -> float:
-    """Largest difference of the first target's Jacobian from central differences, over its largest element."""
+    """Largest difference of the first target's Jacobian from central differences, divided by its largest element."""
     target = next(iter(robot.description.targets.values())).frame
     exact, step = robot.jacobian(joints, target)[:, :3], 1e-6
     for column in range(joints.shape[1]):

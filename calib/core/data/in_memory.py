@@ -161,7 +161,7 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
         covariance[:, rows, rows] = stds[readings.visits] ** 2
         changed[name] = replace(readings, covariance=covariance)
     if all(changed[name] is data.readings[name] for name in changed):
-        raise InputError("sigma: no instrument measures positions; the others state theirs in the robot description")
+        raise InputError("sigma: no instrument measures positions; state the noise of others in the robot description")
     return replace(data, readings=changed)
 
 

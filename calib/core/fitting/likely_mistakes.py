@@ -10,8 +10,8 @@ is named if undoing it brings the nominal robot much closer to the data, and to 
 scales, which a fit finds, a fit with them must do so. Columns that are copies of each other are named without a trial.
 
 When it fails. Mistakes of two kinds at once are not found. A robot with a wrong base or tool that the description calls
-known is always far off; the verdict looks for that first. Only instruments that measure points are examined; without
-them, what a sensor saw (`calib.core.fitting.photographed_points`), or all (`calib.core.fitting.mistaken_readings`).
+known is always far off; the verdict looks for that first. Only instruments that measure points are examined here.
+Without any, see `calib.core.fitting.photographed_points` for images, else `calib.core.fitting.mistaken_readings`.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ _NEAR = 0.2  # and by less than this part of the spread of the measured position
 _HALF = 0.5  # a fit with other scales of joints leaves less than this part of the noise
 _AS_GOOD = 1.5  # another mistake explains the data as well if it misses by at most this many times the best miss
 _POSES = 20  # poses that suffice to show a gross mistake
-_GLANCE = 4  # one in so many of these shows whether the loops close at all
+_GLANCE = 4  # step through these poses for a first look: do the loops close at all?
 _FEW = 3  # rows that may agree by chance, or that a shift must leave
 _SHIFTS = 5
 _RANGES = ((-100, 100), (0, 100), (-1, 1), (0, 1), (0, 1023), (0, 4095), (0, 65535))
-_NO_SIZE = 1e-6  # ratio of reach to measured space below which the target is described on a link that does not move
+_NO_SIZE = 1e-6  # if reach over measured space is below this, the described target is on a link that does not move
 _ANOTHER_UNIT = 0.1  # change of all lengths that is more than a robot's own errors
 _READ = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _WRITTEN = dict(_READ, inches=0.0254, feet=0.3048, cm=1e-2) | {"tenths of an inch": 2.54e-3}
@@ -79,7 +79,7 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
         robot: The nominal robot.
         data: Measurements that do not fit it.
         noise: Noise of a fit to them, per axis [m]; infinite without a fit.
-        gross: Whether nothing fits; if not, only the scales of joints are examined.
+        gross: Whether all mistakes are examined, since nothing fits; else only the scales of joints.
     """
     copied = equal_columns(data, robot)
     if copied:
@@ -163,7 +163,7 @@ def _some_visits(data: Measurements) -> Measurements:
 def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> list[float]:
     """Root mean square errors of the nominal robot over the spread of the positions; all loops are closed at once.
 
-    Values larger than `most` may be a little too small, but stay larger than it.
+    A result above `most` is only a lower bound.
     """
     result = np.full(len(changed), np.inf)
     glances = [data.joints[::_GLANCE] for data in changed]
@@ -234,7 +234,7 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
 
 
 def _shifted_trials(measured: Measurements) -> Iterator[Trial]:
-    """Joint values shifted to other rows, in the order measured: rows between may be held out, or left out."""
+    """Joint values shifted to other rows, counted in the measured order; rows of the file may be missing here."""
     places = measured.places
     for rows, sign in product(range(1, _SHIFTS + 1), (1, -1)):
         _, of_joints, of_points = np.intersect1d(places + sign * rows, places, return_indices=True)
@@ -246,7 +246,7 @@ def _shifted_trials(measured: Measurements) -> Iterator[Trial]:
 
 
 def _rescaled_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
-    """Joint values that are parts of the joints' ranges: numbers of a file, in whatever unit they were read."""
+    """Joint values mapped back from ranges such as 0 to 1 to the joints' limits; the file may have meant any unit."""
     lower, upper = robot.urdf.limits(robot.joint_names)
     if not np.all(np.isfinite(upper - lower)):
         return

@@ -207,12 +207,12 @@ def _refine_guess(
             places[name] = places[name].copy()
             places[name][:3, 3] += step[:3]
             places[name][:3, :3] = places[name][:3, :3] @ pin.exp3(step[3:])
-        assert start.unknowns is not None  # of `_starts`
+        assert start.unknowns is not None  # `_starts` sets them
         return Guess(places, start.unknowns + scales * x[:n_own])
 
     def misses(x: FloatArray) -> FloatArray:
         at, result = guess_at(x), np.zeros((len(readings), kind.n_rows))
-        assert at.unknowns is not None  # of `moved`
+        assert at.unknowns is not None  # `guess_at` sets them
         for (a, b), own, links, part in parts:
             seen = np.linalg.inv(at.places[a]) @ links @ at.places[b]
             result[own] = kind.misses(View(seen[:, :3, :3], seen[:, :3, 3]), at.unknowns, part)

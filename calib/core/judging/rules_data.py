@@ -32,7 +32,7 @@ FEW_SHARED = 5
 """With fewer degrees of freedom of the poses, intervals are very wide if the readings of a pose share errors. Distances
 of targets mean something from so many poses."""
 RIGID = 1e-6
-"""No instrument read both of two targets if their distance scatters by less [m]."""
+"""If the distance of two targets scatters by less [m], no instrument has read both."""
 COSTLY = 0.36
 """If outliers make this part of the squared residuals, errors are a fifth smaller without them."""
 FEW_OF = 0.01

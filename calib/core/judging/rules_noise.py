@@ -241,7 +241,7 @@ def _may_be_left_out(fit: Fit, estimate: NoiseEstimate) -> bool:
 
 
 def _most(estimate: NoiseEstimate) -> float:
-    """Largest noise that may remain, over the spread of the measured positions."""
+    """Largest noise that may remain, divided by the spread of the measured positions."""
     return LEFT_OUT if estimate.stated is not None else NOT_STATED * LEFT_OUT
 
 
@@ -278,7 +278,7 @@ def _noise_above_statement(fit: Fit, estimate: NoiseEstimate, text: str) -> Reas
         )
         if estimate.sigma > MOST_LEFT_OUT * (estimate.stated or np.inf):
             text += (
-                f". Joint origins of real robots leave less than {MOST_LEFT_OUT:g} times the noise of an instrument:"
+                f". On real robots, joint origins leave errors below {MOST_LEFT_OUT:g} times an instrument's noise:"
                 " look at the targets' links, and at units, gear ratios and order of the joint columns"
             )
             return Code.NOISE.says(text, counted=False)

@@ -17,7 +17,7 @@ count as equal, and the first tied name in the robot description's `elimination_
 them, the smallest condition number decides. If these are equal too (to six digits, so that every machine agrees), the
 last parameter is dropped.
 
-Reference: Joubair, Zhao, Bigras and Bonev 2015, section Identification.
+Reference: joubair2015, section Identification.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ class UrscriptReader(Reader):
         return {self.code.tokens[at].text for at in self.code.names(first, stop) if at not in moved}
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
-        """Process a move, a change of the tool, or the call of another built-in function."""
+        """Process a call of a built-in function, such as a move; return whether the call is known."""
         name = self.code.tokens[at].text
         if name in _MOVES:
             self.flow.move(self.code.tokens[at].start, lambda state: self._move(name, span, state))

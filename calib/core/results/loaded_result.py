@@ -198,7 +198,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
         for entry in self.saved["fit"]["reduced"].values():
             if np.array_equal(robot.values, entry["values"]):
                 return evaluate_fit(self.nominal, entry, self.path).uncertainty
-        raise DataError(f"{self.path}: has no covariance of the robot that such a file gets; take another format")
+        raise DataError(f"{self.path}: the result has no covariance for the robot in such a file; take another format")
 
     def readings(self) -> dict[str, dict[bytes, float]]:
         """Return the squared error of each reading of each set, by joint values and reading.

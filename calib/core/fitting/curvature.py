@@ -43,7 +43,7 @@ from calib.core.numerics.observability import information
 from calib.core.numerics.statistics import prior_directions
 from calib.core.rows.rows import Rows
 
-_HELD = 0.1  # the square of a direction counts if priors have more than this share in it
+_HELD = 0.1  # priors hold a direction if they have more than this share in it
 _STEP = 0.1  # step of a difference of Jacobians, in standard deviations
 _POSES = 250  # poses of each pair of frames that determine the step back
 

@@ -100,7 +100,7 @@ MAX_EVALUATIONS = 200
 TOLERANCE = 1e-12
 """Promised decrease, relative to the cost, that ends the iteration: 1e-4 standard deviations at ten thousand rows."""
 _SMALL_STEP = 1e-12
-_ROUNDING = 10.0  # promised decrease in tolerances, up to which a step that did not lower the cost ends the iteration
+_ROUNDING = 10.0  # a step that did not lower the cost ends the iteration if it promised at most so many tolerances
 _KEPT = 8  # steps whose Jacobians are remembered
 _SHORTER = 0.25  # factor of the radius after a step that failed
 _GOOD, _POOR = 0.75, 0.25  # the radius changes if more, or less, than this part of the promised decrease came

@@ -233,7 +233,7 @@ def _with_instruments(instruments: Mapping[str, Any], *, hold: bool) -> Robot:
     """The robot of `medrue.yaml` with other instruments, and with or without held parameters."""
     file = robot_file()
     content = parse_yaml(file.read_text(encoding="utf-8"), file)
-    del content["sigma"]  # of the tracker
+    del content["sigma"]  # noise of the tracker
     content |= {"urdf": str(file.parent / content["urdf"]), "instruments": dict(instruments)}
     content |= {} if hold else {"held": []}
     with tempfile.TemporaryDirectory() as folder:  # descriptions are read from files

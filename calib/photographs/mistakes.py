@@ -283,7 +283,7 @@ def _mistakes_of_lens(
     for k in dict.fromkeys((int(np.argmax(sure)), int(np.argmax(np.where(sure[:4] > _ALSO_OFF, pixels, 0.0))))):
         if numbers and not sure[k] > _ALSO_OFF:
             continue
-        name, digits = NAMES[better.free[k]], 1 if better.free[k] < 4 else 4  # px, or of the distortion
+        name, digits = NAMES[better.free[k]], 1 if better.free[k] < 4 else 4  # for px, else for distortion
         numbers.append(
             f"{name} is given as {given[better.free[k]]:.{digits}f}, and found as"
             f" {better.placed.intrinsics[better.free[k]]:.{digits}f} ± {std[k]:.{digits}f}"

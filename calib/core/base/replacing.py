@@ -170,7 +170,7 @@ def exchange(path: Path, other: Path) -> bool:
 
 def _try_replace_folder(new: Path, path: Path) -> bool:
     """Replace a folder in two steps; False if another program was faster, and it has to be tried again."""
-    with new_folder(path.parent, _OLD) as attic:  # and the end of the block puts it back if the place is free
+    with new_folder(path.parent, _OLD) as attic:  # the end of the block puts the old folder back if its place is free
         path.rename(attic / path.name)
         try:
             new.rename(path)

@@ -249,7 +249,7 @@ class _Loader(yaml.SafeLoader):
 def _size(node: yaml.Node, sizes: dict[int, int]) -> int:
     """Number of entries of a node with everything that aliases in it stand for; `sizes` has those that are known."""
     if id(node) not in sizes:
-        sizes[id(node)] = 0  # while its parts are counted
+        sizes[id(node)] = 0  # as long as its parts are being counted
         if isinstance(node, yaml.ScalarNode) and (problem := unseen(node.value)):
             raise yaml.composer.ComposerError(None, None, problem, node.start_mark)
         parts = node.value if isinstance(node, yaml.CollectionNode) else ()

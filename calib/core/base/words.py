@@ -74,7 +74,7 @@ def distinct_names(paths: Sequence[Path | str]) -> tuple[str, ...]:
         ('left', 'right')
     """
     parts = [Path(path).resolve().parts for path in paths]
-    most = min(map(len, parts), default=1) - 1  # something is left of each
+    most = min(map(len, parts), default=1) - 1  # so that something is left of each path
     first = next((k for k in range(most) if len({path[k] for path in parts}) > 1), most)
     last = next((k for k in range(most - first) if len({path[-1 - k] for path in parts}) > 1), most - first)
     return tuple("/".join(path[first : len(path) - last]) for path in parts)

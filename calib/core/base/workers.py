@@ -114,7 +114,7 @@ def _sender(executor: Executor, function: Callable[[Item], Result]) -> _Send[Ite
     """An item as it is sent: without the function, where the workers hold it."""
     if isinstance(executor, Processes):
         return executor.holding(partial(_answer, function))
-    client = getattr(executor, "_client", None)  # of Dask
+    client = getattr(executor, "_client", None)  # executors of Dask have one
     if hasattr(client, "scatter"):
         return _plainly(executor, cast(Any, client).scatter(function, broadcast=True, hash=False))
     return _plainly(executor, function)

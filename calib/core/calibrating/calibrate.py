@@ -190,7 +190,7 @@ def _without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Me
             excluded.append(replace(outlier, reading=reading, pose=int(own[number])))
         for name, gone in readings_of_outliers(outliers, now).items():
             left = np.delete(kept[name], gone)
-            kept[name] = left[np.argsort(data.readings[name].visits[left], kind="stable")]  # order of a subset
+            kept[name] = left[np.argsort(data.readings[name].visits[left], kind="stable")]  # by visits
         current = again(data.with_readings(kept))
     if not excluded:
         return first

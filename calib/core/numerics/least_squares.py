@@ -212,9 +212,9 @@ class _Iteration:
             self._radius = self._length(start.x) or 1.0
         self._past: list[LinearPoint] = []
         self._undone = False  # whether the last step was undone
-        self._left: tuple[LinearPoint, float] | None = None  # where it left the bottom of a valley, length of that step
+        self._left: tuple[LinearPoint, float] | None = None  # where it left a valley's bottom, and the step's length
         self._away = 0  # steps since then
-        self._stays = self._by_columns  # whether it stays on the bottom from now on
+        self._stays = self._by_columns  # whether the search stays on the bottom from now on
         self._receded = 0  # steps in a row after which the remaining step was longer
         self._step: FloatArray = np.zeros(len(start.x))
         self._taken: FloatArray = self._step

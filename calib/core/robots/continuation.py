@@ -338,7 +338,7 @@ def _continue(
     start_a, at_p = start[0], start[1].copy()
     way = goal - start_a
     _, slope, slope_a, _ = newton(mechanism, mode, start_a, at_p)  # slopes of solved poses
-    tangent = solve_each(slope, np.matmul(slope_a, way[:, :, None])[:, :, 0])  # of passive joints, for the way
+    tangent = solve_each(slope, np.matmul(slope_a, way[:, :, None])[:, :, 0])  # motion of passive joints along the way
     done, part = np.zeros(len(goal)), np.ones(len(goal))
     active, lengths = np.arange(len(goal)), 1
     while len(active):

@@ -39,7 +39,7 @@ def without_terms(robot: SomeRobot, holds: Holds) -> SomeRobot:
     changed = with_terms(robot, kept)
     names = {parameter.name for parameter in changed.parameters}
     held = tuple(name for name in changed.description.held if name in names)
-    fleet = changed.description.fleet if changed.terms == robot.terms else None  # its means belong with the terms
+    fleet = changed.description.fleet if changed.terms == robot.terms else None  # its means hold with these terms alone
     return replace(changed, description=changed.description.model_copy(update={"held": held, "fleet": fleet}))
 
 

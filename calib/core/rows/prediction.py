@@ -234,7 +234,7 @@ def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | 
 
 def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
     """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
-    certain = squares <= _CERTAIN * trace**2  # of zero size too
+    certain = squares <= _CERTAIN * trace**2  # also if both are zero
     share = np.where(certain, 1.0, squares) / np.where(certain, 1.0, trace)
     freedom = np.where(certain, 1.0, trace) / share
     low, high = (np.sqrt(scipy.special.chdtri(freedom, tail) * share) for tail in (0.975, 0.025))

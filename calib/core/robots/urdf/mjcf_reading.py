@@ -144,7 +144,7 @@ def read_mjcf(path: Path | str) -> MjcfRobot:
         ) from None
     try:
         spec = mujoco.MjSpec.from_file(str(Path(path).resolve()))  # mesh paths are relative to the working folder
-        with warnings.catch_warnings(action="ignore"):  # on soft bodies
+        with warnings.catch_warnings(action="ignore"):  # warnings about soft bodies
             model = spec.compile()
     except (ValueError, OSError) as error:
         raise UrdfError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None
@@ -159,7 +159,7 @@ class _MjcfReader:
         self.mujoco, self.model, self.path, self.meshes = mujoco, model, path, meshes
         self.root = Element("robot", name=_text(model.names) or Path(path).stem)
         self.links: dict[str, Element] = {}
-        self.joints: dict[int, Element] = {}  # by number in the model; of hinges and slides
+        self.joints: dict[int, Element] = {}  # hinges and slides, by number in the model
         self.link_of: dict[int, str] = {}  # link of each body
         self.home: dict[str, float] = {}
         self.remarks: list[str] = []

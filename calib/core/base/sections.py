@@ -176,7 +176,7 @@ class OwnLength:
     sigma: float | None = None
 
     def parameters(self, name: str, start: float | None = None) -> tuple[Parameter, ...]:
-        """Return it as an unknown of an instrument; nothing if it is known.
+        """Return the length as an unknown of an instrument; nothing if the length is known.
 
         Args:
             start: Nominal value where nothing is expected [m].
@@ -247,7 +247,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def _size(node: yaml.Node, sizes: dict[int, int]) -> int:
-    """Number of entries of a node with everything that aliases in it stand for; `sizes` has those that are known."""
+    """Number of entries of a node, with its aliases written out; `sizes` has the known numbers of nodes."""
     if id(node) not in sizes:
         sizes[id(node)] = 0  # as long as its parts are being counted
         if isinstance(node, yaml.ScalarNode) and (problem := unseen(node.value)):

@@ -67,7 +67,7 @@ def joints_named(*names: str, separator: str = ", ", shown: int = _LISTED) -> st
 
 
 def distinct_names(paths: Sequence[Path | str]) -> tuple[str, ...]:
-    """Return what differs in paths: the folders that all begin with, and those that all end with, are left out.
+    """Return the parts that differ in paths, without the folders with which all of them begin or end.
 
     Examples:
         >>> distinct_names(["/data/left/out", "/data/right/out"])

@@ -111,7 +111,7 @@ def _result(
 
 
 def _sender(executor: Executor, function: Callable[[Item], Result]) -> _Send[Item]:
-    """An item as it is sent: without the function, where the workers hold it."""
+    """A function that sends an item to the workers: without `function`, if the workers hold that already."""
     if isinstance(executor, Processes):
         return executor.holding(partial(_answer, function))
     client = getattr(executor, "_client", None)  # executors of Dask have one

@@ -111,7 +111,7 @@ def _plain(name: str) -> str:
 
 
 def _joints(robot: Robot, table: Table) -> dict[str, str]:
-    """Columns that stand for joints, and these; none if one joint has its column, or not all have one."""
+    """Joints by the columns that stand for them; none if a column has a joint's name, or if a joint has no column."""
     joints = robot.joint_names
     if set(joints) & set(table.names):
         return {}

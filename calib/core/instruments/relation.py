@@ -52,7 +52,7 @@ class RelatedSection(PlaceSection):
     what = "place"
 
     def place(self, name: str) -> Place:
-        """Return it as a place of this name."""
+        """Return the described place under this name."""
         return placed(name, self)
 
 

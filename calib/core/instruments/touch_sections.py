@@ -38,7 +38,7 @@ class TouchedSection(PlaceSection):
     radius: LengthOrUnknown | None = None
 
     def place(self, name: str, surface: Surface) -> Place:
-        """Return it as a place."""
+        """Return the described socket, plane or sphere as a place."""
         unknown: tuple[Component, ...] = ()
         if self.position == "unknown":
             unknown = LENGTH_COMPONENTS if surface != "plane" else (self.normal_component(),)
@@ -82,7 +82,7 @@ class ArtefactSection(PosedSection):
         return self
 
     def place(self, name: str) -> Place:
-        """Return it as a place; a turn that moves none of its points is not free."""
+        """Return the artefact as a place; a turn that moves none of its points is not free."""
         return placed(name, self, LENGTH_COMPONENTS + self._turns() if self.pose == "unknown" else ())
 
     def _turns(self) -> tuple[Component, ...]:

@@ -102,7 +102,7 @@ class FleetSection(Section):
         return replace(parameter, sigma_si=sigma, prior=True, mean_si=parameter.nominal_si + offset)
 
     def widen(self, factor: float, parameters: Iterable[Parameter]) -> FleetSection:
-        """Return it with all uncertainties multiplied by a factor.
+        """Return the fleet's prior with all uncertainties multiplied by a factor.
 
         Args:
             factor: The factor.

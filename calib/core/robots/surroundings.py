@@ -47,7 +47,7 @@ class ShapeSection(Section):
 
     @property
     def kind(self) -> str:
-        """Its kind, one of `KINDS`."""
+        """Kind of the shape, one of `KINDS`."""
         return next(kind for kind in KINDS if getattr(self, kind, None) not in (None, False))
 
     @model_validator(mode="after")

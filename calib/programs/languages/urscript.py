@@ -47,7 +47,7 @@ class _Goal:
 
     @property
     def place(self) -> Place:
-        """File and first word of its numbers."""
+        """File, and first word of the target's numbers."""
         return self.data.place
 
 

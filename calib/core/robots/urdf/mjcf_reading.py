@@ -365,7 +365,7 @@ class _MjcfReader:
         return ids, [_se3(data[0:3], straight), _se3(data[3:6], straight)]
 
     def _loop_axes(self, bodies: list[int], points: list[FloatArray]) -> tuple[FloatArray, int]:
-        """Axes of a loop in its first body, (3, 3), and their number along which joints move it: these come first."""
+        """Axes of a loop in its first body, (3, 3); first those along which joints move it, and their number."""
         mujoco, model = self.mujoco, self.model
         data, random = mujoco.MjData(model), np.random.default_rng(0)
         columns = []

@@ -82,7 +82,7 @@ class Hierarchy(ReadOnlyArrays):
         freedom: f, (n,).
         estimates: d_i + m for each result, (n_results, n).
         deviations: Standard deviations of the estimates, (n_results, n).
-        n_determined: Number of results that determine each parameter, (n,); one that does so partly adds that part.
+        n_determined: Number of results that determine each parameter, (n,); one that does so in part counts in part.
     """
 
     mean: FloatArray

@@ -108,10 +108,10 @@ def _discard(path: Path) -> None:
 
 
 def replace_folder(new: Path, path: Path, obsolete: Collection[str]) -> None:
-    """Let a folder take the place of `path`; what `path` has besides stays in it.
+    """Let a folder take the place of `path`; other entries of `path` stay in it.
 
     Args:
-        new: The folder, complete but for what others keep in `path`; afterwards its name is free to be removed.
+        new: The new folder, without what others keep in `path`; what has its name afterwards may be removed.
         path: The place, in the same parent folder.
         obsolete: Names in `path` that do not stay.
     """

@@ -169,8 +169,8 @@ class Workers:
     Programs that start some need the usual `if __name__ == "__main__"`, because each process imports them again.
 
     Args:
-        executor: An executor, which is given as it is; or a number of processes, with 1 everything runs in this one;
-            None: in this one, too.
+        executor: An executor, which stays as it is; or a number of processes. With 1 or None, everything runs in this
+            process.
         pieces: How many pieces of work there will be at most, if that is known: no more processes than these start.
 
     Raises:

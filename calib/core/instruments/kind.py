@@ -124,8 +124,8 @@ class Readings(ReadOnlyArrays):
         values: The numbers, (n, n_values); NaN where a component was not read.
         covariance: Noise that the file states, (n, n_rows, n_rows) [SI]; None where it does not.
         details: Further numbers of each reading that a kind needs, (n, n_details).
-        labels: File, line and pose name of each reading, if these are in another file than the joint values; None: as
-            its visit.
+        labels: File, line and pose name of each reading, if readings are in another file than the joint values; None:
+            the labels of their visits.
     """
 
     visits: IntArray

@@ -41,8 +41,8 @@ class Format:
         name: Its name for `calib export --format`.
         holds: How much of a robot it holds.
         fits: Whether it can hold a robot with its loops and terms.
-        write: The robot with its current values and lines for the comment in, the file out; raises `InputError` where
-            it does not fit. None: the format is one of `calib.exporting.formats`.
+        write: Function of the robot, with its current values, and of lines for the comment; returns the file, or raises
+            `InputError` where the robot does not fit. None: the format is one of `calib.exporting.formats`.
         comment: How comments of its files begin, if not as in tables or XML.
     """
 

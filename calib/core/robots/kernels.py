@@ -240,7 +240,7 @@ def close(
         loops: The loops, whose gaps must be zero.
         blocks, signs: `places` and `signs` of the assembly mode.
         rest: Joint values without the passive ones, (n, n_joints).
-        passive: Where to start; where it ends, (n, n_passive).
+        passive: Start values, replaced by the solution, (n, n_passive).
         scale: Divisor of changes of each passive joint, (n_passive,).
         enough: Largest residual of a closed pose.
         sure: Largest residual of a closed pose if predicted from the two before it; 0: none is predicted.

@@ -47,8 +47,8 @@ class UnknownPlaces:
     Attributes:
         base: Whether the measurement frame is unknown.
         counts: Indices of the targets that are to agree, among all.
-        points: Indices of those of them with an unknown position on their link.
-        frames: Indices of those of them with an unknown orientation on their link.
+        points: Indices of these targets whose position on their link is unknown.
+        frames: Indices of these targets whose orientation on their link is unknown.
     """
 
     base: bool

@@ -1,7 +1,7 @@
 """Parts of the sections of a robot description: components of an origin, quantities with units.
 
-Own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown. And the reader of
-YAML: a mistake is an error with its line, and so is a key given twice.
+Also own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown; and the
+reader of YAML, in which a mistake is an error with its line, and so is a key given twice.
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ six-axis arm, 250 give the same half widths to 2e-7.
 E e^2 widens the intervals of single parameters, on both sides. It is no part of the covariance: positions do not change
 along the curve, and their covariance is that of the linear model around the solution.
 
-When it fails. It is the second order. Where angles are undetermined by a tenth of a radian the third counts, too; then
-the verdict says so. Along directions in which a loop opens nothing is known, and nothing is added.
+When it fails. It is the second order. Where angles are undetermined by a tenth of a radian, the third order counts,
+too; then the verdict says so. Along directions in which a loop opens nothing is known, and nothing is added.
 """
 
 from __future__ import annotations

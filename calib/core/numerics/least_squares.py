@@ -69,11 +69,11 @@ at most N tolerance. Where a step promised less than ten times as much, no bend 
 cost, rounding decides, and the iteration ends too. It also ends where the step is below 1e-12 of the unknowns, and as
 not converged after `max_evaluations` trial points.
 
-The minimum may recede: of poses that lie close together, an arc explains readings the better the longer its radius, and
-no length is the best one. Then the remaining distance grows with every step. So the iteration
-ends as not converged where, after 20 trial points, it has come farther than a = 3.5 sqrt(n), each of the last three
-steps has made f longer, and f is longer than a and than at the start, promises at most half of the cost, and has a
-standard deviation, s |f| / |R f|, above a. (Where unknowns are scaled, `unit`: others have no such length.)
+The minimum may recede: if poses lie close together, a longer radius of an arc always explains the readings better, so
+that no length is the best one. Then the remaining distance grows with every step. So the iteration ends as not
+converged where, after 20 trial points, it has come farther than a = 3.5 sqrt(n), each of the last three steps has made
+f longer, and f is longer than a and than at the start, promises at most half of the cost, and has a standard deviation,
+s |f| / |R f|, above a. (Where unknowns are scaled, `unit`: others have no such length.)
 
 When it fails. It finds the minimum in whose valley it starts; `calib.core.fitting.starts` looks for others. Along
 directions that the residuals hardly see, convergence is measured by the cost: the caller must check the step left.

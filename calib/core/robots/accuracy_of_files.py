@@ -1,9 +1,9 @@
 """The part of a robot that a file holds, and the robot that each kind of file gets.
 
-A calibrated robot may have more than a file has room for: terms of its joints' errors, origins behind the last axis,
-all but the zeros of its joints. Its other values belong to those that are lost: joint origins that were found together
-with a joint's curve are wrong without it. So a file never gets a part of the robot. It gets the best robot of those
-that it can hold whole, fitted to the same measurements, with the accuracy of that robot at poses that it has not seen.
+A calibrated robot may have more than a file has room for: terms of its joints' errors, origins behind the last axis, or
+everything but joint zeros. Its other values belong to those that are lost: joint origins that were found together with
+a joint's curve are wrong without it. So a file never gets a part of the robot. It gets the best robot of those that it
+can hold whole, fitted to the same measurements, with the accuracy of that robot at poses that it has not seen.
 """
 
 from __future__ import annotations

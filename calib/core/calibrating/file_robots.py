@@ -69,7 +69,7 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
 
 
 def start_of(fit: Fit, holds: Holds) -> Robot:
-    """Return the nominal robot of a fit, without the joint terms that such files lose.
+    """Return the nominal robot of a fit, without the joint terms that files of this kind lose.
 
     If terms are lost, all values become nominal again, because those of an earlier result were found with its terms.
     """

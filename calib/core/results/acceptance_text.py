@@ -202,7 +202,7 @@ def _placing_sentence(acceptance: Acceptance) -> str:
 def _heading(changes: Sequence[Change]) -> str:
     n = sum(change.significant for change in changes)
     which = f"{count_noun(n, 'is', 'are')} significant" if n else "none is significant"
-    return f"Changes that were looked for, by size over standard deviation; {which}"
+    return f"Changes that were looked for, sorted by size over standard deviation; {which}"
 
 
 def _changes(changes: Sequence[Change], *, with_values: bool = True) -> Table:

@@ -193,7 +193,7 @@ def with_zeros(nominal: Robot) -> Robot:
 
 
 def file_robot(fit: Fit) -> FileRobot:
-    """Return the robot of a fit for files that hold everything of it.
+    """Return the robot of a fit for files that hold the whole model.
 
     If only places were free, it is the nominal robot, and counts as no worse than that.
     """

@@ -215,7 +215,7 @@ class Whitening:
         return self.flatten({name: observed[name].joint_derivative for name in self._names})
 
     def start(self, residuals: Mapping[str, FloatArray] | None = None) -> FloatArray:
-        """Return starting scales: 1 where noise is stated; else the size of the residuals (n, n_rows), or assumed."""
+        """Return starting scales: 1 where noise is stated, else the size of `residuals`, (n, n_rows), or `ASSUMED`."""
         result = np.array([1.0 if group.stated else ASSUMED[group.part.dimension] for group in self.groups])
         if residuals is not None:
             flat, number = self.flatten(residuals), self.layout.group

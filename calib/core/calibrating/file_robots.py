@@ -42,7 +42,7 @@ from calib.core.robots.terms.one_coefficient import Zero
 from calib.core.robots.terms.term import Joint, TermSection
 
 _NOTHING = 1e-12  # joint zero, or squared motion of joints, that counts as none [m or rad]
-_SAME = 1.0 + 1e-6  # up to this ratio to the nominal error, plus `COMPUTED`, a difference of errors is rounding
+_SAME = 1.0 + 1e-6  # an error up to this many times the nominal one, plus `COMPUTED`, differs from it by rounding only
 
 
 @one_blas_thread

@@ -219,7 +219,7 @@ class SolvedFit(ReadOnlyArrays):
         return {name: own.joint_derivative.copy() for name, own in observed.items()}  # the rest takes memory
 
     def whitened_residuals_and_rows(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
-        """Return residuals before, (n_rows,), and rows after calibration, whitened by the found noise, at new visits."""
+        """Return residuals before (n_rows,) and rows after calibration at new visits, whitened by the found noise."""
         data = errors.data
         before, after, whitening, factors = self._whitened(errors)
         configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)

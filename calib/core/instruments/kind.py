@@ -354,7 +354,7 @@ class Instrument(ABC):
         return values + change
 
     def points(self, values: FloatArray) -> FloatArray | None:
-        """Return the target's position from values (n, n_values), seen from a, (n, 3) [m]; None without one."""
+        """Return the target's position from values (n, n_values), seen from a, (n, 3) [m]; None if not read."""
         return None
 
     def doubts(self, readings: Readings) -> tuple[str, ...]:

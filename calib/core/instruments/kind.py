@@ -77,7 +77,7 @@ class Place:
         xyz, rpy: Pose of the place in that link, or with `inverted` of that link in the place [m], [rad].
         unknown: Components that the measurements must find.
         sigma, sigma_angle: Expected errors of these [m], [rad]; None: the numbers are only a start.
-        inverted: Whether the pose is that of the link in the place.
+        inverted: Whether `xyz`, `rpy` are the pose of the link in the place.
     """
 
     name: str
@@ -354,7 +354,7 @@ class Instrument(ABC):
         return values + change
 
     def points(self, values: FloatArray) -> FloatArray | None:
-        """Return the target's position from values (n, n_values), seen from a, (n, 3) [m]; None without one."""
+        """Return the target's position from values (n, n_values), seen from a, (n, 3) [m]; None if not read."""
         return None
 
     def doubts(self, readings: Readings) -> tuple[str, ...]:

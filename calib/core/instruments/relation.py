@@ -86,7 +86,7 @@ class Relation(FrameInstrument):
         return tuple((self.target, name) if self.from_target else (name, self.target) for name in names)
 
     def seen_points(self, values: FloatArray) -> FloatArray | None:
-        """Return positions of places in the axes of the target from values (n, n_values), (n, 3) [m]; None without."""
+        """Return positions of places from values (n, n_values), in the axes of the target, (n, 3) [m]; else None."""
         return None
 
     def columns(self) -> tuple[Column, ...]:

@@ -117,7 +117,7 @@ def _try_step(
         step = np.zeros(len(gradient))
         damped = inner + np.diag(damping * np.diag(inner) + 5e-3)
         step[free] = -np.linalg.solve(damped, gradient[free])
-        if -gradient @ step < 2.0 * _GAIN:
+        if not -gradient @ step >= 2.0 * _GAIN:  # also where it is no number
             return None, damping
         logs = np.clip(at.logs + np.clip(step, -_STEP, _STEP), bounds.least, bounds.most)
         tried = at.model.solve(logs)

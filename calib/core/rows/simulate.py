@@ -104,7 +104,7 @@ def simulate(
 def noisy_readings(
     robot: Robot, exact: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
 ) -> dict[str, Readings]:
-    """Return readings with normal noise, without unseen ones.
+    """Return readings with normal noise, without those that see nothing.
 
     Args:
         robot: The robot, whose instruments state their noise.
@@ -282,7 +282,7 @@ def _assemble(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray)
 
 
 def _noisy(instrument: Instrument, exact: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
-    """Readings with noise, without unseen ones."""
+    """Readings with noise, without those that see nothing."""
     seen = np.flatnonzero(~np.isnan(exact.values).all(axis=1))
     visible = exact if len(seen) == len(exact) else select_readings(exact, seen)
     change = np.zeros((len(visible), instrument.n_rows))

@@ -28,7 +28,8 @@ from calib.motion.poses import surroundings, what_hits
 from calib.motion.scene import CollisionScene, exceeds_limits
 
 _NODES = 150  # poses of the roadmap in addition to the stops
-_ROUNDS = 12  # rounds of tries with the next best candidates
+_ROUNDS = 6  # rounds of tries with the next best candidates
+_MORE = 10  # candidates of a round in place of those that could not be reached, at most
 _TURNS = 3  # tried variants of a pose with joints turned by whole turns
 _ROUND = 1e-9  # rounding of limits, in turns
 _NO_WAY = "no free way leads there"
@@ -130,15 +131,15 @@ def plan_route(
     if not stops:
         reasons = listing([f"{name}: {why}" for name, why in left_out.items()], "; ", 3)
         raise ComputationError(f"none of {count_noun(len(poses), 'pose')} can be visited ({reasons})")
-    rest, n_tried = _free_others(robot, candidates, poses), 0
+    rest, n_tried = (_free_others(robot, candidates, poses) if left_out else candidates), 0
     for _ in range(_ROUNDS):
         missing = len(left_out) - len(replaced)
-        best = _next_best(robot, rest, stops + replaced, missing)
-        if not len(best):
+        if not missing or not len(rest):
             break
+        best = _next_best(robot, rest, stops + replaced, missing + min(n_tried - len(replaced), _MORE))
         n_tried += len(best)
         rest = rest.subset(np.flatnonzero(~np.isin(rest.names, best.names)))
-        replaced += _visit(planner, (stops + replaced)[-1].joints, best, progress)[0]
+        replaced += _visit(planner, (stops + replaced)[-1].joints, best, progress)[0][:missing]
     names = tuple(stop.name for stop in replaced)
     given = dict(zip((*candidates.names, *poses.names), (*candidates.joints, *poses.joints), strict=True))
     round_ = [stop.name for stop in (*stops, *replaced) if np.any(stop.joints != given[stop.name])]
@@ -284,8 +285,8 @@ def _free_others(robot: Robot, candidates: Poses, poses: Poses) -> Poses:
 
 def _next_best(robot: Robot, rest: Poses, stops: Sequence[Stop], count: int) -> Poses:
     """The poses that add most to the stops by O1."""
-    if len(rest) <= count or not count:
-        return rest.subset(np.arange(min(len(rest), count)))
+    if len(rest) <= count:
+        return rest
     select = load_entry("calib.methods", "select")
     chosen = select(robot, rest, count, measured=np.array([stop.joints for stop in stops]), checked=False)
     return rest.subset(chosen.chosen)

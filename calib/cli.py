@@ -44,11 +44,11 @@ _GROUPS = {
     "Using the result": ("predict", "solve", "compensate", "export"),
     "Quality systems": ("qualify", "certificate"),
 }
-"""The commands in the order of work; those that come with the pictures stand after them."""
+"""The commands in the order of work; those of the package that draws pictures follow them."""
 
 
 class Commands(click.Group):
-    """The commands of this package, and those that come with the pictures."""
+    """The commands of this package, and those of the package that draws pictures (`calib.pictures`)."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return their names."""

@@ -63,7 +63,7 @@ class Member:
     unlike_parameters: tuple[tuple[str, float], ...]
 
     def sentence(self) -> str:
-        """Return whether it is like the others, in words."""
+        """Return a text that says whether it is like the others."""
         if np.isnan(self.p_value):
             return "not tested"
         if not self.is_unlike:

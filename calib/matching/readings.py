@@ -194,8 +194,8 @@ def alike_error(pairs: Pairs, readings: Sequence[Interpretation]) -> DataError:
     """Return the error for several readings that fit equally."""
     words = listing([reading.words() for reading in readings], " | ", shown=_MOST)
     return DataError(
-        f"{pairs.path}: these readings of the columns fit alike: {words}; write units and the maker's words into the"
-        " header (qw, W P R, A B C, [deg]), or add pairs in which the tool is turned more"
+        f"{pairs.path}: these readings of the columns fit alike: {words}; write units and the maker's column names into"
+        " the header (qw, W P R, A B C, [deg]), or add pairs in which the tool is turned more"
     )
 
 

@@ -31,7 +31,7 @@ from calib.motion.scene import CollisionScene, all_shapes, exceeds_limits, movin
 from calib.motion.shapes import is_moved_frame
 
 _SAMPLES = 400
-_ALWAYS = 0.95  # part of the samples
+_ALWAYS = 0.95  # shapes always touch if they do in this part of the samples
 _TOUCH = 1e-4  # distance of shapes that touch, at most [m]
 _SHOWN = 6
 

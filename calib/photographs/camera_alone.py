@@ -94,7 +94,7 @@ def intrinsics_at_first(scene: BoardScene) -> FloatArray:
     """Return first intrinsics from the images, (9,), with a fitted focal length and no distortion.
 
     Raises:
-        NotIdentifiableError: The images do not determine it, such as images all from the front.
+        NotIdentifiableError: The images do not determine the focal length, such as images all from the front.
     """
     alone = free_boards(scene, usual_intrinsics(scene), (0,))
     focal = np.nan if alone is None else alone.placed.intrinsics[0] / scene.size[0]

@@ -41,13 +41,13 @@ _SURE = 0.1  # no other reading is tried if the relative residual is less
 _BETTER = 0.6  # ratio of the squares of left-out images
 _CHANCE = 1e-4
 _SCALE = 0.004  # least relevant relative error of a board's size
-_SCALE_OFF = 0.02  # the same if images are further off than robots are
-_MOVED = 1e-3  # m
+_SCALE_OFF = 0.02  # least relevant error of its size if images are further off than robots are
+_MOVED = 1e-3  # least relevant shift [m]; the turn below is in rad
 _TURNED = np.deg2rad(0.15)
 _OTHER_UNIT = 2.0  # no print is this many times as large as described, or as small
 _EXCHANGED = 1.5  # ratio of the camera's or board's distance on the tool to the other's on the base
-_LENS_OFF = 6.0  # standard deviations
-_ALSO_OFF = 3.0  # the same if another number is certainly wrong
+_LENS_OFF = 6.0  # standard deviations by which a number of the lens is certainly wrong
+_ALSO_OFF = 3.0  # standard deviations that suffice if another number is certainly wrong
 _SAME_LENS = 0.05  # intrinsics agree after an exchange if they differ by less than this part of the focal length
 _SWAPS = {
     "cx and cy are exchanged": (0, 1, 3, 2),

@@ -97,7 +97,7 @@ class Cable(Relation):
         return values + change * self.lines / (self.gear * (radius + growth * self.gear * values / (2 * np.pi)))
 
     def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-        """Yield a motor that counts the other way, or in another unit."""
+        """Yield what `values` (n, 1) [rad] are if the motor counts the other way, or in another unit."""
         yield f"{self.name} counts the other way: positive angles must let the cable out", -values
         yield f"degrees of {self.name} were read as radians", np.radians(values)
         yield f"radians of {self.name} were read as degrees", np.degrees(values)

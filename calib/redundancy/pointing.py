@@ -69,7 +69,7 @@ class Pointing(Relation):
         return values + off
 
     def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-        """Yield other conventions of directions."""
+        """Yield what `values` (n, 2) [rad] mean by other conventions of directions."""
         azimuth, altitude = values.T
         for words, directions in (
             ("azimuths count the other way (`azimuth` in the description)", (-azimuth, altitude)),

@@ -92,7 +92,7 @@ class Contribution(Enum):
     )
 
     def __new__(cls, name: str, counts: str, module: str, numbers: tuple[Uncertainty, ...]) -> Self:
-        """Return a row of the table."""
+        """Return a contribution with what it counts, its module and its numbers."""
         row = object.__new__(cls)
         row._value_, row.counts, row.module, row.numbers = name, counts, module, numbers
         return row

@@ -87,7 +87,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         """Return the class of a name.
 
         Raises:
-            KeyError: There is none.
+            KeyError: No class has the name.
             DescriptionError: The class of another package cannot be loaded, or is not complete.
         """
         known = self._built_in.get(name) or self._given.get(name)

@@ -155,7 +155,7 @@ def exchange(path: Path, other: Path) -> bool:
     """Exchange two names in one step; False where the system or the file system cannot.
 
     Raises:
-        OSError: The system can, and one of the names may not be moved.
+        OSError: The system can exchange names, but one of these may not be moved.
     """
     function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if function is None:

@@ -43,7 +43,7 @@ _MOST_BY_ALIASES = 10_000
 
 
 class _ValueError(ValueError):
-    """A wrong value of a key, which its place in the description names."""
+    """A wrong value; pydantic adds the place of its key in the description."""
 
     def __init__(self, message: str) -> None:
         super().__init__(message.removeprefix("value: "))
@@ -139,9 +139,9 @@ class PosedSection(FrameSection):
     """A frame on a link whose pose is known or not.
 
     Attributes:
-        pose: `known`: it is right there; `unknown`: found from the measurements, starting from there.
-        sigma, sigma_angle: How far an unknown pose may be from there, one standard deviation [m], [rad]; without
-            them, the numbers are only a start.
+        pose: `known`: exactly `xyz` and `rpy`; `unknown`: found from the measurements, starting from these.
+        sigma, sigma_angle: How far an unknown pose may be from these, one standard deviation [m], [rad]; without
+            them, `xyz` and `rpy` are only a start.
     """
 
     what: ClassVar[str]
@@ -233,7 +233,7 @@ class _Loader(yaml.SafeLoader):
     """The YAML that is read here: without boundless aliases, and without a key twice (YAML silently keeps the last)."""
 
     def compose_document(self) -> yaml.Node | None:
-        """Return the nodes of a document; aliases that make much more of it, or contain themselves, are an error."""
+        """Return the nodes of a document; aliases that expand it too much, or contain themselves, are an error."""
         document = super().compose_document()
         sizes: dict[int, int] = {}
         if document is not None and _size(document, sizes) - len(sizes) > _MOST_BY_ALIASES:

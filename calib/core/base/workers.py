@@ -35,7 +35,7 @@ Progress = Callable[[int, int], None]
 
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
 _AHEAD = 256  # pieces of work sent at a time: each carries what it needs, and its result waits for those before it
-_LOSSES = 3  # losses of the same piece of work in a row; the work itself then ends its workers
+_LOSSES = 3  # losses of one piece of work in a row after which the work is the cause
 
 
 def results_in_order(
@@ -174,7 +174,7 @@ class Workers:
         pieces: How many pieces of work there will be at most, if that is known: no more processes than these start.
 
     Raises:
-        InputError: The executor is neither of them.
+        InputError: The executor is something else, or the number is below 1.
     """
 
     def __init__(self, executor: Executor | int | None, pieces: int | None = None) -> None:

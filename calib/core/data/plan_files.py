@@ -24,7 +24,7 @@ from calib.core.instruments.kind import Instrument, Readings
 from calib.core.robots.robot import Robot
 
 INSTRUMENT = "instrument"
-"""Column with the instruments that are to read."""
+"""Column that names the instruments to read at each pose."""
 TOGETHER = "+"
 """Separator between names of instruments that read together."""
 

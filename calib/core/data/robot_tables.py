@@ -4,7 +4,7 @@ Columns are taken for joints where no joint has a column of its name, and each j
 figures (`Joint 1` for `joint_1`), or all are numbered from 1. Columns X, Y, Z are the position that is read, where one
 instrument reads positions and has no columns; so are NAME_x, NAME_y, NAME_z of the only NAME. U95 X, U95 Y, U95 Z
 next to them are twice the standard deviations of a reading. A column needs its unit for that, because it is not known
-whether a robot's program writes degrees. Guesses are warnings of the logger `calib`. A robot description may
+whether a robot's program writes degrees. What is guessed is logged as a warning (logger `calib`). A description may
 name the columns of files under `columns`; then nothing is guessed.
 """
 

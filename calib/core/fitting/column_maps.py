@@ -266,7 +266,7 @@ def _zero_matters(robot: Robot, data: Measurements, plain: ColumnMap) -> BoolArr
 
 
 def _bounds(robot: Robot, data: Measurements, maps: Sequence[ColumnMap]) -> dict[ColumnMap, float]:
-    """A lower bound of each map's error at the first target, over the spread of its positions."""
+    """A lower bound of each map's error at the first target, divided by the spread of its positions."""
     factor = np.asarray(np.linalg.qr(_systems(robot, data, maps), mode="r"))
     points = data.points(robot)[:, 0]
     spread = float(np.linalg.norm(points - points.mean(axis=0))) or 1.0

@@ -178,7 +178,7 @@ class Covariance(ReadOnlyArrays):
 
     @property
     def correlation(self) -> Correlation:
-        """The same, divided by the standard deviations."""
+        """Correlations: the covariances over both standard deviations."""
         std = np.sqrt(np.diagonal(self.values))
         return Correlation(self.names, self.values / np.outer(std, std), self.contains)
 

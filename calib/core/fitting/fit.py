@@ -272,7 +272,7 @@ def place_from_data(later: Measurements, robot: Robot, names: tuple[str, ...]) -
         names: Parameters of the places.
 
     Raises:
-        NotConvergedError: They cannot be placed.
+        NotConvergedError: The places cannot be found.
         UnreachablePoseError: A pose cannot be assembled.
     """
     others = [p.name for p in robot.parameters if p.name not in names]

@@ -64,7 +64,7 @@ def _some(data: Measurements) -> Measurements:
 def _relative_misfits(misfits: dict[str, float], now: dict[str, float]) -> list[float]:
     """Misfit of each instrument over that now; none where one gets worse."""
     worse = any(misfits[name] > max(_AS_GOOD * misfit, _FITS) for name, misfit in now.items())
-    return [] if worse else [misfits[name] / misfit for name, misfit in now.items()]
+    return [] if worse else [misfits[name] / misfit for name, misfit in now.items() if misfit]
 
 
 def _misfits(robot: Robot, data: Measurements) -> dict[str, float]:

@@ -38,7 +38,7 @@ from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Gue
 
 _STEP = 1e-4  # m, rad; for unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
-_ROUNDING = 1e-11  # part of the largest derivative that counts as none
+_ROUNDING = 1e-11  # a derivative below this part of the largest counts as zero
 _STAY, _STAY_TARGET = 1e-3, 0.1  # weights of the distance of a place, or the target, from its described pose
 _FEW = 60  # starts are compared by at most so many readings
 _LOST = 5  # a place with so many unknown components may have any orientation
@@ -207,12 +207,12 @@ def _refine_guess(
             places[name] = places[name].copy()
             places[name][:3, 3] += step[:3]
             places[name][:3, :3] = places[name][:3, :3] @ pin.exp3(step[3:])
-        assert start.unknowns is not None  # of `_starts`
+        assert start.unknowns is not None  # `_starts` sets them
         return Guess(places, start.unknowns + scales * x[:n_own])
 
     def misses(x: FloatArray) -> FloatArray:
         at, result = guess_at(x), np.zeros((len(readings), kind.n_rows))
-        assert at.unknowns is not None  # of `moved`
+        assert at.unknowns is not None  # `guess_at` sets them
         for (a, b), own, links, part in parts:
             seen = np.linalg.inv(at.places[a]) @ links @ at.places[b]
             result[own] = kind.misses(View(seen[:, :3, :3], seen[:, :3, 3]), at.unknowns, part)

@@ -117,7 +117,7 @@ class Code(StrEnum):
     answer: Answer
 
     def __new__(cls, code: str, grade: Grade, counted: bool = False, answer: Answer = Answer.LOOK) -> Self:
-        """Return a row of the table."""
+        """Return a code with its grade and answer, and whether it is counted."""
         row = str.__new__(cls, code)
         row._value_, row.grade, row.counted, row.answer = code, grade, counted, answer
         return row

@@ -174,7 +174,7 @@ def _where(fit: Fit, accuracy: Accuracy) -> str:
     setups = [data.setups for data in (fit.identification.data, fit.validation.data)]
     if setups[0] is not None and setups[1] is not None and not np.any(np.isin(setups[1], setups[0])):
         return ". They are of a setup that was not used"
-    return f". {np.sum(unlike)} of them lie farther from the poses used than these lie from each other"
+    return f". {np.sum(unlike)} of them lie farther from the poses used than the poses used lie from each other"
 
 
 def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:

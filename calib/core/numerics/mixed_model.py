@@ -69,7 +69,7 @@ from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
 _DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
 _LEAST_EFFECT = 1e-3  # a solution omits a coefficient that moves all rows together by less than this part of the noise
-_RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding might make singular
+_RIDGE = 1e-12  # a matrix that rounding might make singular gets this part of its diagonal added
 
 
 @dataclass(frozen=True, eq=False)

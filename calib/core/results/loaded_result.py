@@ -124,7 +124,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
 
     @property
     def sigma(self) -> float:
-        """Found noise of one measured position per axis [m]; of the first kind of rows without positions [SI]."""
+        """Found noise of one measured position per axis [m]; if none is measured, of the first kind of rows [SI]."""
         sigma = self.content["sigma"]
         return np.nan if sigma is None else float(sigma)
 
@@ -185,7 +185,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
         """Return the robot for a kind of file (`calib.core.robots.accuracy_of_files`), with its uncertainty.
 
         Raises:
-            ComputationError: An earlier version wrote the result, and files lose joint terms that it has.
+            ComputationError: An earlier version wrote the result, whose joint terms such a file loses.
             DataError: The folder has no covariance of this robot.
         """
         robot = self.robot.held_by(holds)

@@ -28,7 +28,7 @@ class Configurations(ReadOnlyArrays):
             how links are tilted (`calib.core.robots.mechanism`).
         passive: (n, n_passive) [m or rad].
         slope: Derivative of the closures by the passive joints, (n, n_passive, n_passive), where it is known.
-        term_columns: phi of each joint term, (n, n_moved, n_coefficients) each.
+        term_columns: phi of each joint term (`columns_of_terms`), (n, n_moved, n_coefficients) each.
     """
 
     actuated: FloatArray

@@ -41,7 +41,7 @@ class Observed:
         residuals: Predicted minus read, (n, n_rows) [SI]; NaN where a component was not read.
         derivative: Derivative of the residuals by the parameters that are no coefficients of joint terms, then by the
             driven joints if requested, (n, n_rows, k + n_driven); (n, n_rows, 0) without derivatives.
-        term_columns: phi of each joint term at each reading, (n, n_moved, n_coefficients) each.
+        term_columns: phi of each joint term at each reading (`columns_of_terms`), (n, n_moved, n_coefficients) each.
     """
 
     robot: Robot

@@ -43,8 +43,8 @@ CHUNK = 1024
 """Number of poses computed at once."""
 ROWS = (slice(3), slice(3, 6))
 """Rows of positions and of turns."""
-_DIFFERS = 1.5  # both are reported if positions in the measurement frame are this many times as uncertain
-_CERTAIN = 1e-12  # variance of a length that does not show, as part of its square
+_DIFFERS = 1.5  # both frames are reported if positions are this many times as uncertain in that of measurement
+_CERTAIN = 1e-12  # a length is certain if its variance is below this part of its square
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -217,8 +217,8 @@ def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | 
     """Return low and high 95 % limits of the length of vectors with these covariances and means, (2, ...).
 
     The square of the length is a sum of squares of normal numbers with mean tr(C) + |m|^2 and variance 2 tr(C^2) + 4
-    m^T C m: nearly g chi^2_h with the same two, g = (tr(C^2) + 2 m^T C m) / (tr(C) + |m|^2). Where one direction
-    outweighs the others, the limits hold 97 of 100 lengths.
+    m^T C m. It is nearly g chi^2 of h degrees of freedom, g and h such that mean and variance agree: g = (tr(C^2) + 2
+    m^T C m) / (tr(C) + |m|^2). Where one direction outweighs the others, the limits hold 97 of 100 lengths.
 
     Args:
         covariance: C, (..., 3, 3).

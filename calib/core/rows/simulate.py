@@ -40,7 +40,7 @@ from calib.core.rows.whitening import stated_noise
 
 _LONGEST_STEP = 0.2  # step of a joint [rad, or characteristic lengths]
 _ROUNDS, _STEPS = 3, 100
-_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a search ends at a smaller gain of a step, if it is further from contact [m]
+_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a search further from contact than this [m] ends at a step of less gain
 MET = 1e-10
 """The robot touches if the distance is less [m]."""
 _FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15

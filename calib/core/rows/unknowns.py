@@ -41,7 +41,7 @@ class Unknowns(ReadOnlyArrays):
         return len(self.names)
 
     def has(self, others: Unknowns) -> bool:
-        """Return whether these include all others."""
+        """Return whether these include all of `others`."""
         return bool(np.all(np.isin(others.index, self.index)))
 
     @staticmethod
@@ -81,7 +81,7 @@ class Unknowns(ReadOnlyArrays):
 
     @staticmethod
     def chosen_by_poses(robot: Robot) -> Unknowns:
-        """Return the free parameters that a choice of poses should determine: without families, which priors shape."""
+        """Return the free parameters that chosen poses should determine: all but families, which priors hold."""
         unknowns = Unknowns.from_robot(robot)
         return unknowns.select(unknowns.family < 0)
 

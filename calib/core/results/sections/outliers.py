@@ -23,7 +23,7 @@ from calib.core.results.sections.parameters import parameter_rows
 from calib.core.rows.rows import Rows
 
 LEFT_OUT = "left out"
-"""Set in `residuals.csv` of the readings that were left out as outliers."""
+"""Text in column `set` of `residuals.csv` for readings that were left out as outliers."""
 MOST = 50
 """Largest number of outliers on a page."""
 

@@ -34,9 +34,9 @@ together give a false alarm with a chance of one in a hundred; each of the two t
 likely result is left out, and everything is estimated again, until no robot is unlike. So one wrong result changes
 nothing, and does not hide behind the spread that it causes.
 
-When it fails. Half of the results are wrong. There are only two results, and neither can be called unlike. Spreads are
-correlated (all links of a robot are longer): they count as independent, so that combinations of them seem narrower than
-they are. Spreads of one kind differ tenfold, and there are three results: in one such fleet of ten, a good robot is
+When it fails. It fails if half of the results are wrong. Of two results, neither can be called unlike. Correlated
+spreads (all links of a robot are longer) count as independent, so that combinations of them seem narrower than they
+are. With three results, and spreads of one kind that differ tenfold, one such fleet of ten has a good robot that is
 called unlike.
 
 Reference: patterson1971; gelman2006 for the prior of spreads with few robots.
@@ -82,7 +82,7 @@ class Hierarchy(ReadOnlyArrays):
         freedom: f, (n,).
         estimates: d_i + m for each result, (n_results, n).
         deviations: Standard deviations of the estimates, (n_results, n).
-        n_determined: Number of results that determine each parameter, (n,); one that does so partly adds that part.
+        n_determined: Number of results that determine each parameter, (n,); one that does so in part counts in part.
     """
 
     mean: FloatArray

@@ -101,7 +101,7 @@ def largest(slope: FloatArray | IntArray, kinds: IntArray, counts: IntArray) -> 
     result = []
     for number, count in enumerate(counts):
         members = np.flatnonzero(kinds == number)
-        if 0 < count < len(members):  # sort only possible members of the largest
+        if 0 < count < len(members):  # sort only those that may be among the largest
             slopes = slope[members]
             members = members[slopes >= np.partition(slopes, len(members) - count)[len(members) - count]]
         result.append(members[np.argsort(-slope[members], kind="stable")[:count]])

@@ -1,7 +1,7 @@
 """Parts of the sections of a robot description: components of an origin, quantities with units.
 
-Own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown. And the reader of
-YAML: a mistake is an error with its line, and so is a key given twice.
+Also own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown; and the
+reader of YAML, in which a mistake is an error with its line, and so is a key given twice.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ class OwnLength:
     sigma: float | None = None
 
     def parameters(self, name: str, start: float | None = None) -> tuple[Parameter, ...]:
-        """Return it as an unknown of an instrument; nothing if it is known.
+        """Return the length as an unknown of an instrument; nothing if the length is known.
 
         Args:
             start: Nominal value where nothing is expected [m].
@@ -247,9 +247,9 @@ class _Loader(yaml.SafeLoader):
 
 
 def _size(node: yaml.Node, sizes: dict[int, int]) -> int:
-    """Number of entries of a node with everything that aliases in it stand for; `sizes` has those that are known."""
+    """Number of entries of a node, with its aliases written out; `sizes` has the known numbers of nodes."""
     if id(node) not in sizes:
-        sizes[id(node)] = 0  # while its parts are counted
+        sizes[id(node)] = 0  # as long as its parts are being counted
         if isinstance(node, yaml.ScalarNode) and (problem := unseen(node.value)):
             raise yaml.composer.ComposerError(None, None, problem, node.start_mark)
         parts = node.value if isinstance(node, yaml.CollectionNode) else ()

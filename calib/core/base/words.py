@@ -67,14 +67,14 @@ def joints_named(*names: str, separator: str = ", ", shown: int = _LISTED) -> st
 
 
 def distinct_names(paths: Sequence[Path | str]) -> tuple[str, ...]:
-    """Return what differs in paths: the folders that all begin with, and those that all end with, are left out.
+    """Return the parts that differ in paths, without the folders with which all of them begin or end.
 
     Examples:
         >>> distinct_names(["/data/left/out", "/data/right/out"])
         ('left', 'right')
     """
     parts = [Path(path).resolve().parts for path in paths]
-    most = min(map(len, parts), default=1) - 1  # something is left of each
+    most = min(map(len, parts), default=1) - 1  # so that something is left of each path
     first = next((k for k in range(most) if len({path[k] for path in parts}) > 1), most)
     last = next((k for k in range(most - first) if len({path[-1 - k] for path in parts}) > 1), most - first)
     return tuple("/".join(path[first : len(path) - last]) for path in parts)

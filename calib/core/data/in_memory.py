@@ -203,7 +203,7 @@ def _words(instrument: Instrument, poses: Poses, given: ArrayLike) -> Readings:
 def _readings(instrument: Instrument, poses: Poses, values: FloatArray) -> Readings:
     if instrument.looks()[1].shape[1]:
         raise DataError(
-            f"{instrument.name}: an array lacks the point or the thing that each reading is of; give"
+            f"{instrument.name}: an array does not say which point or thing each reading is of; give"
             " calib.Readings with details"
         )
     width = instrument.values({column.name: np.zeros(0) for column in instrument.columns()}).shape[1]

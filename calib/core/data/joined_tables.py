@@ -39,7 +39,7 @@ def join_by_pose_column(tables: Sequence[Table], robot: Robot) -> list[Table]:
 
 
 def _follower(table: Table, leader: Table, robot: Robot) -> Table:
-    """The rows of a table that belong to rows of the leader, with the number of each as its pose."""
+    """The rows of a table that belong to rows of the leader; the number of the leader's row is the pose."""
     if robot.description.join == "rows":
         if len(table.rows) != len(leader.rows):
             raise DataError(

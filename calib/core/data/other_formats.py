@@ -38,7 +38,7 @@ class SomeFile:
 
     @cached_property
     def encoding(self) -> str:
-        """Encoding of its text: by its byte order mark, else UTF-8 if its bytes are valid, else Windows' Latin-1."""
+        """Encoding of the text: by its byte order mark, else UTF-8 if the head is valid, else Windows' Latin-1."""
         marked = next((name for mark, name in _MARKS if self.head.startswith(mark)), None)
         if marked is not None:
             return marked
@@ -50,7 +50,7 @@ class SomeFile:
 
     @cached_property
     def first_lines(self) -> list[str]:
-        """Lines of its head; none if the file is no text."""
+        """Lines of the file's head; none if the file is no text."""
         binary = b"\0" in self.head or len(self.head.decode("ascii", "ignore")) < _ASCII * len(self.head)
         if binary and self.encoding != "utf-16":
             return []
@@ -58,7 +58,7 @@ class SomeFile:
 
     @cached_property
     def lines(self) -> list[str]:
-        """All its lines."""
+        """All lines of the file."""
         content = read_bytes(self.path, "a table", DataError)
         return content.decode(self.encoding, errors="replace").splitlines()
 

@@ -111,7 +111,7 @@ def _plain(name: str) -> str:
 
 
 def _joints(robot: Robot, table: Table) -> dict[str, str]:
-    """Columns that stand for joints, and these; none if one joint has its column, or not all have one."""
+    """Joints by the columns that stand for them; none if a column has a joint's name, or if a joint has no column."""
     joints = robot.joint_names
     if set(joints) & set(table.names):
         return {}
@@ -135,7 +135,7 @@ def _positions(robot: Robot, table: Table) -> dict[str, str]:
     units = dict(zip(table.names, table.units, strict=True))
     axes = {name: _plain(name) for name in table.names if _plain(name) in _AXES and units[name]}
     columns = [column.name for column in reading[0].columns()] if len(reading) == 1 else []
-    if not axes:  # or those of one body that has a name
+    if not axes:  # else take the axes of a single named body
         named = {match[1] for name in table.names if units[name] and (match := _NAMED.fullmatch(name))}
         whole = [name for name in named if all(f"{name}_{axis}" in units for axis in _AXES)]
         axes = {f"{whole[0]}_{axis}": axis for axis in _AXES} if len(whole) == 1 else {}

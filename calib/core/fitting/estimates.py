@@ -22,7 +22,7 @@ NUMBERS = ("nominal", "value", "std", "low95", "high95")
 
 @dataclass(frozen=True)
 class HalfWidth:
-    """Half the 95 % interval of a free parameter, `place` among them, computed at first use."""
+    """Half the 95 % interval of free parameter number `place`, computed at first use."""
 
     statistics: Statistics
     place: int

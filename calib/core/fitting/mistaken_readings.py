@@ -62,13 +62,13 @@ def _some(data: Measurements) -> Measurements:
 
 
 def _relative_misfits(misfits: dict[str, float], now: dict[str, float]) -> list[float]:
-    """Misfit of each instrument over that now; none where one gets worse."""
+    """Misfit of each instrument, divided by its misfit `now`; empty where one of them gets worse."""
     worse = any(misfits[name] > max(_AS_GOOD * misfit, _FITS) for name, misfit in now.items())
     return [] if worse else [misfits[name] / misfit for name, misfit in now.items() if misfit]
 
 
 def _misfits(robot: Robot, data: Measurements) -> dict[str, float]:
-    """Error of each instrument by the nominal robot, over that with jumbled joints; infinite where not placed."""
+    """Error of each instrument by the nominal robot over that with jumbled joints; infinite where not placed."""
     try:
         placed = register(robot, data)
     except CalibrationError:

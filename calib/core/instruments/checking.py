@@ -51,7 +51,7 @@ def check_kind(
     cells = instrument.cells(values)
     names = [column.name for column in instrument.columns()]
     _require(
-        sorted(cells) == sorted(names), f"{subject}: cells gives columns {sorted(cells)}, and columns says {names}"
+        sorted(cells) == sorted(names), f"{subject}: cells gives columns {sorted(cells)}, but `columns` names {names}"
     )
     if names:
         again = instrument.values(cells)

@@ -11,11 +11,11 @@ Derivatives are central differences of fourth order, whose error, h^4 of truncat
 h = 1e-4 for frames that are a metre apart.
 
 First values are least squares over the open places and the unknown numbers, with the present robot, from the described
-places and, where the pose of a place is not known, from the rotations of a cube. Undetermined components stay there,
-the target more than places.
+places and, where the pose of a place is not known, from the rotations of a cube. Undetermined components stay near
+these starts, those of the target more than those of places.
 
-When it fails. The target is nearer than a millimetre to a point where f has no derivative, or readings of so rough a
-robot do not distinguish places.
+When it fails. It fails if the target is nearer than a millimetre to a point where f has no derivative, or the robot's
+own errors are so large that readings do not distinguish places.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class RelatedSection(PlaceSection):
     what = "place"
 
     def place(self, name: str) -> Place:
-        """Return it as a place of this name."""
+        """Return the described place under this name."""
         return placed(name, self)
 
 
@@ -86,7 +86,7 @@ class Relation(FrameInstrument):
         return tuple((self.target, name) if self.from_target else (name, self.target) for name in names)
 
     def seen_points(self, values: FloatArray) -> FloatArray | None:
-        """Return positions of places in the axes of the target from values (n, n_values), (n, 3) [m]; None without."""
+        """Return positions of places from values (n, n_values), in the axes of the target, (n, 3) [m]; else None."""
         return None
 
     def columns(self) -> tuple[Column, ...]:

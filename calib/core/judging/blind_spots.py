@@ -60,7 +60,7 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
         single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))
         yield (
             "scatter of the robot (play, changing loads): it looks like noise of the instrument, which was not stated"
-            f" (--sigma-mm). If the robot makes all of it, single positions are known to {single:.2g} mm RMS"
+            f" (--sigma-mm). If the robot makes all of this scatter, single positions are known to {single:.2g} mm RMS"
         )
 
 

@@ -63,8 +63,7 @@ class LinearFit:
         """Return the sizes (k,) of effects Z (n_rows, k) if all of them were parameters, and their standard deviations.
 
         Deviations are infinite for zero columns, and where all effects together leave no degree of freedom. An absorbed
-        effect is uncertain and gets no size, since residuals
-        there are rounding of the solver.
+        effect is uncertain and gets the size 0, since the residuals along it are only rounding of the solver.
         """
         size = np.linalg.norm(effects, axis=0)
         made = np.flatnonzero(size > 0)

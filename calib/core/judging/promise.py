@@ -332,7 +332,7 @@ class System:
             )
             for j, k in enumerate(visible)
         ]
-        changes.sort(key=lambda change: -round(abs(change.z), 1))  # nearer than a tenth of a deviation: as listed
+        changes.sort(key=lambda change: -round(abs(change.z), 1))  # to a tenth: nearer ones in the listed order
         return tuple(changes)
 
 
@@ -406,7 +406,7 @@ def _expected_distances(
     spread = slope[:, kept] @ root
     spread -= basis @ (basis.T @ spread)
     left = len(slope) - basis.shape[1]
-    square *= left / len(slope)  # the part that placing them takes up
+    square *= left / len(slope)  # without the part that placing base and targets takes up
     along = spread.T @ spread
     left_open, total = float(np.trace(along)), square + float(np.trace(along))
     # variances of squares: of noise in `left` directions, of what is left open, and of both in one direction

@@ -39,7 +39,7 @@ class Reason:
         code: Short name for programs.
         text: The finding, and the remedy.
         counted: Whether errors at unused poses contain the effect: where these are as claimed, and the robot gets
-            better, it is no doubt, and its grade becomes PASS.
+            better, the reason raises no doubt, and its grade becomes PASS.
         answer: Kind of remedy.
     """
 

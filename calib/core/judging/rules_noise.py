@@ -74,7 +74,7 @@ def noise(fit: Fit) -> Iterator[Reason]:
             if estimate.sigma > NO_BETTER * size:
                 yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
                     f"no fit: residuals{_group_noise_in_words(fit, estimate)} of"
-                    f" {noise_in_words(estimate, estimate.sigma)} per axis, where joint values of other rows leave"
+                    f" {noise_in_words(estimate, estimate.sigma)} per axis; with joint values of other rows they are"
                     f" {noise_in_words(estimate, size)}. Check units, axes, joint order and signs, names of what was"
                     " read, and whether joint values and readings of each row belong together",
                     answer=_first_answer(fit),

@@ -155,7 +155,7 @@ def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
         whose = f"reason '{entry.name}' of the verdict ({entry.value})"
         try:
             given = list(entry.load()(fit))
-        except Exception as error:  # whatever another package does
+        except Exception as error:  # another package may raise anything
             raise InputError(
                 f"{whose}: {type(error).__name__}: {error}; mend or uninstall the package that has it"
             ) from None

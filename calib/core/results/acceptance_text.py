@@ -133,7 +133,7 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
 
 
 def _errors(acceptance: Acceptance) -> list[str]:
-    """Measured over expected errors: the ratio of the verdict, and both in millimetres."""
+    """Lines on measured errors over expected ones: the ratio that the verdict uses, and both errors in millimetres."""
     allowance = "If the model's errors are common to these poses, r" if acceptance.has_unlike_poses else "R"
     lines = [
         f"{allowance}esiduals are {acceptance.ratio:.3f} times as large as expected, each direction weighted by its"
@@ -202,7 +202,7 @@ def _placing_sentence(acceptance: Acceptance) -> str:
 def _heading(changes: Sequence[Change]) -> str:
     n = sum(change.significant for change in changes)
     which = f"{count_noun(n, 'is', 'are')} significant" if n else "none is significant"
-    return f"Changes that were looked for, by size over standard deviation; {which}"
+    return f"Changes that were looked for, sorted by size over standard deviation; {which}"
 
 
 def _changes(changes: Sequence[Change], *, with_values: bool = True) -> Table:

@@ -151,7 +151,10 @@ class ResultComparison:
 
     def conclusion(self) -> str:
         """Return a line on the real differences of each two results, and a key of the marks."""
-        key = f"Marked *: differs from {self.names[0]}; values ± 95 %; p corrected, real below {HARDLY:g}."
+        key = (
+            f"Marked *: differs from {self.names[0]}; values ± 95 %; p is corrected; a difference is real if p is below"
+            f" {HARDLY:g}."
+        )
         return "\n".join([*(pair.sentence() for pair in self.pairs), key])
 
     def to_dict(self) -> dict[str, object]:

@@ -1,9 +1,9 @@
 """The choice between compiled code (`calib.core.robots.kernels`) and Python for kinematics.
 
-That needs numba (the extra `fast`), which takes half a second to load, more than most fits take, and about five to
-compile, once for each version. So compiled code is used only on request by `compile_kinematics()`, or if the number of
-poses pays for it: for loading what an earlier program has compiled, or else for compiling as well. Everything works
-without it, with the same numbers to 1e-12.
+Compiled code needs numba (the extra `fast`), which takes half a second to load, more than most fits take, and about
+five to compile, once for each version. So compiled code is used only on request by `compile_kinematics()`, or if the
+number of poses pays for it: for loading what an earlier program has compiled, or else for compiling as well. Everything
+works without it, with the same numbers to 1e-12.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ class Configurations(ReadOnlyArrays):
     term_columns: tuple[FloatArray, ...] = ()
 
     def select(self, part: slice | IntArray) -> Configurations:
-        """Return some of them, (n_some,)."""
+        """Return some of the configurations, (n_some,)."""
         phi = tuple(columns[part] for columns in self.term_columns)
         slope = None if self.slope is None else self.slope[part]
         return Configurations(self.actuated[part], self.passive[part], slope, phi)

@@ -34,7 +34,7 @@ _ROUNDS = 30  # steps of Newton's method
 _SETTLED = 1e-12  # a smaller step ends the iteration [rad]
 _MISSED = 1e-9  # allowed distance of a direction from what was read
 _CONTRADICTS = np.radians(45.0)  # angle from which a reading contradicts the stated direction [rad]
-_SAME_AXIS = 1e-3  # difference of two axes, seen across gravity, that turn a link alike
+_SAME_AXIS = 1e-3  # two axes turn a link alike if their parts across gravity differ by less
 
 
 @dataclass(frozen=True)

@@ -177,7 +177,7 @@ def as_robot(robot: RobotLike) -> Robot:
     """Return a robot as it is, or loaded from its description or URDF.
 
     Raises:
-        InputError: It is something else, such as a fit, or a folder, whose values the description does not have.
+        InputError: It is something else, such as a fit; or a folder, whose description lacks the calibrated values.
     """
     if isinstance(robot, (Path, str)):
         if Path(robot).is_dir():

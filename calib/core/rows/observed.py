@@ -142,7 +142,7 @@ class _Work:
         for pair, own in zip(pairs, chosen.values(), strict=True):
             rotation, position = kinematics.seen_frame(swept, pair)
             comparison = self._compare(own, View(rotation[visits[own]], position[visits[own]]))
-            assert isinstance(comparison, Comparison)  # of a kind that looks at frames
+            assert isinstance(comparison, Comparison)  # the kind looks at frames
             comparisons.append(comparison)
         if not self._columns.shape[2]:
             return
@@ -169,7 +169,7 @@ class _Work:
         index = mechanism.origin_names.index(instrument.joint)
         joints = mechanism.all_joints(configurations.actuated[part], configurations.passive[part])
         comparison = self._compare(chosen, joints[at, index])
-        assert isinstance(comparison, JointComparison)  # of a kind that reads a joint
+        assert isinstance(comparison, JointComparison)  # the kind reads a joint
         if not self._columns.shape[2]:
             return
         motion = passive_motion(mechanism, swept, mechanism.select_passive[index], twists)

@@ -76,7 +76,7 @@ class Unknowns(ReadOnlyArrays):
 
     def rescale_families(self, factors: FloatArray) -> Unknowns:
         """Return the unknowns with the sigma of each family multiplied by its factor, (n_families,)."""
-        factor = np.append(factors, 1.0)[self.family]  # the last for -1
+        factor = np.append(factors, 1.0)[self.family]  # the appended entry is for family -1
         return replace(self, scales=self.scales * factor)
 
     @staticmethod

@@ -23,7 +23,7 @@ EVERYTHING = "*"
 
 @dataclass(frozen=True)
 class Unknown:
-    """A setting whose value is unknown; `why` is a whole sentence if `whole`, else the setting is its subject."""
+    """A setting whose value is unknown; `why` is a whole sentence if `whole`, else a predicate of the setting."""
 
     why: str
     whole: bool = False

@@ -56,7 +56,7 @@ class HasPlace(Protocol):
 
     @property
     def place(self) -> Place:
-        """File and first word of its numbers."""
+        """File, and first word of the target's numbers."""
 
 
 _Goal = TypeVar("_Goal", bound=HasPlace)

@@ -34,7 +34,10 @@ _MOVED_ALONG = {
     "track_conveyor_linear": "stop_conveyor_tracking",
     "track_conveyor_circular": "stop_conveyor_tracking",
 }
-"""Functions that begin to shift all targets at run time, and those that end it; the latter name settings."""
+"""Functions that begin to shift all targets at run time, and those that end it.
+
+The name of the second is also that of a setting, which is unknown while targets are shifted.
+"""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class _Goal:
 
     @property
     def place(self) -> Place:
-        """File and first word of its numbers."""
+        """File, and first word of the target's numbers."""
         return self.data.place
 
 

@@ -13,11 +13,11 @@ all stay. A kind stays where both are true:
                  standard error over the blocks. Blocks are boxes of joint space, for each setup. Likelihood alone would
                  trust the model, and support any kind that looks like errors of no kind. Poses left out at random have
                  neighbours that were kept, so that a curve through errors of any cause seems to predict
-    evidence     the log likelihood is higher with it by odds of 20 to 1 (kass1995), times the number of kinds: among
-                 many absent kinds, one looks present by chance
+    evidence     the likelihood is higher with it by a factor of 20 (kass1995), times the number of kinds: among many
+                 absent kinds, one looks present by chance
 
-A kind that was left out is tried again with those that stay. A kind that stays is proven if the log likelihood is
-higher by odds of 20 to 1 with it, given all other kinds. Of kinds that look alike, one may stay, but none is proven.
+A kind that was left out is tried again with those that stay. A kind that stays is proven if the likelihood is
+higher with it by a factor of 20, given all other kinds. Of kinds that look alike, one may stay, but none is proven.
 
 Results:
 

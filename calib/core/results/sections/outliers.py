@@ -1,4 +1,4 @@
-"""Outliers: found ones, those that were left out, and the result with these; also the sets of residuals."""
+"""Outliers found in a fit or left out of it, and the fit without leaving any out; also the rows of `residuals.csv`."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def residual_sets(fit: Fit) -> dict[str, tuple[ErrorSet, Rows]]:
 
 
 def residual_places(sets: Mapping[str, tuple[ErrorSet, Rows]]) -> dict[str, IntArray]:
-    """Return the row of `residuals.csv` of each reading of each set, counted from 0, (n,): visit by visit."""
+    """Return each reading's row of `residuals.csv`, counted from 0, (n,) by set; rows of a set go visit by visit."""
     places: dict[str, IntArray] = {}
     count = 0
     for label, (_, rows) in sets.items():

@@ -147,7 +147,7 @@ def read_mjcf(path: Path | str) -> MjcfRobot:
         ) from None
     try:
         spec = mujoco.MjSpec.from_file(str(Path(path).resolve()))  # mesh paths are relative to the working folder
-        with warnings.catch_warnings(action="ignore"):  # on soft bodies
+        with warnings.catch_warnings(action="ignore"):  # warnings about soft bodies
             model = spec.compile()
     except (ValueError, OSError) as error:
         raise UrdfError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None
@@ -162,7 +162,7 @@ class _MjcfReader:
         self.mujoco, self.model, self.path, self.meshes = mujoco, model, path, meshes
         self.root = Element("robot", name=_text(model.names) or Path(path).stem)
         self.links: dict[str, Element] = {}
-        self.joints: dict[int, Element] = {}  # by number in the model; of hinges and slides
+        self.joints: dict[int, Element] = {}  # hinges and slides, by number in the model
         self.link_of: dict[int, str] = {}  # link of each body
         self.home: dict[str, float] = {}
         self.remarks: list[str] = []
@@ -378,7 +378,7 @@ class _MjcfReader:
         return ids, [_se3(data[0:3], straight), _se3(data[3:6], straight)]
 
     def _loop_axes(self, bodies: list[int], points: list[FloatArray]) -> tuple[FloatArray, int]:
-        """Axes of a loop in its first body, (3, 3), and their number along which joints move it: these come first."""
+        """Axes of a loop in its first body, (3, 3); first those along which joints move it, and their number."""
         mujoco, model = self.mujoco, self.model
         data, random = mujoco.MjData(model), np.random.default_rng(0)
         columns = []

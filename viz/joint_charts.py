@@ -95,8 +95,9 @@ def dials(fit: Fit) -> Chart | None:
     turn = _FURTHEST / max(1e-12, *(max(abs(value), half) for _, value, half in offsets))
     panels = tuple(_dial(name, value, half, unit, turn) for name, value, half in offsets)
     text = (
-        f"Straight up is nominal. The needle is the found offset, enlarged {turn * per_si:.0f} times, with its 95 %"
-        " interval."
+        f"Straight up is nominal, plus is to the left; the needle is enlarged {turn * per_si:.0f} times, with its 95 %"
+        " interval. Not to be typed in: these offsets belong to the whole model, and calib export writes those for a"
+        " controller. Joints whose own offset was not determined have no dial."
     )
     return Chart("dials", "Joint offsets", text, panels, 150)
 

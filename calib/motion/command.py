@@ -117,8 +117,8 @@ def command(
             " joint from link 2 (descriptions of ROS-Industrial: j2+j3)"
         )
     model = with_values(load_robot(robot, output), parameters, result)
-    model = place_by_files(model, different_poses(read_pose_files((poses,), model)))
     visits = _read_visits(poses, model)
+    model = place_by_files(model, visits)
     spare = None if candidates is None else _read_visits(candidates, model)
     number = None if output_number < 0 else output_number
     motion = Motion(name, speed / 100, 2.5 * speed / 100, dwell, reading, number, third_joint or THIRD_JOINT[0])

@@ -66,7 +66,7 @@ class Calibration(JudgedFit, CalibratedRobot):
 
     @property
     def plot(self) -> Plots:
-        """Its figures as matplotlib axes: `plot.errors()`, `plot.by_pose()` and others.
+        """Figures of the fit as matplotlib axes: `plot.errors()`, `plot.by_pose()` and others.
 
         Raises:
             InputError: Nothing that draws is installed, or something that it needs is missing.

@@ -44,18 +44,18 @@ _GROUPS = {
     "Using the result": ("predict", "solve", "compensate", "export"),
     "Quality systems": ("qualify", "certificate"),
 }
-"""The commands in the order of work; those that come with the pictures stand after them."""
+"""The commands in the order of work; those of the package that draws pictures follow them."""
 
 
 class Commands(click.Group):
-    """The commands of this package, and those that come with the pictures."""
+    """The commands of this package, and those of the package that draws pictures (`calib.pictures`)."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return their names."""
+        """Return the names of the commands."""
         return sorted({*_COMMANDS, *pictures.commands()})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return one of them; None if there is none of this name."""
+        """Return the command of a name; None if there is none."""
         if cmd_name in _COMMANDS:
             command: click.Command = import_module(_COMMANDS[cmd_name][0]).command
             return command

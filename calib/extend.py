@@ -10,7 +10,7 @@ A package names its additions in its `pyproject.toml`, under these groups of ent
     calib.formats               formats of `calib export`: a tuple of `Format`
     calib.models                models by name: a mapping to files that `calib fleet` wrote, with their URDF
     calib.readers               formats of measurement files: a tuple of `OtherFormat`
-    calib.first_descriptions    an option of `calib init` for files of a robot's own: a `FirstFiles`
+    calib.first_descriptions    an option of `calib init` that starts from other files than a URDF: a `FirstFiles`
     calib.qualification         checks of `calib qualify`: a function without arguments that yields `Check`
 
 A notebook registers kinds and terms in `KINDS` and `TERMS`. `check_kind` and `check_term` test them.

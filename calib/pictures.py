@@ -60,7 +60,7 @@ class Live(Protocol):
         """Keep the progress after some poses, for the curve towards the goal."""
 
     def close(self) -> None:
-        """End it."""
+        """End the viewer."""
 
 
 class Pictures(Protocol):

@@ -1,8 +1,9 @@
 """The experiment with today's methods: every pose from both sides, and a model of what was left out.
 
 The simulated robots are those of `medrue.experiment`, draw by draw. Their rails also have the smaller errors of
-`medrue.imperfections.RailErrors`; no model has two of these. The tracker reads every pose twice: after the rail came in
-the positive direction, and after it came in the negative one. Such readings of n poses, with the same noise, identify
+`medrue.imperfections.RailErrors`; two of these errors are in no model. The tracker reads every pose twice: after the
+rail came in the positive direction, and after it came in the negative one. Such readings of n poses, with the same
+noise, identify
 
 * the paper's model,
 * the extended model (`urdf/medrue_extended.yaml`), which knows the direction of approach. For comparison, it is also

@@ -32,7 +32,7 @@ _HELD_OUT = 0.8
 
 
 class NumberRange(click.FloatRange):
-    """A range of numbers; `nan`, which no comparison finds, is outside."""
+    """A range of numbers; `nan` is outside, although no comparison with the limits says so."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """See click."""

@@ -1,4 +1,4 @@
-"""Forward and inverse kinematics of MedRUE in closed form (equations 1 to 17 of the paper).
+"""Forward kinematics of MedRUE in closed form (equations 1 to 17 of the paper).
 
 This module shares no code with the calibration engine or with Pinocchio, so that each can check the other.
 

@@ -12,7 +12,7 @@ other readings of the text and from other poses:
 * the base's rotation composed in another order, or the other way round;
 * other places of the half cylinder, other working modes, the probe turned the other way, straight or leaning.
 
-A reading explains the paper's figures only if it gives both tables' at once.
+A reading explains the paper's figures only if it gives those of both tables at once.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ class Experiment:
     Attributes:
         robot: Nominal MedRUE.
         joints: Poses, (420, 6) [m, rad].
-        sets: Pose sets, in the order of every axis of the draws.
+        sets: Pose sets, in the order of the axes `n_sets` of the draws.
         imperfections: Sizes of what the parameters leave out.
         draws: Simulated experiments; the first is the one that the tables show.
         causes: The same draws with one cause alone, from the set of O1, by name.

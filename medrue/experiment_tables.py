@@ -192,7 +192,7 @@ def experiment_findings(experiment: Experiment) -> tuple[str, ...]:
 
 
 def _error_before_finding(experiment: Experiment) -> str:
-    """Whether the choice of poses can explain the error before."""
+    """Sentence on whether the choice of poses can explain the error before."""
     draw, printed = experiment.draws[0], error_table(4)["before"]["mean"]
     distances = millimetres(np.linalg.norm(draw.before, axis=1))
     nominal = experiment.robot.positions(experiment.joints)[:, 0]

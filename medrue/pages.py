@@ -34,7 +34,7 @@ class NamedFigure:
 
     @cached_property
     def files(self) -> dict[str, bytes]:
-        """Its PNG and SVG files by name."""
+        """PNG and SVG files of the figure by name."""
         return figure_files(self.figure, self.name)
 
     @property

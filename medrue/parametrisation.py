@@ -7,7 +7,7 @@ joint offsets sit on top of it, roll = psi_i + dq.
 Nominal values are read from the URDF itself, so a calibrated URDF can be calibrated again. An origin is the URDF's own
 plus (formula at the values - formula at nominal), so nominal values give back the URDF exactly.
 
-Reference: Joubair, Zhao, Bigras and Bonev 2015, equations 1-17; urdf/README.md has the tree.
+Reference: joubair2015, equations 1-17; urdf/README.md has the tree.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ class MedrueParametrisation:
 
     @cached_property
     def _urdf_origins(self) -> tuple[FloatArray, FloatArray]:
-        """The same in the URDF."""
+        """Xyz and rpy of all origins in the URDF, (n_origins, 3)."""
         given = [self.origins[name] for name in _COORDINATES]
         return np.array([origin.xyz for origin in given]), np.array([origin.rpy for origin in given])
 

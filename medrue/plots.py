@@ -213,7 +213,7 @@ def cause_figure(causes: Mapping[str, FloatArray]) -> Figure:
 
 @with_style
 def pose_count_figure(counts: tuple[int, ...], errors: Mapping[str, FloatArray], noise: float) -> Figure:
-    """Mean error along x after calibration over the number of poses, by the way to calibrate.
+    """Mean error along x after calibration over the number of poses, for each way to calibrate.
 
     Args:
         counts: Numbers of poses.

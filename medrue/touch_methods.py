@@ -233,7 +233,7 @@ def _with_instruments(instruments: Mapping[str, Any], *, hold: bool) -> Robot:
     """The robot of `medrue.yaml` with other instruments, and with or without held parameters."""
     file = robot_file()
     content = parse_yaml(file.read_text(encoding="utf-8"), file)
-    del content["sigma"]  # of the tracker
+    del content["sigma"]  # noise of the tracker
     content |= {"urdf": str(file.parent / content["urdf"]), "instruments": dict(instruments)}
     content |= {} if hold else {"held": []}
     with tempfile.TemporaryDirectory() as folder:  # descriptions are read from files
@@ -243,7 +243,7 @@ def _with_instruments(instruments: Mapping[str, Any], *, hold: bool) -> Robot:
 
 
 def _expected(robot: Robot) -> Robot:
-    """The same robot, the sigmas of its geometry counting as information; measured places may be anywhere."""
+    """The robot with the sigmas of its geometry as information; measured places may be anywhere."""
     return replace(robot, parametrisation=_ExpectedParametrisation(robot.parametrisation))
 
 
@@ -265,5 +265,5 @@ class _ExpectedParametrisation:
         return self.own.placements(values)
 
     def twists(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Their derivatives."""
+        """Derivatives of the origins."""
         return self.own.twists(values)

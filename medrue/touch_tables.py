@@ -22,8 +22,8 @@ AUTHORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 )
 """Errors that the paper's authors print for their simulated calibration by touch (joubair2016) [mm]."""
 _HEADINGS = {
-    "world": "Position errors in the world, by the way of measuring",
-    "shape": "Position errors after the best rigid motion of the predictions, by the way of measuring",
+    "world": "Position errors in the world, for each way of measuring",
+    "shape": "Position errors after the best rigid motion of the predictions, for each way of measuring",
 }
 
 

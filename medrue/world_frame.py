@@ -25,7 +25,7 @@ from calib.core.numerics.rigid import best_transform, cross_matrices
 
 OUTLIER_PROBABILITY = 0.01
 """Chance that an outlier is reported in a set of points without one."""
-_COLLINEAR = 1e-6  # second extent of the points against the first
+_COLLINEAR = 1e-6  # points are on a line if their second extent is less than this part of the first
 _EXACT = 1e-13  # residuals below are rounding [m]
 _ROUNDING = 4 * float(np.finfo(float).eps)  # rounding of a transformed coordinate, as a part of the largest one
 
@@ -54,7 +54,7 @@ class RigidFit:
         return moved
 
     def point_covariance(self, points: FloatArray) -> FloatArray:
-        """Covariance that the frame's uncertainty gives to points (n, 3) carried over, (n, 3, 3) [m^2]."""
+        """Covariance of transformed points (n, 3) that comes from the uncertain transform, (n, 3, 3) [m^2]."""
         slope = _slope(self.rotation, points)
         covariance: FloatArray = slope @ self.covariance @ slope.transpose(0, 2, 1)
         return covariance
@@ -85,7 +85,7 @@ def _outliers(p: FloatArray, q: FloatArray, sigma: float | None) -> tuple[int, .
     while len(kept) >= 3 and _extents(p[kept])[1] > _COLLINEAR * _extents(p[kept])[0]:
         rotation, translation = best_transform(p[kept], q[kept])
         residuals = q[kept] - (p[kept] @ rotation.T + translation)
-        slope = _slope(rotation, p[kept] - p[kept].mean(axis=0))  # leverage is the same, and far from 0 it keeps digits
+        slope = _slope(rotation, p[kept] - p[kept].mean(axis=0))  # centred: same leverage, less rounding far from 0
         surprise = _surprise(residuals, slope, sigma, OUTLIER_PROBABILITY / len(p), exact)
         worst = int(np.argmax(surprise))
         if surprise[worst] <= 1:

@@ -37,7 +37,7 @@ def test_parameters_that_blocks_disagree_on_are_a_check_and_predictions_count_wh
     q, other = joints(120), joints(400, 5)
     noise = SIGMA * np.random.default_rng(1).standard_normal((120, 1, 3))
     fit = calib.fit(arm, measurements(arm, q, bent(arm, q) + noise))
-    told = float(re.search(r"measured, ([\d.]+) times more than noise", codes_of(fit).text)[1])
+    told = float(re.search(r", ([\d.]+) times more than noise", codes_of(fit).text)[1])
     assert codes_of(fit).grade == "CHECK"
     assert told > 1.3
     assert too_sure(fit, other, bent(arm, other)) < 1.3

@@ -250,8 +250,8 @@ def test_command_prints_the_gaps_as_json(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--format", "urdf", "--out", "robot.urdf"), "robot.urdf: is an input here"),
-        (("--format", "toolbox", "--out", "robot.yaml"), "robot.yaml: is an input here"),
+        (("--format", "urdf", "--out", "robot.urdf"), "robot.urdf: is read by this command"),
+        (("--format", "toolbox", "--out", "robot.yaml"), "robot.yaml: is read by this command"),
         (("--format", "toolbox", "--out", "x.urdf"), "name the YAML file"),
         (("--format", "urdf", "--free-slide", "--out", "x.urdf"), "has no variant with free slides"),
         (("--format", "mjcf", "--out", "no/such/folder/x.xml"), "cannot be written"),

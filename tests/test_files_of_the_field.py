@@ -149,6 +149,17 @@ def test_exports_of_instruments_are_read_row_by_row(tmp_path, arm, content, capl
         calib.read_measurements([tmp_path / "joints.csv", tmp_path / "fewer.txt"], arm())
 
 
+def test_a_report_without_whole_points_is_one_line(tmp_path, arm):
+    (tmp_path / "joints.csv").write_text("turn,slide,wrist\n" + text_of(JOINTS))
+    for content, message in (
+        (FARO.splitlines()[0], "has no measured points below its header"),
+        (POLYWORKS.replace("p2\tX", "p2\tDiameter"), "point 'p2' has no X, Y and Z that were measured"),
+    ):
+        (tmp_path / "points.txt").write_text(content + "\n")
+        with pytest.raises(calib.DataError, match=message):
+            calib.read_measurements([tmp_path / "joints.csv", tmp_path / "points.txt"], arm("join: rows"))
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "latin-1"])
 def test_u95_is_the_noise_of_each_row(tmp_path, arm, encoding):
     robot = arm("join: rows")

@@ -51,7 +51,9 @@ def test_a_command_never_writes_onto_its_data_under_whatever_name(here, run_cali
     (here / "symbolic.csv").symlink_to("d.csv")
     os.link(here / "d.csv", here / "hard.csv")
     before = contents(here)
-    refused(run_calib("predict", "arm.yaml", "d.csv", "--out", spelling, cwd=here), here, before, "is an input here")
+    refused(
+        run_calib("predict", "arm.yaml", "d.csv", "--out", spelling, cwd=here), here, before, "is read by this command"
+    )
     run = run_calib("predict", "arm.yaml", "d.csv", "--out", spelling, "--force", cwd=here)
     assert run.code == 0
     assert (here / spelling).read_bytes() != before["d.csv"]
@@ -62,7 +64,7 @@ def test_robot_urdf_and_parameters_are_inputs_too(here, run_calib, target):
     shutil.copy(EXAMPLES / "arm_truth.csv", here / "v.csv")
     before = contents(here)
     run = run_calib("predict", "arm.yaml", "d.csv", "--parameters", "v.csv", "--out", target, cwd=here)
-    refused(run, here, before, f"{target}: is an input here")
+    refused(run, here, before, f"{target}: is read by this command")
 
 
 def test_what_this_program_wrote_is_an_input_as_well(here, run_calib):
@@ -108,7 +110,7 @@ def test_a_program_is_not_compensated_in_place(here, run_calib, fitted):
     shutil.copy(here / "d.csv", here / "moves.csv")
     before = contents(here)
     command = ["compensate", "arm.yaml", "moves.csv", "--result", "fit", "--out"]
-    refused(run_calib(*command, "moves.csv", cwd=here), here, before, "is an input here")
+    refused(run_calib(*command, "moves.csv", cwd=here), here, before, "is read by this command")
     for _ in range(2):
         assert run_calib(*command, "told.csv", cwd=here).code == 0
 
@@ -123,7 +125,7 @@ def test_g_code_that_was_compensated_is_known_again_and_its_program_stays(tmp_pa
     (tmp_path / "part.gcode").write_text(PROGRAM)
     before = contents(tmp_path)
     command = ["compensate", "delta.yaml", "part.gcode", "--result", "fit"]
-    refused(run_calib(*command, "--out", "part.gcode", cwd=tmp_path), tmp_path, before, "is an input here")
+    refused(run_calib(*command, "--out", "part.gcode", cwd=tmp_path), tmp_path, before, "is read by this command")
 
 
 @pytest.mark.quick(0)
@@ -149,12 +151,12 @@ def test_a_fit_never_replaces_the_result_that_it_starts_from_nor_data_in_its_fol
     fitted.save(here / "fit", pages=False)
     before = contents(here / "fit")
     run = run_calib("fit", "fit", "d.csv", "--no-pages", "--out", "fit", cwd=here)
-    refused(run, here / "fit", before, "is an input here")
+    refused(run, here / "fit", before, "is read by this command")
     (here / "data").mkdir()
     shutil.move(here / "d.csv", here / "data" / "residuals.csv")
     before = contents(here / "data")
     run = run_calib("fit", "arm.yaml", "data/residuals.csv", "--no-pages", "--out", "data", cwd=here)
-    refused(run, here / "data", before, "residuals.csv: is an input here")
+    refused(run, here / "data", before, "residuals.csv: is read by this command")
 
 
 def test_two_outputs_do_not_share_a_place(here, run_calib):
@@ -180,9 +182,9 @@ def test_the_same_holds_from_python(here, fitted):
     robot = calib.load(here / "arm.yaml")
     for file in ("arm.yaml", "arm.urdf"):
         os.link(here / file, here / f"hard_{file}")
-        with pytest.raises(InputError, match="is an input here"):
+        with pytest.raises(InputError, match="is read by this command"):
             calib.export(robot, here / f"hard_{file}", "urdf")
-    with pytest.raises(InputError, match="is an input here"):
+    with pytest.raises(InputError, match="is read by this command"):
         robot.save(here / "arm.yaml")
     robot.save(here / "other.yaml")
     robot.save(here / "other.yaml")
@@ -197,7 +199,7 @@ def test_measurements_in_the_folder_of_a_result_are_not_replaced_from_python(her
     shutil.copy(EXAMPLES / "arm_simulated.csv", path)
     robot = calib.load(here / "arm.yaml")
     fit = calib.fit(robot, calib.read_measurements(path, robot))
-    with pytest.raises(InputError, match="is an input here"):
+    with pytest.raises(InputError, match="is read by this command"):
         fit.save(here / "out", pages=False)
     assert path.read_bytes() == (EXAMPLES / "arm_simulated.csv").read_bytes()
 

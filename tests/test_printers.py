@@ -11,6 +11,7 @@ from code_comparison.codes.delta_printer import calibrated, nozzle
 import calib
 from calib.cli import group
 from calib.core.base.errors import CalibrationError
+from calib.core.rows.simulate import simulate
 from calib.printers.files import read_printer
 from calib.printers.formats import geometry_of
 from calib.printers.rows import expected_geometry
@@ -154,6 +155,21 @@ def test_what_probing_cannot_know_stays_as_designed(folder):
     fit = calib.fit(calib.load("p.yaml"), calib.read_measurements("p.csv", calib.load("p.yaml")))
     assert np.allclose(1e3 * np.array(geometry_of(fit.robot).arms), TRUE[4:7], atol=1e-6)
     assert np.abs(np.degrees(geometry_of(fit.robot).angles) - [210, 330, 90]).max() < 0.6
+
+
+def test_seven_heights_do_not_say_that_a_carriage_moves_too_far(folder):
+    """They leave one degree of freedom or two, and three scales none: noise that is small by chance made them sure."""
+    lines = printer_cfg(spans=False).split("\n")
+    (folder / "printer.cfg").write_text("\n".join(s for s in lines if not any(f"height{k}" in s for k in range(7, 13))))
+    assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0
+    robot = calib.load("p.yaml")
+    q = calib.read_measurements("p.csv", robot).joints
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        free = [p for p, is_free in zip(robot.parameters, robot.is_free, strict=True) if is_free]
+        real = robot.with_parameters({p.name: p.nominal_si + p.sigma_si * rng.standard_normal() for p in free})
+        reasons = calib.fit(robot, simulate(real, q, 2e-5, rng)).verdict.reasons
+        assert "joint_scaled" not in [reason.code for reason in reasons]
 
 
 def test_saved_rows_count_and_included_files_are_named(folder):

@@ -404,7 +404,7 @@ def test_a_wrong_nearest_hole_does_not_pass(tmp_path):
 
 
 def test_a_pitch_that_is_no_length_is_refused():
-    with pytest.raises(ValueError, match="must be a positive length"):
+    with pytest.raises(ValueError, match="must be positive: a length"):
         KINDS["hole_pattern"].section.model_validate(
             {"kind": "hole_pattern"} | ENTRIES["hole_pattern"] | {"pitch": "0 mm"}
         )

@@ -132,6 +132,15 @@ def test_a_scaled_joint_is_named_with_its_factor(arm, data, amount):
         assert ("gon read as degrees" in told) == (factor == 10 / 9)
 
 
+@pytest.mark.parametrize("joint", [1, 3])
+def test_no_scale_is_named_where_a_fit_with_scales_fits_nothing_either(arm, data, joint):
+    """Absolute values, and values of other rows: free scales of all joints halve the noise, and explain nothing."""
+    for change in (np.abs, np.flip):
+        q = data.joints.copy()
+        q[:, joint] = change(q[:, joint])
+        assert "scaled" not in likely_mistake(arm, replace(data, joints=q), 0.4)
+
+
 @pytest.mark.quick(0)
 def test_two_joints_that_are_a_little_scaled_get_no_pass(arm, data):
     """Three percent of two wrist joints: the nominal robot is off by less than half as much."""

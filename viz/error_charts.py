@@ -22,9 +22,9 @@ from viz.scene_data import colours, rows_of
 _MM = PER_SI["length"]["mm"]
 _MEANS = 12  # places along a joint at which residuals are averaged
 _CELLS = 9  # cells along the longer side of a plane
-_FLAT = 0.05  # places are a surface if they extend across a plane by less than this part of their extent in it
+_FLAT = 0.05  # places lie on a plane if their extent across it is below this part of their extent in it
 _ALONG_AN_AXIS = 0.999  # the surface is parallel to one of the three planes if the cosine is more
-_AT_REST = 1e-3  # mm
+_AT_REST = 1e-3  # errors whose places differ by less have one place [mm]
 _PAIRED = 6  # largest number of joints whose ranges are drawn in all pairs; for more, neighbours only
 
 
@@ -165,7 +165,7 @@ class _Part:
         )
 
     def moves(self) -> bool:
-        """Whether the places of the errors differ: a mount that points turns about one place."""
+        """Whether the places of the errors differ; those of a camera mount that only turns are one."""
         places = _MM * self._rows.anchors[np.isfinite(self._rows.anchors).all(axis=1)]
         return bool(len(places)) and float(np.ptp(places, axis=0).max()) > _AT_REST
 

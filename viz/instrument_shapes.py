@@ -20,7 +20,7 @@ from viz.bodies import Bodies, PosedRobot
 from viz.shapes import DARK, Colour, Shape, mesh, primitive, rotation_onto_z
 
 _BRASS: Colour = (0.80, 0.58, 0.20, 1.0)
-_CLEAR: Colour = (0.80, 0.58, 0.20, 0.4)  # touching and touched shapes, since errors are drawn inside
+_CLEAR: Colour = (0.80, 0.58, 0.20, 0.4)  # for touching and touched shapes: errors are drawn inside them
 _GLASS: Colour = (0.35, 0.60, 0.85, 0.45)
 _PAPER: Colour = (0.97, 0.97, 0.95, 1.0)
 _WIRE: Colour = (*_GLASS[:3], 0.8)
@@ -65,13 +65,13 @@ def _tells_distances(instrument: Instrument) -> bool:
 
 
 def _body(place: str) -> str:
-    """The body of a place that is no link."""
+    """Name of the body of a place; brackets keep it apart from links."""
     return f"({place})"
 
 
 @functools.singledispatch
 def _shapes_of(instrument: Instrument, size: float) -> list[Shape]:
-    """Shapes of an instrument of a robot of this size [m]; empty if it is only its target."""
+    """Shapes of an instrument of a robot of this size [m]; empty if only its target is drawn."""
     return []
 
 

@@ -62,7 +62,7 @@ def figures(subject: object) -> dict[str, bytes]:
     """Return the figures of an assessment or a selection as SVG files; the same input gives the same bytes.
 
     Raises:
-        TypeError: `subject` is neither.
+        TypeError: `subject` is something else.
     """
     from calib.planning.assessment import Assessment
     from calib.planning.selection_result import Selection

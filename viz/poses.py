@@ -121,12 +121,14 @@ class PoseTable(RowTable):
 
 
 def rows_shown(table: PoseTable) -> IntArray:
-    """Return the rows of the page, ascending, (n,): all, or outliers, the largest errors and others evenly spread."""
+    """Return the rows of a page, ascending, (n,); see `spread_rows`."""
     return spread_rows(table.outlier, [np.linalg.norm(table.error(state), axis=1) for state in ("before", "after")])
 
 
 def spread_rows(outlier: BoolArray, sizes: list[FloatArray]) -> IntArray:
-    """Return the rows of a page, ascending, (n,): all, or outliers, the largest errors, and others evenly spread.
+    """Return the rows of a page, ascending, (n,).
+
+    These are all rows. If there are too many, they are outliers, the largest errors, and others evenly spread.
 
     Args:
         outlier: Mask of outliers, (n,).

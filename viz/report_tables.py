@@ -50,7 +50,7 @@ class Tolerance:
 
 
 def tolerance_of(fit: Fit) -> Tolerance | None:
-    """Return whether 95 of 100 errors at poses like those measured stay below the tolerance; None if none is stated.
+    """Compare the error that 95 of 100 poses like those measured stay below with the tolerance; None without one.
 
     The calibration's claim on positions decides. Without such a claim, the answer is open.
     """

@@ -114,7 +114,7 @@ class PageServer:
                 return
             self.closed = True
             for browser in self._browsers:
-                with contextlib.suppress(queue.Full):  # the browser's thread ends after it has sent a full queue
+                with contextlib.suppress(queue.Full):  # then its thread sends what is queued, and ends
                     browser.put_nowait(None)
             self._browsers.clear()
         self._server.shutdown()

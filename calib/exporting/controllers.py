@@ -187,7 +187,7 @@ def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:
 def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
     """Return a sign and a zero correction for each joint with a motor, and the error that remains with them.
 
-    Those of a fit fit its measurements best; otherwise `joint_zeros` finds them over the joint ranges.
+    For a fit, they reproduce its measurements best; otherwise `joint_zeros` finds them over the joint ranges.
     """
     file_robot, placed = robot.files.get(Holds.ZEROS), any(p.placement for p in robot.parameters)
     anew = ", base and target placed anew" if placed else ""

@@ -79,7 +79,7 @@ def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
     `count` poses are tried, evenly spread without random numbers; poses that cannot be assembled are dropped.
     """
     lower, upper = joint_ranges(robot)
-    spread = 2 * joint_samples(robot.mode, count + 1)[1:, : len(lower)] - 1  # its first point is a corner
+    spread = 2 * joint_samples(robot.mode, count + 1)[1:, : len(lower)] - 1  # the first sample is a corner
     around = robot.home + _REACH * (upper - lower) * spread
     inside = np.clip(around, np.minimum(lower, robot.home), np.maximum(upper, robot.home))
     poses = np.vstack([robot.home, inside])

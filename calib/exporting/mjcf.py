@@ -237,7 +237,7 @@ class _Writer:
                 SubElement(equality, "connect", attributes, anchor=numbers(anchor.translation))
         for joint in followers:
             assert joint.mimic is not None
-            leader, factor, _ = joint.mimic  # relative to ref, where both are zero, the offset vanishes
+            leader, factor, _ = joint.mimic  # no offset: MuJoCo counts both from their `ref`
             SubElement(
                 equality,
                 "joint",

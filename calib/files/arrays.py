@@ -65,7 +65,7 @@ def json_columns(file: SomeFile) -> dict[str, Sequence[object]]:
     """Return the columns of JSON: arrays by name, or records by name, in a list or one per line.
 
     Raises:
-        DataError: The file is no valid JSON, or holds neither; for others see `numpy_columns`.
+        DataError: The file is no valid JSON, or holds no arrays or records; for others see `numpy_columns`.
     """
     text = "\n".join(file.lines)
     try:

@@ -16,7 +16,7 @@ def _begins(pattern: bytes) -> Callable[[SomeFile], bool]:
 
 
 def _not_read(name: str, head: str, pattern: bytes, way: str) -> OtherFormat:
-    """Return a format recognised by its first bytes, with the user's way to measurements."""
+    """Return a format that is recognised by its first bytes but not read, with advice to the user."""
     return OtherFormat(name, head, way, _begins(pattern))
 
 

@@ -90,9 +90,10 @@ def report_lines(file: SomeFile) -> list[str]:
                 if axis in points.setdefault(name, {}):
                     raise DataError(f"{file.path}, line {k}: point '{name}' has {axis} twice; give each its own name")
                 points[name][axis] = cells[column]
-    short = next((name for name, axes in points.items() if len(axes) < 3), None)
-    if short is not None or not points:
+    for short in (name for name, axes in points.items() if len(axes) < 3):
         raise DataError(f"{file.path}: point '{short}' has no X, Y and Z that were measured; export all three")
+    if not points:
+        raise DataError(f"{file.path}: has no measured points below its header")
     suffix = f" [{unit}]" if unit else ""
     header = ";".join(["pose", *(f"{axis}{suffix}" for axis in "XYZ")])
     return [header, *(";".join([name, *(axes[axis] for axis in "XYZ")]) for name, axes in points.items())]

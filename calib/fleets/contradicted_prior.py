@@ -6,8 +6,8 @@ compared with the fleet's prior, as results of a fleet are compared with each ot
 one, the least likely parameter loses the fleet's prior and keeps the description's, until the others are likely. If
 more than a quarter of the parameters would lose it, all do.
 
-If too few readings leave the fit without the fleet no degree of freedom, it gets the fleet's prior, several times as
-wide. The information of a prior is always removed before the comparison.
+If there are too few readings for a fit without the fleet, the fit gets the fleet's prior, made several times as wide.
+The information of a prior is always removed before the comparison.
 
 When it fails. If neither fit succeeds (too few readings for unstated noise), nothing is compared. Poses that do not
 determine a parameter cannot contradict its prior.
@@ -31,9 +31,9 @@ from calib.core.robots.robot import Robot
 from calib.fleets.hierarchy import compare_with_fleet
 from calib.fleets.shared_parameters import evidence_of_fit, expectation_of_fleet, shared_parameters, without_fleet
 
-_WIDE = 5.0  # factor on a prior that makes it decide little
+_WIDE = 5.0  # factor that widens a prior, so that it decides little
 _MOST = 0.25  # largest part of unlike parameters; with more, the whole robot is unlike
-_EXTRA = 3.0  # degrees of freedom that other parameters of its kind add to a spread; each robot adds one
+_EXTRA = 3.0  # degrees of freedom of a parameter's spread from others of its kind; each robot adds one
 
 
 def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Settings, fleet: FleetSection) -> Robot:

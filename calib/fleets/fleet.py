@@ -27,7 +27,7 @@ from calib.fleets.ur_files import is_calibration, result_of_calibration
 
 _WIDTH = 118
 _CONFIRMED = 1.25  # largest ratio of estimated and stated noise, in either direction, that confirms the statement
-_MOST_CONFIRMED = 60.0  # degrees of freedom: the next robot's instrument may be another one
+_MOST_CONFIRMED = 60.0  # largest degrees of freedom, since the next robot's instrument may be another one
 _STATEMENT = 8.0
 """Degrees of freedom of a stated noise that may be wrong by a quarter: 1 / (2 * 0.25^2) (jcgm100, G.4.2)."""
 _NAMED = 3  # unlike parameters of a robot that are named
@@ -63,7 +63,7 @@ class Member:
     unlike_parameters: tuple[tuple[str, float], ...]
 
     def sentence(self) -> str:
-        """Return whether it is like the others, in words."""
+        """Return a text that says whether it is like the others."""
         if np.isnan(self.p_value):
             return "not tested"
         if not self.is_unlike:

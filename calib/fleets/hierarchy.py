@@ -14,7 +14,7 @@ everything else is normal:
 
     A_i = (H_i + diag(1/t^2))^-1            covariance of d_i given m
     V = (I + sum H_i - H_i A_i H_i)^-1,     m = V sum (I - H_i A_i) h_i
-    d_i = A_i (h_i - H_i m),                C_i = A_i + A_i H_i V H_i A_i
+    d_i = A_i (h_i - H_i m),                C_i = A_i + A_i H_i V H_i A_i, the covariance of d_i
     t_k^2 = (nu r^2 + sum_i d_ik^2) / f_k,  f_k = nu + sum_i (1 - C_i,kk / t_k^2)
 
 The last line is iterated until it converges. It maximises the restricted marginal likelihood, as for variance
@@ -29,14 +29,14 @@ a scaled Student's t with the typical f_k = f: its mean is 1 and its variance 2 
 the scaled F of K and f' = 4 + (K + 2) (f - 4) / 3 degrees of freedom, with the same mean and variance: many roughly
 known spreads are together known well. The second test is of each parameter alone, by a scaled Student's t, as for an
 added variable: with B = (D + V)^-1 and S = (B + H_i)^-1, B S (h_i - H_i m) is the score, and the diagonal of B - B S B
-its variance. So a parameter that is determined only in sums is tested by these sums. Each of the two tests has half of
-the probability of a false alarm: one in a hundred, for all tests of a fleet together. The least likely result is left
-out, and everything is estimated again, until no robot is unlike. So one wrong result changes nothing, and does not hide
-behind the spread that it causes.
+its variance. If the data determine only a sum of parameters, each of them is tested by this sum. All tests of a fleet
+together give a false alarm with a chance of one in a hundred; each of the two tests has half of that chance. The least
+likely result is left out, and everything is estimated again, until no robot is unlike. So one wrong result changes
+nothing, and does not hide behind the spread that it causes.
 
-When it fails. Half of the results are wrong. There are only two results, and neither can be called unlike. Spreads are
-correlated (all links of a robot are longer): they count as independent, so that combinations of them seem narrower than
-they are. Spreads of one kind differ tenfold, and there are three results: in one such fleet of ten, a good robot is
+When it fails. It fails if half of the results are wrong. Of two results, neither can be called unlike. Correlated
+spreads (all links of a robot are longer) count as independent, so that combinations of them seem narrower than they
+are. With three results, and spreads of one kind that differ tenfold, one such fleet of ten has a good robot that is
 called unlike.
 
 Reference: patterson1971; gelman2006 for the prior of spreads with few robots.
@@ -60,7 +60,7 @@ _CONVERGED = 1e-4  # the iteration ends at this relative change of a variance
 _ROUNDS = 500
 _WIDER = 2.0  # a tested combination has at least this many times the variance of noise
 _NOTHING = 1e-2  # a direction with less than this part of the information of a single robot's prior is undetermined
-_SHOWN = 0.1  # a parameter is tested if the data determine at least this part of its prior, given the others
+_SHOWN = 0.1  # a parameter is tested if the data give at least this part of its information, the others known
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Hierarchy(ReadOnlyArrays):
         freedom: f, (n,).
         estimates: d_i + m for each result, (n_results, n).
         deviations: Standard deviations of the estimates, (n_results, n).
-        n_determined: Number of results that determine each parameter, (n,); one that does so partly adds that part.
+        n_determined: Number of results that determine each parameter, (n,); one that does so in part counts in part.
     """
 
     mean: FloatArray

@@ -46,7 +46,7 @@ def result_of_calibration(path: Path | str, folder: Path) -> None:
 
     Raises:
         DataError: The robot is of no known type.
-        UrdfError: The file is not a calibration, or the sign of a number in it is lost.
+        UrdfError: The file is not a calibration, or fits a known type only with the other sign of a number.
     """
     origins = read_origins(path)
     model, away = nearest_type(origins)

@@ -26,7 +26,7 @@ class Convention:
 
     @property
     def has_angles(self) -> bool:
-        """Whether its numbers are angles, which have a unit."""
+        """Whether the numbers of a rotation are angles, which have a unit."""
         return self.width == 3
 
     def rotation(self, numbers: FloatArray) -> scipy.spatial.transform.Rotation:

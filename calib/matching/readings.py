@@ -37,7 +37,7 @@ _FINEST = 1e-6  # finest own rounding of a controller [m or rad]
 _FIT = 0.08  # a reading fits if it misses by less than this part of the spread of the robot's positions
 _STILL = 0.005  # pairs determine nothing if the robot's positions spread less [m]
 _ALIKE = 3.0  # a fit must decide if another miss is less than this many times the best
-_SHORT = 12  # best readings by rotations for each joint unit and direction: six sequences agree equally
+_SHORT = 12  # number of readings kept for each joint unit and direction: six sequences agree equally
 _MIRRORED = 4  # best readings whose columns of positions are tried in other orders
 _MOST = 4  # largest number of readings that fits decide between
 _SHIFTS = (-3, -2, -1, 1, 2, 3)
@@ -194,8 +194,8 @@ def alike_error(pairs: Pairs, readings: Sequence[Interpretation]) -> DataError:
     """Return the error for several readings that fit equally."""
     words = listing([reading.words() for reading in readings], " | ", shown=_MOST)
     return DataError(
-        f"{pairs.path}: these readings of the columns fit alike: {words}; write units and the maker's words into the"
-        " header (qw, W P R, A B C, [deg]), or add pairs in which the tool is turned more"
+        f"{pairs.path}: these readings of the columns fit alike: {words}; write units and the maker's column names into"
+        " the header (qw, W P R, A B C, [deg]), or add pairs in which the tool is turned more"
     )
 
 

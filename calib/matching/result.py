@@ -81,8 +81,8 @@ class Match:
         if not words:
             return "gravity, couplings, gears and other joint terms were tried, and none halves this error"
         if left.to_the_digits:
-            return f"with {words} it agrees to the digits; a URDF has no place for that"
-        return f"with {words}, {_mm(left.left_out)} are left; a URDF has no place for that"
+            return f"with {words} it agrees to the digits; a URDF has no place for such terms"
+        return f"with {words}, {_mm(left.left_out)} are left; a URDF has no place for such terms"
 
     def report(self) -> str:
         """Return the result as text."""

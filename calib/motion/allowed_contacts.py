@@ -2,10 +2,10 @@
 
 - Links that a joint or a loop connects: their shapes meet there.
 - Links that touch at home, or at nearly all of many poses: nearly constant contact is a matter of their shapes. A home
-  outside the joint limits is none: the robot cannot stand there.
+  outside the joint limits does not count: the robot cannot stand there.
 - Pairs that an SRDF beside the URDF disables.
 
-Links that are only nearer than their clearance at home are built so; they are checked without clearance.
+Links that do not touch at home, but are nearer than their clearance, are built so: they are checked without clearance.
 
 Unlike in MoveIt, pairs that never touched at many poses are checked: they cost microseconds, and rare contacts are the
 ones that break robots. Obstacles and parts of the tool are only exempt from constant contact. An obstacle in constant
@@ -31,7 +31,7 @@ from calib.motion.scene import CollisionScene, all_shapes, exceeds_limits, movin
 from calib.motion.shapes import is_moved_frame
 
 _SAMPLES = 400
-_ALWAYS = 0.95  # part of the samples
+_ALWAYS = 0.95  # shapes always touch if they do in this part of the samples
 _TOUCH = 1e-4  # distance of shapes that touch, at most [m]
 _SHOWN = 6
 

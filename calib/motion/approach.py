@@ -1,7 +1,7 @@
 """Approach and retreat of a touch: along the normal of the touched surface.
 
-The normal is z of a plane's or socket's axes, and of a sphere the line from its centre. The target moves along it, as
-far as the joints allow with the smallest change.
+The normal is z of a plane's or socket's axes, and of a sphere the line from its centre. The target is moved along it by
+the smallest change of joint values, within their limits.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def approaches(robot: Robot, poses: Poses) -> FloatArray:
     touches = [touch for touch in robot.instruments if isinstance(touch, Touch) and touch.name in poses.planned]
     if not touches:
         return poses.joints
-    in_sockets = {touch.name: replace(touch, surface="socket") for touch in touches}  # read the offset, all of it
+    in_sockets = {touch.name: replace(touch, surface="socket") for touch in touches}  # a socket reads the whole offset
     touching_robot = replace(robot, instruments=tuple(in_sockets.get(each.name, each) for each in robot.instruments))
     columns = term_columns(robot, poses.joints, poses.conditions)
     closed = robot.close(poses.joints, columns=columns)

@@ -112,7 +112,7 @@ def command(
         raise InputError(f"--name {name}: needs a letter, then letters, digits and underscores, 31 in all")
     if ("fanuc" in languages) != (third_joint is not None):
         raise InputError(
-            "--format fanuc needs --third-joint, and no other does: j3, or j2+j3 where the robot file counts its third"
+            "--third-joint is for --format fanuc, which needs it: j3, or j2+j3 where the robot file counts its third"
             " joint from link 2 (descriptions of ROS-Industrial: j2+j3)"
         )
     model = with_values(load_robot(robot, output), parameters, result)

@@ -25,7 +25,7 @@ from calib.motion.route import Route, Stop
 _DEGREES = PER_SI["angle"]["deg"]
 _ROBOT_AXES = 6
 THIRD_JOINT = ("j3", "j2+j3")
-"""Meanings of the third joint of a robot file on a FANUC controller, which counts J3 from the horizontal."""
+"""The third joint of a robot file on a FANUC controller, whose J3 counts from the horizontal: J3, or J2 + J3."""
 
 
 @dataclass(frozen=True)

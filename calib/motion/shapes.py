@@ -4,9 +4,9 @@ They are the collision shapes of the URDF; without any, its visuals; without the
 link to those of its children.
 
 Distances come in two steps. A mesh lies in its convex hull, whose distances take coal microseconds: if hulls are apart,
-meshes are apart. If not, the triangles decide, and whether one mesh is inside the other (the triangles of a box do not
-show what is in it). Visuals are drawn for the eye and often open: of these, and of meshes with very many triangles, the
-hull is the shape.
+meshes are apart. If not, two tests decide: whether triangles touch, and whether one mesh is inside the other (then no
+triangles touch). Visuals are drawn for the eye and often open. In place of these, and of meshes with very many
+triangles, the hull is the shape.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class _Solid:
-    """A shape in its own axes: hull, triangles, and points that span it (for a ball: its centre, and a radius)."""
+    """A shape in its own axes: hull, triangles, and points that span it; `ball` is the radius around each point [m]."""
 
     hull: Any
     mesh: Any = None
@@ -255,7 +255,7 @@ def _capsules(robot: RobotData, link: str) -> list[Body]:
 def _stretches(robot: RobotData, link: str) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Ends of the rods of a link, (3,) [m]: from its origin to its joints and targets, and rods of slides.
 
-    At a sliding joint, a rod as long as the joint's value at home lies on each side, which covers up to twice that.
+    Both links of a sliding joint have a rod as long as the joint's value at home. Together they cover twice that value.
     """
     home = dict(zip(robot.mechanism.actuated, robot.home.tolist(), strict=True))
     origin = np.zeros(3)

@@ -26,7 +26,7 @@ from calib.motion.scene import CollisionScene
 
 _SHORT = 0.025  # distance from its ends that a line leaves out [m]
 _BEAM = 0.01  # width of a line [m]
-_ALWAYS = 0.95  # part of the poses
+_ALWAYS = 0.95  # a line always ends in a shape if it does at this part of the poses
 _THINNEST = 1e-6
 
 

@@ -94,7 +94,7 @@ def intrinsics_at_first(scene: BoardScene) -> FloatArray:
     """Return first intrinsics from the images, (9,), with a fitted focal length and no distortion.
 
     Raises:
-        NotIdentifiableError: The images do not determine it, such as images all from the front.
+        NotIdentifiableError: The images do not determine the focal length, such as images all from the front.
     """
     alone = free_boards(scene, usual_intrinsics(scene), (0,))
     focal = np.nan if alone is None else alone.placed.intrinsics[0] / scene.size[0]
@@ -153,7 +153,7 @@ def camera_alone(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...
 
 
 def point_errors(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...]) -> FloatArray:
-    """Return the distances of outlying points from the prediction of their image's other points, (m,) [px]; else 0.
+    """Return how far outlying points are from the prediction of their image's other points, (m,) [px]; 0 for others.
 
     The point with the largest studentised residual is left out of its image, and the board is placed again, until
     every residual is likely by chance: a larger one occurs in one of a hundred sets of good points

@@ -35,8 +35,8 @@ from calib.photographs.opencv import GreyImage, dictionary, dictionary_families,
 FEWEST = 4
 """Least number of points by which an image determines the pose of the board."""
 _BLURRED = 6.0  # px, width of edges
-_OFF = 0.05  # largest deviation from a plane by the lens, as part of the board's extent
-_LEAST_OFF = 5.0  # px
+_OFF = 0.05  # largest distance of a point from a homography, as part of the points' extent: lenses distort
+_LEAST_OFF = 5.0  # px, allowed in any case
 _TRIES = 3  # images of a set in which other dictionaries and other boards are tried
 _MOST_COLUMNS = 30  # largest tried number of columns of markers
 _FITTING = 0.9  # least part of the markers' corners that must fit the right board
@@ -98,7 +98,7 @@ class Detection:
 def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Iterator[DetectedImage | Detection]:
     """Find a board in images; yield the detection in each, then the whole set.
 
-    In place of an image, the reason may stand why it could not be read. For a ChArUco board with an even number of rows
+    A text in place of an image says why the image could not be read. For a ChArUco board with an even number of rows
     and unknown layout, both layouts are tried. Each image is yielded with the layout that shows more of its corners,
     and the set with the layout that shows more in all images.
 
@@ -156,7 +156,7 @@ class _Detector:
         """Return the detection in one image."""
         points = self.points(image)
         if 0 < len(points) < self._n_points / 2 and self.n_mirrored_points(image) > 2 * len(points):
-            points = {}  # chance finds in a mirrored image
+            points = {}  # recognised by chance in a mirrored image
         kept = points_on_one_plane(self.board, points)
         if len(kept) < _FITTING * len(points) and (numbered := self._other_numbering(points)):
             return DetectedImage(name, (image.shape[1], image.shape[0]), (), np.zeros((0, 2)), numbered)
@@ -320,7 +320,7 @@ def marker_numbers(board: Board) -> range:
 
 
 def _marker_corners(board: Board, columns: int, number: int) -> FloatArray:
-    """Corners of a marker, numbered from 0, on a board with other columns, (4, 2) [m]."""
+    """Corners of marker `number`, counted from 0, if the board had this number of columns, (4, 2) [m]."""
     side = board.marker or 0.0
     square = np.array([(0.0, 0.0), (side, 0.0), (side, side), (0.0, side)])
     if board.kind != "charuco":
@@ -414,7 +414,7 @@ def _contrast(board: Board, image: GreyImage, pixels: FloatArray) -> float:
     limits = np.array([image.shape[1], image.shape[0]]) - 1
     at = np.clip(np.rint(middles).astype(int), 0, limits)
     values = image[at[..., 1], at[..., 0]].astype(float)
-    black = (row + column) % 2 == 0  # the square at (1, 1), counted from 0, is black like that at (0, 0)
+    black = (row + column) % 2 == 0  # middles[0, 0] is in square (1, 1), which has the colour of square (0, 0)
     return float(values[~black].mean() - values[black].mean()) if np.any(~black) else 0.0
 
 

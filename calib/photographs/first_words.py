@@ -21,8 +21,8 @@ _BOARD = "charuco:7x5:30mm:22mm:DICT_5X5_100"
 _IMAGE, _FOCAL = (1280, 960), 1000.0  # px, without a camera file
 _OFF_GUESSED, _OFF_GIVEN = 0.1, 0.01  # relative uncertainty of the focal length
 _AWAY = 1.8  # distance of board and camera in diagonals of the board
-_TRIED, _PLACES = 600, 60  # number of sampled poses, and of these with a candidate board
-_AHEAD, _FACING = 0.93, 0.6  # least cosines to the camera's axis, and to the board's
+_TRIED, _PLACES = 600, 60  # sampled poses, and how many of them place a candidate board
+_AHEAD, _FACING = 0.93, 0.6  # least cosines of the line of sight to the camera's axis and to the board's normal
 
 
 def camera_words(
@@ -31,7 +31,7 @@ def camera_words(
     """Return the board's file, unless it exists, and the entries of board and camera in the description.
 
     Args:
-        robot: The robot of a plain description.
+        robot: The robot; its description has neither board nor camera yet.
         board, camera: Values of the user's options, or None.
         to_print: File for the board, or None.
         out: Path of the description.
@@ -75,7 +75,7 @@ def _yaml(values: Mapping[str, float]) -> str:
 
 
 def _about_seen(robot: Robot, middle: FloatArray, away: float) -> tuple[FloatArray, FloatArray]:
-    """Pose of a board that most poses see, for a camera along z of the target: xyz [m], rpy [rad]."""
+    """Pose of the board that most sampled poses see, if the camera looks along z of the target: xyz [m], rpy [rad]."""
     poses = robot.forward(robot.sample(_TRIED, 0))
     boards = poses[:_PLACES].copy()
     boards[:, :3, 3] += away * boards[:, :3, 2]

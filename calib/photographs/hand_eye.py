@@ -85,7 +85,7 @@ class HandEye(ReadOnlyArrays):
         if not np.isfinite(mean):  # a ray does not meet the plane of the board
             return float("nan")
         ratio = rms(self.residuals_without_robot) / rms(self.left_out.pixels)
-        point_share = min(ratio**2, 1.0) if np.isfinite(ratio) else 0.0  # of the squares, from each point's own error
+        point_share = min(ratio**2, 1.0) if np.isfinite(ratio) else 0.0  # part of the squares that is each point's own
         most = 1.0 / ((1.0 - point_share) ** 2 / n + point_share**2 / (2 * len(self.scene.pixels)))
         spread = float(np.var(squares, ddof=1)) / n
         freedom = min(most, 2 * mean**2 / spread) if spread > 0 else most

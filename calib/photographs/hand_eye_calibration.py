@@ -4,7 +4,7 @@ Order of work: (1) first values (`calib.photographs.starts`); (2) points far fro
 predict them, and images far from where the other images predict them, are left out and named; (3) the lens: intrinsics
 as given, or from the same images, whichever predicts left-out images better; (4) equal weights, or weights by the
 errors that the points of an image share (`calib.photographs.estimation`), by the same rule; (5) the residual of the
-camera alone, with the board placed freely in each image: what is more comes from the robot's poses; (6) mistakes that
+camera alone, with the board placed freely in each image: the rest comes from the robot's poses; (6) mistakes that
 would explain the residuals (`calib.photographs.mistakes`).
 
 "Better" is more than chance: n log(RMS before / RMS after) must exceed 1.5, with the RMS of n left-out images. With few

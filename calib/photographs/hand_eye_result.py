@@ -21,8 +21,9 @@ _MANY = 0.1  # the photographs are wrong if more than this part of the points wa
 _ROBOT_SHARE = 0.5
 _MM = 1e3
 WIDE = 0.05
-"""The pose of camera or board counts as unknown if half its 95 % interval is wider, in radians, or as a part of the
-distance between them: both move what the camera sees equally far. Good photographs give less than a third of this."""
+"""The pose of camera or board counts as unknown if half of a 95 % interval is wider than this: that of its angle [rad],
+or that of its position, as a part of the distance between camera and board. If both are equal, they move what the
+camera sees equally far. Good photographs give less than a third of this."""
 _CLAIM_ABOVE = 0.5  # the images are too few if left-out ones are worse than used ones by more than this part
 
 
@@ -160,7 +161,7 @@ def report(result: HandEye, frames: Frames) -> str:
         f"{title}: x {1e3 * pose['x']:.3f} y {1e3 * pose['y']:.3f} z {1e3 * pose['z']:.3f} mm, quaternion (x y z w)"
         f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm"
         f" along and ± {np.rad2deg(half[key][1]):.3f} deg about the worst axis,"
-        " with errors of the robot that depend on its pose"
+        " including errors of the robot that depend on its pose"
         for title, key, pose in (
             (f"Camera in {frames.parents(scene.mount)[0]}", "camera", transform(fitted.placed.camera)),
             (f"Board in {frames.parents(scene.mount)[1]}", "board", transform(fitted.placed.board)),

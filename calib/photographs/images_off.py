@@ -22,8 +22,8 @@ from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, res
 from calib.photographs.starts import Start, image_rms
 
 _OFF = 5.0  # an image is left out if its error is more than this many times the median
-_LEAST_OFF = 1.0  # px
-_MOST_OFF = 1 / 3  # largest part of the images
+_LEAST_OFF = 1.0  # smaller errors are always allowed [px]
+_MOST_OFF = 1 / 3  # largest part of the images that is left out
 _FEWEST = 5  # images that must stay if another is left out
 
 

@@ -74,7 +74,7 @@ def lens_choices(
     A fit without distortion is a choice too if no lens is given and single images show no distortion.
 
     Raises:
-        NotIdentifiableError: The images determine none.
+        NotIdentifiableError: The images do not determine the lens of any choice.
     """
     result: list[Choice] = []
     if intrinsics is not None and lens != "found":

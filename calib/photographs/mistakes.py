@@ -38,16 +38,16 @@ _UNKNOWN = "not_explained"
 _FAR_PIXELS = 4.0
 _HALVES = 0.5
 _SURE = 0.1  # no other reading is tried if the relative residual is less
-_BETTER = 0.6  # ratio of the squares of left-out images
+_BETTER = 0.6  # largest ratio of squared errors of left-out images, after and before
 _CHANCE = 1e-4
 _SCALE = 0.004  # least relevant relative error of a board's size
 _SCALE_OFF = 0.02  # the same if images are further off than robots are
-_MOVED = 1e-3  # m
+_MOVED = 1e-3  # least relevant shift [m]; the turn below is in rad
 _TURNED = np.deg2rad(0.15)
 _OTHER_UNIT = 2.0  # no print is this many times as large as described, or as small
-_EXCHANGED = 1.5  # ratio of the camera's or board's distance on the tool to the other's on the base
-_LENS_OFF = 6.0  # standard deviations
-_ALSO_OFF = 3.0  # the same if another number is certainly wrong
+_EXCHANGED = 1.5  # distance of what is on the tool over that of what is on the base, if they are exchanged
+_LENS_OFF = 6.0  # standard deviations by which a number of the lens is certainly wrong
+_ALSO_OFF = 3.0  # standard deviations that suffice if another number is certainly wrong
 _SAME_LENS = 0.05  # intrinsics agree after an exchange if they differ by less than this part of the focal length
 _SWAPS = {
     "cx and cy are exchanged": (0, 1, 3, 2),
@@ -283,7 +283,7 @@ def _mistakes_of_lens(
     for k in dict.fromkeys((int(np.argmax(sure)), int(np.argmax(np.where(sure[:4] > _ALSO_OFF, pixels, 0.0))))):
         if numbers and not sure[k] > _ALSO_OFF:
             continue
-        name, digits = NAMES[better.free[k]], 1 if better.free[k] < 4 else 4  # px, or of the distortion
+        name, digits = NAMES[better.free[k]], 1 if better.free[k] < 4 else 4  # for px, else for distortion
         numbers.append(
             f"{name} is given as {given[better.free[k]]:.{digits}f}, and found as"
             f" {better.placed.intrinsics[better.free[k]]:.{digits}f} ± {std[k]:.{digits}f}"

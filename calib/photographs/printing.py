@@ -28,7 +28,7 @@ from calib.photographs.opencv import dictionary
 FORMATS = ("pdf", "svg")
 PAPERS = {"a4": (0.210, 0.297), "a3": (0.297, 0.420), "a2": (0.420, 0.594), "letter": (0.2159, 0.2794)}
 """Width and height [m]."""
-_RULER = 0.1  # m
+_RULER = 0.1  # length of the printed ruler [m]
 _FOOT = 0.022  # m below the board for ruler and words
 _MARGIN = 0.008
 _MM = 1e3

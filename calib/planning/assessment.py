@@ -189,7 +189,7 @@ class Assessment(ReadOnlyArrays):
 
     @property
     def part_left(self) -> FloatArray:
-        """Standard deviation over expected error of each free parameter, (n_free,); NaN for a pose without prior."""
+        """Standard deviation over expected error of each free parameter, (n_free,); NaN for places without a prior."""
         parts = self.std / np.array([p.sigma_si for p in self.free_parameters])
         anywhere = np.array([p.placement and not p.prior for p in self.free_parameters], dtype=bool)
         return np.where(anywhere & np.isfinite(parts), np.nan, parts)

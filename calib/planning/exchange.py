@@ -8,7 +8,7 @@ every round, so the rounds end; the result depends on the start.
 
 If poses must keep a distance, candidates near chosen poses are excluded at each step (`Spacing`).
 
-Reference: Mitchell 1974; Fedorov 1972; Joubair et al. 2015, section Observability and Figure 4.
+Reference: mitchell1974; fedorov1972; joubair2015, section Observability and Figure 4.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ nearest next pose is shortened by 2-opt (reverse a piece) and or-opt (move a pie
 helps. The result is usually within a few percent of the shortest, which is enough, since the path does not change the
 measurement.
 
-Reference: Croes 1958; Or 1976.
+Reference: croes1958; or1976.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ def next_pose(
 
     Raises:
         DataError: Two candidates are equal.
-        NotIdentifiableError: The candidates do not determine the positions at them.
+        NotIdentifiableError: The candidates do not determine the positions at these same poses.
     """
     request = Request(TASK, 1, 0.0, groups_of(robot, ALL, 1))
     setting = prepare(robot, candidates, request, measured, None, (), True, sigma)

@@ -5,8 +5,8 @@ the same place. So each pose of a robot that touches is brought to one of the de
 from there succeeds.
 
 A camera sees its board from few poses. If only cameras read, poses are tried until enough see something
-(`calib.core.instruments.pixel` defines when). Poses are first brought to the places where a kind reads, if it defines
-them (`FrameInstrument.sights`).
+(`calib.core.instruments.pixel` defines when). If a kind of instrument defines places from which it can read
+(`FrameInstrument.sights`), poses are first brought there.
 
 If the robot file has shapes, or the description has obstacles, only free poses are returned
 (`calib.core.robots.pose_check`): more are drawn with the same seed until enough are free.
@@ -38,10 +38,10 @@ from calib.core.rows.candidates import configurations_at
 from calib.core.rows.observed import planned_readings, predict_readings
 from calib.core.rows.simulate import MET, touching_configurations
 
-_TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses to try for each pose that is needed
+_TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses to try: for each needed one, and limits of all
 _AT_ONCE = 1_000
-_BROUGHT_OF_EACH = 10  # the same if the kind defines where it reads
-_FEW_SEE = 0.5  # part of the poses
+_BROUGHT_OF_EACH = 10  # poses to try for each needed pose if the instrument defines from where it can read
+_FEW_SEE = 0.5  # a remark names a camera that sees something at a smaller part of the poses
 _MOST_DRAWN = 64  # drawn poses for each free pose
 _NUMBERS_OF_EACH = 120  # memory of a pose in numbers of 8 bytes; 700 to 850 bytes were measured
 
@@ -211,7 +211,7 @@ class _MutualPose(Pose):
 
 
 def _brought_into_sight(robot: Robot, first: Poses, generator: np.random.Generator) -> FloatArray:
-    """Joint values (n, n_actuated) of poses, near the places where a kind reads if it defines them."""
+    """Joint values (n, n_actuated) near those of `first`, moved to where instruments can read if they define where."""
     joints, n = first.joints, len(first)
     for instrument in robot.instruments:
         if not isinstance(instrument, FrameInstrument) or (sights := instrument.sights(n, generator)) is None:

@@ -180,7 +180,8 @@ class Progress(ReadOnlyArrays):
         noise = None if self.fit is None else self.fit.first_noise
         if noise is not None and noise.group.part.is_position:
             scatter = float(np.sqrt(3.0)) * noise.sigma
-            if scatter * np.sqrt(noise.freedom / scipy.special.chdtri(noise.freedom, 0.025)) > self.goal:  # surely
+            # the lower 95 % limit of the scatter
+            if scatter * np.sqrt(noise.freedom / scipy.special.chdtri(noise.freedom, 0.025)) > self.goal:
                 shown = f"{millimetres(scatter):.3g} mm RMS"
                 return f"not yet; readings that scatter by {shown} about the model can never show that it is met"
         return "not yet"

@@ -1,7 +1,8 @@
 """Scores by changes of rank three: log det K for O1, and the task index.
 
-Adding pose j turns K into K + B_j^T B_j, removing it into K - B_j^T B_j. With three coordinates per pose this change
-has rank three, and small matrices of all candidates give the new value:
+K is the scaled information of the chosen poses, B_j the rows of pose j, and W the mean over task poses of their
+B^T B (`calib.planning.selection_problem`). Adding pose j turns K into K + B_j^T B_j, removing it into K - B_j^T B_j.
+With three coordinates per pose this change has rank three, and small matrices of all candidates give the new value:
 
     log det     log det(I +- G_j),  G_j = B_j K^-1 B_j^T;  after a move G_i -+ T_i T_i^T with
                 T_i = B_i K^-1 B_j^T chol(I +- G_j)^-T, one product of all rows with three columns
@@ -21,7 +22,7 @@ from calib.core.numerics import linalg
 from calib.planning.selection_problem import PoseRedundancy, SelectionProblem
 
 _REFRESH = 32  # moves after which the determinant's small matrices are recomputed, against rounding
-_UPDATED = 1e-6  # least det(I - G) for an update; losing a direction would lose its digits
+_UPDATED = 1e-6  # least det(I - G) for an update; near zero, the update would lose too many digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,7 @@ class DeterminantScores(ChoiceInformation):
         small = np.eye(len(rows)) + sign * self.seen[:, :, candidate]
         if (
             self.moves_since_update >= _REFRESH or left < _UPDATED or linalg.eigvalsh(small)[0] <= 0
-        ):  # two negative eigenvalues have a positive determinant
+        ):  # the determinant alone may be positive with two negative eigenvalues
             return DeterminantScores.from_problem(self.problem, gathered)
         half = np.linalg.solve(np.linalg.cholesky(small), rows @ self.inverse).T
         inverse = self.inverse - sign * half @ half.T

@@ -179,7 +179,7 @@ def _run(
     workers: Executor | None = None,
     progress: Progress | None = None,
 ) -> list[tuple[Exchange, Run]]:
-    """Run the exchange from some starts, each of a kind."""
+    """Run the exchange from each of `starts`; `kinds` names them."""
     setting, request = searched.setting, searched.setting.request
     spread = [setting.space.select_spread(searched.numbers_of(start), request.count) for start in starts]
     fewest = min(map(len, spread))

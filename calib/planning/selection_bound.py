@@ -24,7 +24,7 @@ nearest to the m-th largest. The others stay at 0 or 1. Then g of all candidates
 unclear. With the matrices G_kl = B_k K^-1 B_l^T, the curvature of log det is -|G_kl|^2. So a step costs one product and
 one solve with the size of the unclear candidates, however many candidates there are.
 
-Reference: Kiefer and Wolfowitz 1960; Boyd and Vandenberghe 2004, sections 3.1.5, 7.5 and 11.7; Pukelsheim 1993.
+Reference: kiefer1960; boyd2004, sections 3.1.5, 7.5 and 11.7; pukelsheim1993.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def largest(slope: FloatArray | IntArray, kinds: IntArray, counts: IntArray) -> 
     result = []
     for number, count in enumerate(counts):
         members = np.flatnonzero(kinds == number)
-        if 0 < count < len(members):  # sort only possible members of the largest
+        if 0 < count < len(members):  # sort only those that may be among the largest
             slopes = slope[members]
             members = members[slopes >= np.partition(slopes, len(members) - count)[len(members) - count]]
         result.append(members[np.argsort(-slope[members], kind="stable")[:count]])

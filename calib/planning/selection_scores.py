@@ -5,12 +5,12 @@ task index, O2 to O5 themselves. For O1 and the task index, changes of rank thre
 (`calib.planning.rank_three_scores`); for O2 to O5, exact eigenvalues of few candidates give it here.
 
 For O2 to O5, the new index needs the eigenvalues of each candidate's matrix. A bound rules out most candidates: in the
-eigenvectors of the present matrix, the new matrix is replaced by its block of the smallest few and the diagonal of the
-rest (pinching). Pinched eigenvalues are majorised by the true ones, so their O2 to O5 are upper bounds. True
-eigenvalues are computed in the order of the bounds, until no bound exceeds the best value. The result is the exact best
-candidate.
+axes of the present eigenvectors, only two parts of the new matrix are kept: the block of the few smallest eigenvalues,
+and the rest of the diagonal (pinching). The true eigenvalues majorise those of this matrix, so its O2 to O5 are upper
+bounds. True eigenvalues are computed in the order of the bounds, until no bound exceeds the best value. The result is
+the exact best candidate.
 
-Reference: Bhatia 1997, sections II.5 and III.
+Reference: bhatia1997, sections II.5 and III.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from calib.planning.rank_three_scores import ChoiceInformation, DeterminantScore
 from calib.planning.selection_problem import DETERMINED, TASK, SelectionProblem
 
 CHOICES = ("O1", "O2", "O3", "O4", "O5", TASK)
-_PINCHED = 4  # smallest eigenvectors in the block
+_PINCHED = 4  # size of the block: eigenvectors of the smallest eigenvalues
 _BATCH = 16  # candidates whose eigenvalues are computed together
 
 
@@ -75,7 +75,7 @@ def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> d
 
     Args:
         chosen: Mask of the chosen candidates, (n_candidates,).
-        unit: Unit of a row with noise 1, such as the noise of a position [m].
+        unit: Size of a whitened row of 1, such as the noise of a position [m].
     """
     rows = problem.rows[chosen]
     flat = rows.reshape(-1, rows.shape[2])
@@ -101,7 +101,7 @@ def index_of_score(problem: SelectionProblem, index: str, score: float, count: i
         index: Index, of `CHOICES`.
         score: `Scores.value`.
         count: Number of chosen poses.
-        unit: Unit of a row with noise 1, such as the noise of a position [m].
+        unit: Size of a whitened row of 1, such as the noise of a position [m].
     """
     if index == "O1":
         mean_log = 0.5 * score / len(problem.strengths) + float(np.mean(np.log(problem.strengths)))

@@ -40,7 +40,7 @@ class Request:
 
     Attributes:
         index: Index, of `CHOICES`.
-        count: Number of poses, with each group of instruments counted by itself.
+        count: Number of poses; a pose counts once for each group of instruments that reads there.
         minimum_distance: Least distance between the targets of two poses [m].
         groups: Groups of instruments to choose among.
     """

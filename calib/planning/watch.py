@@ -91,8 +91,8 @@ class Watch:
         self._settings, self._seed = Settings(sigma), seed
         self._data: Measurements | None = None
         self._fit: Fit | None = None
-        self._passive: FloatArray | None = None  # of the candidates at the last fit, near those of the next
-        self._n_reached = len(self.candidates)  # by the present fit
+        self._passive: FloatArray | None = None  # of the candidates at the last fit; the next fit starts there
+        self._n_reached = len(self.candidates)  # number that the present fit reaches
         self._squares: list[float] = []
         self._met = False  # whether the predicted error of the fit meets the goal
         self._settled = 0  # number of the last squares from fits whose predicted error met the goal

@@ -302,7 +302,7 @@ def read_printer(path: Path | str, firmware: str) -> PrinterFile:
 
 
 def printer_table(printer: PrinterFile) -> str:
-    """Return its rows as a file of measurements; `2` marks columns of a distance's second place."""
+    """Return the printer's rows as a file of measurements; `2` marks columns of a distance's second place."""
     columns: list[tuple[str, list[object]]] = [("pose", [row.name for row in printer.rows])]
     for copy, suffix in enumerate(("", "2")):
         for k, tower in enumerate(TOWERS):

@@ -78,7 +78,7 @@ def _trims(geometry: DeltaGeometry) -> str:
 
 
 def _marlin(geometry: DeltaGeometry) -> tuple[list[str], str]:
-    """Endstops are adjusted downwards, from the lowest; arms are trims of their mean."""
+    """M666 lowers endstops to the lowest one, so it is never positive; A, B and C are added to the mean arm."""
     rod, height = round(float(np.mean(geometry.arms)), 7), min(geometry.endstops)
     arms = " ".join(f"{axis}{_mm(arm - rod)}" for axis, arm in zip("ABC", geometry.arms, strict=True))
     ends = " ".join(f"{axis}{_mm(height - end + 0.0)}" for axis, end in zip("XYZ", geometry.endstops, strict=True))
@@ -88,7 +88,7 @@ def _marlin(geometry: DeltaGeometry) -> tuple[list[str], str]:
 
 
 def _duet(geometry: DeltaGeometry) -> tuple[list[str], str]:
-    """Endstops are adjusted about their mean; the bed is not tilted."""
+    """M666 has the endstops relative to their mean; the bed is not tilted."""
     height = round(float(np.mean(geometry.endstops)), 7)
     ends = " ".join(f"{axis}{_mm(end - height + 0.0)}" for axis, end in zip("XYZ", geometry.endstops, strict=True))
     arms = ":".join(_mm(arm) for arm in geometry.arms)

@@ -159,7 +159,7 @@ class LinearDelta:
         return edited
 
     def twists(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Return their derivatives, (6, 9) each; see `calib.core.robots.parameters.Parametrisation`."""
+        """Return derivatives of the origins, (6, 9) each; see `calib.core.robots.parameters.Parametrisation`."""
         geometry, result = self.geometry(values), {}
         for k, tower in enumerate(TOWERS):
             angle, arm, n = geometry.angles[k], geometry.arms[k], len(self.parameters)
@@ -210,12 +210,12 @@ def linear_delta_plan(geometry: DeltaGeometry, copies: int = 1) -> Plan:
 
 
 def linear_delta_urdf(plan: Plan, title: str) -> str:
-    """Return the text of its URDF."""
+    """Return the text of a delta's URDF."""
     return robot_text("linear_delta", title, plan.links, plan.joints)
 
 
 def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int = 0) -> str:
-    """Return the text of its description; arms are held if there are no more rows than parameters."""
+    """Return the text of a delta's description; arms are held if there are no more rows than parameters."""
     twice = "platform_2" in plan.links
     sigma = f"{millimetres(DISTANCE):g} mm"
     caliper = f"  caliper: {{kind: distance, target: nozzle, end: {{frame: platform_2}}, sigma: {sigma}}}\n"

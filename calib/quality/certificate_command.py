@@ -101,7 +101,7 @@ def command(
             content["monte_carlo"] = drawn.to_dict()
             file = write(content)
     output.write(out, file, _COMMENTS.get(ending, ""))
-    if sign is not None:  # the content of the file, with the line that names the program
+    if sign is not None:  # sign the written file, which also names the program
         output.write(out + ENDING, sign(read_bytes(out, "a certificate", InputError)))
     output.say(
         f"U = {1e6 * found.expanded_uncertainty:.4g} um (k = {found.coverage_factor:.2f}, 95 %) for one coordinate of"

@@ -96,7 +96,7 @@ def _linear_algebra() -> Iterator[Check]:
     own = [str(distribution(name).locate_file(name)) for name in ("numpy", "scipy")]  # .../numpy, .../numpy.libs
     for entry in threadpoolctl.threadpool_info():
         if "filepath" in entry and not any(str(entry["filepath"]).startswith(package) for package in own):
-            continue  # of another package, such as OpenCV, which computes nothing here
+            continue  # a library of another package, such as OpenCV, which computes nothing here
         oldest = _OLDEST_BLAS.get(str(entry["internal_api"]))
         if oldest is not None:
             version = str(entry["version"])

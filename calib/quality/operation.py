@@ -43,7 +43,7 @@ _SLOPES = 1e-6  # largest relative difference of derivatives and differences
 _QUIET = 1e-7  # stated noise of readings without noise [m]
 _FOUND = 1e-6  # allowed error of a robot measured without noise [m]
 _POSES, _ELSEWHERE = 40, 25
-_SMALL = 0.3  # part of the expected errors: loops close at nearly the same joint values
+_SMALL = 0.3  # drawn errors, as part of the expected ones: loops close at nearly the same joint values
 _FITS, _LEAST, _MOST = 40, 0.93, 0.97
 _INPUTS = (
     ("no such robot", ("fit", "missing.urdf", "missing.csv"), 2),
@@ -177,7 +177,7 @@ def _largest_difference(robot: Robot, joints: FloatArray) -> float:
 
 
 def _slopes(robot: Robot, joints: FloatArray) -> float:
-    """Largest difference of the first target's Jacobian from central differences, over its largest element."""
+    """Largest difference of the first target's Jacobian from central differences, divided by its largest element."""
     target = next(iter(robot.description.targets.values())).frame
     exact, step = robot.jacobian(joints, target)[:, :3], 1e-6
     for column in range(joints.shape[1]):

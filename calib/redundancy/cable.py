@@ -97,7 +97,7 @@ class Cable(Relation):
         return values + change * self.lines / (self.gear * (radius + growth * self.gear * values / (2 * np.pi)))
 
     def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-        """Yield a motor that counts the other way, or in another unit."""
+        """Yield what `values` (n, 1) [rad] are if the motor counts the other way, or in another unit."""
         yield f"{self.name} counts the other way: positive angles must let the cable out", -values
         yield f"degrees of {self.name} were read as radians", np.radians(values)
         yield f"radians of {self.name} were read as degrees", np.degrees(values)
@@ -109,7 +109,7 @@ class Cable(Relation):
 
 
 def check_spools(fit: Fit) -> Iterator[Reason]:
-    """Yield a reason against cables whose spool has a negative radius, as that of a motor that counts the other way."""
+    """Yield a reason against cables whose spool has a negative radius: the motor counts the other way."""
     values = dict(zip((parameter.name for parameter in fit.robot.parameters), fit.robot.values, strict=True))
     for cable in (cable for cable in fit.identification.instruments if isinstance(cable, Cable)):
         if values.get(f"{cable.name}.spool", 1.0) < 0:

@@ -105,7 +105,7 @@ class InProportion(JointTerm):
         return cls(joint.name, (coefficient(name, joint.dimension, size),), section.column)
 
     def reads(self) -> tuple[str, ...]:
-        """Return its column."""
+        """Return the column to which the error is proportional."""
         return (self.column,)
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:

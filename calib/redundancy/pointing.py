@@ -64,12 +64,12 @@ class Pointing(Relation):
         return np.column_stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))])
 
     def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return directions that are less to the left and up by `change`, (n, 2) [rad]."""
+        """Return directions moved to the right and down by `change`, (n, 2) [rad]."""
         off = -change / np.column_stack([self.sense * np.cos(values[:, 1]), np.ones(len(values))])
         return values + off
 
     def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-        """Yield other conventions of directions."""
+        """Yield what `values` (n, 2) [rad] mean by other conventions of directions."""
         azimuth, altitude = values.T
         for words, directions in (
             ("azimuths count the other way (`azimuth` in the description)", (-azimuth, altitude)),

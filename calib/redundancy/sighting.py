@@ -2,8 +2,8 @@
 
     p_ab = (x, y, z),      a: the sensor, which is the target; b: the point
 
-Examples: a fixed ball seen by a scanner or a depth camera on the hand; taxels of a skin, whose places in it are the
-readings, touched by a finger of the same robot.
+Examples: a fixed ball seen by a scanner or a depth camera on the hand; a finger that touches a skin of the same robot:
+the readings are the places, in the skin's axes, of the cells (taxels) that feel the finger.
 
 When it fails. If the hand never turns about some axis, the components of sensor and point along it cannot be separated:
 their heights, on a robot that turns about the vertical alone.

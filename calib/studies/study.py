@@ -193,7 +193,7 @@ def _prepare(
 
 
 def _seed_of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
-    """The seed of a draw: that of `seed.spawn`, without those before it."""
+    """The seed that `seed.spawn` would give to a draw, found without those of earlier draws."""
     return np.random.SeedSequence(seed.entropy, spawn_key=(number,))
 
 

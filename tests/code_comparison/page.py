@@ -57,9 +57,9 @@ _KEY = """\
 | code | "placed": only base and target are fitted. "auto": with `--terms auto`; without it, this project fits joint \
 origins alone. "priors": with the sizes of errors that this project gets. A code that answered nowhere has no line |
 | splits | on how many splits of a robot's rows, into fitted and unseen ones, a code gave an answer |
-| better, tie, worse | than this project (for arms, its line `auto`), by the RMS of unseen rows. It counts if \
-it is at least 1 %, and a paired t test of squared errors gives a chance below 1 in 1000 (arms, whose rows follow each \
-other in a file) or 1 in 100 (images, printers) |
+| better, tie, worse | than this project (for arms, its line `auto`), by the RMS of unseen rows. A difference counts \
+if it is at least 1 %, and a paired t test of squared errors gives a chance below 1 in 1000 (arms, whose rows follow \
+each other in a file) or 1 in 100 (images, printers) |
 | error | RMS of unseen rows over that of this project: median over the splits |
 | claim | error that a code states over the error of unseen rows: median and range. \\*: it states no error at new \
 poses; this is the RMS of its residuals |

@@ -118,7 +118,7 @@ class ReadOnlyArrays:
 
     def __init_subclass__(cls) -> None:
         if cls.__repr__ is ReadOnlyArrays.__repr__:
-            cls.__repr__ = ReadOnlyArrays.__repr__  # type: ignore[method-assign]  # its own, so dataclass keeps it
+            cls.__repr__ = ReadOnlyArrays.__repr__  # type: ignore[method-assign]  # the class has its own, which dataclass keeps
 
     def __repr__(self) -> str:
         shown_fields = ((field.name, getattr(self, field.name)) for field in fields(self))  # type: ignore[arg-type]

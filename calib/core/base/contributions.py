@@ -62,7 +62,7 @@ class Contribution(Enum):
     )
     UNDECIDED = (
         "undecided terms",
-        "joint terms that the data show or do not exclude, but that the fit does not have; sizes of those that it has",
+        "joint terms that the data show or do not exclude, but that the fit lacks; uncertain sizes of its terms",
         "fitting.terms.kind_model",
         (Uncertainty.INTERVAL, Uncertainty.POSITION),
     )
@@ -74,7 +74,7 @@ class Contribution(Enum):
     )
     FRAME = (
         "frame",
-        "positions are in the robot's own base frame, fitted to them; the uncertainty of that fit does not count",
+        "positions are in a base frame that is itself fitted to them; the uncertainty of its place does not count",
         "rows.reported_uncertainty",
         (Uncertainty.POSITION,),
     )
@@ -92,7 +92,7 @@ class Contribution(Enum):
     )
 
     def __new__(cls, name: str, counts: str, module: str, numbers: tuple[Uncertainty, ...]) -> Self:
-        """Return a row of the table."""
+        """Return a contribution with what it counts, its module and its numbers."""
         row = object.__new__(cls)
         row._value_, row.counts, row.module, row.numbers = name, counts, module, numbers
         return row

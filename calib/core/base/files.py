@@ -73,7 +73,7 @@ def image_address(path: Path | str) -> str:
     """Return a PNG, JPEG or SVG image as an address that holds it, for a page that loads nothing else.
 
     Raises:
-        InputError: It is missing, none of these, or larger than 512 kB.
+        InputError: The file is missing, another kind of file, or larger than 512 kB.
     """
     expected = "a PNG, JPEG or SVG image"
     content = read_bytes(path, expected, InputError)

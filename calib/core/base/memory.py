@@ -56,7 +56,7 @@ def require_memory(numbers: int, what: str, advice: str) -> None:
 
 
 def free_memory() -> float:
-    """Return how many bytes a program can still take: of the machine, or less where a container may not; else inf."""
+    """Return how many bytes a program can still take, from the machine or its container; infinite if neither says."""
     limits = [float("inf")]
     for line in _lines("/proc/meminfo"):
         if line.startswith("MemAvailable:"):

@@ -92,7 +92,7 @@ class Processes(Executor):
             if error is None:
                 future.set_result(result)
             else:
-                self._held.pop(line, None)  # it may not have been able to read the function
+                self._held.pop(line, None)  # the process may not have been able to read the function
                 future.set_exception(error)
         self._send()
 
@@ -163,7 +163,7 @@ def _without_interrupts() -> Iterator[None]:
 
     They inherit the blocked signal. This process gets it at the end of the block.
     """
-    resource_tracker.ensure_running()  # which would let the signal through again when it starts
+    resource_tracker.ensure_running()  # started now, since its start lets the signal through again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
@@ -189,7 +189,7 @@ def _work(line: Connection) -> None:
             shared = function
         try:
             line.send((None, function(*arguments, **named)))
-        except Exception as error:  # of the work, or a result that cannot be sent
+        except Exception as error:  # an error of the work, or a result that cannot be sent
             line.send((error, None))
 
 

@@ -87,7 +87,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         """Return the class of a name.
 
         Raises:
-            KeyError: There is none.
+            KeyError: No class has the name.
             DescriptionError: The class of another package cannot be loaded, or is not complete.
         """
         known = self._built_in.get(name) or self._given.get(name)
@@ -128,7 +128,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
     def _load(self, entry: EntryPoint) -> object:
         try:
             return entry.load()
-        except Exception as error:  # whatever another package does while it is imported
+        except Exception as error:  # another package may raise anything while it is imported
             raise DescriptionError(
                 f"{self.what} '{entry.name}' ({entry.value}) cannot be loaded: {type(error).__name__}: {error};"
                 " install its package again, or uninstall it"

@@ -108,10 +108,10 @@ def _discard(path: Path) -> None:
 
 
 def replace_folder(new: Path, path: Path, obsolete: Collection[str]) -> None:
-    """Let a folder take the place of `path`; what `path` has besides stays in it.
+    """Let a folder take the place of `path`; other entries of `path` stay in it.
 
     Args:
-        new: The folder, complete but for what others keep in `path`; afterwards its name is free to be removed.
+        new: The new folder, without what others keep in `path`; what has its name afterwards may be removed.
         path: The place, in the same parent folder.
         obsolete: Names in `path` that do not stay.
     """
@@ -155,7 +155,7 @@ def exchange(path: Path, other: Path) -> bool:
     """Exchange two names in one step; False where the system or the file system cannot.
 
     Raises:
-        OSError: The system can, and one of the names may not be moved.
+        OSError: The system can exchange names, but one of these may not be moved.
     """
     function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if function is None:
@@ -170,7 +170,7 @@ def exchange(path: Path, other: Path) -> bool:
 
 def _try_replace_folder(new: Path, path: Path) -> bool:
     """Replace a folder in two steps; False if another program was faster, and it has to be tried again."""
-    with new_folder(path.parent, _OLD) as attic:  # and the end of the block puts it back if the place is free
+    with new_folder(path.parent, _OLD) as attic:  # the end of the block puts the old folder back if its place is free
         path.rename(attic / path.name)
         try:
             new.rename(path)

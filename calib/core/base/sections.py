@@ -1,7 +1,7 @@
 """Parts of the sections of a robot description: components of an origin, quantities with units.
 
-Own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown. And the reader of
-YAML: a mistake is an error with its line, and so is a key given twice.
+Also own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown; and the
+reader of YAML, in which a mistake is an error with its line, and so is a key given twice.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _MOST_BY_ALIASES = 10_000
 
 
 class _ValueError(ValueError):
-    """A wrong value of a key, which its place in the description names."""
+    """A wrong value; pydantic adds the place of its key in the description."""
 
     def __init__(self, message: str) -> None:
         super().__init__(message.removeprefix("value: "))
@@ -139,9 +139,9 @@ class PosedSection(FrameSection):
     """A frame on a link whose pose is known or not.
 
     Attributes:
-        pose: `known`: it is right there; `unknown`: found from the measurements, starting from there.
-        sigma, sigma_angle: How far an unknown pose may be from there, one standard deviation [m], [rad]; without
-            them, the numbers are only a start.
+        pose: `known`: exactly `xyz` and `rpy`; `unknown`: found from the measurements, starting from these.
+        sigma, sigma_angle: How far an unknown pose may be from these, one standard deviation [m], [rad]; without
+            them, `xyz` and `rpy` are only a start.
     """
 
     what: ClassVar[str]
@@ -176,7 +176,7 @@ class OwnLength:
     sigma: float | None = None
 
     def parameters(self, name: str, start: float | None = None) -> tuple[Parameter, ...]:
-        """Return it as an unknown of an instrument; nothing if it is known.
+        """Return the length as an unknown of an instrument; nothing if the length is known.
 
         Args:
             start: Nominal value where nothing is expected [m].
@@ -233,7 +233,7 @@ class _Loader(yaml.SafeLoader):
     """The YAML that is read here: without boundless aliases, and without a key twice (YAML silently keeps the last)."""
 
     def compose_document(self) -> yaml.Node | None:
-        """Return the nodes of a document; aliases that make much more of it, or contain themselves, are an error."""
+        """Return the nodes of a document; aliases that expand it too much, or contain themselves, are an error."""
         document = super().compose_document()
         sizes: dict[int, int] = {}
         if document is not None and _size(document, sizes) - len(sizes) > _MOST_BY_ALIASES:
@@ -247,9 +247,9 @@ class _Loader(yaml.SafeLoader):
 
 
 def _size(node: yaml.Node, sizes: dict[int, int]) -> int:
-    """Number of entries of a node with everything that aliases in it stand for; `sizes` has those that are known."""
+    """Number of entries of a node, with its aliases written out; `sizes` has the known numbers of nodes."""
     if id(node) not in sizes:
-        sizes[id(node)] = 0  # while its parts are counted
+        sizes[id(node)] = 0  # as long as its parts are being counted
         if isinstance(node, yaml.ScalarNode) and (problem := unseen(node.value)):
             raise yaml.composer.ComposerError(None, None, problem, node.start_mark)
         parts = node.value if isinstance(node, yaml.CollectionNode) else ()

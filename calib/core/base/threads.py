@@ -47,6 +47,6 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
 
 @cache
 def _libraries() -> list[LibController]:
-    """The BLAS of NumPy, and that of SciPy, which its first use would load; looking them up takes a millisecond."""
+    """The BLAS of NumPy and of SciPy, both loaded now; the search takes a millisecond, so it is done once."""
     import_module("scipy.linalg")
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)

@@ -24,7 +24,7 @@ _LISTED = 5
 
 @functools.lru_cache(maxsize=256)
 def warn_once(text: str) -> None:
-    """Warn by the logger `calib`, of the same thing once."""
+    """Warn through the logger `calib`, once for each text."""
     logging.getLogger("calib").warning("%s", text)
 
 
@@ -67,14 +67,14 @@ def joints_named(*names: str, separator: str = ", ", shown: int = _LISTED) -> st
 
 
 def distinct_names(paths: Sequence[Path | str]) -> tuple[str, ...]:
-    """Return what differs in paths: the folders that all begin with, and those that all end with, are left out.
+    """Return the parts that differ in paths, without the folders with which all of them begin or end.
 
     Examples:
         >>> distinct_names(["/data/left/out", "/data/right/out"])
         ('left', 'right')
     """
     parts = [Path(path).resolve().parts for path in paths]
-    most = min(map(len, parts), default=1) - 1  # something is left of each
+    most = min(map(len, parts), default=1) - 1  # so that something is left of each path
     first = next((k for k in range(most) if len({path[k] for path in parts}) > 1), most)
     last = next((k for k in range(most - first) if len({path[-1 - k] for path in parts}) > 1), most - first)
     return tuple("/".join(path[first : len(path) - last]) for path in parts)
@@ -88,7 +88,7 @@ def sentence(clause: str) -> str:
 def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) -> str:
     """Return lines and tables as plain text.
 
-    `[mm]`, or a name in brackets, is no markup here, and `:name:` no picture.
+    Brackets and colons are printed as they are: `[mm]` is not markup, and `:name:` is not an emoji.
 
     Args:
         parts: Parts in the order of printing.
@@ -132,7 +132,7 @@ def text_table(
 
 
 def as_data(value: Any) -> Any:
-    """Return data for JSON: null for numbers that it cannot hold, and Python's own for NumPy's."""
+    """Return data for JSON: NumPy's numbers become Python's; NaN and infinity become null."""
     if isinstance(value, dict):
         return {str(key): as_data(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):

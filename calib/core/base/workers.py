@@ -35,7 +35,7 @@ Progress = Callable[[int, int], None]
 
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
 _AHEAD = 256  # pieces of work sent at a time: each carries what it needs, and its result waits for those before it
-_LOSSES = 3  # losses of the same piece of work in a row; the work itself then ends its workers
+_LOSSES = 3  # losses of one piece of work in a row after which the work is the cause
 
 
 def results_in_order(
@@ -111,10 +111,10 @@ def _result(
 
 
 def _sender(executor: Executor, function: Callable[[Item], Result]) -> _Send[Item]:
-    """An item as it is sent: without the function, where the workers hold it."""
+    """A function that sends an item to the workers: without `function`, if the workers hold that already."""
     if isinstance(executor, Processes):
         return executor.holding(partial(_answer, function))
-    client = getattr(executor, "_client", None)  # of Dask
+    client = getattr(executor, "_client", None)  # executors of Dask have one
     if hasattr(client, "scatter"):
         return _plainly(executor, cast(Any, client).scatter(function, broadcast=True, hash=False))
     return _plainly(executor, function)
@@ -169,12 +169,12 @@ class Workers:
     Programs that start some need the usual `if __name__ == "__main__"`, because each process imports them again.
 
     Args:
-        executor: An executor, which is given as it is; or a number of processes, with 1 everything runs in this one;
-            None: in this one, too.
+        executor: An executor, which stays as it is; or a number of processes. With 1 or None, everything runs in this
+            process.
         pieces: How many pieces of work there will be at most, if that is known: no more processes than these start.
 
     Raises:
-        InputError: The executor is neither of them.
+        InputError: The executor is something else, or the number is below 1.
     """
 
     def __init__(self, executor: Executor | int | None, pieces: int | None = None) -> None:

@@ -2,7 +2,7 @@
 
 Order of work: (1) joint terms, if requested, as large as readings show (`calib.core.fitting.terms.term_sizes`); a
 section of the description, such as that on a fleet, is left out where the readings contradict it; (2) the fit
-(`calib.core.fitting.fit`), which is that of step 1 where no term was added; (3) if requested, outliers left out and all
+(`calib.core.fitting.fit`), already done in step 1 where no term was added; (3) if requested, outliers left out and all
 done again; (4) poses left out in turn for cross-validation, if requested, or where noise is so far above its statement
 that nothing else can prove the result.
 
@@ -190,7 +190,7 @@ def _without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Me
             excluded.append(replace(outlier, reading=reading, pose=int(own[number])))
         for name, gone in readings_of_outliers(outliers, now).items():
             left = np.delete(kept[name], gone)
-            kept[name] = left[np.argsort(data.readings[name].visits[left], kind="stable")]  # order of a subset
+            kept[name] = left[np.argsort(data.readings[name].visits[left], kind="stable")]  # by visits
         current = again(data.with_readings(kept))
     if not excluded:
         return first

@@ -42,7 +42,7 @@ from calib.core.robots.terms.one_coefficient import Zero
 from calib.core.robots.terms.term import Joint, TermSection
 
 _NOTHING = 1e-12  # joint zero, or squared motion of joints, that counts as none [m or rad]
-_SAME = 1.0 + 1e-6  # ratio to the nominal robot's error plus `COMPUTED`, up to which rounding would decide
+_SAME = 1.0 + 1e-6  # an error up to this many times the nominal one, plus `COMPUTED`, differs from it by rounding only
 
 
 @one_blas_thread
@@ -69,9 +69,9 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
 
 
 def start_of(fit: Fit, holds: Holds) -> Robot:
-    """Return the nominal robot of a fit, without the joint terms that such files lose.
+    """Return the nominal robot of a fit, without the joint terms that files of this kind lose.
 
-    If terms are lost, all values become nominal again: those of an earlier result belong to its terms.
+    If terms are lost, all values become nominal again, because those of an earlier result were found with its terms.
     """
     robot = without_terms(fit.nominal, holds)
     return robot.with_nominal_values() if lost_by(fit.nominal, holds) else robot
@@ -168,7 +168,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
         nominal, signs = without_terms(self._fit.nominal, Holds.ZEROS).with_nominal_values(), self._signs()
         fitted = self._refit(with_zeros(nominal), signs)
         offsets = fitted.robot.values[fitted.robot.coefficients]
-        offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)  # errors that base and targets took up
+        offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)  # base and targets have taken up these errors
         return replace(file_robot(fitted), values={}, signs=signs, offsets=offsets)
 
     def _signs(self) -> FloatArray:
@@ -193,7 +193,7 @@ def with_zeros(nominal: Robot) -> Robot:
 
 
 def file_robot(fit: Fit) -> FileRobot:
-    """Return the robot of a fit for files that hold everything of it.
+    """Return the robot of a fit for files that hold the whole model.
 
     If only places were free, it is the nominal robot, and counts as no worse than that.
     """

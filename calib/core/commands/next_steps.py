@@ -19,7 +19,7 @@ _MEANINGS = {
 }
 _NOT_AGAIN = ("--out", "--json", "--force", "--quiet", "--verbose", "--debug")
 NOISE = ("--sigma-mm",)
-"""Options with the same meaning in all commands that know a noise."""
+"""Options that state the noise, with the same meaning in every command that has them."""
 
 
 def options_as_typed() -> dict[str, tuple[str, ...]]:

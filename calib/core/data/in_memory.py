@@ -129,7 +129,7 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
         sigma: Standard deviation per axis of what was read in each row, (n,) or (n, 3) [m].
 
     Raises:
-        DataError: Not one for each row, or not positive.
+        DataError: There is not one deviation for each row, or one is not positive.
         InputError: Nothing measures positions, or other readings state no noise.
     """
     values = np.asarray(sigma, dtype=float)
@@ -161,7 +161,7 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
         covariance[:, rows, rows] = stds[readings.visits] ** 2
         changed[name] = replace(readings, covariance=covariance)
     if all(changed[name] is data.readings[name] for name in changed):
-        raise InputError("sigma: no instrument measures positions; the others state theirs in the robot description")
+        raise InputError("sigma: no instrument measures positions; state the noise of others in the robot description")
     return replace(data, readings=changed)
 
 
@@ -203,7 +203,7 @@ def _words(instrument: Instrument, poses: Poses, given: ArrayLike) -> Readings:
 def _readings(instrument: Instrument, poses: Poses, values: FloatArray) -> Readings:
     if instrument.looks()[1].shape[1]:
         raise DataError(
-            f"{instrument.name}: an array lacks the point or the thing that each reading is of; give"
+            f"{instrument.name}: an array does not say which point or thing each reading is of; give"
             " calib.Readings with details"
         )
     width = instrument.values({column.name: np.zeros(0) for column in instrument.columns()}).shape[1]

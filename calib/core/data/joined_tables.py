@@ -1,6 +1,6 @@
 """Tables of readings that belong to a table of joint values by their order, or by time, where no column `pose` says so.
 
-Only if the robot description asks for it (`join`); what was joined is a warning of the logger `calib`.
+Only if the robot description asks for it (`join`); what was joined is logged as a warning (logger `calib`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def join_by_pose_column(tables: Sequence[Table], robot: Robot) -> list[Table]:
     """Return tables that a column `pose` joins; it is added if the description asks to join by rows or by time.
 
     Raises:
-        DataError: Not one table with joint values, another number of rows, no `time`, or none near enough.
+        DataError: No table or several have joint values, numbers of rows differ, or there is no `time` near enough.
     """
     how, joints = robot.description.join, set(robot.commanded_names)
     if how == "pose" or len(tables) == 1:
@@ -39,7 +39,7 @@ def join_by_pose_column(tables: Sequence[Table], robot: Robot) -> list[Table]:
 
 
 def _follower(table: Table, leader: Table, robot: Robot) -> Table:
-    """The rows of a table that belong to rows of the leader, with the number of each as its pose."""
+    """The rows of a table that belong to rows of the leader; the number of the leader's row is the pose."""
     if robot.description.join == "rows":
         if len(table.rows) != len(leader.rows):
             raise DataError(

@@ -21,7 +21,7 @@ def join_measurements(parts: Sequence[Measurements], robot: Robot) -> Measuremen
     If several number their poses from 1, later numbers continue the earlier ones, unless joint values repeat poses.
 
     Raises:
-        DataError: One is given twice, or is of a robot with other joints; or as `read_measurements`.
+        DataError: A part is given twice, or is of a robot with other joints; or as `read_measurements`.
     """
     for k, again in enumerate(parts):
         if any(again is other for other in parts[:k]):
@@ -61,7 +61,7 @@ def join_poses(parts: Sequence[Poses]) -> Poses:
     """Put the visits of several files one after another.
 
     Raises:
-        DataError: One of them states directions of approach, or of gravity, and another one does not.
+        DataError: One file states directions of approach, or of gravity, and another does not.
     """
     if len(parts) == 1:
         return parts[0]

@@ -39,7 +39,7 @@ def cells_of(line: str, separator: str) -> tuple[str, ...]:
     """Return the cells of a line of CSV.
 
     Raises:
-        csv.Error: It is none.
+        csv.Error: The line is not CSV.
     """
     if '"' in line or len(line) > csv.field_size_limit():
         return tuple(next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)))
@@ -56,7 +56,7 @@ def header_line(path: str, lines: Sequence[str]) -> int:
     """Return which of the first lines of a file is the header, from 0; the first with cells, if none looks like one.
 
     Raises:
-        DataError: Two look like it, or numbers stand where the header should be.
+        DataError: Two lines look like a header, or numbers stand where the header should be.
     """
     kept = [k for k, line in enumerate(lines[:_SEEN]) if line.strip().strip(SEPARATORS) and not is_comment(line)]
     widths = {k: _header_width(lines, kept[n : n + _ROWS]) for n, k in enumerate(kept)}
@@ -78,7 +78,10 @@ def header_line(path: str, lines: Sequence[str]) -> int:
 
 
 def units_below(names: Sequence[str], cells: Sequence[str]) -> tuple[str | None, ...] | None:
-    """Return the units in a row below a header without any (None where it has none); None: it is no such row."""
+    """Return the unit of each column, or None, from a row of units below a header; None if the row is no row of units.
+
+    A header that has units itself has no such row.
+    """
     if len(cells) != len(names) or any(split_column(name)[1] for name in names):
         return None
     units = [_unit(cell.strip()) if cell.strip() else None for cell in cells]
@@ -116,7 +119,7 @@ def _has_only_numbers(cells: Sequence[str]) -> bool:
 def _split_cells(line: str, separator: str) -> tuple[str, ...]:
     try:
         return cells_of(line, separator)
-    except csv.Error:  # the table says where, when it is read
+    except csv.Error:  # reading the table raises this error again, with its line
         return (line,)
 
 
@@ -124,7 +127,7 @@ def is_workbook(path: Path | str) -> bool:
     """Return whether a file is a workbook of Excel.
 
     Raises:
-        DataError: It is a spreadsheet of another kind.
+        DataError: The file is a spreadsheet of another kind.
     """
     suffix = Path(path).suffix.lower()
     if suffix in _OTHER_SHEETS:

@@ -61,7 +61,8 @@ def condition_columns(
 def approach_columns(robot: Robot, approach: FloatArray | None) -> dict[str, list[object]]:
     """Return directions of approach (n, n_actuated), for joints with at least one known direction.
 
-    If no direction is known, every joint has a column, which says that directions are stated.
+    If no direction is known, every joint has a column of zeros: without columns, readers of the file would take
+    directions from the order of its rows.
     """
     if approach is None:
         return {}
@@ -105,7 +106,7 @@ def reading_columns(
     """Return the visit of each line of the table, (n_lines,), and the readings, by instrument.
 
     Raises:
-        DataError: Simulated readings of an instrument that reads no numbers.
+        DataError: Simulated readings of a touch without contact.
     """
     visits, line_of = _lines(robot, n_visits, all_readings)
     columns: dict[str, list[object]] = {}

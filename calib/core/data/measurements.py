@@ -250,7 +250,7 @@ class Measurements(Poses):
             Measurements to identify with, and to validate with, both in file order.
 
         Raises:
-            DataError: This part leaves one of them empty.
+            DataError: No visit is left for one of the two.
         """
         n_held = round(validation * len(self)) if 0 < validation < 1 else 0
         chosen: list[int] = []

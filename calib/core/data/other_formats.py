@@ -1,7 +1,7 @@
 """Other formats of measurements: known by their head, and converted to a table, or a message says what to do.
 
 Capabilities and other packages add formats in the group `calib.readers`: each entry is a tuple of `OtherFormat`,
-and the first that fits counts. What a file was taken for is a warning of the logger `calib`.
+and the first that fits counts. What a file was taken for is logged as a warning (logger `calib`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from calib.core.base.registry import list_entry_points
 from calib.core.base.words import warn_once
 
 _HEAD = 1 << 16  # bytes by which a format is recognised
-_ASCII = 0.7  # part of a table that is digits, separators and plain letters
+_ASCII = 0.7  # least part of ASCII characters in the head of a text file
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
@@ -38,7 +38,7 @@ class SomeFile:
 
     @cached_property
     def encoding(self) -> str:
-        """Encoding of its text: by its byte order mark, else UTF-8 if its bytes are valid, else Windows' Latin-1."""
+        """Encoding of the text: by its byte order mark, else UTF-8 if the head is valid, else Windows' Latin-1."""
         marked = next((name for mark, name in _MARKS if self.head.startswith(mark)), None)
         if marked is not None:
             return marked
@@ -50,7 +50,7 @@ class SomeFile:
 
     @cached_property
     def first_lines(self) -> list[str]:
-        """Lines of its head; none if the file is no text."""
+        """Lines of the file's head; none if the file is no text."""
         binary = b"\0" in self.head or len(self.head.decode("ascii", "ignore")) < _ASCII * len(self.head)
         if binary and self.encoding != "utf-16":
             return []
@@ -58,7 +58,7 @@ class SomeFile:
 
     @cached_property
     def lines(self) -> list[str]:
-        """All its lines."""
+        """All lines of the file."""
         content = read_bytes(self.path, "a table", DataError)
         return content.decode(self.encoding, errors="replace").splitlines()
 

@@ -24,7 +24,7 @@ from calib.core.instruments.kind import Instrument, Readings
 from calib.core.robots.robot import Robot
 
 INSTRUMENT = "instrument"
-"""Column with the instruments that are to read."""
+"""Column that names the instruments to read at each pose."""
 TOGETHER = "+"
 """Separator between names of instruments that read together."""
 
@@ -56,7 +56,7 @@ def plan_of_table(table: Table, robot: Robot) -> Poses:
     }
     stated = {name: looks for name, looks in plan.items() if looks is not None}
     if len(stated) == len(robot.instruments) and not any(len(looks) for looks in stated.values()):
-        raise DataError(f"{table.path}: no row names anything to read; fill in its columns of instruments")
+        raise DataError(f"{table.path}: no row says what to read; fill in the columns of the instruments")
     return replace(poses, planned=stated)
 
 

@@ -4,7 +4,7 @@ Columns are taken for joints where no joint has a column of its name, and each j
 figures (`Joint 1` for `joint_1`), or all are numbered from 1. Columns X, Y, Z are the position that is read, where one
 instrument reads positions and has no columns; so are NAME_x, NAME_y, NAME_z of the only NAME. U95 X, U95 Y, U95 Z
 next to them are twice the standard deviations of a reading. A column needs its unit for that, because it is not known
-whether a robot's program writes degrees. Guesses are warnings of the logger `calib`. A robot description may
+whether a robot's program writes degrees. What is guessed is logged as a warning (logger `calib`). A description may
 name the columns of files under `columns`; then nothing is guessed.
 """
 
@@ -111,7 +111,7 @@ def _plain(name: str) -> str:
 
 
 def _joints(robot: Robot, table: Table) -> dict[str, str]:
-    """Columns that stand for joints, and these; none if one joint has its column, or not all have one."""
+    """Joints by the columns that stand for them; none if a column has a joint's name, or if a joint has no column."""
     joints = robot.joint_names
     if set(joints) & set(table.names):
         return {}
@@ -135,7 +135,7 @@ def _positions(robot: Robot, table: Table) -> dict[str, str]:
     units = dict(zip(table.names, table.units, strict=True))
     axes = {name: _plain(name) for name in table.names if _plain(name) in _AXES and units[name]}
     columns = [column.name for column in reading[0].columns()] if len(reading) == 1 else []
-    if not axes:  # or those of one body that has a name
+    if not axes:  # else take the axes of a single named body
         named = {match[1] for name in table.names if units[name] and (match := _NAMED.fullmatch(name))}
         whole = [name for name in named if all(f"{name}_{axis}" in units for axis in _AXES)]
         axes = {f"{whole[0]}_{axis}": axis for axis in _AXES} if len(whole) == 1 else {}

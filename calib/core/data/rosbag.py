@@ -99,8 +99,8 @@ def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[st
         finite = spread[np.isfinite(spread)]
         moved = f"; the least that a joint moved is {np.min(finite):.2g} rad or m" if len(finite) else ""
         raise DataError(
-            f"{path}: the robot stood still at none of {count_noun(len(times), 'measurement')}: joint states within"
-            f" {_WINDOW} s before and after, no further apart than {_STILL:g} rad or m{moved}"
+            f"{path}: the robot stood still at none of {count_noun(len(times), 'measurement')} (still: there are joint"
+            f" states within {_WINDOW} s before and after, which differ by at most {_STILL:g} rad or m){moved}"
         )
     of_stop = stops(q[still])
     means = np.array([q[still][of_stop == stop].mean(axis=0) for stop in range(of_stop[-1] + 1)])

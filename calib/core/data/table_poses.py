@@ -82,7 +82,7 @@ def stands_of_table(table: Table, robot: Robot, setups: IntArray | None) -> dict
         setups: The setup of each row, (n,); None: the first.
 
     Raises:
-        DataError: Nothing states them, or only a sensor whose readings depend on unknowns does.
+        DataError: No column states the values, or only a sensor whose readings depend on unknowns does.
     """
     mechanism, turning = robot.nominal, [n for n in robot.commanded_names if robot.nominal.dimensions[n] == "angle"]
     for sensor, section in robot.description.inclinometers.items():

@@ -2,8 +2,8 @@
 
 A column is `name` or `name [unit]`; without a unit the numbers are SI. Lines that start with # or // are comments.
 Commas, semicolons or tabs separate the columns; the header decides. Where they are not commas, a comma may be the
-decimal mark. `calib.core.data.layouts` knows what other programs write around a table; guesses are warnings of
-the logger.
+decimal mark. `calib.core.data.layouts` knows what other programs write around a table; what is guessed is logged as a
+warning.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from calib.core.data.rosbag import is_bag, read_bag
 from calib.core.data.table_writing import text_of
 
 _LARGEST = {"length": 1e6, "angle": 1e6, "pixel": 1e6}  # [SI]
-_LARGEST_NUMBER = 1e30  # largest number of other columns: squares and sums of many stay finite
+_LARGEST_NUMBER = 1e30  # largest value in other columns: squares and sums of many stay finite
 IN_MEMORY = "table in memory"
 """Name in messages of a table that is no file."""
 _WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)
@@ -84,7 +84,7 @@ class Table:
         lines: Line number in the file of each row.
         comments: Comment lines without their #.
         separator: Separator of the cells.
-        maps: Columns whose cells are not the values, by name.
+        maps: Conversion from cells to values (factor, offset) of the columns that need one, by name.
     """
 
     path: str
@@ -127,8 +127,8 @@ class Table:
             values = mapped.factor * values + mapped.offset / scale
         if abs(values[worst]) > _LARGEST.get(dimension or "", _LARGEST_NUMBER):
             raise DataError(
-                f"{self._where(worst, index)}: {self.rows[worst][index]:.60} is beyond what is measured; correct it, or"
-                " leave the row out"
+                f"{self._where(worst, index)}: {self.rows[worst][index]:.60} is beyond what any instrument measures;"
+                " correct it, or leave the row out"
             )
         return values
 
@@ -183,7 +183,7 @@ def read_number(cell: str, where: str, separator: str = ",") -> float:
         separator: Separator of cells; if that is not the comma, the comma may be the decimal mark.
 
     Raises:
-        DataError: It is empty, no number, or not finite.
+        DataError: The cell is empty, no number, or not finite.
     """
     text = cell.strip()
     if not text:

@@ -45,14 +45,14 @@ USUAL_FACTORS: dict[str, dict[float, str]] = {
 _STEP = 0.06  # relative step between tried scales
 _USUAL = 2e-3  # relative difference of a factor from a usual one
 _FACTORS = tuple((1.0 + _STEP) ** k for k in range(-16, 17) if k)
-_ALL_SIGNS = 8  # largest number of motors with every pattern of signs and every two changes tried
+_ALL_SIGNS = 8  # with more motors, not every pattern of signs and not every two changes are tried
 _ALL_ORDERS = 5040  # if there are more orders, only those of two or three columns are tried
 _BEAM = 6  # best maps that are changed further
 _ROUNDS = 4
 _HALVED = 0.5
 _SAME = 1e-6
 _MIRRORED = 0.1  # size of a negative determinant that no noise explains
-_MARGIN = 0.1  # beyond a joint's limit, of a robot with loops [m or rad]
+_MARGIN = 0.1  # a map may take joints of a robot with loops this far beyond their limits [m or rad]
 
 
 @dataclass(frozen=True, order=True)
@@ -151,7 +151,7 @@ def _usual(factor: float, size: float, dimension: str) -> str:
 
 
 def _order_in_words(names: Sequence[str], columns: Sequence[str]) -> str:
-    """A clause on joint values in the columns of others."""
+    """A clause that says which columns were swapped, or in which other order they were."""
     if len(names) == 2:
         return f"the columns of {joints_named(*names, separator=' and ')} were swapped"
     where = ", ".join(f"{name} in that of {column}" for name, column in zip(names, columns, strict=True))
@@ -159,7 +159,7 @@ def _order_in_words(names: Sequence[str], columns: Sequence[str]) -> str:
 
 
 def likely_maps(robot: Robot, data: Measurements) -> list[ColumnMap]:
-    """Return the likeliest mistakes in columns of joint values, from a few measurements that the robot misfits."""
+    """Return the likeliest mistakes in columns of joint values, from a few measurements that the robot does not fit."""
     return list(_maps_with_loops(robot, data) if robot.mechanism.loops else _search_maps(robot, data))
 
 
@@ -266,7 +266,7 @@ def _zero_matters(robot: Robot, data: Measurements, plain: ColumnMap) -> BoolArr
 
 
 def _bounds(robot: Robot, data: Measurements, maps: Sequence[ColumnMap]) -> dict[ColumnMap, float]:
-    """A lower bound of each map's error at the first target, over the spread of its positions."""
+    """A lower bound of each map's error at the first target, divided by the spread of its positions."""
     factor = np.asarray(np.linalg.qr(_systems(robot, data, maps), mode="r"))
     points = data.points(robot)[:, 0]
     spread = float(np.linalg.norm(points - points.mean(axis=0))) or 1.0

@@ -26,8 +26,8 @@ six-axis arm, 250 give the same half widths to 2e-7.
 E e^2 widens the intervals of single parameters, on both sides. It is no part of the covariance: positions do not change
 along the curve, and their covariance is that of the linear model around the solution.
 
-When it fails. It is the second order. Where angles are undetermined by a tenth of a radian the third counts, too; then
-the verdict says so. Along directions in which a loop opens nothing is known, and nothing is added.
+When it fails. It is the second order. Where angles are undetermined by a tenth of a radian, the third order counts,
+too; then the verdict says so. Along directions in which a loop opens nothing is known, and nothing is added.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from calib.core.numerics.observability import information
 from calib.core.numerics.statistics import prior_directions
 from calib.core.rows.rows import Rows
 
-_HELD = 0.1  # the square of a direction counts if priors have more than this share in it
+_HELD = 0.1  # priors hold a direction if they have more than this share in it
 _STEP = 0.1  # step of a difference of Jacobians, in standard deviations
 _POSES = 250  # poses of each pair of frames that determine the step back
 

@@ -65,7 +65,7 @@ class ErrorSet(ReadOnlyArrays):
         return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 
     def _pose_means(self, name: str, errors: FloatArray) -> FloatArray:
-        """Means over readings of one instrument, along one pair, that repeat a pose, in order of first appearance."""
+        """Means over an instrument's readings of one pose and one pair of frames, in order of first appearance."""
         readings = self.data.readings[name]
         keys = np.stack([self.data.pose_numbers[readings.visits], readings.pairs], axis=1)
         keys = np.hstack([keys, _pose_numbers(readings.details)[:, None]])

@@ -22,7 +22,7 @@ NUMBERS = ("nominal", "value", "std", "low95", "high95")
 
 @dataclass(frozen=True)
 class HalfWidth:
-    """Half the 95 % interval of a free parameter, `place` among them, computed at first use."""
+    """Half the 95 % interval of free parameter number `place`, computed at first use."""
 
     statistics: Statistics
     place: int
@@ -178,7 +178,7 @@ class Covariance(ReadOnlyArrays):
 
     @property
     def correlation(self) -> Correlation:
-        """The same, divided by the standard deviations."""
+        """Correlations: the covariances over both standard deviations."""
         std = np.sqrt(np.diagonal(self.values))
         return Correlation(self.names, self.values / np.outer(std, std), self.contains)
 

@@ -226,9 +226,7 @@ def fit_at(
 
 def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements], Fit]:
     """Return a function that fits a part of the measurements of a fit and predicts the rest, from one start."""
-    nearby = replace(
-        WarmStart.without_intervals(fit.nominal, fit), placed=None
-    )  # a part places base and targets elsewhere
+    nearby = replace(WarmStart.without_intervals(fit.nominal, fit), placed=None)  # a part has its own placement
     return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=nearby)
 
 
@@ -272,7 +270,7 @@ def place_from_data(later: Measurements, robot: Robot, names: tuple[str, ...]) -
         names: Parameters of the places.
 
     Raises:
-        NotConvergedError: They cannot be placed.
+        NotConvergedError: The places cannot be found.
         UnreachablePoseError: A pose cannot be assembled.
     """
     others = [p.name for p in robot.parameters if p.name not in names]

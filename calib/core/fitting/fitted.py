@@ -40,7 +40,7 @@ class Fit(SolvedFit, HintedObject):
         reduced: Fits of the same measurements without the joint terms that a kind of file cannot hold, by kind; None if
             no files were requested.
         seed: Seed of every random choice.
-        placed_later: Parameters of places that only the validation poses show, and therefore placed.
+        placed_later: Parameters of places that only the validation poses show; they were found from these.
         requested_options: Further options of the fit.
     """
 

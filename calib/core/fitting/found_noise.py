@@ -1,7 +1,7 @@
 """The noise found from residuals: scales of groups, sizes of families, offsets that readings share.
 
 All of it follows from the linear model around an evaluation (`calib.core.numerics.variance_components`), where possible
-from a few rows with the same products as all rows (`Problem.compressed`).
+from a few rows with the same J^T J and J^T r as all rows (`Problem.compressed`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
 
 
 def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-    """Find offsets that readings of an instrument at a pose share, over the scale of their group, (n_offsets,)."""
+    """Find offsets that readings of an instrument at a pose share, divided by their group's scale, (n_offsets,)."""
     whitening = problem.whitening
     tried = problem.offset_ratios > 0 if np.any(problem.offset_ratios) else whitening.tells_offsets
     if not np.any(tried):
@@ -51,7 +51,7 @@ def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
 
 
 def left_out_rms(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-    """Return the root mean square error of readings of poses left out in turn, over the stated noise, (n_groups,).
+    """Return the root mean square error of poses left out in turn, divided by the stated noise, (n_groups,).
 
     It comes from the linear model around an evaluation at the minimum. Every pose counts the same, however many
     readings it has.

@@ -6,12 +6,12 @@ off, or on another scale, several at once (`calib.core.fitting.column_maps`); va
 100; joint values up to five rows above or below their measurements; degrees read as radians or radians read as degrees;
 positions in another unit, which their size shows; axes of the measurement frame mirrored, or in another order. Readings
 of exactly 0, 0, 0 are left out before, and named with the rest. A rigid fit places unknown base and targets. A mistake
-is named if undoing it brings the nominal robot much closer to the data, and to within a part of their spread. Columns
-that are copies of each other are named without a trial.
+is named if undoing it brings the nominal robot much closer to the data, and to within a part of their spread; for
+scales, which a fit finds, a fit with them must do so. Columns that are copies of each other are named without a trial.
 
 When it fails. Mistakes of two kinds at once are not found. A robot with a wrong base or tool that the description calls
-known is always far off; the verdict looks for that first. Only instruments that measure points are examined; without
-them, what a sensor saw (`calib.core.fitting.photographed_points`), or all (`calib.core.fitting.mistaken_readings`).
+known is always far off; the verdict looks for that first. Only instruments that measure points are examined here.
+Without any, see `calib.core.fitting.photographed_points` for images, else `calib.core.fitting.mistaken_readings`.
 """
 
 from __future__ import annotations
@@ -37,13 +37,15 @@ from calib.core.fitting.scaled_joints import joint_scales
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
 
+LARGE_NOISE = 0.1
+"""Nothing fits if the noise is more than this part of the spread of the measured positions."""
 _CLOSER = 0.2  # with the mistake undone, the nominal robot misses by less than this part of what it missed before,
 _NEAR = 0.2  # and by less than this part of the spread of the measured positions
 _HALF = 0.5  # a fit with other scales of joints leaves less than this part of the noise
 _AS_GOOD = 1.5  # another mistake explains the data as well if it misses by at most this many times the best miss
-_GLANCE = 4  # one in so many of these shows whether the loops close at all
+_GLANCE = 4  # step through these poses for a first look: do the loops close at all?
 _FEW = 3  # rows that may agree by chance
-_NO_SIZE = 1e-6  # ratio of reach to measured space below which the target is described on a link that does not move
+_NO_SIZE = 1e-6  # if reach over measured space is below this, the described target is on a link that does not move
 _ANOTHER_UNIT = 0.1  # change of all lengths that is more than a robot's own errors
 _READ = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _WRITTEN = dict(_READ, inches=0.0254, feet=0.3048, cm=1e-2) | {"tenths of an inch": 2.54e-3}
@@ -58,7 +60,7 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
         robot: The nominal robot.
         data: Measurements that do not fit it.
         noise: Noise of a fit to them, per axis [m]; infinite without a fit.
-        gross: Whether nothing fits; if not, only the scales of joints are examined.
+        gross: Whether all mistakes are examined, since nothing fits; else only the scales of joints.
     """
     copied = equal_columns(data, robot)
     if copied:
@@ -78,7 +80,8 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
         return mistake
     tried = [joint_scales(robot, sound, at) for at in ((None, nearest) if nearest else (None,))]
     scales = min((known for known in tried if known is not None), key=lambda known: known.noise, default=None)
-    if scales is None or not scales.map.is_scaled or scales.noise > _HALF * noise:
+    spread = float(np.sqrt(np.mean(np.var(sound.points(robot), axis=0))))
+    if scales is None or not scales.map.is_scaled or scales.noise > min(_HALF * noise, LARGE_NOISE * spread):
         return ""
     left = f"a fit leaves {millimetres(scales.noise):.3g} mm per axis in place of {millimetres(noise):.3g} mm"
     return f"probable mistake: {scales.map.words(robot, scales.std)}. Corrected, {left}"
@@ -137,7 +140,7 @@ def _file_units(data: Measurements) -> dict[str, str | None]:
 def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> list[float]:
     """Root mean square errors of the nominal robot over the spread of the positions; all loops are closed at once.
 
-    Values larger than `most` may be a little too small, but stay larger than it.
+    A result above `most` is only a lower bound.
     """
     result = np.full(len(changed), np.inf)
     glances = [data.joints[::_GLANCE] for data in changed]
@@ -214,7 +217,7 @@ def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
         return
     ratios: dict[float, str] = {}
     for (read, of_read), (written, of_written) in product(_READ.items(), _WRITTEN.items()):
-        ratio = float(f"{of_written / of_read:.6g}")  # the same for pairs of units whose quotients round differently
+        ratio = float(f"{of_written / of_read:.6g}")  # equal quotients of units get equal keys
         if abs(np.log(ratio / size)) < _ANOTHER_UNIT:
             ratios.setdefault(ratio, f"positions in {written} were read as {read}")
     yield from ((words, ratio) for ratio, words in ratios.items())

@@ -1,8 +1,8 @@
 """Outliers of a fit: reading, instrument, visit, and size.
 
 An outlier is alone where the other readings of its visit agree with the fit: a corner that was found on a reflection,
-one target of several. Where more than half of the readings of a visit are further off than one good reading in a
-hundred, they are off together: a wrong image, a wrong pose of the robot, a board that was moved. With one reading per
+one target of several. The readings of a visit are off together where more than half of them are as far off as only one
+good reading in a hundred is: a wrong image, a wrong pose of the robot, a board that was moved. With one reading per
 visit, the two cases are the same.
 """
 

@@ -27,7 +27,7 @@ from calib.core.robots.robot import Robot
 
 
 def photographed_points(robot: Robot, data: Measurements) -> tuple[Robot, Measurements] | None:
-    """Return the nominal robot and its measurements with what its first sensor saw as positions [m].
+    """Return the nominal robot, and measurements that state what its first sensor saw as positions [m].
 
     None is returned for a robot without such a sensor, or with another instrument that reads positions.
     """
@@ -54,12 +54,12 @@ def _boards(camera: Pixel, data: Measurements) -> FloatArray:
 
 
 def _seen_place(robot: Robot, data: Measurements, sensor: Relation) -> tuple[Robot, Measurements]:
-    """The robot and its measurements with the point that the sensor saw most often as target."""
+    """The robot whose target is the point that the sensor saw most often, and its measurements."""
     readings = data.readings[sensor.name]
     most = int(np.argmax(np.bincount(readings.pairs)))
     own = readings.subset(np.flatnonzero(readings.pairs == most))
     points, seen = np.full((len(data), 3), np.nan), sensor.seen_points(own.values)
-    assert seen is not None  # of `photographed_points`
+    assert seen is not None  # as `photographed_points` has checked
     points[own.visits] = seen
     place = sensor.own[most]
     target = TargetSection(frame=place.link, xyz=place.xyz, position="unknown")

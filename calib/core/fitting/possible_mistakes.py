@@ -56,7 +56,7 @@ def joint_value_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
 
 
 def _shifted_trials(measured: Measurements) -> Iterator[Trial]:
-    """Joint values shifted to other rows, in the order measured: rows between may be held out, or left out."""
+    """Joint values shifted to other rows, counted in the measured order; rows of the file may be missing here."""
     places = measured.places
     for rows, sign in product(range(1, _SHIFTS + 1), (1, -1)):
         _, of_joints, of_points = np.intersect1d(places + sign * rows, places, return_indices=True)
@@ -68,7 +68,7 @@ def _shifted_trials(measured: Measurements) -> Iterator[Trial]:
 
 
 def _rescaled_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
-    """Joint values that are parts of the joints' ranges: numbers of a file, in whatever unit they were read."""
+    """Joint values mapped back from ranges such as 0 to 1 to the joints' limits; the file may have meant any unit."""
     lower, upper = robot.urdf.limits(robot.joint_names)
     if not np.all(np.isfinite(upper - lower)):
         return

@@ -170,7 +170,7 @@ class Problem(ReadOnlyArrays):
 
     @property
     def confirmed_freedom(self) -> FloatArray:
-        """Degrees of freedom of a fleet's check of the stated noise, (n_groups,); 0 where noise is found."""
+        """Degrees of freedom with which a fleet confirmed the stated noise, (n_groups,); 0 where noise is found."""
         fleet = self.robot.description.fleet
         return np.where(self.noise_found | self.has_unstated_noise, 0.0, 0.0 if fleet is None else fleet.noise_freedom)
 

@@ -5,8 +5,8 @@ gives new weights. The alternation runs on the linear model around the present p
 nothing, until the weights settle. Then the parameters move to its solution, and so on until the weights settle there
 too. Last, the true problem is solved with these weights.
 
-Unstated noise is that of the median reading: least squares finds the scales of the groups of rows, and the median
-length of its readings then sets each. The same holds for stated noise where the median reading contradicts it
+Unstated noise is that of the median reading: least squares finds the scales of the groups of rows; then the median
+length of a group's readings sets its scale. The same holds for stated noise where the median reading contradicts it
 (`calib.core.fitting.solving` says why); a few gross errors do not move the median.
 
 Cauchy and Tukey have several minima. They start from Huber's solution, which is unique on a linear model, and keep its

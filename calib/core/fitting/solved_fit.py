@@ -219,7 +219,7 @@ class SolvedFit(ReadOnlyArrays):
         return {name: own.joint_derivative.copy() for name, own in observed.items()}  # the rest takes memory
 
     def whitened_residuals_and_rows(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
-        """Return whitened residuals before (n_rows,) and rows after calibration, by the found noise, at new visits."""
+        """Return residuals before (n_rows,) and rows after calibration at new visits, whitened by the found noise."""
         data = errors.data
         before, after, whitening, factors = self._whitened(errors)
         configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
@@ -228,7 +228,7 @@ class SolvedFit(ReadOnlyArrays):
         return before, replace(rows, residuals=after)
 
     def whitened_errors(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray]:
-        """Return whitened residuals before and after calibration, (n_rows,) each, by the noise as found."""
+        """Return residuals before and after calibration, (n_rows,) each, whitened by the found noise."""
         return self._whitened(errors)[:2]
 
     def _whitened(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray, Whitening, FloatArray]:

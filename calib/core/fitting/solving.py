@@ -50,7 +50,7 @@ from calib.core.rows.rows import Rows, Scales
 from calib.core.rows.unknowns import Unknowns
 
 _LOOSE = 1e-3  # tolerance of the solver where another solve follows
-_PLACED = 1e-6  # the same for the state `before`: its errors then hold to a millionth
+_PLACED = 1e-6  # tolerance for the state `before`: its errors then hold to a millionth
 _NOISE_ROUNDS = 20
 _NOISE_CONVERGED = 0.01  # scales are found once they change by less than this part
 _FAMILIES_CONVERGED = 5.0  # factor on this part for sizes of families
@@ -76,7 +76,7 @@ def place(problem: Problem) -> Evaluation:
     robot's own errors are part of that noise, so that it is found, whatever the description states for the sensor.
 
     Raises:
-        NotConvergedError: They cannot be placed.
+        NotConvergedError: The places cannot be found.
     """
     robot = problem.robot
     places = problem.unknowns.select(problem.unknowns.placement)

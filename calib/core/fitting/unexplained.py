@@ -15,12 +15,13 @@ They are told apart by geometry: joints move the tool far in some directions and
 readings that repeat a pose share its errors of joints. An error of few joints, such as of a coupling, looks more like
 noise than like an error of all joints. But noise does not follow joint values, and such an error does. So where noise
 is not stated, kinds of joint errors with few coefficients are in the model with their own sizes
-(`calib.core.fitting.terms.kind_model`): each with its likeliest size, if the log likelihood is higher with it by odds
-of 20 to 1 (kass1995), times their number. Otherwise one of many absent kinds looks present by chance, and counts for
-much far from the measured poses. The fit has none of them, so its robot has the whole error that the rows show. That
-error counts, and its uncertainty is added. Where `--terms auto` has found the sizes of all kinds, these count instead.
+(`calib.core.fitting.terms.kind_model`): each with its likeliest size, if the likelihood is higher with it by a factor
+of 20 (kass1995), times their number. Otherwise one of many absent kinds looks present by chance, and adds large
+errors far from the measured poses. The fit has none of these kinds, so its robot has the whole error of each kind that
+the rows show. That error counts, and its uncertainty is added. Where `--terms auto` has found the sizes of all kinds,
+these count instead.
 
-The part that rows cannot tell apart counts as delta, because the noise of readings does not move the tool
+The part that rows cannot tell from noise counts as delta, because the noise of readings does not move the tool
 (`calib.core.numerics.size_search.scatter_given_noise`). With known noise that part is zero; where all joints move all
 readings alike, as in a gantry, it is most of the residuals.
 Delta is no part of the covariance of parameters, which is found from the same residuals. Of very many poses, a part

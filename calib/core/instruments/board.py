@@ -203,7 +203,7 @@ def read_board(text: str, where: str, folder: Path | None = None) -> Board:
         folder: Folder of the file, if it is not the current one.
 
     Raises:
-        DescriptionError: The text is neither, the file does not exist, or a key is missing or wrong.
+        DescriptionError: The text is no file and no short form, or a key is missing or wrong.
     """
     kind, colon, rest = text.partition(":")
     path = (folder or Path()) / text

@@ -15,7 +15,7 @@ from calib.core.base.errors import ComputationError
 from calib.core.instruments.kind import Comparison, Instrument, JointComparison, Readings, View
 
 _STEP = 1e-6  # m, rad; for unknown numbers relative to their expected error
-_NEAR = 1e-5  # part of the largest derivative of a row: rounding (1e-16 / 1e-6) and lost digits of residuals
+_NEAR = 1e-5  # allowed difference of derivatives, as part of the largest of a row: rounding (1e-16 / 1e-6), lost digits
 _TWIST = ("dp_x", "dp_y", "dp_z", "dw_x", "dw_y", "dw_z")
 
 
@@ -51,7 +51,7 @@ def check_kind(
     cells = instrument.cells(values)
     names = [column.name for column in instrument.columns()]
     _require(
-        sorted(cells) == sorted(names), f"{subject}: cells gives columns {sorted(cells)}, and columns says {names}"
+        sorted(cells) == sorted(names), f"{subject}: cells gives columns {sorted(cells)}, but `columns` names {names}"
     )
     if names:
         again = instrument.values(cells)

@@ -77,7 +77,7 @@ class Place:
         xyz, rpy: Pose of the place in that link, or with `inverted` of that link in the place [m], [rad].
         unknown: Components that the measurements must find.
         sigma, sigma_angle: Expected errors of these [m], [rad]; None: the numbers are only a start.
-        inverted: Whether the pose is that of the link in the place.
+        inverted: Whether `xyz`, `rpy` are the pose of the link in the place.
     """
 
     name: str
@@ -124,8 +124,8 @@ class Readings(ReadOnlyArrays):
         values: The numbers, (n, n_values); NaN where a component was not read.
         covariance: Noise that the file states, (n, n_rows, n_rows) [SI]; None where it does not.
         details: Further numbers of each reading that a kind needs, (n, n_details).
-        labels: File, line and pose name of each reading, if these are in another file than the joint values; None: as
-            its visit.
+        labels: File, line and pose name of each reading, if readings are in another file than the joint values; None:
+            the labels of their visits.
     """
 
     visits: IntArray
@@ -354,7 +354,7 @@ class Instrument(ABC):
         return values + change
 
     def points(self, values: FloatArray) -> FloatArray | None:
-        """Return the target's position from values (n, n_values), seen from a, (n, 3) [m]; None without one."""
+        """Return the target's position from values (n, n_values), seen from a, (n, 3) [m]; None if not read."""
         return None
 
     def doubts(self, readings: Readings) -> tuple[str, ...]:

@@ -11,8 +11,8 @@ the tilts of a dual-axis inclinometer in the planes y-z and x-z of its housing. 
 
     d tilt_x = (g_z dg_y - g_y dg_z) / (g_y^2 + g_z^2)            d tilt_y = (g_x dg_z - g_z dg_x) / (g_x^2 + g_z^2)
 
-When it fails. A turn of the measurement frame about its z axis is not seen. Near 90 degrees one tilt takes any value
-where the other axis is upright too.
+When it fails. A turn of the measurement frame about its z axis is not seen. If the x or y axis of the sensor is nearly
+vertical, the tilt about this axis may take any value.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class Orientation(FrameInstrument):
             return tuple(guesses)
         together: dict[str, FloatArray] = {}
         for guess in guesses:
-            together = {**guess.places, **together}  # places in several setups: the first that shows them counts
+            together = {**guess.places, **together}  # the first guess of a place counts
         return (Guess(together),)
 
     def _guess_of_pair(self, scene: Scene, number: int) -> tuple[Guess, ...]:

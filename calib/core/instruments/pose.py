@@ -1,6 +1,6 @@
 """Full poses: position and orientation of a sensor frame in the measurement frame.
 
-By a six-dimensional tracker sensor, a motion capture system, or a camera that sees a pattern.
+A six-dimensional tracker sensor, a motion capture system, or a camera that sees a pattern measures them.
 
 Rows are the position error p_ab - p and the rotation error of `calib.core.instruments.rotations`.
 """

@@ -11,11 +11,11 @@ Derivatives are central differences of fourth order, whose error, h^4 of truncat
 h = 1e-4 for frames that are a metre apart.
 
 First values are least squares over the open places and the unknown numbers, with the present robot, from the described
-places and, where the pose of a place is not known, from the rotations of a cube. Undetermined components stay there,
-the target more than places.
+places and, where the pose of a place is not known, from the rotations of a cube. Undetermined components stay near
+these starts, those of the target more than those of places.
 
-When it fails. The target is nearer than a millimetre to a point where f has no derivative, or readings of so rough a
-robot do not distinguish places.
+When it fails. It fails if the target is nearer than a millimetre to a point where f has no derivative, or the robot's
+own errors are so large that readings do not distinguish places.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Gue
 
 _STEP = 1e-4  # m, rad; for unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
-_ROUNDING = 1e-11  # part of the largest derivative that counts as none
+_ROUNDING = 1e-11  # a derivative below this part of the largest counts as zero
 _STAY, _STAY_TARGET = 1e-3, 0.1  # weights of the distance of a place, or the target, from its described pose
 _FEW = 60  # starts are compared by at most so many readings
 _LOST = 5  # a place with so many unknown components may have any orientation
@@ -52,7 +52,7 @@ class RelatedSection(PlaceSection):
     what = "place"
 
     def place(self, name: str) -> Place:
-        """Return it as a place of this name."""
+        """Return the described place under this name."""
         return placed(name, self)
 
 
@@ -86,7 +86,7 @@ class Relation(FrameInstrument):
         return tuple((self.target, name) if self.from_target else (name, self.target) for name in names)
 
     def seen_points(self, values: FloatArray) -> FloatArray | None:
-        """Return positions of places in the axes of the target from values (n, n_values), (n, 3) [m]; None without."""
+        """Return positions of places from values (n, n_values), in the axes of the target, (n, 3) [m]; else None."""
         return None
 
     def columns(self) -> tuple[Column, ...]:
@@ -207,12 +207,12 @@ def _refine_guess(
             places[name] = places[name].copy()
             places[name][:3, 3] += step[:3]
             places[name][:3, :3] = places[name][:3, :3] @ pin.exp3(step[3:])
-        assert start.unknowns is not None  # of `_starts`
+        assert start.unknowns is not None  # `_starts` sets them
         return Guess(places, start.unknowns + scales * x[:n_own])
 
     def misses(x: FloatArray) -> FloatArray:
         at, result = guess_at(x), np.zeros((len(readings), kind.n_rows))
-        assert at.unknowns is not None  # of `moved`
+        assert at.unknowns is not None  # `guess_at` sets them
         for (a, b), own, links, part in parts:
             seen = np.linalg.inv(at.places[a]) @ links @ at.places[b]
             result[own] = kind.misses(View(seen[:, :3, :3], seen[:, :3, 3]), at.unknowns, part)

@@ -47,7 +47,7 @@ def rotation_columns(name: str, form: Form) -> tuple[Column, ...]:
 
 
 def read_rotations(name: str, form: Form, numbers: FloatArray) -> FloatArray:
-    """Return rotation vectors (n, 3) [rad] of numbers (n, k), NaN where missing; `DataError` for no rotation."""
+    """Return rotation vectors (n, 3) [rad] of numbers (n, k), NaN where missing; `DataError` if not rotations."""
     vectors = np.full((len(numbers), 3), np.nan)
     complete = np.isfinite(numbers).all(axis=1)
     if np.any(complete):

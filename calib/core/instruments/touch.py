@@ -7,8 +7,9 @@ tolerance is stated, and radii r of the ball and R of the sphere:
     plane    p_z - r                       one row; the ball is on the side where z > 0
     sphere   |p - c - e| - (R + r)         one row
 
-When it fails. A ball whose link hardly turns is not distinguished from the sockets: first values keep it near its
-described place. A turn about the line of all points of an artefact moves none of them and is not free.
+When it fails. If the link of the ball hardly turns, readings cannot tell its place from those of the sockets: first
+values keep the ball near its described place. A turn about the line of all points of an artefact moves none of them and
+is not free.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class TouchedSection(PlaceSection):
     radius: LengthOrUnknown | None = None
 
     def place(self, name: str, surface: Surface) -> Place:
-        """Return it as a place."""
+        """Return the described socket, plane or sphere as a place."""
         unknown: tuple[Component, ...] = ()
         if self.position == "unknown":
             unknown = LENGTH_COMPONENTS if surface != "plane" else (self.normal_component(),)
@@ -47,7 +47,7 @@ class TouchedSection(PlaceSection):
         return placed(name, self, unknown)
 
     def normal_component(self) -> Component:
-        """Return the axis of the link that is nearest to the normal of a plane: along it, the plane is placed."""
+        """Return the axis of the link nearest to the normal of a plane; the fit moves an unknown plane along it."""
         roll, pitch, yaw = self.rpy
         normal = (
             np.cos(yaw) * np.sin(pitch) * np.cos(roll) + np.sin(yaw) * np.sin(roll),
@@ -82,7 +82,7 @@ class ArtefactSection(PosedSection):
         return self
 
     def place(self, name: str) -> Place:
-        """Return it as a place; a turn that moves none of its points is not free."""
+        """Return the artefact as a place; a turn that moves none of its points is not free."""
         return placed(name, self, LENGTH_COMPONENTS + self._turns() if self.pose == "unknown" else ())
 
     def _turns(self) -> tuple[Component, ...]:
@@ -108,7 +108,7 @@ class TouchSection(InstrumentSection):
         radius: Radius of the ball, for planes and spheres [m].
         places: The touched places, by name.
         artefact: The touched piece, in place of `places`.
-        sigma: Noise of a touch, each coordinate or the gap [m].
+        sigma: Noise of a touch: of each coordinate in a socket, of the gap to a plane or sphere [m].
     """
 
     target: str | None = None

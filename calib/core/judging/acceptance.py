@@ -2,7 +2,7 @@
 
 The promise. With r the whitened residuals of the new readings (prediction minus read), J their derivative by the scaled
 parameters u, C the covariance of u that the calibration left, and P the columns of base and targets, which are placed
-anew (the tracker stood up again, the reflector screwed on again):
+anew (the tracker was set up again, the reflector screwed on again):
 
     r = J du + P dp + noise,      du ~ N(0, C),  dp anything,  noise ~ N(0, I)
 
@@ -31,16 +31,17 @@ chance of 90 %, or the number of poses that a given change takes, are known befo
 Unlike poses. The noise of a calibration contains mostly errors that its model leaves out. At poses drawn like the used
 ones they differ from pose to pose, as noise does. Elsewhere, or where poses crowd together
 (`calib.core.data.pose_groups.are_drawn_alike`), they may be one common error, though no larger. Then the n rows read
-there count as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be off
-there as if k of the N rows used had decided them: N / k times C. If the readings agree then, nothing shows that the
-robot has changed, and the verdict is about the poses. If a change is significant even then, the robot has drifted.
+there count as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be as
+uncertain there as if only k of the N rows used had decided them: N / k times C. If the readings agree then, nothing
+shows that the robot has changed, and the verdict is about the poses. If a change is significant even then, the robot
+has drifted.
 
 Few readings. With m degrees of freedom, errors s times as large as expected are seen with a chance of 90 % if s^2 times
 the 10 % point of F(m, nu) reaches its limit: 1.6 times with 30, 22 times with one. Readings that would not even show
 errors `TELLING` times as large agree with anything: then the verdict is that they are too few.
 
-Millimetres. The mean square of distances sums squares of unequal size. It is tested as an F of the same mean and
-variance, at a chance of 0.1 %, so that no verdict contradicts the distances shown with it.
+Millimetres. The mean square distance, which people read, is tested too. It sums squares of unequal expected size, so
+its distribution is taken as an F with the same mean and variance. Its chance of a false alarm is 0.1 %.
 
 Noise. Readings that repeat a pose show noise without a model. Where they scatter more than promised, and the readings
 agree with that scatter as noise, the instrument or the robot's repeatability is worse, and no calibration helps.
@@ -94,7 +95,7 @@ class Acceptance:
         low95, high95: 95 % limits of the ratio, if the robot is as calibrated.
         detectable: Smallest ratio of real to expected errors that is seen with the chance `POWER`.
         p_value: Chance of so large a ratio, if the robot is as calibrated.
-        p_drift: Chance of so large a largest change of a single parameter, if the robot is as calibrated.
+        p_drift: Chance that the largest change of a single parameter is this large, if the robot is as calibrated.
         p_rest: Chance of so large residuals after that change.
         freedom: Degrees of freedom of the ratio.
         placed: Degrees of freedom of placing base and targets.
@@ -108,7 +109,9 @@ class Acceptance:
             [m].
         limit: Distance that is exceeded in one of a thousand cases, if the robot is as calibrated [m].
         coverage_factor: Half the 95 % interval of a change, in standard deviations.
-        has_unlike_poses: Whether the poses are unlike those of the calibration, and the tests allow for it.
+        has_unlike_poses: Whether the poses are unlike those of the calibration, and the tests allow for it. Then all
+            numbers allow for errors of the model that these poses share.
+        has_larger_errors: Whether errors are larger than the calibration claims, without this allowance.
         repeated_visits: Poses of the calibration to measure again for a decision; none if the verdict is settled.
     """
 
@@ -131,6 +134,7 @@ class Acceptance:
     limit: float
     coverage_factor: float
     has_unlike_poses: bool
+    has_larger_errors: bool
     repeated_visits: tuple[str, ...]
 
     def __repr__(self) -> str:
@@ -170,7 +174,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
     if left_out:  # base and targets are placed without them too
         system = System.from_promise(promise, data.with_readings(system.numbers_without(left_out)), same_setup)
     tests = _Tests.from_system(system)
-    verdict, unlike = "agrees", False
+    verdict, unlike, larger = "agrees", False, tests.has_larger_errors
     if tests.fail:
         verdict = tests.verdict_of_unexplained
         if tests.p_drift >= _LEVEL and _is_noise(promise, system):
@@ -205,6 +209,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
         system.expected.limit(UNLIKELY, promise.freedom),
         float(scipy.special.stdtrit(promise.freedom, 0.975)),
         unlike,
+        larger,
         again,
     )
 
@@ -215,7 +220,7 @@ class _Tests:
 
     Attributes:
         p_value, p_drift, p_rest, changes: Attributes of `Acceptance`.
-        independent: Number of independent squares behind the ratio.
+        independent: Degrees of freedom of the ratio, reduced where readings share errors.
         far: Whether distances exceed the limit that chance exceeds in one of a thousand cases.
     """
 
@@ -237,13 +242,18 @@ class _Tests:
             p_drift = changes[0].p_value
             rest = max(system.square - (promise.shared * changes[0].z) ** 2, 0.0) / max(system.freedom - 1, 1)
             p_rest = float(scipy.special.fdtrc(max(independent - 1, 1), promise.freedom, rest))
-        far = _single_rms(system) > system.expected.limit(UNLIKELY, promise.freedom)  # no: NaN without positions
+        far = _single_rms(system) > system.expected.limit(UNLIKELY, promise.freedom)  # false for NaN: without positions
         return _Tests(p_value, p_drift, p_rest, changes, independent, far)
 
     @property
     def fail(self) -> bool:
         """Whether chance does not explain the readings."""
-        return self.p_value < _LEVEL or self.p_drift < _LEVEL or self.far
+        return self.has_larger_errors or self.p_drift < _LEVEL
+
+    @property
+    def has_larger_errors(self) -> bool:
+        """Whether errors are larger than chance explains; if not, they may still have the pattern of a change."""
+        return self.p_value < _LEVEL or self.far
 
     @property
     def verdict_of_unexplained(self) -> str:
@@ -263,8 +273,7 @@ def _single_rms(system: System) -> float:
 def visible_changes(
     calibrated: Fit | HasPromise | Promise, poses: PosesLike, *, same_setup: bool = False
 ) -> tuple[Change, ...]:
-    """Return the smallest change of every candidate that readings at these poses show, smallest in expected units
-    first.
+    """Return the smallest change of every candidate that readings at these poses show, sorted by change over scale.
 
     Args:
         calibrated: The promise of the calibration, or the fit itself.

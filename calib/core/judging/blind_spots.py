@@ -37,7 +37,7 @@ def not_covered(fit: Fit) -> tuple[str, ...]:
 
 
 def _scale(fit: Fit) -> Iterator[str]:
-    """Whether all lengths could be too long: an instrument's scale, or heat."""
+    """Line on an error of all lengths (an instrument's scale, heat) that the measurements would not show."""
     column = scale(findings.setting(fit))
     if not np.any(column):
         return
@@ -60,12 +60,12 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
         single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))
         yield (
             "scatter of the robot (play, changing loads): it looks like noise of the instrument, which was not stated"
-            f" (--sigma-mm). If the robot makes all of it, single positions are known to {single:.2g} mm RMS"
+            f" (--sigma-mm). If the robot makes all of this scatter, single positions are known to {single:.2g} mm RMS"
         )
 
 
 def unordered(poses: Poses) -> tuple[str, ...]:
-    """Return the limitation of rows without a time and in no order that shows a drift; empty if there is none."""
+    """Return a line if rows have no time, and their order would not show a drift; else nothing."""
     n = len(poses)
     reach = np.ptp(poses.joints, axis=0)
     if n < _FEW or has_time(poses) or not np.any(reach > 0):

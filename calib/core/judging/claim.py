@@ -12,7 +12,7 @@ outliers, the claim also holds if the other poses are no more than `MORE` times 
 the number of poses beyond `MORE` times `limit95`. A reason of their own names the outliers.
 
 Whether the robot gets better. On unused poses, if there are any, by `calib.core.judging.better_or_worse`; else by
-Student's t of the difference of each pose's squared error, when it is left out, to that of the nominal robot.
+Student's t of the squared error of each pose, when it is left out, minus the nominal robot's.
 
 At other poses. The claimed mean square error consists of errors that no parameter describes and of the uncertainty of
 the parameters. Elsewhere the second grows: where positions are known to k' and not to k, both root mean squares

@@ -24,7 +24,7 @@ class Trait(Enum):
 
 
 class Family(Enum):
-    """Kinds that share an equal part of the chance of a false finding: the many waves must not hide the others."""
+    """Groups of kinds, each with an equal part of the chance of a false finding: many waves must not hide others."""
 
     SHIFTS = "shifts, and errors of joints"
     TURNS = "turns, lengths and slips"
@@ -35,7 +35,7 @@ class Kind(StrEnum):
     """A kind of effect.
 
     Attributes:
-        family: Name of the kinds with which it shares the chance of a false finding.
+        family: Its group.
         sentence: Text on a pattern of this kind; `describe` fills in the braces.
         traits: Its properties.
     """
@@ -109,7 +109,7 @@ class Kind(StrEnum):
     )
 
     def __new__(cls, name: str, family: Family, sentence: str, *traits: Trait) -> Self:
-        """Return a row of the table."""
+        """Return a kind with its family, sentence and traits."""
         row = str.__new__(cls, name)
         row._value_, row.family, row.sentence, row.traits = name, family, sentence, traits
         return row
@@ -125,7 +125,7 @@ class Pattern:
         p_value: Chance of such a pattern from noise, over all tests.
         size: Root mean square of its contribution to positions [m], or if there are none, to other readings [SI].
         amount: The shift or slip [m], half the backlash or the height of a wave [m or rad], the relative error of
-            lengths, the error for a unit of the neighbour; NaN for a curve.
+            lengths, the error for each unit of the other joint; NaN if the effect has several coefficients.
         significant: Whether it counts as a finding.
         dimension: Dimension of `size`.
         detail: In words, the cycles of a wave or the first visit of a slip; the other joint of a coupling or a link.

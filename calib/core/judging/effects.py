@@ -61,7 +61,7 @@ class EffectSetting:
 
     @property
     def data(self) -> Measurements:
-        """Its measurements."""
+        """Measurements that the fit has used."""
         return self.fit.identification.data
 
     def whiten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:

@@ -22,7 +22,7 @@ from calib.core.judging.linear_fit import LinearFit
 from calib.core.numerics import linalg
 from calib.core.numerics.losses import StudentisedErrors
 
-_LEAST_FACTOR = 1e-3  # least ratio of found to stated noise of a group, as part of that of all groups
+_LEAST_FACTOR = 1e-3  # least found noise over stated noise of a group, as part of this ratio for all groups
 
 
 @memoize

@@ -62,8 +62,8 @@ class LinearFit:
     def sizes(self, effects: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the sizes (k,) of effects Z (n_rows, k) if all of them were parameters, and their standard deviations.
 
-        Deviations are infinite for zero columns. An absorbed effect is uncertain and gets no size, since residuals
-        there are rounding of the solver.
+        Deviations are infinite for zero columns, and where all effects together leave no degree of freedom. An absorbed
+        effect is uncertain and gets the size 0, since the residuals along it are only rounding of the solver.
         """
         size = np.linalg.norm(effects, axis=0)
         made = np.flatnonzero(size > 0)
@@ -72,7 +72,9 @@ class LinearFit:
         values, vectors = linalg.eigh(columns.T @ left)
         inverse, seen = vectors / (values + ABSORBED) @ vectors.T, vectors[:, values > ABSORBED]
         found = -inverse @ (seen @ (seen.T @ (columns.T @ self.rows.residuals)))
-        scatter = np.sqrt(np.sum((self.rows.residuals + left @ found) ** 2) / max(self.freedom - len(made), 1.0))
+        freedom = self.freedom - len(made)
+        rest = np.sum((self.rows.residuals + left @ found) ** 2)
+        scatter = np.sqrt(rest / freedom) if freedom > 0 else np.inf
         sizes, deviations = np.zeros(len(size)), np.full(len(size), np.inf)
         sizes[made], deviations[made] = found / size[made], scatter * np.sqrt(np.diag(inverse)) / size[made]
         return sizes, deviations

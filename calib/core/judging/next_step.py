@@ -123,7 +123,7 @@ def _repeat_fit(fit: Fit, aim: str, *words: str, folder: str = AGAIN, same_noise
 
 
 def _use(fit: Fit) -> NextStep:
-    """The use of a result without objections: by its robot, and by the content of its files."""
+    """The next step for a result without objections: it depends on the robot, and on what its files hold."""
     if judge(fit).nothing_to_correct:
         return NextStep("keep the nominal robot, and test it again later", f"calib verify {FOLDER} measured.csv")
     if own := result_use(fit.nominal.description):

@@ -151,7 +151,10 @@ class PossibleChanges:
 
 
 def candidates(robot: Robot) -> list[PossibleChanges]:
-    """Return the possible changes: parameters of the robot's origins, and zeros of its joints."""
+    """Return the possible changes: zeros of the robot's joints, and parameters of its origins.
+
+    A zero comes first: a parameter that does the same is named after it.
+    """
     free = np.flatnonzero(robot.is_free)
     parameters = [
         PossibleChanges(p.name, p.dimension, k, False, p.sigma_si)
@@ -159,10 +162,11 @@ def candidates(robot: Robot) -> list[PossibleChanges]:
         if not p.placement and not p.family and free[k] < robot.n_origin_parameters
     ]
     mechanism = robot.mechanism
-    return parameters + [
+    zeros = [
         PossibleChanges(f"zero of {name}", mechanism.dimensions[name], j, True, _JOINT_STEP * float(scale))
         for j, (name, scale) in enumerate(zip(robot.joint_names, mechanism.joint_scale, strict=True))
     ]
+    return zeros + parameters
 
 
 @dataclass(frozen=True)
@@ -328,7 +332,7 @@ class System:
             )
             for j, k in enumerate(visible)
         ]
-        changes.sort(key=lambda change: -six_digits(abs(change.z)))  # parallel columns stay in their order
+        changes.sort(key=lambda change: -round(abs(change.z), 1))  # to a tenth: nearer ones in the listed order
         return tuple(changes)
 
 
@@ -402,7 +406,7 @@ def _expected_distances(
     spread = slope[:, kept] @ root
     spread -= basis @ (basis.T @ spread)
     left = len(slope) - basis.shape[1]
-    square *= left / len(slope)  # the part that placing them takes up
+    square *= left / len(slope)  # without the part that placing base and targets takes up
     along = spread.T @ spread
     left_open, total = float(np.trace(along)), square + float(np.trace(along))
     # variances of squares: of noise in `left` directions, of what is left open, and of both in one direction

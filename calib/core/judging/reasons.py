@@ -39,7 +39,7 @@ class Reason:
         code: Short name for programs.
         text: The finding, and the remedy.
         counted: Whether errors at unused poses contain the effect: where these are as claimed, and the robot gets
-            better, it is no doubt, and its grade becomes PASS.
+            better, the reason raises no doubt, and its grade becomes PASS.
         answer: Kind of remedy.
     """
 
@@ -117,7 +117,7 @@ class Code(StrEnum):
     answer: Answer
 
     def __new__(cls, code: str, grade: Grade, counted: bool = False, answer: Answer = Answer.LOOK) -> Self:
-        """Return a row of the table."""
+        """Return a code with its grade and answer, and whether it is counted."""
         row = str.__new__(cls, code)
         row._value_, row.grade, row.counted, row.answer = code, grade, counted, answer
         return row

@@ -113,7 +113,7 @@ class _EffectTests:
         if len(alike) < 2:
             return detail
         first, _, unit = details[alike[0]].partition(" ")
-        if alike[-1] - alike[0] == len(alike) - 1:
+        if alike[-1] - alike[0] == len(alike) - 1 and len(alike) < len(self.numbers):
             return f"{first} to {details[alike[-1]]}"
         return f"a number of {unit} that these poses do not determine"
 

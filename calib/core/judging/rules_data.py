@@ -29,9 +29,10 @@ from calib.core.rows.rows import Rows
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little
 """With fewer degrees of freedom, intervals are very wide."""
 FEW_SHARED = 5
-"""The same for poses whose readings share errors. Distances of targets mean something from so many poses."""
+"""With fewer degrees of freedom of the poses, intervals are very wide if the readings of a pose share errors. Distances
+of targets mean something from so many poses."""
 RIGID = 1e-6
-"""No instrument read both of two targets if their distance scatters by less [m]."""
+"""If the distance of two targets scatters by less [m], no instrument has read both."""
 COSTLY = 0.36
 """If outliers make this part of the squared residuals, errors are a fifth smaller without them."""
 FEW_OF = 0.01

@@ -100,7 +100,7 @@ def check_assembly(fit: Fit) -> Iterator[Reason]:
 def worse_on_validation(fit: Fit) -> Iterator[Reason]:
     """Compare errors on unused poses before and after."""
     moved = moved_frame(fit)
-    misplaced = moved is not None and moved.errors is None  # errors are those of the frame
+    misplaced = moved is not None and moved.errors is None  # errors come from the moved frame
     for comparison in comparisons(fit):
         if comparison.worse:
             yield Code.WORSE_ON_VALIDATION.says(
@@ -147,7 +147,7 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
 def claim_broken(fit: Fit, claim: Claim, *, no_correction: bool) -> Iterator[Reason]:
     """Compare errors on unused poses with the claim; `no_correction` says that the robot needs no correction."""
     moved = moved_frame(fit)
-    misplaced = moved is not None and moved.errors is None  # errors are those of the frame
+    misplaced = moved is not None and moved.errors is None  # errors come from the moved frame
     worse, further = ("", "") if misplaced else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
     anew = "" if moved is None or misplaced else ", their frame placed anew,"
     for accuracy in (seen.accuracy for seen in claim.unused if not seen.holds):
@@ -175,7 +175,7 @@ def _where(fit: Fit, accuracy: Accuracy) -> str:
     setups = [data.setups for data in (fit.identification.data, fit.validation.data)]
     if setups[0] is not None and setups[1] is not None and not np.any(np.isin(setups[1], setups[0])):
         return ". They are of a setup that was not used"
-    return f". {np.sum(unlike)} of them lie farther from the poses used than these lie from each other"
+    return f". {np.sum(unlike)} of them lie farther from the poses used than the poses used lie from each other"
 
 
 def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:

@@ -9,6 +9,7 @@ import numpy as np
 from calib.core.base.memoize import memoize
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.fitting.fitted import Fit
+from calib.core.fitting.likely_mistakes import LARGE_NOISE
 from calib.core.fitting.mistaken_readings import errors_of_parts, jumbled_errors, mistaken_readings
 from calib.core.fitting.solved_fit import NoiseEstimate
 from calib.core.instruments.kind import Part
@@ -25,8 +26,6 @@ MOST_LEFT_OUT = 20.0
 ten times the noise of a tracker; a target that is described on a neighbouring link leaves seventy times."""
 GROSS = 2.0
 """If every instrument has more than this many times its largest usual noise, the model makes most of the errors."""
-LARGE_NOISE = 0.1
-"""Nothing fits if the noise is more than this part of the spread of the measured positions."""
 NO_BETTER = 0.15
 """Where no positions are measured, nothing fits if the noise is more than this part of the errors with joint values of
 other rows."""
@@ -65,7 +64,7 @@ def noise(fit: Fit) -> Iterator[Reason]:
             if doubted and estimate.sigma > NO_BETTER * size:
                 yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
                     f"no fit: residuals{_group_noise_in_words(fit, estimate)} of"
-                    f" {noise_in_words(estimate, estimate.sigma)} per axis, where joint values of other rows leave"
+                    f" {noise_in_words(estimate, estimate.sigma)} per axis; with joint values of other rows they are"
                     f" {noise_in_words(estimate, size)}. Check units, axes, joint order and signs, names of what was"
                     " read, and whether joint values and readings of each row belong together; or move the joints more",
                     answer=_first_answer(fit),
@@ -199,7 +198,7 @@ def _may_be_left_out(fit: Fit, estimate: NoiseEstimate) -> bool:
 
 
 def _most(estimate: NoiseEstimate) -> float:
-    """Largest noise that may remain, over the spread of the measured positions."""
+    """Largest noise that may remain, divided by the spread of the measured positions."""
     return LEFT_OUT if estimate.stated is not None else NOT_STATED * LEFT_OUT
 
 
@@ -236,7 +235,7 @@ def _noise_above_statement(fit: Fit, estimate: NoiseEstimate, text: str) -> Reas
         )
         if estimate.sigma > MOST_LEFT_OUT * (estimate.stated or np.inf):
             text += (
-                f". Joint origins of real robots leave less than {MOST_LEFT_OUT:g} times the noise of an instrument:"
+                f". On real robots, joint origins leave errors below {MOST_LEFT_OUT:g} times an instrument's noise:"
                 " look at the targets' links, and at units, gear ratios and order of the joint columns"
             )
             return Code.NOISE.says(text, counted=False)

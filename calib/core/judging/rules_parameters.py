@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.memoize import memoize
@@ -17,7 +18,7 @@ from calib.core.judging import findings
 from calib.core.judging.effects import gains, scale
 from calib.core.judging.reasons import Code, Reason
 from calib.core.numerics import linalg
-from calib.core.numerics.chances import EXACT
+from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.identifiability import extend_reduced, unit_columns
 from calib.core.numerics.observability import information
 from calib.core.numerics.tall import slices
@@ -38,7 +39,8 @@ SMALLEST_SHARE = 0.05
 SCALED = 2e-3
 """Relative length error that no robot and no instrument has as a whole: heat makes a tenth of it."""
 SCALED_SIGMAS = 6.0
-"""A scale further from 1 than this many of its standard deviations is not explained by errors of the parameters."""
+"""A scale further from 1 than this many of its standard deviations is not explained by errors of the parameters. Few
+degrees of freedom take more: as many as chance does not explain, by Student's t (`_least_sigmas`)."""
 MOST = 0.5
 """A scale is the cause if it explains this part of the squares (of residuals and deviations) that noise leaves over:
 other errors look a bit like a scale."""
@@ -106,7 +108,7 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     alone, _ = _cost_with(left[:, :0], left[:, -1], n_measured)
     geared, _ = _cost_with(left[:, 1:-1], left[:, -1], n_measured)
     by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
-    if alone - scaled > max(SCALED_SIGMAS**2, MOST * (alone - by_noise)) and scaled < geared:
+    if alone - scaled > max(_least_sigmas(fit, 1) ** 2, MOST * (alone - by_noise)) and scaled < geared:
         yield Code.LENGTHS_SCALED.says(
             f"all measured lengths are {_scale_sentence(part)} in the description: no robot is that far off. Look at"
             " the unit of the measurements, the scale of the instrument and the size of the artefact"
@@ -127,11 +129,17 @@ def _scale_sentence(part: float) -> str:
     return f"{100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than"
 
 
+def _least_sigmas(fit: Fit, n_scales: int) -> float:
+    """Standard deviations, by the noise found beside some scales, from which one of these is sure."""
+    freedom = fit.statistics.freedom - n_scales
+    return max(SCALED_SIGMAS, float(-scipy.special.stdtrit(freedom, UNLIKELY / 2))) if freedom > 0 else np.inf
+
+
 def _remaining_residuals(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int]:
     """Return what parameters leave of further columns (n_rows, k), and of the residuals, divided by the found noise.
 
     Returns:
-        Remainders, (n, k + 1), those of the residuals last: a few rows with the same products as all measured rows,
+        Remainders, (n, k + 1), those of the residuals last: a few rows with the same J^T J as all measured rows,
         then a row for each deviation of a parameter; and the number of these measured rows.
     """
     linear, inside, n = findings.linear(fit), ~fit.unknowns.placement, len(fit.unknowns)
@@ -178,7 +186,7 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
     left = findings.linear(fit).sizes(moved * gains(findings.setting(fit)))
     for parts, deviations in (left, _gain_errors(fit)):
         sure = np.abs(parts) / np.maximum(deviations, EXACT)
-        scales += np.where(sure > max(SCALED_SIGMAS, _SUREST * np.max(sure)), parts, 0.0)
+        scales += np.where(sure > max(_least_sigmas(fit, int(np.sum(moved))), _SUREST * np.max(sure)), parts, 0.0)
     scaled = np.flatnonzero(np.abs(scales) > np.maximum(JOINT_SCALED, PLAUSIBLE * _expected_gains(fit.nominal)))
     if len(scaled):
         factors = [f"{joints_named(names[j])} {1.0 + scales[j]:.4g} times as far" for j in scaled]

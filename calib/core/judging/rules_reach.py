@@ -32,7 +32,7 @@ LESS_KNOWN = 3.0
 WIDENED = np.sqrt(2.0)
 """If joint terms make positions this many times as uncertain, most of the uncertainty comes from the terms."""
 _TRIED = 50  # poses at which a joint is moved through its limits in the model
-_NO_VARIANCE = 1e-9  # part of a variance that counts as none
+_NO_VARIANCE = 1e-9  # part of each variance, added so that a singular matrix can be inverted
 _SAMPLED = 200  # poses at which uncertainties are computed
 
 
@@ -207,7 +207,7 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
 
 
 def _widening_sentence(fit: Fit, q: FloatArray) -> str:
-    """The uncertainty of positions at q (n, n_actuated) and at the used poses, in words; empty if terms widen neither.
+    """The uncertainty of positions at q (n, n_actuated) and at the used poses, in words; empty if terms hardly matter.
 
     Base and tool are placed anew, because their place does not depend on the terms.
     """

@@ -108,7 +108,7 @@ def judge(fit: Fit) -> Verdict:
     reasons = [reason for reason in reasons if reason.code not in _superseded_codes(reasons)]
     nothing_fits = (
         bool(codes & _NOTHING_FITS) and not fit.convergence.receding_parameters
-    )  # the poses are the cause of these
+    )  # if parameters recede, the poses are the cause
     gross = nothing_fits or rules_noise.is_noise_too_large(fit)
     scaled = any(reason.code == Code.JOINT_SCALED for reason in reasons)
     mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma, gross=False) if scaled else ""
@@ -134,8 +134,9 @@ def judge(fit: Fit) -> Verdict:
 def _superseded_codes(reasons: Sequence[Reason]) -> set[Code]:
     """Codes of reasons that other reasons supersede or explain.
 
-    Harm supersedes no gain. Residuals as large as the robot supersede patterns and scales of joints, and a robot that
-    did not move supersedes such residuals. A column that was copied over another explains instruments that disagree.
+    Larger errors than before supersede the lack of a gain. Residuals as large as the robot supersede patterns and
+    scales of joints, and a robot that did not move supersedes such residuals. A column that was copied over another
+    explains instruments that disagree.
     """
     codes = {reason.code for reason in reasons}
     pairs = (
@@ -154,7 +155,7 @@ def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
         whose = f"reason '{entry.name}' of the verdict ({entry.value})"
         try:
             given = list(entry.load()(fit))
-        except Exception as error:  # whatever another package does
+        except Exception as error:  # another package may raise anything
             raise InputError(
                 f"{whose}: {type(error).__name__}: {error}; mend or uninstall the package that has it"
             ) from None

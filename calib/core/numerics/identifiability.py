@@ -17,7 +17,7 @@ count as equal, and the first tied name in the robot description's `elimination_
 them, the smallest condition number decides. If these are equal too (to six digits, so that every machine agrees), the
 last parameter is dropped.
 
-Reference: Joubair, Zhao, Bigras and Bonev 2015, section Identification.
+Reference: joubair2015, section Identification.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from calib.core.numerics import linalg
 _AT_ONCE = 1 << 14  # rows of one factorisation
 _BLOCK = 32  # columns of a block in a factorisation
 _INVERTED = 96  # LAPACK inverts a triangle with at most this many columns as fast as by halves
-_EXACT = 1e-6  # inverse of the condition down to which products are exact enough
+_EXACT = 1e-6  # least 1 / condition of a factor of J^T J that is exact enough
 MANY_COLUMNS = 128
-"""Products are used in place of rotations for so many columns or more, where they are exact enough."""
+"""With so many columns or more, J^T J is factorised (Cholesky) in place of J (QR), where that is exact enough."""
 RANK_TOLERANCE = 1e-9
 """Singular values of the scaled Jacobian below this part of the largest count as zero."""
 CLEAR_GAP = 30.0

@@ -69,11 +69,11 @@ at most N tolerance. Where a step promised less than ten times as much, no bend 
 cost, rounding decides, and the iteration ends too. It also ends where the step is below 1e-12 of the unknowns, and as
 not converged after `max_evaluations` trial points.
 
-The minimum may recede: of poses that lie close together, an arc explains readings the better the longer its radius, and
-no length is the best one. Then the remaining distance grows with every step. So the iteration
-ends as not converged where, after 20 trial points, it has come farther than a = 3.5 sqrt(n), each of the last three
-steps has made f longer, and f is longer than a and than at the start, promises at most half of the cost, and has a
-standard deviation, s |f| / |R f|, above a. (Where unknowns are scaled, `unit`: others have no such length.)
+The minimum may recede: if poses lie close together, a longer radius of an arc always explains the readings better, so
+that no length is the best one. Then the remaining distance grows with every step. So the iteration ends as not
+converged where, after 20 trial points, it has come farther than a = 3.5 sqrt(n), each of the last three steps has made
+f longer, and f is longer than a and than at the start, promises at most half of the cost, and has a standard deviation,
+s |f| / |R f|, above a. (Where unknowns are scaled, `unit`: others have no such length.)
 
 When it fails. It finds the minimum in whose valley it starts; `calib.core.fitting.starts` looks for others. Along
 directions that the residuals hardly see, convergence is measured by the cost: the caller must check the step left.
@@ -100,7 +100,7 @@ MAX_EVALUATIONS = 200
 TOLERANCE = 1e-12
 """Promised decrease, relative to the cost, that ends the iteration: 1e-4 standard deviations at ten thousand rows."""
 _SMALL_STEP = 1e-12
-_ROUNDING = 10.0  # promised decrease in tolerances, up to which a step that did not lower the cost ends the iteration
+_ROUNDING = 10.0  # a step that did not lower the cost ends the iteration if it promised at most so many tolerances
 _KEPT = 8  # steps whose Jacobians are remembered
 _SHORTER = 0.25  # factor of the radius after a step that failed
 _GOOD, _POOR = 0.75, 0.25  # the radius changes if more, or less, than this part of the promised decrease came
@@ -212,9 +212,9 @@ class _Iteration:
             self._radius = self._length(start.x) or 1.0
         self._past: list[LinearPoint] = []
         self._undone = False  # whether the last step was undone
-        self._left: tuple[LinearPoint, float] | None = None  # where it left the bottom of a valley, length of that step
+        self._left: tuple[LinearPoint, float] | None = None  # where it left a valley's bottom, and the step's length
         self._away = 0  # steps since then
-        self._stays = self._by_columns  # whether it stays on the bottom from now on
+        self._stays = self._by_columns  # whether the search stays on the bottom from now on
         self._receded = 0  # steps in a row after which the remaining step was longer
         self._step: FloatArray = np.zeros(len(start.x))
         self._taken: FloatArray = self._step

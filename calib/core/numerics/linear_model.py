@@ -1,7 +1,7 @@
 """The linear model of a fit: residuals r + J d of whitened rows around a point, and the prior of d.
 
 Unknowns are scaled, u = (p - p_expected) / s; d is their change from the point. The rows are those of all readings
-(`calib.core.rows.rows`), or a few that have the same products. Its use:
+(`calib.core.rows.rows`), or a few rows with the same J^T J, J^T r and r^T r. Its use:
 
     factor                       the triangular factor of [J r], from which all sums over rows follow
     posterior_information        the information of rows and priors, with T T^T = (J^T J + P^T P)^-1
@@ -31,7 +31,7 @@ class RowGroups(ReadOnlyArrays):
 
     Attributes:
         group: Group of each row; -1 for one that was not read, (n_rows,).
-        counts: Rows of each group that were read, (n_groups,), even if the model holds fewer with the same products.
+        counts: Number of rows of each group that were read, (n_groups,); the model may hold fewer (module docstring).
     """
 
     group: IntArray

@@ -26,7 +26,7 @@ ON_RADIUS = 0.1
 """A step is on the edge of its ball if its relative distance from the edge is at most this."""
 _BOLD = 4.0  # length of a step where the model has no minimum, in lengths of Newton's step
 _DEPENDENT = 1e-4  # a remembered step adds nothing if its part outside of later ones is less
-_SINGULAR = 1e-14  # the same for directions that the rows do not see
+_SINGULAR = 1e-14  # a direction is not seen by the rows if its relative size in the triangle is less
 _CLOSE = 1e-12  # relative difference of bounds between which a multiplier is found
 
 

@@ -69,7 +69,7 @@ from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
 _DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
 _LEAST_EFFECT = 1e-3  # a solution omits a coefficient that moves all rows together by less than this part of the noise
-_RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding might make singular
+_RIDGE = 1e-12  # a matrix that rounding might make singular gets this part of its diagonal added
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ class MixedModel(ReadOnlyArrays):
         """Solve the model with sizes whose logarithms are given, (n_sizes,); -inf leaves a family out."""
         families, noise, scatter = self.sizes(logs)
         variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
-        scale = np.append(families, [1.0, 1.0])[self.family]  # the last ones for -2 and -1
+        scale = np.append(families, [1.0, 1.0])[self.family]  # the appended entries are for families -2 and -1
         seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _LEAST_EFFECT))
         root = np.sqrt(variance)
         z, y = self.whiten_columns(seen, scale, variance), self.y / root
@@ -168,7 +168,7 @@ class MixedModel(ReadOnlyArrays):
         determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(np.sum(np.log(variance)))
         cost = float(np.sum(left**2) + np.sum(prior * v**2))
         solved = SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (determinant + cost))
-        vars(solved)["z"] = z  # its derivatives use it next
+        vars(solved)["z"] = z  # the derivatives need z next
         return solved
 
     def whiten_columns(self, seen: IntArray, scale: FloatArray, variance: FloatArray) -> FloatArray:

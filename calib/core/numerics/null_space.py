@@ -19,8 +19,7 @@ elementary vectors are the vertices of {v in the subspace, |v|_1 <= 1}, so
 has an elementary vector as its solution for each entry j, often a short one. A second round with weights
 w_i = 1 / (|v_i| + 0.1) finds shorter ones. Nothing proves then that no shorter basis exists.
 
-Reference: Rockafellar 1969 (elementary vectors); Edmonds 1971 (greedy algorithm); Candes, Wakin and Boyd 2008
-(reweighting).
+Reference: rockafellar1969 (elementary vectors); edmonds1971 (greedy algorithm); candes2008 (reweighting).
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ def null_groups(
     Args:
         scaled_jacobian: (n_rows, n_columns).
         dropped: Columns that are held or dropped. A group names such a column first if it moves enough, and contains as
-            few others of them as possible.
+            few other columns of this kind as possible.
         lengths: Divisor of each column after it was scaled by its sigma, (n_columns,); 1 if not given.
     """
     null = _null_space(scaled_jacobian)
@@ -177,7 +176,7 @@ def _elementary_vectors(complement: FloatArray, size: int) -> Iterator[FloatArra
     supports = combinations(range(n), size)
     while batch := list(islice(supports, _BATCH)):
         index = np.array(batch, dtype=np.intp)
-        # with as many zero columns appended as make it wide enough, the last left singular vector is the null vector
+        # zero columns make a narrow matrix square, so that its last left singular vector is the null vector
         rows = np.concatenate([complement[index], np.zeros((len(index), size, max(0, size - rank)))], axis=2)
         u, s, _ = linalg.svd(rows, full_matrices=False)
         unique = (s[:, -1] < _DEPENDENT) & (s[:, -2] > ZERO if size > 1 else True)

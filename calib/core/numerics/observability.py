@@ -92,7 +92,7 @@ def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter], *, length
     Args:
         jacobian: d(positions)/d(parameters), (..., n_parameters) [m per m or rad].
         parameters: The parameters of its columns.
-        lengths: Whether rows are lengths; rows divided by their noise keep their unit.
+        lengths: Whether rows are lengths [m]; rows divided by their noise have no unit, and are not converted.
     """
     per_unit = np.array([1.0 / parameter.per_si for parameter in parameters])
     return (PER_SI["length"]["mm"] if lengths else 1.0) * jacobian * per_unit

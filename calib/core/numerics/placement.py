@@ -17,8 +17,9 @@ determine its point, and a link that turns about one axis only does not separate
 Then it concerns the rotation of X: points on one line, or all in one place. The distances to both guesses get weights
 too small to move what is determined, and the last steps omit them.
 
-When it fails. It always gives a result: what is undetermined is the guess. Callers that need to know count ranks
-(`calib.core.numerics.identifiability`). Noise alone can make a direction look determined that the poses hardly show.
+When it fails. It always gives a result: what is undetermined is the guess. A caller that must know what is determined
+computes a rank (`calib.core.numerics.identifiability`). Noise alone can make a direction look determined that the poses
+hardly show.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ _STILL = 1e-11  # a descent ends with a smaller step [rad]
 _SAME = 1e-6  # rotations with a smaller difference are one minimum
 _ITERATIONS, _LAST_STEPS, _NOISE_ROUNDS = 80, 8, 20
 _RELATIVE, _ABSOLUTE = 1e-2, 1e-12  # the iteration of the noise ends at a smaller change: relative, and in m
-_SMALLEST = 1e-3  # the turn about points counts as open if they extend less [m], times `_OPEN`
+_SMALLEST = 1e-3  # extent of the points [m]: below `_OPEN` times this, a turn about them is open
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +216,10 @@ class _Reduced:
 
 
 def _eliminate_translation(system: _System, noise: float, weak: float = 0.0) -> _Reduced:
-    """Solve for dp, the shortest of equally good solutions; `weak` is the least weight of every |dp|."""
+    """Solve for dp, the translations of the points; of equally good solutions the shortest.
+
+    `weak` is the least weight of every |dp|.
+    """
     n_free = len(system.sigma)
     distances = np.zeros((n_free, n_free + 10))
     distances[:, :n_free] = np.diag(np.maximum(noise / system.sigma, weak))

@@ -42,8 +42,8 @@ _ROUNDS = 100
 _CONVERGED = 0.01  # a size is found once it changes by less than this part
 _SMALLEST = 1e-3  # least size of a family
 _SEEN = 0.05  # coefficients of a family that the data must decide for its size to be found
-_ASIDE = 1e-4  # part of the largest singular value of a family below which the rows do not see its components
-_RIDGE = 1e-12  # part of its diagonal, added to a matrix that rounding has made singular
+_ASIDE = 1e-4  # the rows do not see components of a family below this part of its largest singular value
+_RIDGE = 1e-12  # a matrix that rounding has made singular gets this part of its diagonal added
 
 
 def spread_of_sizes(covariance: FloatArray, family: IntArray) -> FloatArray:

@@ -1,7 +1,7 @@
 """Sizes of a mixed model: the likeliest ones, and others that the rows do not exclude.
 
 Prior. The size of a family has a half-Cauchy density, 1 / (1 + s^2), around the expected s = 1 (gelman2006), which lets
-sizes grow where rows demand it. The density of noise and of d is flat.
+sizes grow where rows demand it. The density of the noise and of the scatter d is flat.
 
 Search. Newton's steps on the logarithms of the sizes use the average information (`calib.core.numerics.mixed_model`),
 which is positive, plus the curvature of the prior. A step that does not lower the cost is damped (Levenberg, Marquardt)
@@ -15,8 +15,8 @@ information of the logarithms and g the gradient of -log L,
     information of s   =   I / s^2  +  max(g, 0) / s^2  +  2 / (1 + s^2)^2
 
 the first term for a size that rows show, the second for a size that they exclude (there, g / s^2 is the slope by
-s^2 / 2, which stays finite), the third for the prior. Noise and d have no prior, but neither exceeds the value that
-would explain all residuals, which takes its place.
+s^2 / 2, which stays finite), the third for the prior. Noise and d have no prior. In its place, a third term comes from
+the value that would explain all residuals, which neither exceeds.
 
 When it fails. Two families of similar columns share their effect, or one has all of it: the posterior has two maxima,
 and this finds one.
@@ -43,7 +43,7 @@ _SMALL = 0.1  # a falling size is set to its bound below this part of the start 
 _AT_BOUND = 1e-9  # difference of a logarithm from its bound
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
-_CONVERGED = 0.03  # a size is found at a smaller gradient of twice the cost by its logarithm
+_CONVERGED = 0.03  # sizes are found if twice the cost changes less with their logarithms
 _GAIN = 5e-4  # least fall of the cost for which a step is taken, and the search continues
 _ROUNDS = 80
 
@@ -117,7 +117,7 @@ def _try_step(
         step = np.zeros(len(gradient))
         damped = inner + np.diag(damping * np.diag(inner) + 5e-3)
         step[free] = -np.linalg.solve(damped, gradient[free])
-        if -gradient @ step < 2.0 * _GAIN:
+        if not -gradient @ step >= 2.0 * _GAIN:  # also where it is no number
             return None, damping
         logs = np.clip(at.logs + np.clip(step, -_STEP, _STEP), bounds.least, bounds.most)
         tried = at.model.solve(logs)

@@ -17,12 +17,14 @@ from calib.core.numerics.chances import FALSE_ALARM
 
 _SHOWN, _WIDTH = 5, 120  # changes; characters of a line
 _LARGEST = 1.0  # a change is too large for the linear model if its detectable size is larger [m or rad]
+_LARGER = "errors are larger than at the poses of the calibration"
+_PATTERN = "errors are no larger than at the poses of the calibration, but have the pattern of a change of the robot"
 _SENTENCES = {
     "agrees": "AGREES: the robot is as accurate as its calibration claims",
     "drifted": "DRIFTED: one change of the robot explains the readings",
     "noisier": "NOISIER: readings of one pose scatter more than expected, which no calibration can correct",
-    "unlike poses": "UNLIKE POSES: errors are larger than at the poses of the calibration. These poses lie elsewhere,"
-    " where the model may be wrong although the robot has not changed",
+    "unlike poses": "UNLIKE POSES: {errors}. These poses lie elsewhere, where the model may be wrong although the robot"
+    " has not changed; that alone could explain the readings",
     "too few readings": "TOO FEW READINGS: nothing contradicts the calibration, but only errors {detectable:.2g} times"
     " as large as expected would show (chance 90 %). Measure more poses",
     "calibrate again": "CALIBRATE AGAIN: the readings are off, and no single change explains this",
@@ -33,7 +35,9 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
     """Return an acceptance as text, with figures of ISO 9283 and reasons for missing ones."""
     data = acceptance.errors.data
     parts: list[str | Table] = [
-        _SENTENCES[acceptance.verdict].format(detectable=acceptance.detectable),
+        _SENTENCES[acceptance.verdict].format(
+            detectable=acceptance.detectable, errors=_LARGER if acceptance.has_larger_errors else _PATTERN
+        ),
         *_errors(acceptance),
         *_drift(acceptance),
     ]
@@ -87,6 +91,7 @@ def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Seque
             "promised_limit_mm": millimetres(acceptance.limit),
             "coverage_factor": acceptance.coverage_factor,
             "unlike_poses": acceptance.has_unlike_poses,
+            "larger_errors": acceptance.has_larger_errors,
             "measure_again": list(acceptance.repeated_visits),
             "errors": error_table(
                 acceptance.errors.errors("after", acceptance.errors.main_part.name), acceptance.errors.main_part
@@ -128,16 +133,18 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
 
 
 def _errors(acceptance: Acceptance) -> list[str]:
-    """Measured over expected errors: the ratio of the verdict, and both in millimetres."""
+    """Lines on measured errors over expected ones: the ratio that the verdict uses, and both errors in millimetres."""
+    allowance = "If the model's errors are common to these poses, r" if acceptance.has_unlike_poses else "R"
     lines = [
-        f"Residuals are {acceptance.ratio:.3f} times as large as expected, each direction weighted by its uncertainty."
+        f"{allowance}esiduals are {acceptance.ratio:.3f} times as large as expected, each direction weighted by its"
+        " uncertainty."
         f" If the robot is unchanged, that is between {acceptance.low95:.2f} and {acceptance.high95:.2f} in 95 of 100"
         f" cases (p = {acceptance.p_value:.2g})"
     ]
-    if acceptance.p_value > 1.0 - FALSE_ALARM / 2:
+    if acceptance.p_value > 1.0 - FALSE_ALARM / 2 and not acceptance.has_unlike_poses:
         lines.append(
             "That is less than chance explains: the calibration has used these readings, or they have less noise than"
-            " those that it has used"
+            " those that it has used, or their poses lie close together and share the errors of the model"
         )
     data = acceptance.errors.data
     if np.isfinite(acceptance.expected_rms):
@@ -146,9 +153,10 @@ def _errors(acceptance: Acceptance) -> list[str]:
         assert isinstance(rms, float)
         promised, left_open = millimetres(acceptance.expected_rms), millimetres(acceptance.calibration_rms)
         noise = float(np.sqrt(max(promised**2 - left_open**2, 0.0)))
+        with_it = " with such common errors" if acceptance.has_unlike_poses else ""
         lines.append(
             f"Position errors over {count_noun(data.n_poses, 'pose')}: {rms:.4f} mm RMS,"
-            f" {table['max']:.4f} mm at worst; expected: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
+            f" {table['max']:.4f} mm at worst; expected{with_it}: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
             f" uncertainty of the calibration {left_open:.4f} mm), at most {millimetres(acceptance.limit):.4f} mm"
         )
         if rms <= promised < np.sqrt(2.0) * left_open and acceptance.ratio > 1.0 and acceptance.verdict != "agrees":
@@ -173,7 +181,7 @@ def _drift(acceptance: Acceptance) -> list[str]:
         return [f"No change stands out: {largest} (significant below {FALSE_ALARM / 2:g})"]
     if acceptance.verdict != "drifted":
         rest = f"the rest has p = {acceptance.p_rest:.2g}"
-        return [f"A change of {first.name} by {size} does not explain the readings: {rest}"]
+        return [f"A change of {first.name} by {size}, {interval}, does not explain all of it: {rest}"]
     others = [name for name in acceptance.alternative_changes if name != first.name]
     chances = f"p = {acceptance.p_drift:.2g}, the rest {acceptance.p_rest:.2g}"
     lines = [f"{first.name} has changed by {size}, {interval}; {chances}"]
@@ -194,7 +202,7 @@ def _placing_sentence(acceptance: Acceptance) -> str:
 def _heading(changes: Sequence[Change]) -> str:
     n = sum(change.significant for change in changes)
     which = f"{count_noun(n, 'is', 'are')} significant" if n else "none is significant"
-    return f"Changes that were looked for, by size over standard deviation; {which}"
+    return f"Changes that were looked for, sorted by size over standard deviation; {which}"
 
 
 def _changes(changes: Sequence[Change], *, with_values: bool = True) -> Table:

@@ -105,7 +105,7 @@ class ResultComparison:
 
     @property
     def joint_p_values(self) -> tuple[float, ...]:
-        """p-value of all parameters of the robot together, against the first result, for each of the others."""
+        """Joint p-value of all parameters of the robot, against the first result, for each of the others."""
         return tuple(pair.together for pair in self.pairs[: len(self.names) - 1])
 
     def __repr__(self) -> str:
@@ -143,7 +143,7 @@ class ResultComparison:
         return plain_text(["\n".join([*answer, "", *heads]) + "\n", table, *lines, key], _WIDTH, wrap=True)
 
     def rank_differences(self) -> list[Difference]:
-        """Return the tested differences, the surest first; without tests all, the least alike first."""
+        """Return the tested differences, the surest first; if none was tested, all differences, the largest first."""
         tested = [difference for difference in self.differences if np.any(np.isfinite(difference.p_values))]
         if not tested:
             return sorted(self.differences, key=lambda difference: -_distance_in_half_widths(difference))
@@ -151,7 +151,10 @@ class ResultComparison:
 
     def conclusion(self) -> str:
         """Return a line on the real differences of each two results, and a key of the marks."""
-        key = f"Marked *: differs from {self.names[0]}; values ± 95 %; p corrected, real below {HARDLY:g}."
+        key = (
+            f"Marked *: differs from {self.names[0]}; values ± 95 %; p is corrected; a difference is real if p is below"
+            f" {HARDLY:g}."
+        )
         return "\n".join([*(pair.sentence() for pair in self.pairs), key])
 
     def to_dict(self) -> dict[str, object]:

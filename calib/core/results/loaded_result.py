@@ -124,7 +124,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
 
     @property
     def sigma(self) -> float:
-        """Found noise of one measured position per axis [m]; of the first kind of rows without positions [SI]."""
+        """Found noise of one measured position per axis [m]; if none is measured, of the first kind of rows [SI]."""
         sigma = self.content["sigma"]
         return np.nan if sigma is None else float(sigma)
 
@@ -185,7 +185,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
         """Return the robot for a kind of file (`calib.core.robots.accuracy_of_files`), with its uncertainty.
 
         Raises:
-            ComputationError: An earlier version wrote the result, and files lose joint terms that it has.
+            ComputationError: An earlier version wrote the result, and files of this kind lose its joint terms.
             DataError: The folder has no covariance of this robot.
         """
         robot = self.robot.held_by(holds)
@@ -198,12 +198,12 @@ class LoadedResult(HintedObject, CalibratedRobot):
         for entry in self.saved["fit"]["reduced"].values():
             if np.array_equal(robot.values, entry["values"]):
                 return evaluate_fit(self.nominal, entry, self.path).uncertainty
-        raise DataError(f"{self.path}: has no covariance of the robot that such a file gets; take another format")
+        raise DataError(f"{self.path}: has no covariance of the robot for this format; take another format")
 
     def readings(self) -> dict[str, dict[bytes, float]]:
-        """Return the squared error of each reading of each set, by joint values and reading.
+        """Return the squared errors of the readings of each set, by their keys (`reading_keys`).
 
-        Errors are those of the first part of the first instrument, in its unit of errors; NaN for other parts.
+        Errors are those of the first part of the first instrument, in its unit of errors; NaN for readings without it.
         """
         sets = {"identification": self.fit.identification, "validation": self.fit.validation}
         return {name: _squared_errors(errors) for name, errors in sets.items() if errors is not None}
@@ -224,7 +224,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
         joints = [self.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
         return [
             f"{count_noun(len(beyond), 'pose lies', 'poses lie')} where no error curve of {listing(joints)} was learned"
-            f" ({listing([poses.labels[k] for k in beyond])}): there it is as uncertain as before measuring"
+            f" ({listing([poses.labels[k] for k in beyond])}): there the error is as uncertain as before measuring"
         ]
 
 

@@ -165,7 +165,7 @@ def _residual_columns(
         "target": [name] * n,
     }
     setups, n_pairs = list(fit.nominal.description.setups), len(fit.nominal.pairs(instrument))
-    if setups and n_pairs:  # errors are in its measurement frame
+    if setups and n_pairs:  # errors are in the measurement frame of their setup
         columns["setup"] = [setups[pair * len(setups) // n_pairs] for pair in readings.pairs]
     columns |= {f"looked_at_{key}": words for key, words in instrument.texts(readings.pairs, readings.details).items()}
     columns |= joint_columns(fit.robot, error_set.data.joints[visits])

@@ -1,9 +1,9 @@
 """The choice between compiled code (`calib.core.robots.kernels`) and Python for kinematics.
 
-That needs numba (the extra `fast`), which takes half a second to load, more than most fits take, and about five to
-compile, once for each version. So compiled code is used only on request by `compile_kinematics()`, or if the number of
-poses pays for it: for loading what an earlier program has compiled, or else for compiling as well. Everything works
-without it, with the same numbers to 1e-12.
+Compiled code needs numba (the extra `fast`), which takes half a second to load, more than most fits take, and about
+five to compile, once for each version. So compiled code is used only on request by `compile_kinematics()`, or if the
+number of poses pays for it: for loading what an earlier program has compiled, or else for compiling as well. Everything
+works without it, with the same numbers to 1e-12.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 from calib.core.robots.mechanism import Mechanism
 
 _MANY = 5000  # number of poses, with loops, for which loading numba pays: each pose of a fit saves 0.1 ms
-_MANY_OPEN = 20_000  # the same without loops, and for draws, where a pose saves 0.03 ms
+_MANY_OPEN = 20_000  # number of poses without loops, and of draws, where a pose saves 0.03 ms
 _TO_COMPILE = 7  # factor on these numbers if the functions must be compiled first
 _AVAILABLE = find_spec("numba") is not None
 _requested: ContextVar[bool | None] = ContextVar("compiled kinematics", default=None)

@@ -1,9 +1,10 @@
 """The part of a robot that a file holds, and the robot that each kind of file gets.
 
-A calibrated robot may have more than a file has room for: terms of its joints' errors, origins behind the last axis,
-all but the zeros of its joints. Its other values belong to those that are lost: joint origins that were found together
-with a joint's curve are wrong without it. So a file never gets a part of the robot. It gets the best robot of those
-that it can hold whole, fitted to the same measurements, with the accuracy of that robot at poses that it has not seen.
+A calibrated robot may have values that a file has no room for: terms of its joints' errors, origins behind the last
+axis, or everything except the zeros of its joints. The values that the file does hold are right only together with the
+lost ones: joint origins that were found together with a joint's curve are wrong without it. So a file never gets a part
+of the robot. It gets the best robot of those that it can hold whole, fitted to the same measurements, with the accuracy
+of that robot at poses that its fit has not seen.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Holds(Enum):
 
 
 class PoseUse(Enum):
-    """The poses of the errors, in words."""
+    """How the fit used the poses at which errors are computed, in words."""
 
     VALIDATION = "validation"
     FOLDS = "left out in turn"
@@ -56,8 +57,8 @@ class Accuracy:
         dimension: Its dimension.
         before: Root mean square error of the nominal robot, with only base and targets placed [SI].
         rms: Root mean square error of the robot [SI].
-        limit95: Limit that the error at one more such pose keeps with a chance of 95 % or more [SI]; NaN where the
-            poses are too few to say.
+        limit95: Limit below which the error at one more such pose stays with a chance of 95 % or more [SI]; NaN where
+            the poses are too few to say.
         is_position: Whether positions were read (`calib.core.instruments.kind.Part`).
         readings: Name of the readings there in a sentence, such as `distances`.
     """
@@ -98,7 +99,7 @@ class FileRobot(ReadOnlyArrays):
     Attributes:
         values: Values of all its parameters, by name [SI]; none where it is the nominal robot with joint zeros.
         accuracy: Its accuracy.
-        withheld: Reason why it must be forced to be used; empty if it may be used.
+        withheld: Reason why files get it only by force (`--force`); empty if there is none.
         signs, offsets: Joint zeros: joints are at sign * q + offset at command q, (n_actuated,) [m or rad];
             empty where the values say all.
     """

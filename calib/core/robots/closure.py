@@ -47,7 +47,7 @@ class LoopRows:
         return kinematics.sweep(self.mechanism, joints, self.mechanism.loops, self.shared)
 
     def passive_derivative(self, coordinates: kinematics.Coordinates, swept: kinematics.Sweep) -> FloatArray:
-        """Return C_p for `passive`, (n, n_rows, n_passive), [C_p C_a] for `moving`."""
+        """Return C_p if `coordinates` are `passive`, (n, n_rows, n_passive), or [C_p C_a] if they are `moving`."""
         return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), coordinates)
 
 

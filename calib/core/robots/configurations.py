@@ -28,7 +28,7 @@ class Configurations(ReadOnlyArrays):
             how links are tilted (`calib.core.robots.mechanism`).
         passive: (n, n_passive) [m or rad].
         slope: Derivative of the closures by the passive joints, (n, n_passive, n_passive), where it is known.
-        term_columns: phi of each joint term, (n, n_moved, n_coefficients) each.
+        term_columns: phi of each joint term (`columns_of_terms`), (n, n_moved, n_coefficients) each.
     """
 
     actuated: FloatArray
@@ -37,7 +37,7 @@ class Configurations(ReadOnlyArrays):
     term_columns: tuple[FloatArray, ...] = ()
 
     def select(self, part: slice | IntArray) -> Configurations:
-        """Return some of them, (n_some,)."""
+        """Return some of the configurations, (n_some,)."""
         phi = tuple(columns[part] for columns in self.term_columns)
         slope = None if self.slope is None else self.slope[part]
         return Configurations(self.actuated[part], self.passive[part], slope, phi)

@@ -42,8 +42,8 @@ LARGEST_STEP = 0.5
 """Largest motion of a passive joint in one correction [rad, or characteristic lengths]."""
 _MAX_NEWTON = 12
 _SURE = 0.1  # largest predicted residual, as part of the tolerance, that need not be computed
-_SMALLEST_PART = 1 / 256  # part of the way from start to goal, before continuation gives up
-_SMALLEST_AT_ONCE = 1 / 16  # the same where a pose that is hard to reach may be left out
+_SMALLEST_PART = 1 / 256  # smallest step, as part of the way from start to goal, before continuation gives up
+_SMALLEST_AT_ONCE = 1 / 16  # the same for a pose that may be left out
 _SMALLEST_CHANGE = 1 / 64  # smallest step, as part of the change of the origins
 _TOGETHER = 64  # steps that are tried at once while few poses are left
 _NEIGHBOURS = 3  # solved poses to start from
@@ -338,7 +338,7 @@ def _continue(
     start_a, at_p = start[0], start[1].copy()
     way = goal - start_a
     _, slope, slope_a, _ = newton(mechanism, mode, start_a, at_p)  # slopes of solved poses
-    tangent = solve_each(slope, np.matmul(slope_a, way[:, :, None])[:, :, 0])  # of passive joints, for the way
+    tangent = solve_each(slope, np.matmul(slope_a, way[:, :, None])[:, :, 0])  # motion of passive joints along the way
     done, part = np.zeros(len(goal)), np.ones(len(goal))
     active, lengths = np.arange(len(goal)), 1
     while len(active):

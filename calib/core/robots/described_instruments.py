@@ -103,6 +103,7 @@ def _key(name: str) -> str:
 
 
 def _later(place: str, setup: str) -> str:
+    """Name of the new place of something that was moved before a setup."""
     return f"{place}@{setup}"
 
 

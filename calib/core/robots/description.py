@@ -1,6 +1,6 @@
 """The robot description: a YAML file that says what a URDF cannot.
 
-Which joints have motors, where the loops close and in which directions, one assembled configuration, where the
+It says which joints have motors, where the loops close and in which directions, one assembled configuration, where the
 measurements are taken, which origins may be wrong and by how much. Keys `name_mot`, `closed_loop` and `type` are those
 of Pinocchio's toolbox-parallel-robots. Lengths and angles are SI, or text with a unit (`0.04 mm`, `1.5 deg`).
 """

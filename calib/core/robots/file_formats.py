@@ -41,8 +41,8 @@ class Format:
         name: Its name for `calib export --format`.
         holds: How much of a robot it holds.
         fits: Whether it can hold a robot with its loops and terms.
-        write: The robot with its current values and lines for the comment in, the file out; raises `InputError` where
-            it does not fit. None: the format is one of `calib.exporting.formats`.
+        write: Function of the robot, with its current values, and of lines for the comment; returns the file, or raises
+            `InputError` where the robot does not fit. None: the format is one of `calib.exporting.formats`.
         comment: How comments of its files begin, if not as in tables or XML.
     """
 
@@ -66,7 +66,7 @@ def formats_that_hold(holds: Holds, robot: Robot) -> list[str]:
 def held_of(robot: Robot, file_format: str) -> Holds:
     """Return how much of a robot a file of a format holds.
 
-    The part behind the last axis counts only for a robot of a fit that has such files.
+    `TO_LAST_AXIS` is returned only if the robot comes from a fit that has a robot for files of that kind.
     """
     holds = formats()[file_format].holds
     return Holds.ORIGINS if holds is Holds.TO_LAST_AXIS and holds not in robot.files else holds
@@ -100,13 +100,13 @@ def robot_for(robot: Robot, file_format: str, *, force: bool = False) -> Robot:
 
 
 def loses(robot: Robot, holds: Holds) -> bool:
-    """Whether a file that holds this much must state a limit: what it loses, or that it was forced."""
+    """Whether a file of this kind must say that it loses something, or that it was written by force."""
     known = robot.files.get(holds)
     return bool(lost_by(robot, holds)) or (known is not None and bool(known.withheld))
 
 
 def remarks_on_file(robot: Robot, holds: Holds) -> list[str]:
-    """Return the remarks in a file that holds this much: what it loses, and its error, as far as known."""
+    """Return the remarks in a file of this kind: what it loses, and its error, as far as known."""
     lost, known = lost_by(robot, holds), robot.files.get(holds)
     if known is None:
         without = f"joint terms of {listing(lost)}, which are not in this file"

@@ -96,13 +96,13 @@ class FleetSection(Section):
         spread = quantity(entry.spread, dimension, f"{place}, spread", DescriptionError)
         if spread <= 0:
             raise DescriptionError(
-                f"{where}: fleet: {parameter.name}: spread must be positive; hold what is always the same"
+                f"{where}: fleet: {parameter.name}: spread must be positive; hold a parameter that is always the same"
             )
         sigma = spread * float(np.sqrt(1.0 + np.sum(np.square(entry.unsure))))
         return replace(parameter, sigma_si=sigma, prior=True, mean_si=parameter.nominal_si + offset)
 
     def widen(self, factor: float, parameters: Iterable[Parameter]) -> FleetSection:
-        """Return it with all uncertainties multiplied by a factor.
+        """Return the fleet's prior with all uncertainties multiplied by a factor.
 
         Args:
             factor: The factor.

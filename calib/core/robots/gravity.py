@@ -31,10 +31,10 @@ from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm
 from calib.core.robots.urdf.text import UrdfText
 
 _ROUNDS = 30  # steps of Newton's method
-_SETTLED = 1e-12  # [rad]
+_SETTLED = 1e-12  # a smaller step ends the iteration [rad]
 _MISSED = 1e-9  # allowed distance of a direction from what was read
 _CONTRADICTS = np.radians(45.0)  # angle from which a reading contradicts the stated direction [rad]
-_SAME_AXIS = 1e-3  # difference of two axes, seen across gravity, that turn a link alike
+_SAME_AXIS = 1e-3  # two axes turn a link alike if their parts across gravity differ by less
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def check_inclinometers(description: Description, mechanism: Mechanism, where: s
             if mechanism.dimensions[name] != "angle":
                 raise DescriptionError(f"{place}.joints: '{name}' slides, and tilts nothing; name a joint that turns")
             if not support[mechanism.origin_names.index(name)]:
-                raise DescriptionError(f"{place}.joints: '{name}' does not move {section.frame}; name one before it")
+                raise DescriptionError(f"{place}.joints: '{name}' does not move {section.frame}; name one that does")
             taken[name] = sensor
         if np.any(support @ mechanism.select_passive):
             raise DescriptionError(f"{place}.frame: {section.frame} hangs in a loop; name a link before the loop")

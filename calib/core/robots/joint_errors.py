@@ -72,7 +72,9 @@ def driven_by(term: JointTerm, mechanism: Mechanism) -> list[int]:
 def columns_of_terms(
     terms: tuple[JointTerm, ...], mechanism: Mechanism, q: FloatArray, context: Context
 ) -> tuple[FloatArray, ...]:
-    """Return phi of each term for each joint that it moves, (n, n_moved, n_coefficients) each; 0 for other terms.
+    """Return phi of each term for each joint that it moves, (n, n_moved, n_coefficients) each.
+
+    Joint errors are phi times the coefficients. phi is 0 for terms that add no errors, or whose torque is missing.
 
     Args:
         q: Commands, (n, n_actuated) [m or rad].
@@ -115,7 +117,7 @@ def with_terms(robot: SomeRobot, sections: Sequence[TermSection]) -> SomeRobot:
 
 
 def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None) -> tuple[FloatArray, ...]:
-    """Return phi of each joint term at commands q (n, n_actuated), (n, n_moved, n_coefficients) each."""
+    """Return phi of each joint term (`columns_of_terms`) at commands q (n, n_actuated) [m or rad]."""
     if not robot.terms:
         return ()
     context = Context.neutral(len(q), len(robot.joint_names)) if context is None else context
@@ -124,7 +126,7 @@ def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None
     driven = robot.nominal.without_tilts(q)
     closed = loops.close(robot.nominal, robot.mode, driven)
     passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
-    assert closed.slope is not None  # no seed was given
+    assert closed.slope is not None  # as no seed was given, `close` has computed it
     slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
     joints, description, load = robot.nominal.all_joints(driven, passive), robot.description, context.load
     turns = robot.values[robot.coefficients][-2:] if robot.turns_gravity else np.zeros(0)
@@ -149,7 +151,7 @@ def actual_joints(robot: RobotData, q: FloatArray, columns: tuple[FloatArray, ..
 
     Args:
         q: The commands [m or rad].
-        columns: phi of the joint terms.
+        columns: phi of the joint terms (`columns_of_terms`).
     """
     if not robot.terms:
         return q

@@ -33,7 +33,7 @@ def joint_samples(mode: AssemblyMode, count: int) -> FloatArray:
         jacobian = actuated_jacobian(mechanism, seen, mode.actuated[None], mode.passive[None])[2][0]
         motion += _DIRECTIONS / np.repeat([mechanism.length, 1.0], 3) @ jacobian * mechanism.driven_scale
     n_actuated = len(mechanism.actuated)
-    order = np.arange(len(motion))  # how links are tilted comes last
+    order = np.arange(len(motion))  # tilts of links come last
     order[:n_actuated] = np.lexsort((np.abs(motion[:n_actuated]), mechanism.depths))
     samples = np.empty((count, len(motion)))
     samples[:, order] = halton(count, len(motion))

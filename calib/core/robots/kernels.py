@@ -41,7 +41,7 @@ class _FirstUse(event.Listener):
         self._notified = False
 
     def on_start(self, event: Any) -> None:
-        """Report it."""
+        """Report the first compilation of a function of this module."""
         compiled = getattr(event.data.get("dispatcher"), "py_func", None)
         if not self._notified and getattr(compiled, "__module__", "") == __name__:
             self._notified = True
@@ -204,7 +204,7 @@ def _solve(A: FloatArray, B: FloatArray, n: int) -> float:
 def _is_in_mode(
     C: FloatArray, blocks: tuple[IntArray, IntArray, IntArray], signs: FloatArray, A: FloatArray, none: FloatArray
 ) -> bool:
-    """Whether the determinant of each block of C, from its rows, columns and where these end, has its sign."""
+    """Whether the determinant of each block of C has its sign; a block is given by rows, columns, and their ends."""
     (rows, columns, ends), start = blocks, 0
     for b in range(len(ends)):
         n = ends[b] - start
@@ -240,7 +240,7 @@ def close(
         loops: The loops, whose gaps must be zero.
         blocks, signs: `places` and `signs` of the assembly mode.
         rest: Joint values without the passive ones, (n, n_joints).
-        passive: Where to start; where it ends, (n, n_passive).
+        passive: Start values, replaced by the solution, (n, n_passive).
         scale: Divisor of changes of each passive joint, (n_passive,).
         enough: Largest residual of a closed pose.
         sure: Largest residual of a closed pose if predicted from the two before it; 0: none is predicted.

@@ -177,7 +177,7 @@ def as_robot(robot: RobotLike) -> Robot:
     """Return a robot as it is, or loaded from its description or URDF.
 
     Raises:
-        InputError: It is none of these, such as a fit; or it is a folder, whose values the description does not have.
+        InputError: It is something else, such as a fit; or a folder, whose description lacks the calibrated values.
     """
     if isinstance(robot, (Path, str)):
         if Path(robot).is_dir():
@@ -230,7 +230,7 @@ def build(description: Description, urdf: UrdfText, where: str) -> Robot:
         urdf: The URDF that it names.
 
     Raises:
-        DescriptionError: They do not fit each other.
+        DescriptionError: Description and URDF do not fit each other.
     """
     instruments = instruments_of(description, where)
     places = places_of(description, instruments, where)

@@ -300,13 +300,13 @@ class Mechanism(ReadOnlyArrays):
 
     @cached_property
     def driven_scale(self) -> FloatArray:
-        """The same of each driven joint, (n_driven,)."""
+        """Scale of each driven joint, as of an actuated one, (n_driven,)."""
         lengths = [self.dimensions[name] == "length" for name in self.driven]
         return np.where(np.array(lengths, dtype=bool), self.length, 1.0)
 
     @cached_property
     def passive_scale(self) -> FloatArray:
-        """The same of each passive joint, (n_passive,)."""
+        """Scale of each passive joint, as of an actuated one, (n_passive,)."""
         return np.where(self.is_metre_column, self.length, 1.0)
 
     @cached_property

@@ -75,5 +75,5 @@ class NamedOrigins:
         return self._plain.placements(self._signs * values)
 
     def twists(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Return their derivatives; see `calib.core.robots.parameters.Parametrisation`."""
+        """Return derivatives of the origins; see `calib.core.robots.parameters.Parametrisation`."""
         return {name: twist * self._signs for name, twist in self._plain.twists(self._signs * values).items()}

@@ -24,7 +24,7 @@ _ROUNDING = 1e-14  # a number of the URDF that moves by less has not been edited
 
 
 def lost_by(robot: RobotData, holds: Holds) -> tuple[str, ...]:
-    """Return the joints whose terms such a file loses, as far as these are not zero."""
+    """Return the joints with terms that are not zero and that a file of this kind loses."""
     joints, start = dict[str, None](), robot.coefficients.start
     for term in robot.terms:
         coefficients = slice(start, start := start + len(term.parameters))
@@ -34,17 +34,17 @@ def lost_by(robot: RobotData, holds: Holds) -> tuple[str, ...]:
 
 
 def without_terms(robot: SomeRobot, holds: Holds) -> SomeRobot:
-    """Return the robot without the joint terms that such files lose, values unchanged."""
+    """Return the robot without the joint terms that files of this kind lose, values unchanged."""
     kept = [section for section in robot.description.terms if holds.keeps(TERMS[section.term])]
     changed = with_terms(robot, kept)
     names = {parameter.name for parameter in changed.parameters}
     held = tuple(name for name in changed.description.held if name in names)
-    fleet = changed.description.fleet if changed.terms == robot.terms else None  # its means belong with the terms
+    fleet = changed.description.fleet if changed.terms == robot.terms else None  # its means hold with these terms alone
     return replace(changed, description=changed.description.model_copy(update={"held": held, "fleet": fleet}))
 
 
 def held_by(robot: SomeRobot, holds: Holds) -> SomeRobot:
-    """Return the robot for such files; see `Robot.held_by`."""
+    """Return the robot for files of this kind; see `Robot.held_by`."""
     known = robot.files.get(holds)
     if known is None:
         lost = lost_by(robot, holds)

@@ -1,6 +1,6 @@
 """Shapes in a robot description: around the robot, on it, and the line of sight to it.
 
-Only the entries: `calib.motion` makes shapes of them, and checks which poses are free.
+This module has only the entries. `calib.motion` makes shapes of them, and checks which poses are free.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class ShapeSection(Section):
 
     @property
     def kind(self) -> str:
-        """Its kind, one of `KINDS`."""
+        """Kind of the shape, one of `KINDS`."""
         return next(kind for kind in KINDS if getattr(self, kind, None) not in (None, False))
 
     @model_validator(mode="after")

@@ -35,7 +35,7 @@ _MEASURED_AGAIN = 1e-4
 WHITENED = 1.0
 """Unit of rows, instead of the noise of a length, if no instrument measures a length."""
 _SHOWN = 10
-_MIXING = 0x9E3779B97F4A7C15 - 2**64  # odd, and far from a power of two
+_MIXING = 0x9E3779B97F4A7C15 - 2**64  # factor that mixes the numbers of columns: odd, and far from a power of two
 
 
 @dataclass(frozen=True, eq=False)

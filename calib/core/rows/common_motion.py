@@ -8,9 +8,9 @@ L the robot's characteristic length. The motion m = (b, L w, t, L u) of the nomi
 
     mean over poses and targets of  |x_calibrated - x(m)|^2  (+ L^2 |turn between them|^2 where u is unknown)
 
-smallest. Motions that hardly move its positions are left out, such as the base one way and the tool of a platform that
-never turns the other way: m = V z, with V the right singular vectors of the derivative A of x by m (a root mean square
-over poses and targets) whose singular values are above 0.03.
+smallest. Motions that hardly move its positions are left out, such as the base moved one way and the tool the other way
+on a platform that never turns: m = V z, with V the right singular vectors of the derivative A of x by m (a root mean
+square over poses and targets) whose singular values are above 0.03.
 
 For a small change d of the parameters of the calibrated robot, with J the derivative of its positions by them, z
 follows by z = (A V)^+ J d, so that at other poses (A', J') its positions move by (J' - A' V (A V)^+ J) d without common
@@ -47,8 +47,8 @@ class UnknownPlaces:
     Attributes:
         base: Whether the measurement frame is unknown.
         counts: Indices of the targets that are to agree, among all.
-        points: Indices of those of them with an unknown position on their link.
-        frames: Indices of those of them with an unknown orientation on their link.
+        points: Indices of these targets whose position on their link is unknown.
+        frames: Indices of these targets whose orientation on their link is unknown.
     """
 
     base: bool

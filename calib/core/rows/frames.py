@@ -1,22 +1,23 @@
 """The frames of places, the calibrated robot in them, and the uncertainty of its positions there.
 
 The frame of a program. Where the base is known, and some instrument looks from a known place, a program is meant in the
-measurement frame: every error of the robot's links there counts. So does the part that readings cannot tell from the
-place of a measured point on its link, since that place is no error of the robot.
-Where the base is unknown, a tracker stood anywhere, and the place of the nominal robot's base frame on the real robot
-is unknown. Then a program is meant in the robot's own base frame, placed where the nominal and the calibrated robot
-agree best over the measured poses (`calib.core.rows.common_motion`). A measured point whose place on its link is
-unknown is placed on the nominal robot's link in the same way. So no error is corrected or counted that may as well
-belong to base or tool.
+measurement frame: every error of the robot's links counts there. This includes errors that readings cannot tell from
+another place of a measured point on its link. The place itself does not count: it is no error of the robot.
+Where the base is unknown, the tracker may have stood anywhere, and the place of the nominal robot's base frame on the
+real robot is unknown. Then a program is meant in the robot's own base frame, placed where the nominal and the
+calibrated robot agree best over the measured poses (`calib.core.rows.common_motion`). A measured point whose place on
+its link is unknown is placed on the nominal robot's link in the same way. So no error is corrected or counted that may
+as well belong to base or tool.
 
-The measurement frame. Goals in the measurement frame are places of the measured point itself, in the frame in which it
-was measured, wherever the calibration found base and target.
-An error of the robot in the fit that readings cannot tell from the place of the measured point on its link is not
-corrected. If a program is in the measurement frame, it is counted: the robot most likely has this error.
-With d the error of the parameters and J' the derivative of positions by them, positions are off by J' d. In the
-measurement frame all parameters count; for a program there, those of the robot itself; in the robot's own base frame
-the common motion that follows d is subtracted. The stated covariance is that of J' d. It counts the noise of the
-measurements and the priors of undetermined combinations, as far as a position in this frame depends on them.
+The measurement frame. Goals in the measurement frame are places of the measured point in the frame in which it was
+measured. Base and target are where the calibration found them.
+The fit may find an error of the robot that readings cannot tell from another place of the measured point on its link.
+It is not corrected. If a program is in the measurement frame, it is counted: the robot most likely has this error.
+With d the error of the parameters and J' the derivative of positions by them, positions are off by J' d. For goals in
+the measurement frame, all parameters count. For a program in the measurement frame, those of the robot itself count.
+For a program in the robot's own base frame, the common motion that follows d is subtracted. The stated covariance is
+that of J' d. It counts the noise of the measurements and the priors of undetermined combinations, as far as a position
+in this frame depends on them.
 """
 
 from __future__ import annotations
@@ -123,7 +124,10 @@ class CorrectionFrame(ReadOnlyArrays):
 def following_motion(
     motion: CommonMotion, robot: Robot, uncertainty: ParameterUncertainty
 ) -> Callable[[UncertaintyJacobian], FloatArray]:
-    """Return a function for the common motion of targets by uncertain parameters, (n, n_targets, 6, n_uncertain)."""
+    """Return a function that gives the derivative of the common motion by the uncertain parameters.
+
+    The derivative is that of each target's motion, (n, n_targets, 6, n_uncertain).
+    """
     linear = uncertainty.linearise(robot, motion.joints, Context.neutral(*motion.joints.shape))
     following = motion.following(linear.jacobian) * uncertainty.lasting(robot)
     return partial(_common, motion, following)

@@ -243,7 +243,7 @@ def derivative_by_parameters(
     Args:
         robot: Its joint terms belong to the columns.
         derivative: By the parameters that are no coefficients, then by the driven joints, (n, n_rows, k + n_driven).
-        columns: phi of each joint term, (n, n_moved, n_coefficients) each.
+        columns: phi of each joint term (`columns_of_terms`), (n, n_moved, n_coefficients) each.
         index: Numbers of the parameters, in rising order, (n_index,).
     """
     first = k = robot.coefficients.start

@@ -41,7 +41,7 @@ class Observed:
         residuals: Predicted minus read, (n, n_rows) [SI]; NaN where a component was not read.
         derivative: Derivative of the residuals by the parameters that are no coefficients of joint terms, then by the
             driven joints if requested, (n, n_rows, k + n_driven); (n, n_rows, 0) without derivatives.
-        term_columns: phi of each joint term at each reading, (n, n_moved, n_coefficients) each.
+        term_columns: phi of each joint term at each reading (`columns_of_terms`), (n, n_moved, n_coefficients) each.
     """
 
     robot: Robot
@@ -142,7 +142,7 @@ class _Work:
         for pair, own in zip(pairs, chosen.values(), strict=True):
             rotation, position = kinematics.seen_frame(swept, pair)
             comparison = self._compare(own, View(rotation[visits[own]], position[visits[own]]))
-            assert isinstance(comparison, Comparison)  # of a kind that looks at frames
+            assert isinstance(comparison, Comparison)  # the kind looks at frames
             comparisons.append(comparison)
         if not self._columns.shape[2]:
             return
@@ -169,7 +169,7 @@ class _Work:
         index = mechanism.origin_names.index(instrument.joint)
         joints = mechanism.all_joints(configurations.actuated[part], configurations.passive[part])
         comparison = self._compare(chosen, joints[at, index])
-        assert isinstance(comparison, JointComparison)  # of a kind that reads a joint
+        assert isinstance(comparison, JointComparison)  # the kind reads a joint
         if not self._columns.shape[2]:
             return
         motion = passive_motion(mechanism, swept, mechanism.select_passive[index], twists)

@@ -2,7 +2,7 @@
 
     covariance of x(q)  =  B C B^T,      B = d(position)/d(free parameters) at the pose
 
-The covariance of a target's orientation, as a small turn about the axes of the measurement frame, follows alike.
+The covariance of a target's orientation, as a small turn about the axes of the measurement frame, has the same form.
 
 Directions of C that no measurement determined (redundant or prior-held parameters) drop out where B does not see them,
 so a position can be known to micrometres although no single parameter is. Errors that the model leaves out count as an
@@ -10,7 +10,7 @@ independent error of each joint at each pose, as large as residuals show (`calib
 
     covariance of x(q)  =  B C B^T + delta^2 K K^T,      K = d(position)/d(joints), scaled
 
-The part that residuals cannot tell from noise counts too. The robot's repeatability is not included.
+The part of these errors that residuals cannot tell from noise counts, too. The robot's repeatability is not included.
 
 Joint terms that a choice left out, and that the data do not exclude, have coefficients that are zero and uncertain
 (`UndecidedTerms`). They join the free parameters in C and in B, with their correlations.
@@ -43,8 +43,8 @@ CHUNK = 1024
 """Number of poses computed at once."""
 ROWS = (slice(3), slice(3, 6))
 """Rows of positions and of turns."""
-_DIFFERS = 1.5  # both are reported if positions in the measurement frame are this many times as uncertain
-_CERTAIN = 1e-12  # variance of a length that does not show, as part of its square
+_DIFFERS = 1.5  # the measurement frame is reported, too, if positions are this many times as uncertain in it
+_CERTAIN = 1e-12  # a length is certain if its variance is below this part of its square
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -217,8 +217,8 @@ def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | 
     """Return low and high 95 % limits of the length of vectors with these covariances and means, (2, ...).
 
     The square of the length is a sum of squares of normal numbers with mean tr(C) + |m|^2 and variance 2 tr(C^2) + 4
-    m^T C m: nearly g chi^2_h with the same two, g = (tr(C^2) + 2 m^T C m) / (tr(C) + |m|^2). Where one direction
-    outweighs the others, the limits hold 97 of 100 lengths.
+    m^T C m. It is nearly g chi^2 of h degrees of freedom, g and h such that mean and variance agree: g = (tr(C^2) + 2
+    m^T C m) / (tr(C) + |m|^2). Where one direction outweighs the others, the limits hold 97 of 100 lengths.
 
     Args:
         covariance: C, (..., 3, 3).
@@ -234,7 +234,7 @@ def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | 
 
 def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
     """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
-    certain = squares <= _CERTAIN * trace**2  # of zero size too
+    certain = squares <= _CERTAIN * trace**2  # also where both are zero
     share = np.where(certain, 1.0, squares) / np.where(certain, 1.0, trace)
     freedom = np.where(certain, 1.0, trace) / share
     low, high = (np.sqrt(scipy.special.chdtri(freedom, tail) * share) for tail in (0.975, 0.025))
@@ -267,7 +267,7 @@ class UndecidedTerms(ReadOnlyArrays):
         return robot.with_terms((*robot.description.terms, *self.terms))
 
     def sensitivity_of(self, names: Sequence[str]) -> FloatArray:
-        """Return S of some parameters, (n, k), 0 for those that do not depend on the terms."""
+        """Return the rows of S (`spread`) of these parameters, (n, k); 0 for those that are not in `names`."""
         place = {name: k for k, name in enumerate(self.names)}
         rows = np.vstack([self.spread, np.zeros((1, self.spread.shape[1]))])
         return rows[[place.get(name, -1) for name in names]]
@@ -326,7 +326,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         return np.arange(n_lasting + n_changing) < n_lasting
 
     def counting(self, robot: Robot, counts: BoolArray) -> BoolArray:
-        """Return a mask of the uncertain quantities that count, (n_uncertain,), from that of free ones, (n_free,)."""
+        """Extend a mask of free parameters that count, (n_free,), by all other uncertain quantities, (n_uncertain,)."""
         return np.append(counts, np.ones(len(self._undecided_names(robot)) + self._n_errors(robot), dtype=bool))
 
     def covariance_of(self, robot: Robot) -> FloatArray:
@@ -414,8 +414,8 @@ class ParameterUncertainty(ReadOnlyArrays):
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
             turns: Whether to compute the covariance of the orientations.
             counts: Mask of the uncertain quantities that count, (n_uncertain,); all if not given.
-            common: Function that returns the common motion of positions and turns that does not count, (n, n_targets,
-                6, n_uncertain); then the covariance with it is `measured`.
+            common: Function that returns the derivative of a common motion of positions and turns, (n, n_targets, 6,
+                n_uncertain). The covariance leaves this motion out; `measured` has the one that includes it.
 
         Raises:
             UnreachablePoseError: A loop stays open.

@@ -33,8 +33,8 @@ _SQUARED_ROUNDING = 1e-30  # squares below are rounding
 def register(robot: Robot, data: Measurements, *, rough_beyond: float = np.inf) -> Robot:
     """Return the robot with unknown base and targets placed by its measurements.
 
-    All other parameters, and held ones of base and targets, keep their values; so do all without enough measured
-    points.
+    All other parameters, and held ones of base and targets, keep their values. Without enough measured points, all
+    parameters do.
 
     Args:
         rough_beyond: As in `calib.core.numerics.placement.place` [m].

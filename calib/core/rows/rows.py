@@ -12,7 +12,8 @@ change of the instrument's rows by an offset of component c,
 
     D = R (blocks s_g^2 C_k) R,        R = (I + sum of (kappa_c / s_g)^2 e_c e_c^T)^(1/2) in whitened rows, pose by pose
 
-with kappa_c^2 the variance of that offset: n readings weigh like n / (1 + n kappa^2 / s^2), so many like one or two.
+with kappa_c^2 the variance of that offset: n readings weigh like n / (1 + n kappa^2 / s^2), so that
+many weigh like one or two.
 
 Estimates are weighted by R only where it predicts left-out poses better than R = 1 does (`calib.core.fitting.solving`).
 Readings that agree within a pose may be wrong in the same way at each, as with a lens or a board, and would then get

@@ -40,7 +40,7 @@ from calib.core.rows.whitening import stated_noise
 
 _LONGEST_STEP = 0.2  # step of a joint [rad, or characteristic lengths]
 _ROUNDS, _STEPS = 3, 100
-_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a search ends at a smaller gain of a step, if it is further from contact [m]
+_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a step of less gain ends a search that is further from contact [m]
 MET = 1e-10
 """The robot touches if the distance is less [m]."""
 _FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
@@ -104,7 +104,7 @@ def simulate(
 def noisy_readings(
     robot: Robot, exact: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
 ) -> dict[str, Readings]:
-    """Return readings with normal noise, without unseen ones.
+    """Return readings with normal noise, without those that see nothing.
 
     Args:
         robot: The robot, whose instruments state their noise.
@@ -282,7 +282,7 @@ def _assemble(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray)
 
 
 def _noisy(instrument: Instrument, exact: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
-    """Readings with noise, without unseen ones."""
+    """Readings with noise, without those that see nothing."""
     seen = np.flatnonzero(~np.isnan(exact.values).all(axis=1))
     visible = exact if len(seen) == len(exact) else select_readings(exact, seen)
     change = np.zeros((len(visible), instrument.n_rows))

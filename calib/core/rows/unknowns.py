@@ -41,7 +41,7 @@ class Unknowns(ReadOnlyArrays):
         return len(self.names)
 
     def has(self, others: Unknowns) -> bool:
-        """Return whether these include all others."""
+        """Return whether these include all of `others`."""
         return bool(np.all(np.isin(others.index, self.index)))
 
     @staticmethod
@@ -76,12 +76,12 @@ class Unknowns(ReadOnlyArrays):
 
     def rescale_families(self, factors: FloatArray) -> Unknowns:
         """Return the unknowns with the sigma of each family multiplied by its factor, (n_families,)."""
-        factor = np.append(factors, 1.0)[self.family]  # the last for -1
+        factor = np.append(factors, 1.0)[self.family]  # the appended entry is for family -1
         return replace(self, scales=self.scales * factor)
 
     @staticmethod
     def chosen_by_poses(robot: Robot) -> Unknowns:
-        """Return the free parameters that a choice of poses should determine: without families, which priors shape."""
+        """Return the free parameters that chosen poses should determine: all but families, which priors hold."""
         unknowns = Unknowns.from_robot(robot)
         return unknowns.select(unknowns.family < 0)
 

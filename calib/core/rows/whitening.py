@@ -104,7 +104,7 @@ class Whitening:
         return np.matmul(inverse, array) if array.ndim == 3 else np.matmul(inverse, array[:, :, None])[:, :, 0]
 
     def unwhiten_rows(self, whitened: FloatArray, scales: Scales) -> dict[str, FloatArray]:
-        """Return numbers of readings, (n, n_rows) [SI] by instrument, from numbers (n_rows,) whitened by `scales`."""
+        """Undo whitening by `scales`, from all rows (n_all_rows,) to readings, (n, n_rows) [SI] by instrument."""
         weighing = self.weighing(scales.ratios)
         numbers = self.row_scale(scales.groups) * (whitened if weighing is None else weighing.unwhiten(whitened))
         result = {}
@@ -153,14 +153,14 @@ class Whitening:
         return columns
 
     def weighing(self, ratios: FloatArray) -> SharedError | None:
-        """Return the errors shared by a pose, for ratios of offsets to group scales, (n_offsets,); None if all 0."""
+        """Return the errors that readings of a pose share, by `Scales.ratios`, (n_offsets,); None if all are 0."""
         weighed = ratios > 0
         if not np.any(weighed):
             return None
         return SharedError(self.offset_columns[:, weighed] * ratios[weighed], self.layout.pose_of_row)
 
     def totals(self, scales: Scales) -> FloatArray:
-        """Return the scale of a reading of each group, including weighted offsets, (n_groups,)."""
+        """Return the scale of all noise of a reading of each group, shared offsets included, (n_groups,)."""
         weighing = self.weighing(scales.ratios)
         if weighing is None:
             return scales.groups
@@ -199,7 +199,11 @@ class Whitening:
         return np.where(rows.any(axis=0), self.row_scale(groups)[np.argmax(rows, axis=0)], 1.0)
 
     def without_offsets(self, ratios: FloatArray) -> BoolArray:
-        """Return a mask (n_groups,) of groups of instruments without offsets (n_offsets,); all, if each has one."""
+        """Return a mask of groups whose instruments have no offset, (n_groups,); all if each has one.
+
+        Args:
+            ratios: `Scales.ratios`, (n_offsets,).
+        """
         ends = np.cumsum(list(self._n_rows.values()))[:-1]
         has_offsets = dict(zip(self._n_rows, (bool(np.any(part > 0)) for part in np.split(ratios, ends)), strict=True))
         weighed = [self.layout.group[self.layout.rows_of(name)] for name in self._names if has_offsets[name]]
@@ -211,7 +215,7 @@ class Whitening:
         return self.flatten({name: observed[name].joint_derivative for name in self._names})
 
     def start(self, residuals: Mapping[str, FloatArray] | None = None) -> FloatArray:
-        """Return starting scales: 1 where noise is stated; else the size of the residuals (n, n_rows), or assumed."""
+        """Return starting scales: 1 where noise is stated, else the size of `residuals`, (n, n_rows), or `ASSUMED`."""
         result = np.array([1.0 if group.stated else ASSUMED[group.part.dimension] for group in self.groups])
         if residuals is not None:
             flat, number = self.flatten(residuals), self.layout.group

@@ -1,7 +1,8 @@
 """A mechanism as the few facts that its kinematics need: joints in order, frames on them, and loop closures.
 
-Fixed joints are folded. Each remaining joint turns about the z axis, or slides along it, of a frame at a constant pose
-in the joint before; so code needs one constant transform and one elementary motion for each joint.
+Fixed joints are folded. Each remaining joint turns about, or slides along, the z axis of its own frame, which has a
+constant pose seen from the joint that carries it. So code needs one constant transform and one elementary motion for
+each joint.
 
 Values of the joints are x = [driven joints; passive joints]; joint k has the value factor_k x_c(k) + offset_k, which
 covers `<mimic>` too. "World" is the nearest frame that carries all frames of interest, so that a robot far from the
@@ -34,7 +35,7 @@ class TreeJoint(ReadOnlyArrays):
         slides: Whether it slides along z; else it turns about z.
         coordinate: Index in x of its coordinate.
         factor, offset: Its value is factor x + offset [m or rad].
-        placement: Pose of its frame behind the joint before, (4, 4) [m].
+        placement: Pose of its frame seen from the moved frame of the joint that carries it, (4, 4) [m].
     """
 
     before: int
@@ -51,7 +52,7 @@ class TreeFrame(ReadOnlyArrays):
 
     Attributes:
         after: Number of the joint; 0 is the world.
-        placement: Pose behind the joint, (4, 4) [m].
+        placement: Pose seen from the moved frame of the joint, (4, 4) [m].
         moved_by: Mask of the joints that move it, (n_joints,).
     """
 
@@ -86,9 +87,11 @@ class FunctionTree(ReadOnlyArrays):
         n_driven, n_passive: Sizes of the two parts of x.
         scale: Scale of each element of x: 1 rad, or a length, (n_driven + n_passive,).
         starts: Closed configurations, home first, (n_starts, n_driven + n_passive).
-        blocks: Rows and columns of each block of C_p whose determinant decides the assembly mode.
+        blocks: Rows and columns of each block of C_p, the derivative of the closures by the passive joints, whose
+            determinant decides the assembly mode.
         signs: Sign of each of these determinants, (n_blocks,).
-        limits: Index among the passive joints, whether it turns, and limits, of each joint with limits [m or rad].
+        limits: For each passive joint with limits: its index among them, whether it turns, lower and upper limit
+            [m or rad].
         tolerance: Largest residual of a closed pose [m, rad].
     """
 
@@ -165,7 +168,7 @@ def tree_of(
 
 @dataclass(frozen=True)
 class _FramePlace:
-    """A frame of the mechanism: its joint, its constant pose behind it, and whether it is that joint's own frame."""
+    """Place of a frame: number of a joint, constant pose behind that joint, and whether it is the joint's own frame."""
 
     after: int
     place: pin.SE3

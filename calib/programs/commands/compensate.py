@@ -116,7 +116,7 @@ def command(robot: str, program: str, result: str | None, out: str, output: Outp
 
     G-code (.gcode, .nc, .ngc, .g) is for machines with three motors, Cartesian or delta, whose controller uses the
     nominal model. Straight moves are cut into pieces so short that the tool stays within --tolerance-mm of the line.
-    Other moves are refused, and moves after commands that may have changed what they mean. All other lines stay.
+    Other moves are refused. So are moves after a command that may have changed their meaning. All other lines stay.
 
     In a controller's program, only the numbers of the targets change. Targets that it computes at run time are listed
     with their lines. Poses are those of link `tool0` in link `base` if the URDF has them, else those of the target's

@@ -1,6 +1,6 @@
 """Report on a compensated program: the error of the tool, without and with the correction.
 
-The same for tables, G-code, controllers' programs and tables of corrections.
+It serves tables, G-code, controllers' programs and tables of corrections.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ A reader records each routine as steps: settings, moves, calls, branches and loo
 setting. Where two paths meet with different values, the setting is unknown. States are propagated along the paths until
 none changes. A step is repeated only if one of its settings has become unknown, so the time is linear in the steps.
 
-A routine may run at any time (a thread, an interrupt, an error handler). The settings that it changes are unknown
+Some routines may run at any time (a thread, an interrupt, an error handler). The settings that they change are unknown
 everywhere.
 """
 
@@ -23,7 +23,7 @@ EVERYTHING = "*"
 
 @dataclass(frozen=True)
 class Unknown:
-    """A setting whose value is unknown; `why` is a whole sentence if `whole`, else the setting is its subject."""
+    """A setting whose value is unknown; `why` is a whole sentence if `whole`, else a predicate of the setting."""
 
     why: str
     whole: bool = False
@@ -31,7 +31,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step of a routine; `maybe` is a jump that the program may skip."""
+    """A step of a routine; the kind `maybe` is a jump that the program may skip."""
 
     kind: str
     place: str = ""

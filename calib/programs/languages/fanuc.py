@@ -211,7 +211,7 @@ class FanucReader(Reader):
         if isinstance(chosen, Unknown):
             raise LeftOutError(f"which {what} is selected {chosen.why}")
         if chosen not in ("", number):
-            raise LeftOutError(f"is of {what} {number}, and {chosen} is selected here")
+            raise LeftOutError(f"belongs to {what} {number}, but {what} {chosen} is selected here")
         if number == "0":
             return Frame()
         name = f"{kind}[{number}]"

@@ -3,12 +3,12 @@
 The reader takes G0 and G1 with X, Y and Z, absolute (G90) or relative (G91), in millimetres (G21) or inches (G20). A
 line without a G repeats the motion before it. A program begins in G90 and G21.
 
-A move is refused with its line unless everything that it depends on is known: the position of the machine axis by
-axis, whether numbers are relative, their unit, and the zero and tool.
+A move is refused, and the error names its line, unless everything that it depends on is known: the position of the
+machine axis by axis, whether numbers are relative, their unit, and the zero and tool.
 - `calib.programs.languages.gcode_dialects` lists the words that leave all this unchanged. After any other word (a
   macro, a change of tools), position and modes are unknown until the program sets them again.
 - A program cannot set zero and tool again. So all moves after an unlisted word are refused if the word comes after the
-  first move. Before the first move, such a word prepares the machine and leaves the program's zero.
+  first move. Before the first move, such a word prepares the machine: the zero that results is the program's.
 - Homing of all axes leads to the position that the user gives; homing of one axis may move the others.
 - Always refused: words that certainly change the meaning of X, Y and Z; lines that are run elsewhere, repeatedly or
   under a condition; moves that are not straight. For unknown firmware, a line on which firmwares disagree.
@@ -193,7 +193,7 @@ class _GcodeReader:
             raise line.refusal(f"{self.dialect.name} does not know inches; write millimetres")
         elif code in ("G20", "G21"):
             unit = INCH if code == "G20" else MILLIMETRE
-            self.e = self.e if unit == self.unit else None  # its numbers are in the unit, too
+            self.e = self.e if unit == self.unit else None  # numbers of E are in this unit, too
             self.unit = unit
         elif code in ("G90", "G91"):
             relative = code == "G91"

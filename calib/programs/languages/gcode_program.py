@@ -34,7 +34,7 @@ class GcodeMove:
         is_start_known: Whether the move before led to `start`; False at the beginning and after homing.
         unit: Unit of the numbers [m].
         relative: Whether the numbers count from the machine's position.
-        lead: Words up to G0 or G1; the line number of a line without a G.
+        lead: Words up to G0 or G1; without a G, only the line number, if any.
         tail: Other words, without E.
         comments: Comments on the line, as written.
         e: E at the beginning and at the end; None without E, or where the move cannot be cut.

@@ -214,7 +214,7 @@ class KrlReader(KrlFrames):
         mode = state["$IPO_MODE"]
         if mode != "#BASE":
             raise LeftOutError(
-                "the tool is not on the robot" if mode == "#TCP" else "whether the tool is on the robot is not known"
+                "the tool is not on the robot" if mode == "#TCP" else "it is not known whether the tool is on the robot"
             )
         return self.target(data, cells, "zyx", base, tool, _configuration(numbers))
 

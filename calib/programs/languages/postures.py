@@ -28,7 +28,7 @@ from calib.programs.reaching.reaching import GoalConfigurations, descend
 _STARTS = (12, 64)
 _FAR = 0.7  # distance of one joint from the pose before [rad]
 _BORDER = 0.1  # tolerance of a stated joint range, since programs round its borders [rad]
-_REACHED = 1e-8  # [m]
+_REACHED = 1e-8  # allowed error at a pose [m]
 _ROUNDED = 2e-4  # allowed error of a robot with fewer than six motors at a rounded pose [m]
 _ALIKE = 1e-9
 

@@ -173,7 +173,7 @@ class RapidReader(RapidData):
         return stop
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
-        """Process a call of a built-in routine, which may set its arguments."""
+        """Process a call of a built-in routine, which may set its arguments; return whether the call is known."""
         name = self.code.tokens[at].text
         if name in RAPID_SETS:
             self.note_arguments(span, f"is set by '{self.code.excerpt(at, at + 1)}'")

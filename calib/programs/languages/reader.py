@@ -56,7 +56,7 @@ class HasPlace(Protocol):
 
     @property
     def place(self) -> Place:
-        """File and first word of its numbers."""
+        """File, and first word of the target's numbers."""
 
 
 _Goal = TypeVar("_Goal", bound=HasPlace)
@@ -82,7 +82,7 @@ class Reader(Statements):
     assigning = "="  # the mark of an assignment
     by_value = False  # whether routines cannot set their arguments
     lost: tuple[str, ...] = ()  # settings that a routine declared elsewhere may change; empty: all
-    danger = "change a tool, frame or mode of motion"  # the same, in words
+    danger = "change a tool, frame or mode of motion"  # what such a routine may do, in words
 
     def __init__(self, codes: Sequence[ProgramWords], start: State, frames: Frames, harmless: Collection[str]) -> None:
         super().__init__(codes, start)

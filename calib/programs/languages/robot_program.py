@@ -118,7 +118,7 @@ class ProgramTarget:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Its numbers [SI]."""
+        """Numbers of the target [SI]."""
         return tuple(cell.value for cell in self.cells)
 
     @property

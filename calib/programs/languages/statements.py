@@ -15,7 +15,7 @@ from calib.programs.languages.data_uses import DataUses
 from calib.programs.languages.tokens import ProgramWords, Span
 
 Action = Callable[[int, int], int]
-"""Processes a word that begins a statement, from its index and the next index, and returns where reading goes on."""
+"""Processes a statement from the index of its first word and the next index; returns where reading goes on."""
 
 
 class Statements(ABC):

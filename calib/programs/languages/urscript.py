@@ -34,7 +34,10 @@ _MOVED_ALONG = {
     "track_conveyor_linear": "stop_conveyor_tracking",
     "track_conveyor_circular": "stop_conveyor_tracking",
 }
-"""Functions that begin to shift all targets at run time, with the functions that end it; they are names of settings."""
+"""Functions that begin to shift all targets at run time, and those that end it.
+
+The name of the second is also that of a setting, which is unknown while targets are shifted.
+"""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class _Goal:
 
     @property
     def place(self) -> Place:
-        """File and first word of its numbers."""
+        """File, and first word of the target's numbers."""
         return self.data.place
 
 
@@ -108,7 +111,7 @@ class UrscriptReader(Reader):
         return {self.code.tokens[at].text for at in self.code.names(first, stop) if at not in moved}
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
-        """Process a move, a change of the tool, or the call of another built-in function."""
+        """Process a call of a built-in function, such as a move; return whether the call is known."""
         name = self.code.tokens[at].text
         if name in _MOVES:
             self.flow.move(self.code.tokens[at].start, lambda state: self._move(name, span, state))

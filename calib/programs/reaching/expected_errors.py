@@ -1,7 +1,7 @@
 """The expected distance of a target from its goals at given commands.
 
 Errors are in the frame of the goals (`calib.core.rows.frames`) and normal. Their covariance is that of the predicted
-position. Their mean is the known error that was not corrected, of the calibrated robot.
+position. Their mean is the known error of the calibrated robot that was not corrected.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ class Solution(ReadOnlyArrays):
             raise UnreachablePoseError(
                 f"out of reach within the joint limits, in home's assembly mode:"
                 f" {'; '.join(misses[:5])}{more}; goals are {self.expected.frame}; move these"
-                " goals, leave them out, or leave the cells of coordinates empty that need not be met"
+                " goals, leave them out, or leave empty the cells of coordinates that need not be met"
             )
 
 

@@ -10,10 +10,11 @@ in the axes of the measurement frame.
 
 Method. Levenberg-Marquardt on e = [p - p*; L log3(R*^T R)] or [p - p*; L (R z - z*)], L the robot's characteristic
 length. (The body's angular velocity in place of the derivative of log3 gives the exact gradient everywhere, and the
-exact derivative at the solution.) An actuated joint at a limit that the step would leave is held. A passive joint near
-its limit is kept there by a heavy row, dp = -C_p^-1 C_a da, and a step that would carry another passive joint past its
-limit is cut. The loops follow each trial step by its tangent and Newton, which keeps the assembly mode of home (see
-`calib.core.robots.loops`); a step that they cannot follow counts as too long. All goals advance together in arrays.
+exact derivative at the solution.) An actuated joint at a limit is held if the step would take it beyond. A passive
+joint near its limit is kept there by a heavy row, dp = -C_p^-1 C_a da, and a step that would carry another passive
+joint past its limit is cut. The loops follow each trial step by its tangent and Newton, which keeps the assembly mode
+of home (see `calib.core.robots.loops`); a step that they cannot follow counts as too long. All goals advance together
+in arrays.
 
 Tilts of links (`calib.core.robots.mechanism`) and uncommanded joints keep their values from the start.
 

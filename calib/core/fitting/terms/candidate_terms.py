@@ -48,7 +48,7 @@ class CandidateTerm:
         )
 
     def is_curve_in(self, robot: Robot) -> bool:
-        """Whether its coefficients in a robot are families whose sizes a fit finds."""
+        """Whether coefficients of this kind in a robot are families whose sizes a fit finds."""
         return any(p.family for term in self.terms_in(robot) for p in term.parameters)
 
     def scaled_sections(self, robot: Robot, factors: Mapping[str, float]) -> tuple[TermSection, ...]:

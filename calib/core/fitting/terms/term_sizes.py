@@ -9,15 +9,15 @@ each joint at each pose, which stands for errors of no kind.
 Which kinds are fitted. From the model of all, kinds are left out one by one, those with most coefficients first, until
 all stay. A kind stays where both are true:
 
-    prediction   left-out blocks of poses are predicted better, by more than one standard error over the blocks: boxes
-                 of joint space; with several setups, boxes of each. Squares of errors count. Likelihood trusts the
-                 model, and supports any kind that looks like errors of no kind; poses left out at random have
+    prediction   left-out blocks of poses are predicted better: the sum of squared errors falls by more than one
+                 standard error over the blocks. Blocks are boxes of joint space, for each setup. Likelihood alone would
+                 trust the model, and support any kind that looks like errors of no kind. Poses left out at random have
                  neighbours that were kept, so that a curve through errors of any cause seems to predict
-    evidence     the log likelihood is higher with it by odds of 20 to 1 (kass1995), times the number of kinds: among
-                 many absent kinds, one looks present by chance
+    evidence     the likelihood is higher with it by a factor of 20 (kass1995), times the number of kinds: among many
+                 absent kinds, one looks present by chance
 
-A kind that was left out is tried again with those that stay. A kind that stays is proven if the log likelihood is
-higher by odds of 20 to 1 with it, given all other kinds: of kinds that look alike, one may stay, none is claimed.
+A kind that was left out is tried again with those that stay. A kind that stays is proven if the likelihood is
+higher with it by a factor of 20, given all other kinds. Of kinds that look alike, one may stay, but none is proven.
 
 Results:
 
@@ -71,7 +71,7 @@ from calib.core.rows.prediction import UndecidedTerms
 
 LEAST_POSES = 16
 """Fewest different poses from which sizes are found."""
-_SMALL = 0.05  # part of the usual size: so small a family is fitted only if the rows show it
+_SMALL = 0.05  # below this part of the usual size, a family is fitted only if the rows show it
 _SHOWS = 1.0  # rise of the log likelihood by a family that the rows show
 _DRAWS = 24
 _SHORTEST = 0.3  # a component of usual size is dropped if its length is below this part of the fit's noise
@@ -125,7 +125,7 @@ class _TermModel:
 
     @cached_property
     def _rows(self) -> MixedRows:
-        """Rows of the model, over the noise found by the fit; stated noise does not contain errors of the robot."""
+        """Rows of the model, divided by the noise that the fit found: stated noise contains no errors of the robot."""
         scales, model = self._fit.scales, self._kind_model
         found = np.zeros(len(scales.groups), dtype=bool)
         return model.rows(model.informative_rows, scales.groups, scales.ratios, found)
@@ -157,13 +157,13 @@ class _TermModel:
         return self._solved[kinds]
 
     def _most_evidence(self, kind: str, kinds: frozenset[str]) -> float:
-        """Upper bound of a kind's gain of log likelihood, from solved sets of kinds, because more kinds fit better."""
+        """Upper bound of a kind's gain of log likelihood, from the sets solved so far: more kinds fit better."""
         fewer, more = kinds - {kind}, kinds | {kind}
         worst = min((at.cost for known, at in self._solved.items() if known <= fewer), default=np.inf)
         return worst - min((at.cost for known, at in self._solved.items() if known >= more), default=-np.inf)
 
     def _squares(self, at: SolvedModel) -> FloatArray:
-        """Squares of errors of left-out blocks, over the errors of the model without terms, (n_blocks,)."""
+        """Squared errors of left-out blocks, divided by those of the model without terms, (n_blocks,)."""
         bare = self._solve_with_kinds(frozenset())
         rows, left = bare.model.rows, bare.whitened_residuals
         squares = bare.variance * left**2
@@ -173,7 +173,7 @@ class _TermModel:
         return at.left_out_squares(self._blocks, counts / np.where(sums > 0.0, sums, np.inf))
 
     def _earns(self, kind: str, kinds: frozenset[str]) -> bool:
-        """Whether a kind earns its place among some, by the module docstring."""
+        """Whether a kind stays among these kinds, by the two conditions of the module docstring."""
         needed = TELLS + float(np.log(len(self._requested_kinds)))
         if self._most_evidence(kind, kinds) <= needed:
             return False
@@ -284,8 +284,8 @@ class _TermModel:
     def expected_rms(self) -> float:
         """Return the expected root mean square error at left-out poses, of the main part of the readings [SI].
 
-        NaN where each pose stands alone, where no terms are fitted, and where poses have several readings: the error
-        that these share is unknown, and may be unlike errors of joints.
+        NaN if every pose decides a direction alone, if no terms are fitted, or if poses have several readings: the
+        error that these share is unknown, and may be unlike errors of joints.
         """
         fit, layout = self._fit, self._fit.whitening.layout
         if layout.n_readings > len(np.unique(layout.pose)) or not np.any(self._is_fitted & self._kind_model.of_kinds):

@@ -13,7 +13,7 @@ from calib.core.judging import findings
 from calib.core.judging.error_budget import NOISE, PLACES, REST, UNEXPLAINED, CauseShare, ErrorBudget
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 
-_FINEST = 1e-3  # part of the whole mean square that a page still shows
+_FINEST = 1e-3  # a page shows digits down to this part of the whole mean square
 _NOT_SEEN = "none to be seen"
 """Remark on a mean square that chance made negative, so that it is not shown."""
 

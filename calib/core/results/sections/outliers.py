@@ -1,4 +1,4 @@
-"""Outliers: found ones, those that were left out, and the result with these; also the sets of residuals."""
+"""Outliers found in a fit or left out of it, and the fit without leaving any out; also the rows of `residuals.csv`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from calib.core.results.sections.parameters import parameter_rows
 from calib.core.rows.rows import Rows
 
 LEFT_OUT = "left out"
-"""Set in `residuals.csv` of the readings that were left out as outliers."""
+"""Text in column `set` of `residuals.csv` for readings that were left out as outliers."""
 MOST = 50
 """Largest number of outliers on a page."""
 
@@ -50,7 +50,7 @@ def residual_sets(fit: Fit) -> dict[str, tuple[ErrorSet, Rows]]:
 
 
 def residual_places(sets: Mapping[str, tuple[ErrorSet, Rows]]) -> dict[str, IntArray]:
-    """Return the row of `residuals.csv` of each reading of each set, counted from 0, (n,): visit by visit."""
+    """Return each reading's row of `residuals.csv`, counted from 0, (n,) by set; rows of a set go visit by visit."""
     places: dict[str, IntArray] = {}
     count = 0
     for label, (_, rows) in sets.items():

@@ -39,7 +39,7 @@ class OneCoefficient(JointTerm):
         word: Last part of the coefficient's name (class attribute).
         expected_angle: Expected size of the coefficient of a joint that turns, where nothing is stated [rad] (class
             attribute).
-        expected_length: The same of one that slides [m] (class attribute).
+        expected_length: The same for a joint that slides [m] (class attribute).
     """
 
     source: ClassVar[Source]

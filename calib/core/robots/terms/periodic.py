@@ -55,7 +55,7 @@ def period(dimension: Dimension, section: TermSection, key: str, length: float |
 
 @dataclass(frozen=True)
 class _Periodic(JointTerm):
-    """dq = sum over orders k of a_k sin(k q) + b_k cos(k q), with q in turns of 2 pi or periods.
+    """dq = sum over orders k of a_k sin(k q) + b_k cos(k q), where one `period` counts as 2 pi.
 
     Attributes:
         orders: All orders k.

@@ -75,7 +75,7 @@ def terms_text(terms: str | Sequence[str]) -> str:
     """Return a choice of terms as text: names or `JOINT=TERM` with commas between; text is returned unchanged.
 
     Raises:
-        InputError: It is neither, or an empty list.
+        InputError: The choice is no text and no list of texts, or an empty list.
     """
     if isinstance(terms, str):
         return terms
@@ -113,6 +113,6 @@ def stored_terms(entries: object) -> tuple[TermSection, ...]:
     """Return the entries that a result stores.
 
     Raises:
-        ValueError: They are no entries of terms.
+        ValueError: What is stored is no list of terms.
     """
     return TypeAdapter(tuple[AnyTerm, ...]).validate_python(entries)

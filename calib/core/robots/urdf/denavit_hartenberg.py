@@ -152,7 +152,7 @@ def urdf_text(table: DhTable, name: str) -> str:
         links.append(LAST_LINK)
         taken = [row.name for row in table.rows]
         joints.append(_joint(DhRow(_new_name(f"{LAST_LINK}_joint", taken), "fixed"), links[-2], LAST_LINK, rest))
-    note = f"From a Denavit-Hartenberg table ({table.convention}); effort and velocity 0: it says nothing of them."
+    note = f"From a Denavit-Hartenberg table ({table.convention}); effort and velocity are 0: the table has none."
     return robot_text(name, note, links, joints)
 
 

@@ -1,6 +1,7 @@
 """Mechanisms with loops, made from a few lengths: planar ones, deltas and Stewart platforms.
 
-Every mechanism here is exact, and has no joint that spins without moving anything, since no closure could hold it:
+Every mechanism here closes exactly. None of its joints spins without moving anything, as no closure could find its
+value.
 
 * Planar ones turn about z and are cut at a hinge; the closure holds x and y.
 * The platform of a delta or a Stewart robot hangs on six joints without motors (x, y, z, rx, ry, rz) that only state

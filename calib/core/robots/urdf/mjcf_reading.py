@@ -4,8 +4,8 @@ MuJoCo reads the file, with its includes, defaults and units; its model is writt
 joint's place in its body and q0 its value in the file (`ref`):
 
     body        a link of its name in the body's frame
-    joint       T_parent_joint = T_parent_body Trans(p) Motion(-q0): its value is MuJoCo's own (qpos); then Trans(-p) to
-                the body. Several joints of a body follow each other, with links of their own between them
+    joint       T_parent_joint = T_parent_body Trans(p) Motion(-q0), so that its value is MuJoCo's (qpos). Trans(-p)
+                leads from it to the body. Several joints of a body follow each other, with links between them
     ball joint  three hinges about x, y and z, in a row; for a rod tied to others at one point, two across it
     site        a link that is fixed to its body
     connect, weld (equality)
@@ -13,9 +13,9 @@ joint's place in its body and q0 its value in the file (`ref`):
     joint (equality)
                 `mimic`, about the values in the file
 
-Directions of a loop. A `connect` has three; a planar loop holds two of them. In the frame of its first body, no joint
-moves the two points apart along the third direction n: all rows n^T (J_a - J_b), at configurations drawn around the
-file's, are zero. The links of a loop have n as their z axis, so that the loop holds x and y.
+Directions of a loop. A `connect` ties two points in three directions. In a planar loop, no joint moves the points apart
+along one direction n of the first body, so the loop holds the other two. Along n, all rows n^T (J_a - J_b) are zero, at
+configurations drawn around the file's. The links of such a loop have n as their z axis: it holds x and y.
 
 When it fails. Free joints are fixed at the file's pose. Ties by tendons, and joints that follow others by a polynomial,
 are errors: URDF has none. Of shapes, boxes, spheres, cylinders and mesh files are kept.
@@ -103,7 +103,7 @@ class _Motion(ReadOnlyArrays):
         name: Name in the URDF.
         kind: Type in the URDF.
         axis: Axis in the body, (3,).
-        before, after: From the body's frame to the joint's place before it, and back after it, (3,) [m].
+        before, after: Shift from the body's frame to the joint's place before the motion, and back after it, (3,) [m].
         value: Value in the file [m or rad].
         limits: Lowest and highest value, or None.
         number: Index in the model; None for a part of a ball joint.
@@ -144,7 +144,7 @@ def read_mjcf(path: Path | str) -> MjcfRobot:
         ) from None
     try:
         spec = mujoco.MjSpec.from_file(str(Path(path).resolve()))  # mesh paths are relative to the working folder
-        with warnings.catch_warnings(action="ignore"):  # on soft bodies
+        with warnings.catch_warnings(action="ignore"):  # warnings about soft bodies
             model = spec.compile()
     except (ValueError, OSError) as error:
         raise UrdfError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None
@@ -159,7 +159,7 @@ class _MjcfReader:
         self.mujoco, self.model, self.path, self.meshes = mujoco, model, path, meshes
         self.root = Element("robot", name=_text(model.names) or Path(path).stem)
         self.links: dict[str, Element] = {}
-        self.joints: dict[int, Element] = {}  # by number in the model; of hinges and slides
+        self.joints: dict[int, Element] = {}  # hinges and slides, by number in the model
         self.link_of: dict[int, str] = {}  # link of each body
         self.home: dict[str, float] = {}
         self.remarks: list[str] = []
@@ -257,7 +257,7 @@ class _MjcfReader:
         return points[0] / length if length > 0 else None
 
     def _moving(self, motion: _Motion, parent: str, child: str, place: pin.SE3) -> None:
-        """Add a joint with MuJoCo's joint value."""
+        """Add a moving joint that has the same value as in MuJoCo."""
         if motion.kind == "prismatic":
             place = place * pin.SE3(np.eye(3), -motion.value * motion.axis)
         elif motion.value:
@@ -365,7 +365,7 @@ class _MjcfReader:
         return ids, [_se3(data[0:3], straight), _se3(data[3:6], straight)]
 
     def _loop_axes(self, bodies: list[int], points: list[FloatArray]) -> tuple[FloatArray, int]:
-        """Axes of a loop in its first body, (3, 3), and how many of them, the first ones, joints move along."""
+        """Axes of a loop in its first body, (3, 3); first those along which joints move it, and their number."""
         mujoco, model = self.mujoco, self.model
         data, random = mujoco.MjData(model), np.random.default_rng(0)
         columns = []

@@ -28,7 +28,7 @@ NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _TAG = re.compile(rb"""<[^\s/>"']+(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 MOST_LINKS = 300
 """Largest number of links: Pinocchio's data grow with the third power."""
-_LARGEST = 1e9  # largest number of origins and mimic joints [m or rad]: squares and products stay finite
+_LARGEST = 1e9  # largest value in an origin or `<mimic>` [m or rad]: squares and products stay finite
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh", "origin", "mass", "inertia")
 _NO_NUMBERS = ("name", "filename")
 _SPACE = " \t\r\n"  # XML's; str.split() would also accept the no-break space, which other programs refuse
@@ -44,8 +44,8 @@ class UrdfJoint:
         rpy: Origin rotation, fixed-axis roll, pitch, yaw [rad].
         axis: Unit axis in the joint frame.
         lower, upper: Limits [rad or m]; infinite if the file has none.
-        unstated: Whether its `<limit>` has neither number, which URDF takes as 0 to 0, or is 0 to 0, which programs
-            write for unknown limits.
+        unstated: Whether its `<limit>` states no range: both limits are missing or 0. (Programs write 0 to 0 if they do
+            not know the limits.)
         mimic: Name of the joint it follows, multiplier and offset, or None.
         tag_span: Bytes of the joint's start tag; None if the joint comes from an XML entity.
         origin_span: Bytes of the `<origin>` tag, or None if the file has none.
@@ -67,7 +67,7 @@ class UrdfJoint:
 
     @property
     def moves(self) -> bool:
-        """Whether the joint has a value, its own or by a mimic, and a range to move in."""
+        """Whether the joint moves: its type allows it, and it mimics another joint or has a range."""
         if self.type in HELD_TYPES:
             return False
         return self.mimic is not None or not self.unstated

@@ -1,4 +1,4 @@
-"""Writing of new URDFs: as text from tables and lengths, as elements from files of other formats."""
+"""Parts of new URDFs: text for robots from tables and lengths, XML elements for robots from other formats."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def quote_attribute(text: str) -> str:
 
 
 def robot_text(name: str, note: str, links: Sequence[str], joints: Sequence[str]) -> str:
-    """Return a new URDF from names of links and joints of `joint_text`; `note` is a comment at its head."""
+    """Return a new URDF from names of links and texts of joints (`joint_text`); `note` is a comment at its head."""
     body = "".join([*(f"  <link name={quote_attribute(link)}/>\n" for link in links), *joints])
     return f'<?xml version="1.0"?>\n<!-- {note} -->\n<robot name={quote_attribute(name)}>\n{body}</robot>\n'
 

@@ -6,7 +6,7 @@ opens only files of the xacro file's package, of installed packages, and of Pyth
 place; no message quotes the content of a file.
 
 The package is the folder around the file that has a `package.xml`; without one, the folder above the file's own.
-`$(find NAME)` is the package around the file of that name, one beside it, or one in the folders of ROS:
+`$(find NAME)` is the package NAME: the one around the file, one beside that, or one in the folders of ROS, which are
 `ROS_PACKAGE_PATH`, and `share` of `AMENT_PREFIX_PATH`. No ROS is needed.
 
 When it fails. This is no sandbox: expressions can do what Python can. It limits mistakes, and keeps private content out
@@ -142,7 +142,7 @@ def _causes(error: BaseException) -> list[BaseException]:
 
 
 def _kind(error: BaseException) -> str:
-    """The kind of an error, with at most a name that may be quoted: no text of a file or of another package."""
+    """The kind of an error. It quotes at most one name, and no other text of a file or of another package."""
     causes = _causes(error)
     outside = next((cause for cause in causes if isinstance(cause, _OutsideError)), None)
     if outside is not None:
@@ -167,7 +167,7 @@ class _OutsideError(Exception):
 
 
 class _Packages:
-    """Folders of packages: the one around a file, and others at first use.
+    """Folders of packages: the one around a file, and others once they are used.
 
     Attributes:
         own: Folder of the package around the file.

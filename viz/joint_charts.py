@@ -95,7 +95,11 @@ def dials(fit: Fit) -> Chart | None:
         return None
     turn = _FURTHEST / max(1e-12, *(max(abs(value), half) for _, value, half in offsets))
     panels = tuple(_dial(parameter, value, half, turn) for parameter, value, half in offsets)
-    text = f"Straight up is nominal. The needle is the found offset, enlarged {turn:.0f} times, with its 95 % interval."
+    text = (
+        f"Straight up is nominal, plus is to the left; the needle is enlarged {turn:.0f} times, with its 95 %"
+        " interval. Not to be typed in: these offsets belong to the whole model, and calib export writes those for a"
+        " controller. Joints whose own offset was not determined have no dial."
+    )
     return Chart("dials", "Joint offsets", text, panels, 150)
 
 

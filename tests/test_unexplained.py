@@ -175,14 +175,17 @@ def test_a_term_that_the_model_lacks_counts_where_noise_is_not_stated(silent_arm
 def test_what_rows_cannot_tell_from_noise_counts_as_errors_of_joints():
     """A gantry: three joints move every reading alike, in all directions."""
     rng, n = np.random.default_rng(9), 40
-    columns, errors = np.tile(np.eye(3), (n, 1)), 1e-4 * rng.standard_normal(3 * n)
-    one, pose, flat = np.zeros(3 * n, dtype=int), np.repeat(np.arange(n), 3), np.full(3, FLAT)
+    joints, errors = np.tile(np.eye(3), (n, 1)), 1e-4 * rng.standard_normal(3 * n)
+    one, pose, term = np.zeros(3 * n, dtype=int), np.repeat(np.arange(n), 3), np.sin(np.arange(3 * n))
+    columns, family = np.column_stack([joints, term]), np.array([FLAT, FLAT, FLAT, 0])
 
-    def found(size, stated):
-        rows = MixedRows(columns, size * errors, flat, one, np.array([stated]), pose, size * columns)
+    def found(size, stated, by_term=0.0):
+        y = size * (errors + by_term * term)
+        rows = MixedRows(columns, y, family, one, np.array([stated]), pose, size * joints)
         return scatter_given_noise(solve_beside_noise(MixedModel.from_rows(rows)))
 
     assert found(1.0, stated=False) == pytest.approx(1e-4, rel=0.5)
+    assert found(1.0, stated=False, by_term=0.01) == pytest.approx(1e-4, rel=0.5)  # what a term explains is no scatter
     assert found(1e4, stated=True) < 5e-5
 
 

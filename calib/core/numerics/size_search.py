@@ -92,12 +92,16 @@ def scatter_given_noise(at: SolvedModel) -> float:
 
         d^2 + e(t) - e(t_0)
 
-    counts the confusion with noise. It is d^2 where noise is stated, and where rows distinguish the two well.
+    counts the confusion with noise. It is d^2 where noise is stated, and where rows distinguish the two well. If d^2
+    grows by 1, the variance of noise falls by k, its regression on d^2: beyond noise^2 / k none would be left.
     """
     bounds, square = _Bounds.from_model(at.model), float(np.exp(2.0 * at.logs[-1]))
     squares = 2.0 * np.exp(2.0 * at.logs)
     known = at.information / np.outer(squares, squares) + np.diag(np.exp(-4.0 * bounds.most))
-    confused = _mean_beyond(square, np.linalg.inv(known)[-1, -1]) - _mean_beyond(square, 1.0 / known[-1, -1])
+    covariance, noise = np.linalg.inv(known), np.arange(at.model.n_families, len(known) - 1)
+    confused = _mean_beyond(square, covariance[-1, -1]) - _mean_beyond(square, 1.0 / known[-1, -1])
+    falling = np.maximum(-covariance[noise, -1] / covariance[-1, -1], _NOTHING)
+    confused = min(confused, float(np.min(np.exp(2.0 * at.logs[noise]) / falling, initial=np.inf)))
     none = at.logs[-1] <= bounds.least[-1] + _AT_BOUND
     return float(np.sqrt((0.0 if none else square) + max(confused, 0.0)))
 

@@ -339,7 +339,7 @@ def test_poses_that_do_not_say_what_they_touch_tell_more_than_touches_can_and_ch
     assert "Give poses at contact, with a column 'probe'" in run.err
     refused = run_calib("simulate", tmp_path / "arm.yaml", data, "--sigma-mm", "0", "--out", tmp_path / "new.csv")
     assert refused.code == 2
-    assert "nothing says what instrument 'probe' touches at which pose" in refused.err
+    assert "no column says what instrument 'probe' touches" in refused.err
 
 
 @pytest.mark.quick(1)

@@ -24,7 +24,7 @@ _OPTIONS: dict[Answer, tuple[str, ...]] = {
     Answer.HOLD_OUT: ("test the result on poses of the file that it is fitted to", "--validate", "0.25"),
     Answer.STATE_NOISE: ("state a smaller noise, or leave out what was read twice, and fit again",),
 }
-"""Aim and option of another `calib fit`, for the answers that need one."""
+"""Aim and options of the next `calib fit`, for each answer that needs another fit."""
 ROBOT, DATA, FOLDER, AGAIN = "ROBOT", "DATA", "DIR", "DIR-2"
 """Placeholders in a command for the files of a user: robot, measurements, result folder, folder of the next result."""
 

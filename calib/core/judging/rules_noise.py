@@ -37,7 +37,7 @@ NO_BETTER = 0.15
 """Where no positions are measured, nothing fits if the noise is more than this part of the errors with joint values of
 other rows."""
 DOUBTFUL = 0.05
-"""Other meanings of an instrument's numbers are tried if the noise is more than this part of an impossible one."""
+"""Above this part of an impossible noise, the program tries other meanings of an instrument's numbers."""
 GROSS_RATIO = 50.0
 """Mistakes in the data are looked for if the found noise is more than this many times the stated one."""
 LEFT_OUT = 0.01

@@ -284,7 +284,7 @@ def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
     if len(links) > MOST_LINKS:
         raise UrdfError(f"{path}: has {len(links)} links, more than {MOST_LINKS}; cut the file down to the arm")
     if not links:
-        raise UrdfError(f"{path}: has no links; if it is part of a robot, such as macros, give the file including it")
+        raise UrdfError(f"{path}: has no links; if it is part of a robot (macros), give the file that includes it")
     for kind, given in (("link", links), ("joint", [joint.name for joint in joints])):
         repeated = [name for name, count in Counter(given).items() if count > 1]
         if repeated:

@@ -80,7 +80,7 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
     >>> nearest("q", ["rad", "deg"])
     '; valid: deg, rad'
     >>> nearest("elbow.offset", ["elbow.x", "elbow.rz", "wrist.x"])
-    "; of 'elbow' there are: elbow.rz, elbow.x"
+    "; 'elbow' has elbow.rz, elbow.x"
 
     Args:
         valid: Accepted names.

@@ -81,8 +81,8 @@ def _source_options(function: Callable[..., None]) -> Callable[..., None]:
     "-o",
     "--out",
     metavar="FILE",
-    help="YAML file to write. Default: in the current folder, named after the input. The URDF of --dh, --template or a"
-    " printer goes beside it, and a printer's measurements (.csv).",
+    help="YAML file to write. Default: in the current folder, named after the input. Beside it: the URDF of --dh,"
+    " --template or a printer, and a printer's measurements (.csv).",
 )
 @shared_options()
 def command(

@@ -110,9 +110,7 @@ def _joints_of_table(
             continue
         sensor = sensed.get(name)
         if sensor in reading and name in table.names:
-            raise DataError(
-                f"{table.path}: has column '{name}' and inclinometer '{sensor}' of one joint; leave one out"
-            )
+            raise DataError(f"{table.path}: column '{name}' and inclinometer '{sensor}' share a joint; leave one out")
         if name not in table.names and sensor is None:
             raise DataError(
                 f"{table.path}: no column '{name}'{nearest_free_column(name, robot, table)} (if your file has"

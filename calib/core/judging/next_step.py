@@ -136,5 +136,5 @@ def _use(fit: Fit) -> NextStep:
     origins, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
     both = f"{whole.in_unit(whole.rms)} with them, {origins.in_unit(origins.rms)} without, RMS at {whole.pose_words}"
     if fit.terms is not None and whole.rms > origins.rms:
-        return _repeat_fit(fit, f"leave the joint terms out, which make it no better ({both})", "--terms", "none")
+        return _repeat_fit(fit, f"leave out the joint terms: they make it no better ({both})", "--terms", "none")
     return NextStep(f"correct a program by the whole model, whose joint terms a URDF cannot hold ({both})", program)

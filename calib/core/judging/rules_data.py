@@ -52,7 +52,7 @@ FAR = 3.0
 USED_FOR_BOTH = 0.1
 """Largest part of the validation poses that may repeat poses of the fit."""
 ANOTHER = {"load": 0.05, "temperature": 2.0}
-"""With larger differences in stated conditions [kg, K], measurements at the same joint values are different ones."""
+"""Measurements at the same joint values are no repeats if a stated condition differs by more than this [kg, K]."""
 
 
 def poses_that_say_little(fit: Fit) -> Iterator[Reason]:

@@ -259,7 +259,7 @@ def _check_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
         )
     elif chi.p_smaller < UNLIKELY:
         text = f"noise found{of} is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
-        advice = "state a smaller noise; or the same reading was used more than once"
+        advice = "state a smaller noise, or look for readings that were used more than once"
         yield Code.NOISE.says(f"{text}: {advice}", answer=Answer.STATE_NOISE)
 
 

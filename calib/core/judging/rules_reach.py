@@ -26,7 +26,7 @@ from calib.core.rows.prediction import order_of_joints, recombined_joints, witho
 BEYOND_LIMIT = 0.01
 """Messages name a pose if a joint is beyond its limit by more than this [rad, or characteristic lengths]."""
 CORNER = 0.1
-"""Part of the range between its limits that at least one joint must move through."""
+"""At least one joint must move through this part of the range between its limits."""
 LESS_KNOWN = 3.0
 """A calibration does not reach where positions are more than this many times as uncertain as at the used poses."""
 WIDENED = np.sqrt(2.0)

@@ -42,7 +42,7 @@ _LONGEST_STEP = 0.2  # step of a joint [rad, or characteristic lengths]
 _ROUNDS, _STEPS = 3, 100
 _LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a step of less gain ends a search that is further from contact [m]
 MET = 1e-10
-"""The robot touches if the distance is less [m]."""
+"""The robot is in contact if the distance is less [m]."""
 _FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
 
 

@@ -144,7 +144,7 @@ class UrdfReader:
             if tag != "robot":
                 raise UrdfError(
                     f"{self.path}: the top element is <{tag}>, not that of a robot: <robot>, <mujoco> or <sdf>; if it"
-                    " is part of a robot, give the file including it"
+                    " is part of a robot, give the file that includes it"
                 )
             self.name = attributes.get("name", "")
             self.root_span = self._span() or (0, 0)

@@ -103,7 +103,7 @@ class Calibration(JudgedFit, CalibratedRobot):
             folds: Number of parts, by pose; or `setups`: every setup is a part, placed anew.
             seed: Seed of the random choice.
             executor: Executor of the fits; as in `fit`.
-            progress: Called after each part with how many are done, and of how many.
+            progress: Called after each part with the number of finished parts, and the number of all parts.
 
         Returns:
             The errors of all poses, each predicted by a fit that did not use it; `.rms` of each part [m].

@@ -97,7 +97,7 @@ def test_validation_in_a_setup_that_the_data_do_not_have_is_placed_by_itself(tmp
     where = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
     distance = np.linalg.norm([where[f"{origin}.{axis}"] for axis in "xyz"])
     assert distance == pytest.approx(np.linalg.norm(PLACES[later]), abs=5e-3)
-    said = f"Placed by the poses that were not used, because only these show them: {origin} "
+    said = f"Places found by unused poses, because only these show them: {origin} "
     assert said in " ".join(fit.report(verbose=True).split())
     assert {fit.parameters[name].status for name in fit.placed_later} == {"placed"}
     assert "Held at nominal" not in fit.report(verbose=True)

@@ -164,8 +164,8 @@ def test_a_pose_that_cannot_be_assembled_is_refused_with_pose_and_loop(folder, r
 
 
 BAD_OPTIONS = {
-    "validate fraction": (f"{FIT} --validate 1.5", "1.5 of 8 poses held out leave no pose to"),
-    "validate zero": (f"{FIT} --validate 0", "0 of 8 poses held out leave no pose to"),
+    "validate fraction": (f"{FIT} --validate 1.5", "1.5 of 8 poses held out, no pose is left to"),
+    "validate zero": (f"{FIT} --validate 0", "0 of 8 poses held out, no pose is left to"),
     "validate file": (f"{FIT} --validate other.csv", "other.csv: is neither a file nor a fraction"),
     "sigma text": (f"{FIT} --sigma-mm abc", "'--sigma-mm': 'abc' is not a valid float"),
     "sigma nan": (f"{FIT} --sigma-mm nan", "--sigma-mm nan: must be a positive number"),

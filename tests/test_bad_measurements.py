@@ -119,7 +119,7 @@ def test_positions_on_a_line_fix_no_measurement_frame(folder, fit_file):
     positions += SIGMA * RNG.standard_normal(positions.shape)
     run, result = fit_file(joints(12), positions, "unknown_base.yaml")
     assert run.code == 2
-    assert "data.csv: all measured positions lie on one line, which does not" in one_line(run)
+    assert "data.csv: all measured positions lie on one line. They do not" in one_line(run)
     assert result is None
 
 
@@ -127,7 +127,7 @@ def test_all_poses_equal_fix_no_measurement_frame(folder, fit_file):
     q = np.tile(joints(1), (20, 1))
     run, result = fit_file(q, arm_positions(folder, q), "unknown_base.yaml")
     assert run.code == 2
-    assert "data.csv: all poses are the same, which does not" in one_line(run)
+    assert "data.csv: all poses are the same. They do not" in one_line(run)
     assert result is None
 
 

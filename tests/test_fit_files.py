@@ -324,7 +324,7 @@ def test_a_result_of_an_earlier_version_loads_and_says_what_it_lacks(run_calib, 
     assert "loses the joint terms of turn, slide" in run.err
     assert "fit again if an earlier version wrote it" in run.err
     assert run_calib("export", old, "--format", "urdf", "--force", "--out", tmp_path / "x.urdf").code == 0
-    assert "exported by force: these values belong to joint terms" in (tmp_path / "x.urdf").read_text()
+    assert "exported by force: these values need joint terms" in (tmp_path / "x.urdf").read_text()
     assert run_calib("export", old, "--format", "joint-offsets", "--out", tmp_path / "zeros.csv").code == 0
 
 

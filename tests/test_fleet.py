@@ -272,7 +272,7 @@ def test_a_description_with_a_fleet_of_other_parameters_is_refused(results, tmp_
     calib.fleet(*folders[1:3]).save(tmp_path / "fleet.yaml")
     text = (tmp_path / "fleet.yaml").read_text()
     for old, new, said in (
-        ("    joint_2.x:", "    joint_2.w:", "fleet: no parameter 'joint_2.w'; of 'joint_2' there are: joint_2.rx"),
+        ("    joint_2.x:", "    joint_2.w:", "fleet: no parameter 'joint_2.w'; 'joint_2' has joint_2.rx"),
         ("robots: 2", "robots: 1", "fleet.robots"),
         ("spread: ", "spread: -", "spread must be positive"),
     ):

@@ -201,7 +201,7 @@ def test_a_file_of_macros_is_a_part_of_a_robot(tmp_path):
     (tmp_path / "arm_macro.xacro").write_text(macro)
     (tmp_path / "arm.xml").write_text("<mujocoinclude/>")
     for name in ("arm_macro.xacro", "arm.xml"):
-        with pytest.raises(InputError, match=r"part of a robot.*give the file including it"):
+        with pytest.raises(InputError, match=r"part of a robot.*give the file that includes it"):
             calib.load(tmp_path / name)
 
 

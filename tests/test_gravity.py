@@ -252,7 +252,7 @@ def test_a_description_that_says_no_direction_is_refused(tmp_path, gravity, mess
     ("head", "cells", "message"),
     [
         ("gravity_x,gravity_y", ("0,0", "0,0"), "no column 'gravity_z'; gravity's direction needs gravity_x"),
-        ("gravity_x,gravity_y,gravity_z", ("0,0,-1", ",,"), "line 3: says nothing in gravity_x"),
+        ("gravity_x,gravity_y,gravity_z", ("0,0,-1", ",,"), "line 3: a cell of gravity_x"),
         ("gravity_x,gravity_y,gravity_z", ("0,0,0", "0,0,0"), "line 2: gravity is 0 long"),
         ("gravity_x,gravity_y,gravity_z", ("0,0,-9.8", "0,0,-0.98"), "line [23]: gravity is"),
         ("gravity_x,gravity_y,gravity_Z", ("0,0,-1", "0,0,-1"), "no column 'gravity_z'; gravity's direction needs"),
@@ -463,10 +463,10 @@ def test_goals_in_a_setup_have_its_gravity(tmp_path, run_calib):
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
-        ({}, "no column 'tip_x', and none of inclinometer 'low', which reads it: expected low_accelerometer_x"),
+        ({}, "no column 'tip_x', and none of inclinometer 'low' for this joint: expected low_accelerometer_x"),
         ({"tip_x": [0]}, "no column 'tip_y'"),
         ({"tip_x": [0], "tip_y": [0]}, "no column 'lean_x', and none of inclinometer 'high'"),
-        ({"tip_x": [0], **reading(np.zeros((1, 3)), np.zeros((1, 3)))}, "has a column 'tip_x', and inclinometer 'low'"),
+        ({"tip_x": [0], **reading(np.zeros((1, 3)), np.zeros((1, 3)))}, "column 'tip_x' and inclinometer 'low'"),
         (reading(np.zeros((1, 3)), np.ones((1, 3))), "line 2: low_accelerometer is 0 long"),
     ],
 )
@@ -510,7 +510,7 @@ def test_nobody_can_command_what_inclinometers_read(tmp_path):
         ("{frame: carriage, joints: [tip_x, lift]}", "'lift' slides, and tilts nothing"),
         ("{frame: tracks, joints: [tip_x, turn]}", "'turn' does not move tracks"),
         ("{frame: tracks, joints: [tip_x]}", "inclinometers.low.joints.*missing"),
-        ("{frame: tool, joints: [tip_x, tip_y]}", "list 'high' before 'low', which it moves"),
+        ("{frame: tool, joints: [tip_x, tip_y]}", "list 'high' before 'low': it moves 'low'"),
         ("{frame: ground, joints: [tip_x, tip_y]}", "'tip_x' does not move ground"),
     ],
 )
@@ -541,10 +541,10 @@ UP = ",".join(f"low_accelerometer_{axis}" for axis in "xyz")
             ",0,0,0,0,9.8",
             "none of inclinometer 'low'",
         ),
-        ("", "", "no column 'tip_x', and none of inclinometer 'low', which reads it: expected low_accelerometer_x"),
-        (",tip_x,low_gravity_tilt_x", ",0,0", "has a column 'tip_x', and inclinometer 'low' reads it"),
+        ("", "", "no column 'tip_x', and none of inclinometer 'low' for this joint: expected low_accelerometer_x"),
+        (",tip_x,low_gravity_tilt_x", ",0,0", "column 'tip_x' and inclinometer 'low' share a joint"),
         (",tip_x,tip_y,high_gravity_tilt_x", ",0,0,0", "no column 'high_gravity_tilt_y'"),
-        (",tip_x,tip_y,high_gravity_tilt_x,high_gravity_tilt_y", ",0,0,0,", "line 2: says nothing in high_gravity_t"),
+        (",tip_x,tip_y,high_gravity_tilt_x,high_gravity_tilt_y", ",0,0,0,", "line 2: a cell of high_gravity_t"),
         (",tip_x,tip_y,high_gravity_tilt_x,high_gravity_tilt_y", ",0,0,0,1.54", "high_gravity_tilt is a tilt beyond"),
     ],
 )

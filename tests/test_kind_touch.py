@@ -236,7 +236,7 @@ def test_simulated_touches_are_written_at_contact_and_found_again(tmp_path, run_
     options = ("--parameters", tmp_path / "truth.csv", "--sigma-mm", "0", "--seed", "1", "--out", tmp_path / "out.csv")
     run = run_calib("simulate", robot.path, data, *options)
     assert run.code == 0, run.err
-    assert f"Joint values of {np.sum(ok)} visits were changed so that the robot touches" in run.out
+    assert f"Joint values of {np.sum(ok)} visits were changed so that the robot is in contact" in run.out
     simulated = calib.read_measurements(tmp_path / "out.csv", robot)
     np.testing.assert_allclose(truth.positions(simulated.joints)[:, 0], points[ok], atol=1e-9)
     assert 0 < np.max(np.abs(simulated.joints - q[ok])) < 0.5
@@ -339,7 +339,7 @@ def test_poses_that_do_not_say_what_they_touch_tell_more_than_touches_can_and_ch
     assert "Give poses at contact, with a column 'probe'" in run.err
     refused = run_calib("simulate", tmp_path / "arm.yaml", data, "--sigma-mm", "0", "--out", tmp_path / "new.csv")
     assert refused.code == 2
-    assert "nothing says what instrument 'probe' touches at which pose" in refused.err
+    assert "no column says what instrument 'probe' touches" in refused.err
 
 
 @pytest.mark.quick(1)

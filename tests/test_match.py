@@ -353,7 +353,7 @@ def test_models_that_ship_are_those_of_their_stock_robots(tmp_path: Path, model:
     assert known.description.fleet is not None
     assert known.description.fleet.robots >= 3
     path.write_bytes(ur_urdf(nominal_origins("ur10")))
-    with pytest.raises(calib.DescriptionError, match=f"is no stock '{model}'"):
+    with pytest.raises(calib.DescriptionError, match=f"is not the stock robot '{model}'"):
         with_model(calib.load(path), model)
 
 

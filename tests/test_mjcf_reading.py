@@ -112,7 +112,7 @@ def test_a_leg_with_a_spring_and_a_rod_gets_a_description(tmp_path, run_calib):
     done = run_calib("init", "leg.xml", "--target", "foot", "--out", "leg.yaml", cwd=tmp_path)
     assert done.code == 0, done.err
     assert "rod_x and rod_y: the spin of this rod about itself moves nothing" in done.out
-    assert "springs are taken for motors, with columns for how far they give: heel" in done.out
+    assert "springs count as motors, with columns for their deflections: heel" in done.out
     robot = calib.load(tmp_path / "leg.yaml")
     assert (robot.joint_names, {*robot.passive_names}) == (("knee", "heel"), {"ankle", "rod_x", "rod_y"})
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "leg.xml"))

@@ -232,7 +232,7 @@ ANSWERED = {
     "t.fit.verdict == 'PASS'": "fit.verdict.grade == 'PASS'",
     # what is given is of another kind
     "t.robot.joint_limits['joint_9']": "did you mean 'joint_6'",
-    "t.robot.parameters['joint_2.offset']": "of 'joint_2' there are: joint_2.rx, joint_2.ry, joint_2.rz, joint_2.x",
+    "t.robot.parameters['joint_2.offset']": "'joint_2' has joint_2.rx, joint_2.ry, joint_2.rz, joint_2.x",
     "t.robot.forward({'joint_1': 0.1})": "[values[name] for name in robot.joint_names]",
     "t.robot.forward(np.eye(4))": "calib.solve(robot, poses)",
     "t.robot.save('c2.urdf')": "calib.export(robot, 'c2.urdf', 'urdf')",

@@ -125,14 +125,14 @@ def _one_row(kind, self, view, unknowns, readings):
     ("changes", "said"),
     [
         ({"compare": _slope_of_the_wrong_sign}, "derivative by dp_z, row direction.elevation, is .* at view"),
-        ({"compare": _one_row}, r"compare gives residuals of shape \(3, 1\), not \(3, 2\)"),
+        ({"compare": _one_row}, r"compare\(\): residuals of shape \(3, 1\), not \(3, 2\)"),
         ({"compare": _off}, "residuals of its own predictions are not zero"),
         ({"predict": lambda kind, *seen: kind.predict(*seen) * np.nan}, "numbers that are not finite"),
         (
             {"with_errors": lambda kind, self, values, change: values - change},
-            "with_errors does not move row direction.azimuth",
+            r"with_errors\(\) does not change row direction.azimuth",
         ),
-        ({"cells": lambda kind, self, values: {"t_azimuth": values[:, 0]}}, "cells gives columns"),
+        ({"cells": lambda kind, self, values: {"t_azimuth": values[:, 0]}}, r"cells\(\) returns columns"),
     ],
     ids=["derivative", "shape", "zero", "not a number", "noise", "cells"],
 )
@@ -408,11 +408,11 @@ def test_terms_keep_what_a_term_promises(quick):
         check_term(TERMS[name].from_section(joint, None, None), q, 0, context)
     still = type("Still", (TERMS["lag"],), {"columns": lambda self, q, j, context: np.ones((len(q), 1))})
     with pytest.raises(
-        calib.ComputationError, match="Still: says that it depends on the speed, and columns are the same"
+        calib.ComputationError, match=r"Still: says that it depends on the speed, but columns\(\) ignores it"
     ):
         check_term(still.from_section(joint, None, None), q, 0, context)
     wide = type("Wide", (TERMS["lag"],), {"columns": lambda self, q, j, context: np.ones((len(q), 2))})
-    with pytest.raises(calib.ComputationError, match=r"Wide: columns gives \(5, 2\), not \(5, 1\)"):
+    with pytest.raises(calib.ComputationError, match=r"Wide: columns\(\) returns shape \(5, 2\), not \(5, 1\)"):
         check_term(wide.from_section(joint, None, None), q, 0, context)
 
 

@@ -94,7 +94,7 @@ def test_points_that_fix_no_frame_leave_it_open_and_the_fit_says_so(tmp_path):
     data = calib.simulate(robot, calib.Poses(q, names, names, "line", ()), 0.0, np.random.default_rng(1))
     placed = register(robot, data)
     assert np.abs(placed.values - robot.values).max() < 1e-9
-    with pytest.raises(DataError, match=r"lie on one line.*hold what these leave open"):
+    with pytest.raises(DataError, match=r"lie on one line.*hold what stays open"):
         calib.fit(robot, data)
 
 

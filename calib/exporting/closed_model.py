@@ -158,7 +158,7 @@ def tie_lines(model: ClosedModel) -> list[str]:
         *lines,
         "a closure here constrains fewer directions than a 3D constraint does:",
         *(f"  {gap.text()}" for gap in model.gaps),
-        "  (the gap at home is built into the constraint; the variant with free slides avoids the rest)",
+        "  (the constraint contains the gap at home; the variant with free slides avoids the other gaps)",
     ]
 
 

@@ -47,7 +47,7 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that deserves a remark [m or rad]
 @click.option(
     "--free-slide",
     is_flag=True,
-    help="mjcf, drake: add a free joint for each direction that a closure leaves free; exact where links are tilted.",
+    help="mjcf, drake: add a free joint for each direction that a closure leaves free. Tilted links are then exact.",
 )
 @click.option(
     "--meshes",

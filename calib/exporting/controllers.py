@@ -124,7 +124,7 @@ def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
         "calib: kinematics for ur_description (argument kinematics_params of ur.urdf.xacro)",
         statement,
         _tool_text(chain),
-        "hash: the driver compares it with that of the controller, and finds a difference: not factory values",
+        "hash: it differs from the controller's hash, so that the driver sees that these are not factory values",
         *provenance_lines(robot),
         *provenance,
     ]

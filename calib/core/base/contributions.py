@@ -62,7 +62,7 @@ class Contribution(Enum):
     )
     UNDECIDED = (
         "undecided terms",
-        "joint terms that the data show or do not exclude, but that the fit lacks; uncertain sizes of its terms",
+        "joint terms that the fit lacks, although the data show or allow them; uncertain sizes of the fit's terms",
         "fitting.terms.kind_model",
         (Uncertainty.INTERVAL, Uncertainty.POSITION),
     )
@@ -74,7 +74,7 @@ class Contribution(Enum):
     )
     FRAME = (
         "frame",
-        "positions are in a base frame that is itself fitted to them; the uncertainty of its place does not count",
+        "positions are in a base frame that is fitted to them; the uncertainty of this frame does not count",
         "rows.reported_uncertainty",
         (Uncertainty.POSITION,),
     )
@@ -86,7 +86,7 @@ class Contribution(Enum):
     )
     BEFORE_AND_AFTER = (
         "before and after",
-        "errors at poses that were not used, after calibration compared with before",
+        "errors before and after calibration, at poses that were not used",
         "judging.better_or_worse",
         (Uncertainty.GAIN,),
     )

@@ -80,7 +80,7 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
     >>> nearest("q", ["rad", "deg"])
     '; valid: deg, rad'
     >>> nearest("elbow.offset", ["elbow.x", "elbow.rz", "wrist.x"])
-    "; of 'elbow' there are: elbow.rz, elbow.x"
+    "; 'elbow' has elbow.rz, elbow.x"
 
     Args:
         valid: Accepted names.
@@ -92,7 +92,7 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
     stem = stem or leaf
     siblings = [item for item in names if item.startswith(f"{stem}.")]
     if not same and len(siblings) > 1 and not any(_alike(item.removeprefix(f"{stem}."), leaf) for item in siblings):
-        return f"; of '{stem}' there are: {', '.join(siblings)}"
+        return f"; '{stem}' has {', '.join(siblings)}"
     close = same[0] if same else _closest(str(name), names)
     if close:
         return f"; did you mean '{close}'?"

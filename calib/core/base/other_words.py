@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from calib.core.base.errors import InputError, nearest
 
 EXAMPLES = ("joint_3.z", "joint_4.x")
-"""Parameters that the table names; if a robot lacks them, hints name its first and last one."""
+"""Examples in the table of words. If a robot lacks them, hints name its first and last parameter."""
 
 
 class UnknownNameError(InputError, AttributeError):

@@ -29,7 +29,7 @@ from typing import Any, TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _Work = tuple[Callable[..., Any], object, tuple[Any, ...], dict[str, Any]]
-"""A function, the key under which processes hold it (or None), and its arguments."""
+"""A function, its key in the processes that hold it (or None), and its arguments."""
 
 
 class Processes(Executor):

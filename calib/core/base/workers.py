@@ -31,7 +31,7 @@ from calib.core.base.processes import Processes
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Progress = Callable[[int, int], None]
-"""Called with how many pieces of work are done, and of how many."""
+"""Called with the number of finished pieces of work, and the number of all pieces."""
 
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
 _AHEAD = 256  # pieces of work sent at a time: each carries what it needs, and its result waits for those before it

@@ -43,7 +43,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.terms import parse_terms
 
 PROVING = 5
-"""Number of folds if none is requested, but only poses left out in turn can prove the result."""
+"""Number of folds if none is requested, and only cross-validation can prove the result."""
 _OF_ONE_FIT = 3  # number of reported steps of a fit: base and targets placed, the minimum found, the verdict reached
 _EXCLUSION_ROUNDS = 5
 

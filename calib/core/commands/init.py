@@ -47,7 +47,7 @@ def _source_options(function: Callable[..., None]) -> Callable[..., None]:
 @click.option(
     "--measure",
     type=click.Choice(tuple(MEASURES)),
-    help="How you measure: writes the instrument into the description, and beside it the file to fill in.",
+    help="How you measure. The description gets this instrument; a file to fill in is written beside it.",
 )
 @click.option(
     "--board",
@@ -60,7 +60,7 @@ def _source_options(function: Callable[..., None]) -> Callable[..., None]:
 @click.option(
     "--xacro", multiple=True, metavar="NAME:=VALUE", help="Argument of a xacro file, kept in FILE; may be repeated."
 )
-@click.option("--dh", metavar="FILE", help="Denavit-Hartenberg table (CSV) in place of a URDF, which is then written.")
+@click.option("--dh", metavar="FILE", help="Denavit-Hartenberg table (CSV) in place of a URDF; the URDF is written.")
 @click.option("--convention", type=click.Choice(CONVENTIONS), help="Convention of the table, if it does not state it.")
 @click.option("--template", type=click.Choice(tuple(TEMPLATES)), help="A robot with loops in place of a URDF.")
 @_source_options
@@ -81,8 +81,8 @@ def _source_options(function: Callable[..., None]) -> Callable[..., None]:
     "-o",
     "--out",
     metavar="FILE",
-    help="YAML file to write. Default: in the current folder, named after the input. The URDF of --dh, --template or a"
-    " printer goes beside it, and a printer's measurements (.csv).",
+    help="YAML file to write. Default: in the current folder, named after the input. Beside it: the URDF of --dh,"
+    " --template or a printer, and a printer's measurements (.csv).",
 )
 @shared_options()
 def command(

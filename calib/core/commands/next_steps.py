@@ -19,7 +19,7 @@ _MEANINGS = {
 }
 _NOT_AGAIN = ("--out", "--json", "--force", "--quiet", "--verbose", "--debug")
 NOISE = ("--sigma-mm",)
-"""Options that state the noise, with the same meaning in every command that has them."""
+"""Options that state the noise. They mean the same in every command."""
 
 
 def options_as_typed() -> dict[str, tuple[str, ...]]:

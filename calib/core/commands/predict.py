@@ -22,7 +22,7 @@ from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
 
 _FURTHER = 1.05
-"""The errors here are compared with those at poses like the measured ones if they are this many times as large."""
+"""A message compares the errors with those at poses like the measured ones if they are this many times as large."""
 
 
 @click.command("predict")

@@ -73,7 +73,7 @@ def command(
     comments: tuple[str, ...] = (f"{simulated}; truth: {truth}", f"{noise}, seed {seed}")
     moved = np.flatnonzero(np.any(measured.joints != poses.joints, axis=1))
     if len(moved):
-        comments += (f"joint values of {count_noun(len(moved), 'visit')} are changed so that the robot touches",)
+        comments += (f"joint values of {count_noun(len(moved), 'visit')} are changed so that the robot is in contact",)
     if photographs and camera:
         with output.working("rendering photographs"):
             photographs_of = load_entry("calib.methods", "photographs")
@@ -87,7 +87,7 @@ def command(
     if photographs:
         output.say(f"{count_noun(len(poses), 'simulated photograph')} written to {photographs}")
     if len(moved):
-        output.say(f"Joint values of {count_noun(len(moved), 'visit')} were changed so that the robot touches")
+        output.say(f"Joint values of {count_noun(len(moved), 'visit')} were changed so that the robot is in contact")
 
 
 def _camera(robot: Robot) -> Pixel:
@@ -99,8 +99,8 @@ def _camera(robot: Robot) -> Pixel:
     ]
     if len(cameras) != 1:
         raise InputError(
-            f"{robot.path}: has {count_noun(len(cameras), 'camera')} that can photograph; --photographs needs one,"
-            " whose 'board' and 'image' are stated"
+            f"{robot.path}: has {count_noun(len(cameras), 'camera')} that can photograph; --photographs needs one"
+            " camera with 'board' and 'image'"
         )
     return cameras[0]
 

@@ -112,7 +112,7 @@ def _plan(promise: Promise, data: tuple[str, ...], change: str | None, same_setu
                 f"All {len(poses)} poses are too few to show {change} with a chance of {100 * POWER:.0f} %; add poses"
             )
         else:
-            anew = "" if same_setup else ", or base and targets, which are placed anew, absorb it"
+            anew = "" if same_setup else ", or the new places of base and targets absorb it"
             lines.append(f"No number of such poses shows a change of {name}: readings do not depend on it{anew}")
     output.json(content)
     output.say("\n".join(lines))

@@ -24,9 +24,9 @@ from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 
 PosesLike = Poses | Source | ArrayLike
-"""Poses as callers give them: with names; in a file or a data frame; or joint values alone [m or rad]."""
+"""Poses with names, a file or data frame of poses, or joint values alone [m or rad]."""
 MeasurementsLike = Measurements | Source | Sequence[Source | Measurements]
-"""Measurements as callers give them: read; in files or data frames; one or several."""
+"""Measurements, a file or data frame of measurements, or a list of these."""
 _SOURCE = "arrays"
 
 
@@ -203,7 +203,7 @@ def _words(instrument: Instrument, poses: Poses, given: ArrayLike) -> Readings:
 def _readings(instrument: Instrument, poses: Poses, values: FloatArray) -> Readings:
     if instrument.looks()[1].shape[1]:
         raise DataError(
-            f"{instrument.name}: an array does not say which point or thing each reading is of; give"
+            f"{instrument.name}: an array does not name the point or thing of each reading; give"
             " calib.Readings with details"
         )
     width = instrument.values({column.name: np.zeros(0) for column in instrument.columns()}).shape[1]

@@ -261,7 +261,7 @@ class Measurements(Poses):
         held: IntArray = np.array(chosen, dtype=np.intp)
         if not 0 < len(held) < len(self):
             raise DataError(
-                f"{self.path}: {validation:g} of {len(self)} poses held out leave no pose to"
+                f"{self.path}: with {validation:g} of {len(self)} poses held out, no pose is left to"
                 f" {'fit' if len(held) or validation >= 1 else 'validate with'}; give a fraction between 0 and 1,"
                 " or a file"
             )

@@ -9,7 +9,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.numerics.chances import UNLIKELY
 
 APART = 0.05
-"""Part of poses that `is_apart` finds apart from others, although they were drawn in the same way."""
+"""Part of the poses that `is_apart` calls apart by chance, although all were drawn in the same way."""
 SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
 
 

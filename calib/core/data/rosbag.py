@@ -97,7 +97,7 @@ def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[st
     still = spread <= _STILL
     if not still.any():
         finite = spread[np.isfinite(spread)]
-        moved = f"; the least that a joint moved is {np.min(finite):.2g} rad or m" if len(finite) else ""
+        moved = f"; at the stillest of them a joint moved by {np.min(finite):.2g} rad or m" if len(finite) else ""
         raise DataError(
             f"{path}: the robot stood still at none of {count_noun(len(times), 'measurement')} (still: there are joint"
             f" states within {_WINDOW} s before and after, which differ by at most {_STILL:g} rad or m){moved}"

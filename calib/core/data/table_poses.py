@@ -110,7 +110,7 @@ def _joints_of_table(
             continue
         sensor = sensed.get(name)
         if sensor in reading and name in table.names:
-            raise DataError(f"{table.path}: has a column '{name}', and inclinometer '{sensor}' reads it; leave one out")
+            raise DataError(f"{table.path}: column '{name}' and inclinometer '{sensor}' share a joint; leave one out")
         if name not in table.names and sensor is None:
             raise DataError(
                 f"{table.path}: no column '{name}'{nearest_free_column(name, robot, table)} (if your file has"
@@ -118,7 +118,7 @@ def _joints_of_table(
             )
         if name not in table.names and sensor not in reading:
             raise DataError(
-                f"{table.path}: no column '{name}', and none of inclinometer '{sensor}', which reads it: expected"
+                f"{table.path}: no column '{name}', and none of inclinometer '{sensor}' for this joint: expected"
                 f" {sensor}_accelerometer_x, ..., or {sensor}_gravity_x, ..., or {sensor}_gravity_tilt_x, ..."
             )
         if name in table.names:

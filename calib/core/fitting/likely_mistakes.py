@@ -49,7 +49,7 @@ _NO_SIZE = 1e-6  # if reach over measured space is below this, the described tar
 _ANOTHER_UNIT = 0.1  # change of all lengths that is more than a robot's own errors
 _READ = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _WRITTEN = dict(_READ, inches=0.0254, feet=0.3048, cm=1e-2) | {"tenths of an inch": 2.54e-3}
-"""Units in which positions may be read, and written [m]."""
+"""Units in which the program reads positions, and units in which a file may have them [m]."""
 
 
 @one_blas_thread

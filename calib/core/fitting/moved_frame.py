@@ -25,9 +25,9 @@ from calib.core.numerics.rigid import best_transform
 FEW_POSES = 6
 """Fewest validation poses for which a good rigid fit of their errors shows a real motion."""
 CLOSE = 0.3
-"""Validation points within this part of the spread of the used points: errors of the robot look like one motion."""
+"""The robot's errors look like one motion if the validation points are within this part of the used points' spread."""
 EXPLAINED = 0.3
-"""Largest part of the errors on validation poses that remains after a rigid motion that explains them."""
+"""A rigid motion explains the errors on validation poses if at most this part of them remains after it."""
 
 
 @dataclass(frozen=True, eq=False)

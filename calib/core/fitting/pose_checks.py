@@ -102,9 +102,9 @@ def _refuse_one_line(robot: Robot, data: Measurements) -> None:
     if len(spread) > 1 and spread[1] > _LINE * spread[0] and not (same and len(robot.target_names) < 3):
         return
     raise DataError(
-        f"{data.path}: {'all poses are the same' if same else 'all measured positions lie on one line'}, which does not"
-        " determine the base, whose pose the description calls unknown: measure positions that spread in at least two"
-        " directions, or hold what these leave open (`held`, such as base.rx for the turn about a line along x)"
+        f"{data.path}: {'all poses are the same' if same else 'all measured positions lie on one line'}. They do not"
+        " determine the base, and the description calls its pose unknown. Measure positions that spread in at least two"
+        " directions, or hold what stays open (`held`, such as base.rx for the turn about a line along x)"
     )
 
 

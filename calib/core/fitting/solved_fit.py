@@ -26,7 +26,7 @@ from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
 COMPUTED = 1e-7
-"""Noise below this [SI] and below a hundredth of the statement is the effect of priors on data without noise."""
+"""Data have no noise if the found noise is below this [SI] and below a hundredth of the stated noise."""
 
 
 @dataclass(frozen=True)

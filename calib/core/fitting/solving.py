@@ -66,7 +66,7 @@ STEP_LEFT = 0.05
 _FAR = 0.5  # receding parameters are named if they still move by this part of the largest step
 _BLIND = 1e-6  # no reading sees a place whose column is below this part of the longest, in expected units
 ROUNDING = 1e-8
-"""10 nm and 10 nrad: below, rounding decides about a step."""
+"""Rounding decides about a step that is smaller than 10 nm or 10 nrad."""
 
 
 def place(problem: Problem) -> Evaluation:

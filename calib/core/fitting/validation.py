@@ -26,7 +26,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Instrument, Readings
 
 FitAndPredict = Callable[[Measurements, Measurements], Fit]
-"""Fits the first measurements and predicts the second (as its validation)."""
+"""Function that fits the first measurements and predicts the second as its validation."""
 
 
 def deal(data: Measurements, count: int, seed: int = 0) -> list[IntArray]:

@@ -43,15 +43,15 @@ def check_kind(
     subject = f"{type(instrument).__qualname__} '{instrument.name}'"
     values = instrument.predict(seen, own, more)
     _require(
-        np.ndim(values) == 2 and len(values) == n, f"{subject}: predict gives {np.shape(values)}, not ({n}, n_values)"
+        np.ndim(values) == 2 and len(values) == n,
+        f"{subject}: predict() returns shape {np.shape(values)}, not ({n}, n_values)",
     )
-    _require(
-        bool(np.isfinite(values).all()), f"{subject}: predict gives numbers that are not finite in views that it sees"
-    )
+    _require(bool(np.isfinite(values).all()), f"{subject}: predict() returns numbers that are not finite")
     cells = instrument.cells(values)
     names = [column.name for column in instrument.columns()]
     _require(
-        sorted(cells) == sorted(names), f"{subject}: cells gives columns {sorted(cells)}, but `columns` names {names}"
+        sorted(cells) == sorted(names),
+        f"{subject}: cells() returns columns {sorted(cells)}, but columns() names {names}",
     )
     if names:
         again = instrument.values(cells)
@@ -71,8 +71,8 @@ def check_kind(
         ("the derivative by what it sees", by_seen, (n, instrument.n_rows, len(columns))),
         ("by_unknown", exact.by_unknown, (n, instrument.n_rows, len(own))),
     ):
-        _require(np.shape(found) == shape, f"{subject}: compare gives {what} of shape {np.shape(found)}, not {shape}")
-        _require(bool(np.isfinite(found).all()), f"{subject}: compare gives {what} that are not finite")
+        _require(np.shape(found) == shape, f"{subject}: compare(): {what} of shape {np.shape(found)}, not {shape}")
+        _require(bool(np.isfinite(found).all()), f"{subject}: compare(): {what} not finite")
     axes = [f"{part.name}.{axis}" for part in instrument.parts for axis in part.axes]
     _require(np.allclose(exact.residuals, 0, atol=1e-9), f"{subject}: residuals of its own predictions are not zero")
     noise = np.eye(instrument.n_rows) * _STEP
@@ -80,7 +80,7 @@ def check_kind(
         off = compare(seen, own, instrument.with_errors(values, np.tile(change, (n, 1)))).residuals
         _require(
             np.allclose(off, -change, atol=_NEAR * _STEP * 10),
-            f"{subject}: with_errors does not move row {axes[row]} alone",
+            f"{subject}: with_errors() does not change row {axes[row]} alone by the given error",
         )
     for k, column in enumerate(columns):
         ends = [compare(_view_after_step(seen, k, sign * _STEP), own, values).residuals for sign in (1, -1)]
@@ -112,8 +112,8 @@ def _require_same(given: FloatArray, found: FloatArray, all_of_it: FloatArray, s
     if np.max(off, initial=0.0) > 0:
         i, row = np.unravel_index(int(np.argmax(off)), off.shape)
         raise ComputationError(
-            f"{subject}, row {axes[row]}, is {given[i, row]:.9g} at view {i + 1}; central differences of the residuals"
-            f" give {found[i, row]:.9g}"
+            f"{subject}, row {axes[row]}, is {given[i, row]:.9g} at view {i + 1}, but central differences of the"
+            f" residuals give {found[i, row]:.9g}"
         )
 
 

@@ -19,7 +19,7 @@ from calib.core.judging.rules_reach import terms_beyond
 from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 NO_MATTER = 0.25
-"""A scale that does not show is not mentioned if it makes errors below this part of the noise."""
+"""A message leaves out an unseen scale error if its effect is below this part of the noise."""
 LARGE_SCALE = 1e-3
 """Scale error that users notice without a calibration."""
 LIKE_SHUFFLED = 0.8
@@ -59,7 +59,7 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
         predicted = float(np.mean(known.reported_distance**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))
         yield (
-            "scatter of the robot (play, changing loads): it looks like noise of the instrument, which was not stated"
+            "scatter of the robot (play, changing loads): it looks like the instrument's noise, which was not stated"
             f" (--sigma-mm). If the robot makes all of this scatter, single positions are known to {single:.2g} mm RMS"
         )
 

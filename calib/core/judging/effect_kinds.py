@@ -20,7 +20,7 @@ class Trait(Enum):
     MOVED = "comes from a motion of something other than the robot: its base, an instrument or a target"
     MISPLACED = "is of a target that sits elsewhere than the description says"
     FOLLOWS_JOINTS = "follows the values of joints: at poses like those measured it stays as it is"
-    BY_THE_DOZEN = "is tried by the dozen for each joint or target, and the best is kept"
+    BY_THE_DOZEN = "has dozens of candidates for each joint or target; only the best one is kept"
 
 
 class Family(Enum):

@@ -55,7 +55,7 @@ PLACES, GEOMETRY = "base, targets and instruments", "geometry (joint origins)"
 NOISE, UNEXPLAINED = "noise", "not explained"
 REST = "noise and unexplained errors, not separable"
 ENOUGH_REPEATS = 10.0
-"""Degrees of freedom that repeats need to count as known noise."""
+"""Repeats give a known noise if they have at least this many degrees of freedom."""
 _AS_LARGE = 1.1  # the rest counts as noise if it is at most this many times the noise (RMS)
 _SURE = 0.5  # the unexplained mean square plus two standard deviations must be below this part of the noise's
 

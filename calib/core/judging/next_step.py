@@ -24,7 +24,7 @@ _OPTIONS: dict[Answer, tuple[str, ...]] = {
     Answer.HOLD_OUT: ("test the result on poses of the file that it is fitted to", "--validate", "0.25"),
     Answer.STATE_NOISE: ("state a smaller noise, or leave out what was read twice, and fit again",),
 }
-"""Aim and option of another `calib fit`, for the answers that need one."""
+"""Aim and options of the next `calib fit`, for each answer that needs another fit."""
 ROBOT, DATA, FOLDER, AGAIN = "ROBOT", "DATA", "DIR", "DIR-2"
 """Placeholders in a command for the files of a user: robot, measurements, result folder, folder of the next result."""
 
@@ -141,5 +141,5 @@ def _use(fit: Fit) -> NextStep:
     origins, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
     both = f"{whole.in_unit(whole.rms)} with them, {origins.in_unit(origins.rms)} without, RMS at {whole.pose_words}"
     if fit.terms is not None and whole.rms > origins.rms:
-        return _repeat_fit(fit, f"leave the joint terms out, which make it no better ({both})", "--terms", "none")
+        return _repeat_fit(fit, f"leave out the joint terms: they make it no better ({both})", "--terms", "none")
     return NextStep(f"correct a program by the whole model, whose joint terms a URDF cannot hold ({both})", program)

@@ -32,7 +32,7 @@ FEW_SHARED = 5
 """With fewer degrees of freedom of the poses, intervals are very wide if the readings of a pose share errors. Distances
 of targets mean something from so many poses."""
 RIGID = 1e-6
-"""If the distance of two targets scatters by less [m], no instrument has read both."""
+"""If the distance of two targets scatters by less [m], it was computed: no instrument has read both targets."""
 COSTLY = 0.36
 """If outliers make this part of the squared residuals, errors are a fifth smaller without them."""
 FEW_OF = 0.01
@@ -48,11 +48,11 @@ ALL_ROUNDED = 2.0
 COPIED = 0.03
 """Part of the readings that may be copies of others."""
 FAR = 3.0
-"""A reading of 0, 0, 0 with a residual this many times the median is not the origin of the measurement frame."""
+"""A reading of 0, 0, 0 is an empty one, and not the frame's origin, if its residual is this many times the median."""
 USED_FOR_BOTH = 0.1
 """Largest part of the validation poses that may repeat poses of the fit."""
 ANOTHER = {"load": 0.05, "temperature": 2.0}
-"""With larger differences in stated conditions [kg, K], measurements at the same joint values are different ones."""
+"""Measurements at the same joint values are no repeats if a stated condition differs by more than this [kg, K]."""
 
 
 def poses_that_say_little(fit: Fit) -> Iterator[Reason]:

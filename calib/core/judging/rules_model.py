@@ -31,7 +31,7 @@ ELSEWHERE = 0.2
 """The stated place of base or targets is wrong if placing them by the data leaves less than this part of the errors of
 the nominal robot."""
 NEAR = 0.1
-"""The same errors are smaller than this part of the spread of the measured positions if the robot fits."""
+"""If the robot fits, base or targets placed by the data leave less than this part of the spread of the positions."""
 BELIEVED = 0.5
 """A reading counts if a robust loss gives it more than this weight."""
 AT_END = 0.55
@@ -175,7 +175,7 @@ def _where(fit: Fit, accuracy: Accuracy) -> str:
     setups = [data.setups for data in (fit.identification.data, fit.validation.data)]
     if setups[0] is not None and setups[1] is not None and not np.any(np.isin(setups[1], setups[0])):
         return ". They are of a setup that was not used"
-    return f". {np.sum(unlike)} of them lie farther from the poses used than the poses used lie from each other"
+    return f". {np.sum(unlike)} of them lie farther from the poses used than these lie from each other"
 
 
 def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:

@@ -30,7 +30,7 @@ NO_BETTER = 0.15
 """Where no positions are measured, nothing fits if the noise is more than this part of the errors with joint values of
 other rows."""
 DOUBTFUL = 0.05
-"""Other meanings of an instrument's numbers are tried if the noise is more than this part of an impossible one."""
+"""Above this part of an impossible noise, the program tries other meanings of an instrument's numbers."""
 GROSS_RATIO = 50.0
 """Mistakes in the data are looked for if the found noise is more than this many times the stated one."""
 LEFT_OUT = 0.01
@@ -216,7 +216,7 @@ def _check_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
         )
     elif chi.p_smaller < UNLIKELY:
         text = f"noise found{of} is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
-        advice = "state a smaller noise; or the same reading was used more than once"
+        advice = "state a smaller noise, or look for readings that were used more than once"
         yield Code.NOISE.says(f"{text}: {advice}", answer=Answer.STATE_NOISE)
 
 

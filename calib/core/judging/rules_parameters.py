@@ -37,7 +37,7 @@ pulls all other parameters out of place."""
 SMALLEST_SHARE = 0.05
 """Share of a parameter's variance that the data must remove before its deviation counts."""
 SCALED = 2e-3
-"""Relative length error that no robot and no instrument has as a whole: heat makes a tenth of it."""
+"""Relative error of all lengths that is too large for any robot or instrument: heat makes a tenth of it."""
 SCALED_SIGMAS = 6.0
 """A scale further from 1 than this many of its standard deviations is not explained by errors of the parameters. Few
 degrees of freedom take more: as many as chance does not explain, by Student's t (`_least_sigmas`)."""

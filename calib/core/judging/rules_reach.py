@@ -24,9 +24,9 @@ from calib.core.rows.jacobian import linearise
 from calib.core.rows.prediction import order_of_joints, recombined_joints, without_common_motion
 
 BEYOND_LIMIT = 0.01
-"""A pose is named if it is further beyond a joint's limit [rad, or characteristic lengths]."""
+"""Messages name a pose if a joint is beyond its limit by more than this [rad, or characteristic lengths]."""
 CORNER = 0.1
-"""Part of the range between its limits that at least one joint must move through."""
+"""At least one joint must move through this part of the range between its limits."""
 LESS_KNOWN = 3.0
 """A calibration does not reach where positions are more than this many times as uncertain as at the used poses."""
 WIDENED = np.sqrt(2.0)

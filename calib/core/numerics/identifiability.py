@@ -36,13 +36,13 @@ _BLOCK = 32  # columns of a block in a factorisation
 _INVERTED = 96  # LAPACK inverts a triangle with at most this many columns as fast as by halves
 _EXACT = 1e-6  # least 1 / condition of a factor of J^T J that is exact enough
 MANY_COLUMNS = 128
-"""With so many columns or more, J^T J is factorised (Cholesky) in place of J (QR), where that is exact enough."""
+"""From this number of columns, J^T J is factorised (Cholesky) and not J (QR), if that is exact enough."""
 RANK_TOLERANCE = 1e-9
 """Singular values of the scaled Jacobian below this part of the largest count as zero."""
 CLEAR_GAP = 30.0
 """The rank depends on the threshold if the singular values around it differ by a smaller factor."""
 NO_EFFECT = 1e-7
-"""A column is rounding if its length is below this part of the longest, in metres and radians."""
+"""A column shorter than this part of the longest is only rounding (lengths in metres and radians)."""
 TIE = 2.0
 """Condition numbers within this factor of the smallest are equally good."""
 _DIGITS = 1e-6  # condition numbers with a smaller relative difference are the same

@@ -11,7 +11,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.linear_model import LinearModel
 
 FLAT, KNOWN = -2, -1
-"""In place of the number of a family: `FLAT` for a column without a prior, `KNOWN` for one whose prior is N(0, 1)."""
+"""Family numbers with a meaning: `FLAT` is a column without a prior, `KNOWN` is one with the prior N(0, 1)."""
 _ASIDE = 1e-4  # components of a family below this part of its largest singular value are dropped
 _UNSEEN = 1e-11  # the same part for columns without a prior: less is rounding of columns that depend on others
 

@@ -58,7 +58,7 @@ from calib.core.numerics.identifiability import (
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 OUTSIDE = 1e-6
-"""Least length outside the determined directions at which a unit vector counts as undetermined."""
+"""A unit vector is undetermined if its part outside the determined directions is at least this long."""
 _CLEAR = 1e-6  # if 1 / condition of a factor is larger, no singular value is near the threshold of the rank
 
 

@@ -161,8 +161,8 @@ def _errors(acceptance: Acceptance) -> list[str]:
         )
         if rms <= promised < np.sqrt(2.0) * left_open and acceptance.ratio > 1.0 and acceptance.verdict != "agrees":
             lines.append(
-                "Judge by the ratio: most of these millimetres lie along the few directions that the calibration leaves"
-                " uncertain, and hide errors in the others"
+                "Judge by the ratio: most of the expected error lies in the few directions that the calibration leaves"
+                " uncertain. It hides errors in the others"
             )
     return lines
 
@@ -195,7 +195,7 @@ def _drift(acceptance: Acceptance) -> list[str]:
 def _placing_sentence(acceptance: Acceptance) -> str:
     return (
         f"base and targets were placed by these readings, so AP has {acceptance.placed} degrees of freedom less;"
-        " with --same-setup it has all"
+        " --same-setup keeps them"
     )
 
 

@@ -198,7 +198,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
         for entry in self.saved["fit"]["reduced"].values():
             if np.array_equal(robot.values, entry["values"]):
                 return evaluate_fit(self.nominal, entry, self.path).uncertainty
-        raise DataError(f"{self.path}: has no covariance of the robot for this format; take another format")
+        raise DataError(f"{self.path}: does not hold the robot's covariance for this format; choose another format")
 
     def readings(self) -> dict[str, dict[bytes, float]]:
         """Return the squared errors of the readings of each set, by their keys (`reading_keys`).

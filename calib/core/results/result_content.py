@@ -24,7 +24,7 @@ from calib.core.results.sections.parameters import parameter_rows
 from calib.core.results.sections.terms import terms_table
 
 NOMINAL_YAML, NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
-"""Files of a result folder with the nominal robot."""
+"""Files of the nominal robot in a result folder."""
 
 
 @one_blas_thread

@@ -54,7 +54,7 @@ _NOT_ALWAYS = (_URDF, *_PAGES, *_VERSION_1)
 """Files that a new result replaces or removes."""
 _ALWAYS = ("result.json", SAVED, "parameters.csv", "covariance.csv", "residuals.csv", NOMINAL_YAML, NOMINAL_URDF)
 RESULT_FILES = (*_ALWAYS, *_NOT_ALWAYS)
-"""Files that a result folder may hold of a fit."""
+"""Files of a fit that a result folder may hold."""
 
 
 @one_blas_thread

@@ -110,7 +110,7 @@ def remarks_on_file(robot: Robot, holds: Holds) -> list[str]:
     lost, known = lost_by(robot, holds), robot.files.get(holds)
     if known is None:
         without = f"joint terms of {listing(lost)}, which are not in this file"
-        return [f"exported by force: these values belong to {without}"] if lost and holds is not Holds.ZEROS else []
+        return [f"exported by force: these values need {without}"] if lost and holds is not Holds.ZEROS else []
     lines = [f"exported by force: {known.withheld}"] if known.withheld else []
     if holds is Holds.ZEROS:  # the format's own remarks have the rest
         return lines

@@ -109,7 +109,7 @@ def check_inclinometers(description: Description, mechanism: Mechanism, where: s
         support = mechanism.support[mechanism.frames[section.frame]]
         for name, of in taken.items():
             if of in later and support[mechanism.origin_names.index(name)]:
-                raise DescriptionError(f"{where}: inclinometers: list '{of}' before '{sensor}', which it moves")
+                raise DescriptionError(f"{where}: inclinometers: list '{of}' before '{sensor}': it moves '{sensor}'")
 
 
 def turned_joints(

@@ -94,7 +94,7 @@ def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None)
         if not mjcf.springs:
             raise
         build(description, urdf, urdf.path)
-        remarks.append(f"springs are taken for motors, with columns for how far they give: {', '.join(mjcf.springs)}")
+        remarks.append(f"springs count as motors, with columns for their deflections: {', '.join(mjcf.springs)}")
     return description, "; ".join([*remarks, replace(chain, fingers=(), branches=(), still=()).remark]).strip("; ")
 
 
@@ -170,7 +170,7 @@ def robot(
 
 
 RobotLike = Robot | Path | str
-"""A robot as callers give it: loaded, or its description or URDF."""
+"""A loaded robot, or the file of its description or URDF."""
 
 
 def as_robot(robot: RobotLike) -> Robot:
@@ -212,7 +212,7 @@ def with_model(robot: Robot, model: str) -> Robot:
         place = robot.nominal.placement(prefix + name) if prefix + name in robot.nominal.origin_names else None
         if place is None or not place.isApprox(of_model.nominal.placement(name), _SAME_ORIGIN):
             raise DescriptionError(
-                f"{robot.path}: is no stock '{model}': joint '{prefix + name}' is "
+                f"{robot.path}: is not the stock robot '{model}': joint '{prefix + name}' is "
                 + ("missing" if place is None else "elsewhere in that model; give the stock URDF")
             )
     own = {p.name for p in robot.parameters}

@@ -179,13 +179,13 @@ def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> 
     if closes[0]:
         passive = wrap_turns(mechanism, mode, passive)
         if are_within_limits(mechanism, passive)[0]:
-            return "it closes if solved alone, but followed from the other poses it ends beyond the limits of a joint"
+            return "it closes if solved alone, but the path from the other poses ends beyond the limits of a joint"
         return "its loops close only with " + _joint_beyond_limits(mechanism, passive[0])
     lengths, angles = smallest_gap(mechanism, mode, actuated)
     loop = int(np.argmax(lengths / mechanism.length + angles))
     if max(lengths[loop], angles[loop]) > _CLOSED:
         return f"loop {mechanism.loops[loop].name} stays open by {gap_text(lengths[loop], angles[loop])} at best"
-    return "its loops close there, but no way there was found from home in its assembly mode"
+    return "its loops close there, but no path from home was found in the assembly mode of home"
 
 
 def _joint_beyond_limits(mechanism: Mechanism, passive: FloatArray) -> str:

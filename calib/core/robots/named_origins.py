@@ -51,7 +51,7 @@ class NamedOrigins:
     def __post_init__(self) -> None:
         missing = next((each.origin for each in self.components if each.origin not in self.origins), None)
         if missing is not None:
-            raise DescriptionError(f"the URDF has no joint '{missing}', but this parametrisation has components of it")
+            raise DescriptionError(f"the URDF has no joint '{missing}', which the parametrisation needs")
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

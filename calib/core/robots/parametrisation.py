@@ -199,7 +199,7 @@ def with_prior(robot: SomeRobot, names: str | Sequence[str], sigma: str) -> Some
     for name in [names] if isinstance(names, str) else names:
         place = index_of(robot.parameters, name)
         if place >= robot.n_origin_parameters:
-            raise ParameterError(f"parameter '{name}' is of a joint term, whose sigma stands in the robot description")
+            raise ParameterError(f"parameter '{name}' belongs to a joint term; state its sigma in the description")
         if not isinstance(sigma, str):
             number = isinstance(sigma, (float, int))
             lacks = "has no unit; write it" if number else "is not a standard deviation with its unit"

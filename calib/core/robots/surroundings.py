@@ -131,7 +131,7 @@ Obstacles = Annotated[
         json_schema_input_type=dict[str, ObstacleSection | Literal["floor"] | None] | Literal["floor", "unchecked"],
     ),
 ]
-"""Obstacles by name; `floor` alone is one too. `unchecked`: collisions are not checked."""
+"""Obstacles by name, or `floor` alone. `unchecked`: collisions are not checked."""
 
 
 def _acceptance(given: Any) -> Any:

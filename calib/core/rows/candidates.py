@@ -33,7 +33,7 @@ _SAME = 1e-9
 _MEASURED_AGAIN = 1e-4
 """A candidate nearer than this to a measured pose is that pose [m, rad]."""
 WHITENED = 1.0
-"""Unit of rows, instead of the noise of a length, if no instrument measures a length."""
+"""Unit of rows if no instrument measures a length; otherwise the noise of a length is the unit."""
 _SHOWN = 10
 _MIXING = 0x9E3779B97F4A7C15 - 2**64  # factor that mixes the numbers of columns: odd, and far from a power of two
 

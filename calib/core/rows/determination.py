@@ -42,7 +42,7 @@ class Determination(ReadOnlyArrays):
         """Return sentences with both ranks of the poses alone, their gaps, and doubts where they are unclear."""
         lines = [f"All {self.everything.n_columns} parameters, poses alone: {self.everything}"]
         if self.free.n_columns != self.everything.n_columns:
-            lines.append(f"The {self.free.n_columns} free ones, poses alone: {self.free}")
+            lines.append(f"The {self.free.n_columns} free parameters, poses alone: {self.free}")
         doubts = dict.fromkeys(rank.doubt for rank in (self.everything, self.free) if rank.unclear)
         return lines + [sentence(doubt) for doubt in doubts]
 

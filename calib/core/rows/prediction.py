@@ -78,7 +78,7 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
     def __str__(self) -> str:
         n_poses, n_targets = self.positions.shape[:2]
         sentence = "how far off is not known"
-        following = "fit.predict(q), of a fit or of calib.load_result, says how far off they are"
+        following = "fit.predict(q) says how far off they are; fit is a fit or a result of calib.load_result"
         if self.reported_distance.size and np.all(np.isfinite(self.reported_distance)):
             known = self.summary()
             sentence = f"known to {known['rms']:.3g} mm RMS, {known['max']:.3g} mm at worst"

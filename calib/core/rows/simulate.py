@@ -42,7 +42,7 @@ _LONGEST_STEP = 0.2  # step of a joint [rad, or characteristic lengths]
 _ROUNDS, _STEPS = 3, 100
 _LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a step of less gain ends a search that is further from contact [m]
 MET = 1e-10
-"""The robot touches if the distance is less [m]."""
+"""The robot is in contact if the distance is less [m]."""
 _FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
 
 
@@ -140,8 +140,8 @@ def _touches(
     without_target = next(iter(touches_without_target(robot, poses)), None)
     if without_target is not None:
         raise DataError(
-            f"{poses.path}: nothing says what instrument '{without_target.name}' touches at which pose; add a column"
-            f" '{without_target.text_columns()[0]}' that names it, empty where nothing is touched"
+            f"{poses.path}: no column says what instrument '{without_target.name}' touches; add a column"
+            f" '{without_target.text_columns()[0]}' that names it at each pose (empty: it touches nothing there)"
         )
     result = {}
     for instrument in (instrument for instrument in robot.instruments if instrument.touches):
@@ -202,8 +202,8 @@ def _require_contact(poses: Poses, misses: FloatArray) -> None:
     worst, more = int(np.argmax(misses)), int(np.sum(misses >= MET)) - 1
     if misses[worst] >= MET:
         raise UnreachablePoseError(
-            f"{poses.labels[worst]}{f' and {more} more' if more else ''}: no joint values near these touch what they"
-            f" should; the best that were found miss by {millimetres(misses[worst]):.3g} mm; start nearer to contact"
+            f"{poses.labels[worst]}{f' and {more} more' if more else ''}: no contact was found near these joint"
+            f" values; the nearest misses it by {millimetres(misses[worst]):.3g} mm; start nearer to contact"
         )
 
 

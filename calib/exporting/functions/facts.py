@@ -266,7 +266,7 @@ def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str
     joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.joints, facts.units, strict=True))
     text = [f"The robot {facts.name}: poses of its tools from the commands of its joints.", "", *lines]
     text += ["", f"Commands: {joints}. All units are SI.", f"Tools: {', '.join(_numbered_names(facts.tools))}."]
-    text.append("Poses are those of a tool in the measurement frame of the calibration, where that places the robot.")
+    text.append("Poses of a tool are in the measurement frame, if the calibration places the robot in it.")
     if facts.base is None:
         text.append("Joints move that frame.")
     else:

@@ -14,7 +14,7 @@ from calib.core.robots.terms.term import Context
 
 _POINTS = 721
 BEYOND = 0.02
-"""A joint's curve also holds outside of the measured range, up to this part of it at each end."""
+"""A joint's curve holds beyond each end of the measured range by up to this part of the range."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 
 _FINEST = 1e-3  # a page shows digits down to this part of the whole mean square
 _NOT_SEEN = "none to be seen"
-"""Remark on a mean square that chance made negative, so that it is not shown."""
+"""Remark in place of a mean square that is negative by chance."""
 
 
 def budget_table(fit: Fit) -> dict[str, Any] | None:

@@ -52,7 +52,7 @@ def _places(fit: Fit) -> list[str]:
     lines = []
     if fit.placed_later:
         places = dict.fromkeys(name.rpartition(".")[0] for name in fit.placed_later)
-        lines.append(f"Placed by the poses that were not used, because only these show them: {listing(list(places))}")
+        lines.append(f"Places found by unused poses, because only these show them: {listing(list(places))}")
     if any(p.placement for p in fit.nominal.parameters):
         lines.append("'before' is the nominal robot, with only its base and targets placed")
     return lines

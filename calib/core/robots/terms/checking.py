@@ -27,18 +27,18 @@ def check_term(term: JointTerm, q: FloatArray, j: int, context: Context) -> None
     """
     subject, shape = type(term).__qualname__, (len(q), len(term.parameters))
     columns = term.columns(q, j, context)
-    _require(np.shape(columns) == shape, f"{subject}: columns gives {np.shape(columns)}, not {shape}")
-    _require(bool(np.isfinite(columns).all()), f"{subject}: columns gives numbers that are not finite")
-    _require(bool(np.any(columns)), f"{subject}: columns are zero at all of these commands")
+    _require(np.shape(columns) == shape, f"{subject}: columns() returns shape {np.shape(columns)}, not {shape}")
+    _require(bool(np.isfinite(columns).all()), f"{subject}: columns() returns numbers that are not finite")
+    _require(bool(np.any(columns)), f"{subject}: columns() returns only zeros at these commands")
     formula = term.formula(j)
     if formula is not None:
         off = np.abs(formula.columns(context.inputs(q)) - columns)
-        _require(bool(np.all(off < _NEAR)), f"{subject}: its formula gives other columns than `columns`")
+        _require(bool(np.all(off < _NEAR)), f"{subject}: formula() and columns() give different values")
     for condition in term.depends_on:
         by_torque = condition == Condition.LOAD and term.needs_torque  # the torque contains the load
         less = None if by_torque else _without(context, condition)
         changes = less is None or not np.array_equal(term.columns(q, j, less), columns)
-        _require(changes, f"{subject}: says that it depends on {condition.words}, and columns are the same without it")
+        _require(changes, f"{subject}: says that it depends on {condition.words}, but columns() ignores it")
     if term.needs_torque and context.torque is not None:
         rate = np.ones_like(context.torque)
         step = 1e-6 * max(float(np.max(np.abs(context.torque))), 1.0)

@@ -148,8 +148,8 @@ def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[
         empty = np.isnan(read).any(axis=1)
         if np.any(empty):
             raise DataError(
-                f"{path}, line {lines[int(np.argmax(empty))]}: says nothing in {', '.join(columns)}, where other rows"
-                " say where gravity points; fill it in, or leave the row out"
+                f"{path}, line {lines[int(np.argmax(empty))]}: a cell of {', '.join(columns)} is empty, but"
+                " other rows state the direction of gravity; fill it in, or leave the row out"
             )
         wrong, why = _no_tilts(read) if names is _TILTS else _no_gravity(read)
         if np.any(wrong):
@@ -159,8 +159,8 @@ def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[
 def _no_tilts(read: FloatArray) -> tuple[BoolArray, str]:
     """Rows of tilts (n, 2) that determine no direction, and why."""
     why = (
-        "is a tilt beyond 85 deg, where two tilts tell no direction; without [deg] in its header a column is in rad;"
-        " else give gravity_x, gravity_y, gravity_z"
+        "is a tilt beyond 85 deg, where two tilts give no direction. Without [deg] in its header a column is in rad."
+        " For such tilts give gravity_x, gravity_y, gravity_z"
     )
     return np.any(np.abs(read) > _TILTS_END, axis=1), why
 

@@ -144,7 +144,7 @@ class UrdfReader:
             if tag != "robot":
                 raise UrdfError(
                     f"{self.path}: the top element is <{tag}>, not that of a robot: <robot>, <mujoco> or <sdf>; if it"
-                    " is part of a robot, give the file including it"
+                    " is part of a robot, give the file that includes it"
                 )
             self.name = attributes.get("name", "")
             self.root_span = self._span() or (0, 0)
@@ -284,7 +284,7 @@ def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
     if len(links) > MOST_LINKS:
         raise UrdfError(f"{path}: has {len(links)} links, more than {MOST_LINKS}; cut the file down to the arm")
     if not links:
-        raise UrdfError(f"{path}: has no links; if it is part of a robot, such as macros, give the file including it")
+        raise UrdfError(f"{path}: has no links; if it is part of a robot (macros), give the file that includes it")
     for kind, given in (("link", links), ("joint", [joint.name for joint in joints])):
         repeated = [name for name, count in Counter(given).items() if count > 1]
         if repeated:

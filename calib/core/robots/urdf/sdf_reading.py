@@ -87,7 +87,7 @@ class _SdfReader:
         moving = [joint.get("name", "") for joint in self.tree.values() if joint.get("type") != "fixed"]
         named = [text for plugin in self.model.iter("plugin") for e in plugin.iter("joint_name") if (text := e.text)]
         motors = tuple(name for name in moving if name in named) if named or loops else tuple(moving)
-        cut = [f"joint {joint.get('name')} closes a loop, which is cut open there" for joint in later]
+        cut = [f"joint {joint.get('name')} closes a loop; the loop is cut open at this joint" for joint in later]
         unread = [unread_shapes(list(self.unread))] if self.unread else []
         return MjcfRobot(document(self.root), motors, tuple(loops), (), dict.fromkeys(moving, 0.0), (*cut, *unread))
 

@@ -113,10 +113,10 @@ def extended_parameter_table(both_sides: BothSides) -> ResultTable:
             column("std", draw.std),
         ),
         (
-            "simulated; first draw; only those whose std is less than half of the expected error: the others rest on"
-            " their priors",
-            "the actual backlash is half of that at the rail's ends; on average over the stroke it is"
-            f" {200 / np.pi * both_sides.rail.wear:.1f} % larger, which is what a model without wear can find",
+            "simulated; first draw; only parameters whose std is less than half of the expected error: the others rest"
+            " on their priors",
+            "the actual value is half of the backlash at the rail's ends; a model without wear finds the average over"
+            f" the stroke, which is {200 / np.pi * both_sides.rail.wear:.1f} % larger",
         ),
     )
 

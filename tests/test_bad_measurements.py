@@ -80,7 +80,7 @@ def test_rank_loss_names_the_parameters_that_cannot_be_separated(folder, fit_fil
     (folder / "all.yaml").write_text("priors: false\n" + YAML + FREE)  # 36 components, 26 combinations
     run, result = fit_file(joints(60), arm_positions(folder, joints(60)), "all.yaml")
     assert run.code == 3
-    words = "26 of 36 free parameters can be found from these poses; 10 are NOT determined"
+    words = "26 combinations of the 36 free parameters can be found from these poses; 10 are NOT determined"
     assert f"{words}; not separable: " in one_line(run)
     assert "hold 10 of them" in run.err
     assert result is None
@@ -93,7 +93,7 @@ def test_check_and_fit_count_priors_in_the_same_words(folder, fit_file, run_cali
     yaml = "priors: false\n" + YAML.replace("mm]}", "mm], position: unknown, sigma: 5 mm}") + FREE
     (folder / "all.yaml").write_text(yaml)
     run, _ = fit_file(joints(60), arm_positions(folder, joints(60)), "all.yaml")
-    words = "27 of 39 free parameters can be found from these poses, 2 more stay near nominal; 10 are NOT determined"
+    words = "27 combinations of the 39 free parameters can be found from these poses, 2 more stay near nominal; 10 are"
     assert words in one_line(run)
     assert words in run_calib("check", folder / "all.yaml", folder / "data.csv").out
 

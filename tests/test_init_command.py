@@ -323,3 +323,16 @@ def test_a_cameras_board_and_lens_may_be_given(tmp_path, run_calib):
     run = run_calib("init", "arm.urdf", "--measure", "camera", "--board", "chess", "--out", "t.yaml", cwd=tmp_path)
     assert run.code == 2
     assert "is neither a YAML file nor a kind" in run.err
+
+
+def test_a_joint_that_cannot_be_at_zero_starts_in_the_middle_of_its_limits(tmp_path, run_calib):
+    urdf = chain_urdf(["a", "b: 1"], ["one", "two", "three"])
+    low = "lower='{}' upper='{}'".format
+    for ends, middle in (((-3.0718, -0.0698), -1.5708), ((0.5, 0.7), 0.6)):
+        (tmp_path / "r.urdf").write_text(low(*ends).join(urdf.rsplit(low(-3, 3), 1)))
+        run = run_calib("init", "r.urdf", "--out", "r.yaml", "--force", cwd=tmp_path)
+        assert run.code == 0, run.err
+        assert calib.load(tmp_path / "r.yaml").home == pytest.approx([0.0, middle], abs=1e-12)
+    (tmp_path / "r.urdf").write_text(low(0, 3).join(urdf.rsplit(low(-3, 3), 1)))
+    run_calib("init", "r.urdf", "--out", "r.yaml", "--force", cwd=tmp_path)
+    assert calib.load(tmp_path / "r.yaml").description.home == {}

@@ -62,13 +62,18 @@ MISTAKES = {
     "inches": (
         machined,
         lambda d: replace(d, joints=d.joints / [25.4, 25.4, 25.4, 1, 1]),
-        "joint values: inches read as mm",
+        "joint values were inches read as mm",
     ),
     "a motor": (roughly_known, lambda d: with_readings(d, "b", np.negative), "b counts the other way"),
     "columns": (
         two_encoders,
         lambda d: replace(d, readings={"first": d.readings["second"], "second": d.readings["first"]}),
         "the columns of first and second were swapped",
+    ),
+    "rows, some of which are left out": (
+        two_encoders,
+        lambda d: replace(d, joints=np.roll(d.joints, 1, axis=0)).subset(np.flatnonzero(np.arange(40) % 4)),
+        "all joint values stood one row below their measurements",
     ),
     "azimuths": (
         pointed,
@@ -95,6 +100,15 @@ def test_a_mistake_is_named(tmp_path, what):
 @pytest.mark.parametrize("case", [two_encoders, pointed])
 def test_no_mistake_is_named_where_there_is_none(tmp_path, case):
     assert likely_mistake(*made(case, tmp_path)) == ""
+
+
+def test_joints_that_rest_and_joints_that_move_in_few_rows_do_not_fail(tmp_path):
+    robot, _, _ = two_encoders(tmp_path)
+    rng, q = np.random.default_rng(2), np.zeros((40, 2))
+    q[:8, 0] = rng.uniform(-1, 1, 8)
+    read = q + [0.3, -0.2] + 1e-3 * rng.standard_normal((40, 2))
+    fit = calib.fit(robot, calib.as_measurements(robot, q, {"first": read[:, [0]], "second": read[:, [1]]}))
+    assert "noise_as_large_as_robot" not in fit.verdict.to_dict()["codes"]
 
 
 @pytest.mark.parametrize("what", ["an encoder", "columns", "an axis", "azimuths"])

@@ -251,3 +251,37 @@ def test_without_mujoco_the_way_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(UrdfError, match=r"arm\.xml: is an MJCF file.*pip install mujoco"):
         calib.load(tmp_path / "arm.xml")
+
+
+SHAPED = """<mujoco model="shaped"><compiler angle="radian"/><default><geom contype="0" conaffinity="0" group="2"/>
+<default class="hit"><geom contype="1" conaffinity="1" group="3"/></default></default><worldbody>
+<geom class="hit" type="plane" size="1 1 .1" pos="0 0 -9"/>
+<body name="a"><geom class="hit" type="cylinder" size=".05 .05"/><geom size=".01"/>
+ <body name="b" pos="0 0 .2"><joint name="j1" axis="0 0 1" range="-3 3"/><geom size=".01"/>
+ <body name="c" pos="0 0 .1"><joint name="j2" axis="0 1 0" range="-2 2"/><geom size=".01"/>
+  <geom class="hit" type="capsule" size=".04 .15" pos="0 0 .2"/>
+  <body name="d" pos="0 0 .4"><joint name="j3" axis="0 1 0" range="-3 3"/><geom size=".01"/>
+   <geom class="hit" type="capsule" size=".03 .12" pos="0 0 .16"/>
+   <geom class="hit" type="ellipsoid" size=".01 .01 .02"/>
+   <body name="e" pos="0 0 .34"><joint name="j4" axis="0 1 0" range="-3 3"/><geom size=".01"/>
+    <geom class="hit" type="box" size=".03 .02 .1" pos="0 0 .12"/><site name="tip" pos="0 0 .2"/>
+</body></body></body></body></body></worldbody></mujoco>"""
+
+
+def test_shapes_that_collide_in_mujoco_collide_here(tmp_path, run_calib):
+    from calib.core.robots.pose_check import check_poses
+
+    (tmp_path / "arm.xml").write_text(SHAPED)
+    robot = calib.robot(tmp_path / "arm.xml", self_clearance=0.0)
+    q = robot.sample(300, 1)
+    check, model = check_poses(robot, q), mujoco.MjModel.from_xml_string(SHAPED)
+    data, theirs = mujoco.MjData(model), []
+    for row in q:
+        data.qpos[:] = row
+        mujoco.mj_forward(model, data)
+        theirs.append(any(contact.dist < 0 and 0 not in model.geom_bodyid[contact.geom] for contact in data.contact))
+    assert check.unchecked == ""
+    assert 0.05 < np.mean(theirs) < 0.95
+    assert np.mean(check.is_free == theirs) <= 0.01  # contacts by less than what both round
+    run = run_calib("init", "arm.xml", "--out", "arm.yaml", cwd=tmp_path)
+    assert "ollision shapes left out, which a URDF cannot hold (write 'obstacles' for them): of world, d" in run.out

@@ -201,6 +201,9 @@ def test_what_cannot_be_visited_is_replaced_by_the_next_best_and_nothing_else_is
     assert len(plan.stops) == 3
     assert len(plan.replaced) == 1
     assert set(plan.replaced) <= {"c", "d", "e"}
+    plan = plan_route(robot, candidates.subset(np.array([0, 5])), candidates=candidates.subset(np.array([0, 5])))
+    said = "1 pose left out without a replacement: 0 free candidates were tried, and 0 are left"
+    assert said in plan.remarks
 
 
 _FIRST_MOVE = {"urscript": "movej", "rapid": "MoveAbsJ", "krl": "PTP {", "fanuc": "J P[1]"}
@@ -453,6 +456,19 @@ def test_a_wall_and_a_turned_reflector_are_in_sight(tmp_path):
     )
     hits = check_poses(calib.load(tmp_path / "arm.yaml"), np.array([up, behind])).hits
     assert hits == ("", "ball turned away")
+
+
+def test_a_board_behind_the_arm_is_not_in_sight_of_a_camera_beside_it(tmp_path):
+    camera = "{frame: l0, xyz: [3 m, 0, 1 m], rpy: [-90 deg, 0, 90 deg]}"
+    board = "{kind: chessboard, columns: 4, rows: 3, square: 20 mm}"
+    eye = f"instruments: {{eye: {{kind: pixel, target: ball, camera: {camera}, image: [1000, 800], board: {board}}}}}\n"
+    robot = calib.load(
+        _write(tmp_path, eye.replace("board:", "intrinsics: {fx: 900, fy: 900, cx: 500, cy: 400}, board:"))
+    )
+    low = np.array([0, 0.8, 0.8, 0, 0, 0])
+    hits = check_poses(robot, np.array([low, low + np.array([np.pi - 0.2, 0, 0, 0, 0, 0])])).hits
+    assert hits[0] == ""
+    assert re.fullmatch(r"l\d in sight of ball by eye", hits[1])
 
 
 def test_legs_that_slide_are_rods_on_both_sides(tmp_path):

@@ -79,7 +79,7 @@ def test_what_passed_on_other_poses_goes_on_to_be_used(robot, data, say):
     validated = calib.fit(robot, used, validation=held)
     say("PASS")
     assert advice_after_fit(validated, "a.yaml", ("d.csv",), "my out", {}).splitlines()[1] == (
-        "Next: use my out/calibrated.urdf, or correct a program for the real robot: calib compensate 'my out'"
+        "Next: use my out/calibrated.urdf, or correct a program by it: calib compensate 'my out'"
         " program.csv --out compensated.csv"
     )
     assert "Next: fit again with --out out, then use out/calibrated.urdf" in advice_after_fit(

@@ -25,6 +25,7 @@ from calib import extend, redundancy
 from calib.core.instruments.kind import Readings, View
 from calib.core.instruments.kinds import KINDS
 from calib.core.judging.verdict import judge
+from calib.core.results.sections.determination import position_uncertainty_table
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import formats_that_hold
 from calib.core.robots.terms.term import Context, Joint
@@ -35,6 +36,7 @@ from calib.extend import check_kind, check_term
 from calib.planning.assessment_text import text_report, to_dict
 from calib.redundancy.rotary_axes import FORMATS
 from viz.error_charts import error_charts
+from viz.joint_charts import dials
 from viz.result_charts import joint_shares
 from viz.scene import scene_of_fit
 
@@ -531,6 +533,27 @@ def test_a_machine_whose_joints_have_no_parameters_passes_and_has_no_chart_of_jo
     fit = calib.fit(data.robot, data)
     assert fit.verdict.grade == "PASS"  # a scale of all lengths shows in none of them, spools included
     assert joint_shares(fit) is None
+
+
+def test_offsets_of_a_mount_are_shown_in_arc_seconds_and_no_positions(tmp_path):
+    _, _, drawn = pointed(tmp_path)
+    data = drawn(np.random.default_rng(1))
+    fit = calib.fit(data.robot, data)
+    chart = dials(fit)
+    words = {str(each["title"]).split()[0]: str(each["title"]).split()[1:] for each in chart.panels}
+    assert words.keys() == {"IA", "IE"}
+    assert {unit for _, unit in words.values()} == {"arcsec"}
+    assert float(words["IE"][0]) == pytest.approx(STARS["IE"], abs=30.0)
+    assert position_uncertainty_table(fit) == {}
+
+
+def test_a_gain_of_the_size_that_the_description_expects_is_no_scaled_joint(tmp_path):
+    _, _, drawn = driven(tmp_path)
+    data = drawn(np.random.default_rng(1))
+    read = data.readings["encoder"]
+    more = replace(read, values=read.values + 0.015 * data.joints)
+    fit = calib.fit(data.robot, replace(data, readings={"encoder": more}))
+    assert "joint_scaled" not in fit.verdict.to_dict()["codes"]
 
 
 def test_errors_of_a_mount_that_turns_about_one_place_are_not_drawn_over_places(tmp_path):

@@ -195,7 +195,7 @@ def test_a_turntable_says_what_its_one_axis_leaves_open(tmp_path):
     data = calib.as_measurements(robot, q, robot.with_parameters(BASE | {"tip.x": 0.2}).positions(q))
     with pytest.raises(
         calib.NotIdentifiableError,
-        match=r"7 of 9 free parameters can be found from these poses; .*; not separable: base.x,.*tip.z",
+        match=r"7 combinations of the 9 free parameters can be found .*; .*; not separable: base.x,.*tip.z",
     ):
         calib.fit(robot, data)
 

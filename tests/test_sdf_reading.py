@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.core.robots.urdf.links import read_links
 from calib.core.robots.urdf.text import read_urdf
 
 ARM = """<?xml version="1.0"?>
@@ -124,3 +125,15 @@ def test_what_a_urdf_cannot_hold_is_one_line(tmp_path, before, after, said):
     (tmp_path / "robot.sdf").write_text(text.replace(before, after, 1))
     with pytest.raises(calib.UrdfError, match=said):
         read_urdf(tmp_path / "robot.sdf")
+
+
+def test_collision_shapes_are_kept_and_those_that_a_urdf_cannot_hold_are_said(tmp_path, run_calib):
+    box = "<geometry><box><size>0.1 0.2 0.3</size></box></geometry>"
+    ball = "<geometry><ellipsoid><radii>1 2 3</radii></ellipsoid></geometry>"
+    shapes = f'<collision name="c"><pose>0 0 0.1 0 0 0</pose>{box}</collision><collision name="d">{ball}</collision>'
+    text = ARM.format(version="1.9", axis="", old="").replace("</visual>", f"</visual>{shapes}")
+    link = read_links(load(tmp_path, text).urdf)["fore"]
+    assert [(shape.kind, shape.size) for shape in link.collisions] == [("box", (0.1, 0.2, 0.3))]
+    assert link.collisions[0].placement.translation.tolist() == [0.0, 0.0, 0.1]
+    run = run_calib("init", "robot.sdf", "--out", "robot.yaml", cwd=tmp_path)
+    assert "ollision shapes left out, which a URDF cannot hold (write 'obstacles' for them): of fore" in run.out

@@ -253,7 +253,7 @@ def test_mistakes_in_the_data_of_a_real_arm_are_named(motoman):
 
 @pytest.mark.parametrize(
     ("factor", "words"),
-    [(np.degrees(1), "degrees were read as radians"), (np.radians(1), "radians were read as degrees")],
+    [(np.degrees(1), "degrees read as radians"), (np.radians(1), "radians read as degrees")],
 )
 def test_angles_in_the_wrong_unit_are_named(arm, data, factor, words):
     assert words in likely_mistake(arm, replace(data, joints=factor * data.joints))

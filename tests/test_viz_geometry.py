@@ -103,6 +103,15 @@ def test_a_urdf_without_shapes_is_drawn_with_rods(tmp_path):
     assert {shape.body for shape in shapes} >= {"root", "upper"}
 
 
+def test_collision_shapes_are_drawn_where_there_are_no_visuals(tmp_path):
+    collision = visual('<box size="1 2 3"/>').replace("visual", "collision")
+    shapes, notes = read_shapes(robot(tmp_path, "", collision))
+    assert "box" in {shape.kind for shape in shapes if shape.body == "upper"}
+    assert notes == ()
+    shapes, _ = read_shapes(robot(tmp_path, visual('<sphere radius="1"/>'), collision))
+    assert "box" not in {shape.kind for shape in shapes}
+
+
 def test_missing_meshes_share_one_note(tmp_path):
     shapes, notes = read_shapes(
         robot(tmp_path, visual('<mesh filename="lost.stl"/>'), visual('<mesh filename="gone.stl"/>'))

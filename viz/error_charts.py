@@ -232,18 +232,15 @@ class _Part:
         y = axis(f"residual [{self._unit}]", ends=[-reach, reach] if reach else None, beyond=reach > 0)
         panels = []
         for number, joint in enumerate(self._joints):
-            values, layers = joint.per_si * self._rows.joints[:, number], []
+            values, layers, means = joint.per_si * self._rows.joints[:, number], [], []
             for k, (name, component) in enumerate(zip(axes, left.T, strict=False)):
                 colour, known = COLOURS[looks[k % 3]], np.flatnonzero(np.isfinite(component))
                 layers.append(
                     layer("points", name, colour, x=values[known], y=component[known], rows=self._numbers[known])
                 )
-                layers.append(
-                    layer(
-                        "line", "", colour, **_local_mean(values[known[usual[known]]], component[known[usual[known]]])
-                    )
-                )
-            panels.append(panel(axis(f"{joint.name} [{joint.unit}]"), y, layers, height=240))
+                near = known[usual[known]]
+                means.append(layer("line", "", colour, **_local_mean(values[near], component[near])))
+            panels.append(panel(axis(f"{joint.name} [{joint.unit}]"), y, [*layers, *means], height=240))
         return Chart(
             *self._chart_name("by-joint", "Residuals against each joint"),
             "Predicted minus measured, with its local mean. If the line bends away from zero, the joint has an error"

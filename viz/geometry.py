@@ -23,7 +23,7 @@ _MOST_FACES = 40_000  # of one mesh; more make the page slow and do not show on 
 
 
 def read_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
-    """Read the shapes of a robot's URDF.
+    """Read the shapes of a robot's URDF: its visuals; without any, its collision shapes.
 
     Returns:
         The shapes; and notes for the user, one for all that are not drawn as in the URDF.
@@ -35,9 +35,10 @@ def read_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
         links, notes = {}, [f"{_first_line(error)}: its shapes cannot be read; drawn plainly, from joint to joint"]
     else:
         notes = []
+    drawn = any(link.visuals for link in links.values())
     for name, link in links.items():
         try:
-            own = _link(name, link, robot.urdf.path)
+            own = _link(name, link, link.visuals if drawn else link.collisions, robot.urdf.path)
         except Exception as error:  # the readers of mesh files raise many kinds
             missing[name] = _first_line(error)
             own = plain.shapes(name)
@@ -56,10 +57,10 @@ def read_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
     return tuple(shapes), tuple(notes)
 
 
-def _link(name: str, link: Link, urdf_path: str) -> list[Shape]:
+def _link(name: str, link: Link, visuals: tuple[Visual, ...], urdf_path: str) -> list[Shape]:
     if link.unknown:
         raise ValueError(f"a {link.unknown[0]} is not a shape of a URDF")
-    by_visual = (_visual(f"{name}/{number}", name, visual, urdf_path) for number, visual in enumerate(link.visuals))
+    by_visual = (_visual(f"{name}/{number}", name, visual, urdf_path) for number, visual in enumerate(visuals))
     return [shape for shapes in by_visual for shape in shapes]
 
 

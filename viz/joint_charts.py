@@ -6,7 +6,8 @@ import numpy as np
 
 from calib import Fit
 from calib.core.base.arrays import FloatArray
-from calib.core.base.units import DISPLAY_UNIT, PER_SI
+from calib.core.base.parameter import Parameter
+from calib.core.base.units import PER_SI
 from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.rows.observed import observe
 from viz.charts import COLOURS, Chart, axis, layer, panel
@@ -74,7 +75,6 @@ def dials(fit: Fit) -> Chart | None:
     nominal = fit.nominal
     own = nominal.values[: len(nominal.parametrisation.parameters)]
     twists, axes = nominal.parametrisation.twists(own), {one.name: one for one in nominal.urdf.joints}
-    unit = DISPLAY_UNIT["angle"]
     offsets = []
     for name, twist in twists.items():
         joint = axes.get(name)
@@ -88,25 +88,29 @@ def dials(fit: Fit) -> Chart | None:
             if turns and parameter.name in fit.free_names:
                 found = fit.parameters[parameter.name]
                 if found.status != "prior" and np.isfinite(found.high95):  # the measurements determine it
-                    offsets.append((parameter.name, found.value - found.nominal, found.high95 - found.value))
+                    change, half = found.value - found.nominal, found.high95 - found.value
+                    per_si = PER_SI["angle"][parameter.unit]
+                    offsets.append((parameter, change / per_si, half / per_si))
     if not offsets:
         return None
-    per_si = PER_SI["angle"][unit]
     turn = _FURTHEST / max(1e-12, *(max(abs(value), half) for _, value, half in offsets))
-    panels = tuple(_dial(name, value, half, unit, turn) for name, value, half in offsets)
+    panels = tuple(_dial(parameter, value, half, turn) for parameter, value, half in offsets)
     text = (
-        f"Straight up is nominal. The needle is the found offset, enlarged {turn * per_si:.0f} times, with its 95 %"
-        " interval."
+        f"Straight up is nominal, plus is to the left; the needle is enlarged {turn:.0f} times, with its 95 %"
+        " interval. Not to be typed in: these offsets belong to the whole model, and calib export writes those for a"
+        " controller. Joints whose own offset was not determined have no dial."
     )
     return Chart("dials", "Joint offsets", text, panels, 150)
 
 
-def _dial(name: str, value: float, half: float, unit: str, turn: float) -> dict[str, object]:
-    """An offset: a circle, its needle, and the interval as an arc inside the circle."""
+def _dial(parameter: Parameter, value: float, half: float, turn: float) -> dict[str, object]:
+    """An offset [rad]: a circle, its needle, and the interval as an arc inside the circle."""
     circle, needle = np.linspace(0, 2 * np.pi, 61), turn * value
     low, high = np.clip([turn * (value - half), turn * (value + half)], -np.pi, np.pi)
     arc = np.linspace(low, high, 31)
-    says = f"{name}: {value:+.4f} ± {half:.2g} {unit}"
+    name, unit = parameter.name, parameter.unit
+    per_si = PER_SI["angle"][unit]
+    says = f"{name}: {per_si * value:+.4f} ± {per_si * half:.2g} {unit}"
     layers = [
         layer("line", x=np.sin(circle), y=np.cos(circle)),
         layer("line", x=[0.0, 0.0], y=[0.9, 1.1]),
@@ -115,4 +119,5 @@ def _dial(name: str, value: float, half: float, unit: str, turn: float) -> dict[
         layer("points", "", COLOURS["after"], x=[-np.sin(needle)], y=[np.cos(needle)], texts=[says]),
     ]
     around = axis("")
-    return dict(panel(around, around, layers, title=f"{name}\n{value:+.3f} {unit}", height=170, equal=True, bare=True))
+    title = f"{name}\n{per_si * value:+.3f} {unit}"
+    return dict(panel(around, around, layers, title=title, height=170, equal=True, bare=True))

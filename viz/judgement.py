@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from calib import Fit
-from calib.core.judging.next_step import next_step
+from calib.core.judging.next_step import DATA, ROBOT, aim_of, next_step
 from calib.core.judging.reasons import Code
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.judging.verdict import judge
+from calib.core.robots.accuracy_of_files import Holds
+from calib.core.robots.robot_files import lost_by
 
 
 @dataclass(frozen=True)
@@ -36,24 +38,28 @@ class Judgement:
 
 
 def following_words(fit: Fit, command: str) -> str:
-    """Return the next step, with file names from the command line of the fit if it has all of them."""
+    """Return the next step with file names from the command line of the fit, or its aim alone if some are missing."""
     following, words, folder = next_step(fit), shlex.split(command), _folder(command)
-    data = fit.identification.data.path
-    if not folder or not {fit.nominal.path, data} <= set(words):
-        return str(following)
-    return following.with_file_names(fit.nominal.path, [data], folder, {})
+    files = {ROBOT: fit.nominal.path, DATA: fit.identification.data.path}
+    needed = {files[word] for word in following.command.split() if word in files}
+    if not folder or not needed <= set(words):
+        return aim_of(str(following))
+    return following.with_file_names(files[ROBOT], [files[DATA]], folder, {})
 
 
-def robot_to_load(fit: Fit, command: str) -> str:
-    """Return which file of the result holds the robot, or why there is none, and the command for a controller's."""
+def robot_to_load(fit: Fit) -> str:
+    """Return which file of the result holds the robot, how accurate it is, or why there is none."""
     grade = judge(fit).grade
     why = "the verdict is FAIL" if grade == "FAIL" else why_no_origins(fit)
     if why:
         return f"none: {why} (--force writes calibrated.urdf)"
-    folder = _folder(command)
-    more = f"; for a controller: calib export {folder} (its --help lists the formats)" if folder else ""
+    lost = lost_by(fit.robot, Holds.ORIGINS)
+    worth = fit.robot.files[Holds.ORIGINS].accuracy.words if lost else "as accurate as the whole model"
     doubt = "; preliminary: see Next" if grade == "CHECK" else ""
-    return f"calibrated.urdf, beside this page, for simulators and ROS{more}{doubt}"
+    return (
+        f"calibrated.urdf: {worth}; beside this page, for simulators and ROS; for a controller: see calib export"
+        f" --help{doubt}"
+    )
 
 
 def _folder(command: str) -> str:
@@ -78,4 +84,4 @@ def judgement_of_result(entry: dict[str, Any], following: str = "") -> Judgement
     texts = entry["reasons"]
     certain = [entry["grade"] if entry["grade"] == "CHECK" or k == 0 else "" for k in range(len(texts))]
     reasons = tuple(zip(entry.get("grades", certain), texts, strict=True))
-    return Judgement(entry["grade"], reasons, Code.NOTHING_TO_CORRECT in entry.get("codes", ()), following)
+    return Judgement(entry["grade"], reasons, Code.NOTHING_TO_CORRECT in entry.get("codes", ()), aim_of(following))

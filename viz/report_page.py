@@ -105,7 +105,7 @@ def report_page(
         worst=worst(fit),
         worst_joint=worst_joint(fit),
         extent=extent(table),
-        to_load=robot_to_load(fit, command),
+        to_load=robot_to_load(fit),
         measured_in=frame_name(fit.nominal),
         remarks=fit_remarks(fit, beside_record=True),
         record=record(fit),

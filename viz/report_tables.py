@@ -12,6 +12,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.units import ERROR_UNIT, error_scale, quantity
 from calib.core.fitting.error_sets import STATES, ErrorSet, error_table
 from calib.core.instruments.kind import Part
+from calib.core.judging import findings
 from calib.core.judging.verdict import judge
 from calib.core.results.sections.accuracy import judging_errors
 from viz.pose_sources import pose_table_of_errors
@@ -73,15 +74,18 @@ def tolerance_of(fit: Fit) -> Tolerance | None:
 
 def worst(fit: Fit) -> str:
     """Return the pose with the largest error after calibration, and its place."""
-    errors = judging_errors(fit)[1]
+    group, errors = judging_errors(fit)
     if not errors.main_part.is_position:
         return _worst_reading(errors)
-    table = average_poses(pose_table_of_errors(fit, IDENTIFICATION, errors))
+    used = VALIDATION if group == VALIDATION else IDENTIFICATION
+    outliers = findings.validation_outliers(fit) if used == VALIDATION else findings.outliers(fit)
+    table = average_poses(pose_table_of_errors(fit, used, errors, outliers=outliers))
     row = int(np.nanargmax(np.linalg.norm(table.error("after"), axis=1)))
     shown = error_scale("length") * table.measured[row]
     place = ", ".join(f"{axis} {value:.0f}" for axis, value in zip("xyz", shown, strict=True))
     point = f", point {table.targets[row]}" if len(set(table.targets)) > 1 else ""
-    return f"pose {table.labels[row]}{point}, at {place} mm".replace("-", "−")
+    outlier = " (an outlier)" if table.outlier[row] else ""
+    return f"pose {table.labels[row]}{outlier}{point}, at {place} mm".replace("-", "−")
 
 
 def _worst_reading(errors: ErrorSet) -> str:

@@ -78,8 +78,9 @@ def parameters(fit: Fit) -> Chart | None:
     return Chart(
         "forest",
         "Parameters: change, 95 % interval, and what was expected",
-        "The largest change is at the top. Beyond the band, the robot is further from nominal than expected; an"
-        " interval that is as wide as the band says that the measurements determined little.",
+        "The robot's own, without base and targets; the largest change is at the top. Beyond the band, the robot is"
+        " further from nominal than expected; an interval that is as wide as the band says that the measurements"
+        " determined little.",
         drawn,
         440,
     )

@@ -133,7 +133,7 @@ def certainty(scene: ViewerScene) -> dict[str, Any]:
     noise = table.sigma_of_reading()
     known = np.isfinite(noise)
     spread = np.linalg.norm(table.spread, axis=1)
-    spread = spread[np.isfinite(spread)]
+    spread = spread[np.isfinite(spread) & np.any(spread > _EXACT)]
     return {
         "noise": _MM * float(np.median(noise[known])) if np.any(known) else None,
         "means": [_MM * float(pick(table.sigma[known])) for pick in (np.min, np.max)] if np.any(known) else None,

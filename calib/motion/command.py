@@ -23,7 +23,8 @@ from calib.core.commands.common import (
     with_values,
 )
 from calib.core.data.measurement_files import read_poses
-from calib.core.data.plan_files import read_pose_files
+from calib.core.data.measurements import Poses
+from calib.core.data.plan_files import read_plan, read_pose_files
 from calib.core.robots.robot import Robot
 from calib.motion.programs import LANGUAGES, THIRD_JOINT, Motion, table_to_fill_in, write_program
 from calib.motion.route import Route, plan_route
@@ -116,9 +117,9 @@ def command(
             " joint from link 2 (descriptions of ROS-Industrial: j2+j3)"
         )
     model = with_values(load_robot(robot, output), parameters, result)
-    visits = different_poses(read_pose_files((poses,), model))
-    spare = None if candidates is None else different_poses(read_pose_files((candidates,), model))
+    visits = _read_visits(poses, model)
     model = place_by_files(model, visits)
+    spare = None if candidates is None else _read_visits(candidates, model)
     number = None if output_number < 0 else output_number
     motion = Motion(name, speed / 100, 2.5 * speed / 100, dwell, reading, number, third_joint or THIRD_JOINT[0])
     written = languages or ("csv",)
@@ -133,6 +134,12 @@ def command(
     output.say(f"Written to {out}: {', '.join(sorted(content))}, {_READINGS}")
     output.say(f"Next: look at it with `calib view {robot} --data {Path(out, 'route.csv')}`, then run it slowly")
     output.json(_data(route))
+
+
+def _read_visits(path: str, robot: Robot) -> Poses:
+    """Different poses of a file, with what they touch, so that touches are approached along the surface's normal."""
+    touches = any(instrument.touches for instrument in robot.instruments)
+    return different_poses(read_plan(path, robot) if touches else read_pose_files((path,), robot))
 
 
 def _start(path: str | None, robot: Robot) -> FloatArray | None:

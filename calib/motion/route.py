@@ -28,7 +28,8 @@ from calib.motion.poses import surroundings, what_hits
 from calib.motion.scene import CollisionScene, exceeds_limits
 
 _NODES = 150  # poses of the roadmap in addition to the stops
-_ROUNDS = 4  # rounds of tries with the next best candidates
+_ROUNDS = 6  # rounds of tries with the next best candidates
+_MORE = 10  # candidates of a round in place of those that could not be reached, at most
 _TURNS = 3  # tried variants of a pose with joints turned by whole turns
 _ROUND = 1e-9  # rounding of limits, in turns
 _NO_WAY = "no free way leads there"
@@ -127,18 +128,27 @@ def plan_route(
     stops, left_out = _visit(planner, start, poses, progress)
     replaced: list[Stop] = []
     candidates = poses.subset(np.zeros(0, dtype=np.intp)) if candidates is None else candidates
-    tried = set(poses.names)
-    for _ in range(_ROUNDS if stops else 0):
-        best = _next_best(robot, candidates, tried, stops + replaced, len(left_out) - len(replaced))
-        tried |= set(best.names)
-        replaced += _visit(planner, (stops + replaced)[-1].joints, best, progress)[0]
     if not stops:
         reasons = listing([f"{name}: {why}" for name, why in left_out.items()], "; ", 3)
         raise ComputationError(f"none of {count_noun(len(poses), 'pose')} can be visited ({reasons})")
+    rest, n_tried = (_free_others(robot, candidates, poses) if left_out else candidates), 0
+    for _ in range(_ROUNDS):
+        missing = len(left_out) - len(replaced)
+        if not missing or not len(rest):
+            break
+        best = _next_best(robot, rest, stops + replaced, missing + min(n_tried - len(replaced), _MORE))
+        n_tried += len(best)
+        rest = rest.subset(np.flatnonzero(~np.isin(rest.names, best.names)))
+        replaced += _visit(planner, (stops + replaced)[-1].joints, best, progress)[0][:missing]
     names = tuple(stop.name for stop in replaced)
     given = dict(zip((*candidates.names, *poses.names), (*candidates.joints, *poses.joints), strict=True))
     round_ = [stop.name for stop in (*stops, *replaced) if np.any(stop.joints != given[stop.name])]
     notes: list[str] = []
+    if len(candidates) and (missing := len(left_out) - len(replaced)):
+        notes.append(
+            f"{count_noun(missing, 'pose')} left out without a replacement: {n_tried} free candidates were tried, and"
+            f" {len(rest)} are left"
+        )
     if round_:
         notes.append(f"some joints are a whole turn from the given values, at {listing(round_, shown=8)}")
     if robot.description.obstacles is None:
@@ -267,13 +277,16 @@ def _stop(planner: Planner, name: str, points: FloatArray) -> Stop:
     return Stop(name, points[-1], way[1:-1], float(np.min(apart, initial=np.inf)), pair, min(moves, default=np.inf))
 
 
-def _next_best(robot: Robot, candidates: Poses, tried: set[str], stops: Sequence[Stop], count: int) -> Poses:
-    """The candidates that add most to the stops by O1, among free and untried ones."""
-    hits = _why_blocked(robot, candidates.joints)
-    usable = [k for k, name in enumerate(candidates.names) if name not in tried and not hits[k]]
-    rest = candidates.subset(np.array(usable, dtype=np.intp))
-    if len(rest) <= count or not count:
-        return rest.subset(np.arange(min(len(rest), count)))
+def _free_others(robot: Robot, candidates: Poses, poses: Poses) -> Poses:
+    """The free candidates that are none of the poses."""
+    others = candidates.subset(np.flatnonzero(~np.isin(candidates.names, poses.names)))
+    return others.subset(np.flatnonzero(np.array(_why_blocked(robot, others.joints)) == ""))
+
+
+def _next_best(robot: Robot, rest: Poses, stops: Sequence[Stop], count: int) -> Poses:
+    """The poses that add most to the stops by O1."""
+    if len(rest) <= count:
+        return rest
     select = load_entry("calib.methods", "select")
     chosen = select(robot, rest, count, measured=np.array([stop.joints for stop in stops]), checked=False)
     return rest.subset(chosen.chosen)

@@ -126,6 +126,9 @@ def _links(robot: RobotData) -> tuple[list[Body], tuple[str, ...]]:
         joint.child for joint in robot.urdf.joints if frames[joint.child] in moved - {body.joint for body in bodies}
     ]
     bare = [name for name in bare if any(np.linalg.norm(j.xyz) > 0 for j in robot.urdf.joints if j.parent == name)]
+    unread = [f"{kind} of {name}" for name, link in read.items() for kind in link.unknown_collisions]
+    if unread:
+        remarks.append(f"shapes that are not checked, as URDF has no such kind: {listing(unread)}")
     if bare:
         remarks.append(f"links without any shape, which are not checked: {listing(bare)}")
     return bodies, tuple(remarks)

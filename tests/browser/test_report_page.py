@@ -104,6 +104,20 @@ def place_of(tab, chart, layer, mark):
     )
 
 
+def test_the_legends_have_marks_of_their_own(report):
+    """No diamond of validation beside "before", whatever pose has the smallest error; and the ring of the viewer."""
+    tab = report(1000, 900)
+    tab.page.evaluate("calibrationReport.all()")
+    marks = tab.page.evaluate("""calibrationReport.charts.flatMap(({ views }) => views.flatMap(({ model }) =>
+      model.legend.items.map(({ index, renderers: [first] }) => [first.data_source.data.mark, index])))""")
+    shown = [of_rows[index] for of_rows, index in marks if of_rows]
+    assert len(shown) > 4
+    assert set(shown) == {"circle"}
+    legend = tab.page.frame_locator("#space").locator("#legend-marks")
+    assert "chosen pose" in legend.inner_text()
+    assert legend.locator("path").last.evaluate("(path) => getComputedStyle(path).stroke") == "rgb(204, 13, 89)"
+
+
 def test_nothing_of_a_plot_is_cut(report):
     tab = report(390, 844)
     tab.page.evaluate("calibrationReport.all()")

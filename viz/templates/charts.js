@@ -158,6 +158,7 @@ class Chart {
     const select = figure.toolbar.tools.find((tool) => tool.type === "BoxSelectTool");
     figure.toolbar.active_drag = TOUCH ? null : select;
     if (figure.legend.items.length > 0) {
+      figure.legend.items.forEach((item) => { item.index = Math.max(0, (item.renderers[0].data_source.data.mark || []).indexOf("circle")); }); // no mark of validation
       const letters = layers.reduce((sum, { label }) => sum + (label ? 5 + label.length : 0), 0);
       Object.assign(figure.legend, { location: "top_left", orientation: "horizontal", ncols: 7 * letters > room - 60 ? 2 : "auto", label_text_color: this.ink, label_text_font_size: "12px",
         background_fill_alpha: 0, border_line_color: null, click_policy: "hide", padding: 0, margin: 0 });

@@ -1,7 +1,7 @@
 // Numbers as text, small pieces of the page, and the ticks of the legend.
 "use strict";
 
-const MARK_PATHS = { disc: "M7 1a6 6 0 1 0 .01 0z", diamond: "M7 .5L13.5 7 7 13.5.5 7z", square: "M2 2h10v10H2z", alarm: "M2 2h10v10H2z",
+const MARK_PATHS = { disc: "M7 1a6 6 0 1 0 .01 0z", ring: "M7 1.5a5.5 5.5 0 1 0 .01 0z", diamond: "M7 .5L13.5 7 7 13.5.5 7z", square: "M2 2h10v10H2z", alarm: "M2 2h10v10H2z",
   cross: "M2 4L4 2l3 3 3-3 2 2-3 3 3 3-2 2-3-3-3 3-2-2 3-3z" };
 
 /** A number with a fixed count of decimals, or a dash where it is not known; no minus before a zero. */
@@ -26,7 +26,7 @@ function element(name, attributes = {}, ...children) {
   return node;
 }
 
-/** The mark of a group, or the cross of outliers, as an inline picture. */
+/** The mark of a group, the cross of outliers, or the ring of the chosen pose, as an inline picture. */
 function markPicture(mark) {
   const drawing = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   drawing.setAttribute("viewBox", "0 0 14 14");
@@ -34,8 +34,8 @@ function markPicture(mark) {
   drawing.setAttribute("aria-hidden", "true");
   const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
   path.setAttribute("d", MARK_PATHS[mark]);
-  path.setAttribute("fill", mark === "cross" ? "currentColor" : mark === "alarm" ? "#d91414" : "#9fb0c2");
-  path.setAttribute("stroke", "currentColor");
+  path.setAttribute("fill", { cross: "currentColor", alarm: "#d91414", ring: "transparent" }[mark] || "#9fb0c2");
+  path.setAttribute("stroke", mark === "ring" ? "#cc0d59" : "currentColor");
   path.setAttribute("stroke-width", mark === "cross" ? "0.5" : "1.6");
   drawing.append(path);
   return drawing;

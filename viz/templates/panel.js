@@ -246,7 +246,7 @@ class Panel {
     document.getElementById("legend-ticks").replaceChildren(...tickMarks(low, high, logarithmic));
     const beyond = Array.from({ length: this.table.n }, (_, row) => this.table.part[row] === part && this.table.error(state, row) > high).some(Boolean);
     document.getElementById("legend-beyond").textContent = beyond ? "Larger errors have the last colour" : "";
-    const marks = [...groups.map(({ name, mark }) => [mark, name]), ...(outliers ? [["cross", "outlier"]] : [])];
+    const marks = [...groups.map(({ name, mark }) => [mark, name]), ...(outliers ? [["cross", "outlier"]] : []), ["ring", "chosen pose"]];
     document.getElementById("legend-marks").replaceChildren(...marks.map(([mark, name]) => element("span", {}, markPicture(mark), name)));
   }
 }

@@ -17,7 +17,7 @@ Without any, see `calib.core.fitting.photographed_points` for images, else `cali
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations, permutations, product
 
 import numpy as np
@@ -32,6 +32,7 @@ from calib.core.data.tables import read_table
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
 from calib.core.fitting.mistaken_readings import mistaken_readings
 from calib.core.fitting.photographed_points import photographed_points
+from calib.core.fitting.possible_mistakes import Trial, joint_value_trials, some_visits
 from calib.core.fitting.scaled_joints import joint_scales
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
@@ -42,33 +43,13 @@ _CLOSER = 0.2  # with the mistake undone, the nominal robot misses by less than 
 _NEAR = 0.2  # and by less than this part of the spread of the measured positions
 _HALF = 0.5  # a fit with other scales of joints leaves less than this part of the noise
 _AS_GOOD = 1.5  # another mistake explains the data as well if it misses by at most this many times the best miss
-_POSES = 20  # poses that suffice to show a gross mistake
 _GLANCE = 4  # step through these poses for a first look: do the loops close at all?
-_FEW = 3  # rows that may agree by chance, or that a shift must leave
-_SHIFTS = 5
-_RANGES = ((-100, 100), (0, 100), (-1, 1), (0, 1), (0, 1023), (0, 4095), (0, 65535))
+_FEW = 3  # rows that may agree by chance
 _NO_SIZE = 1e-6  # if reach over measured space is below this, the described target is on a link that does not move
 _ANOTHER_UNIT = 0.1  # change of all lengths that is more than a robot's own errors
 _READ = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _WRITTEN = dict(_READ, inches=0.0254, feet=0.3048, cm=1e-2) | {"tenths of an inch": 2.54e-3}
 """Units in which positions may be read, and written [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """A mistake that is undone.
-
-    Attributes:
-        words: The mistake.
-        data: Some of the measurements without it.
-        changes: Number of changes of joints; 0 for a single mistake.
-        column_map: The map of columns that undoes it.
-    """
-
-    words: str
-    data: Measurements
-    changes: int = 0
-    column_map: ColumnMap | None = None
 
 
 @one_blas_thread
@@ -110,10 +91,10 @@ def _nominal_fits(
     robot: Robot, data: Measurements, sound: Measurements, zeros: IntArray
 ) -> tuple[str, ColumnMap | None]:
     """The mistake without which the nominal robot fits; if there is none, the scales with which it comes nearest."""
-    now = min(_misses(robot, [_some_visits(data) if len(zeros) == 0 else data])[0], 1.0)
+    now = min(_misses(robot, [some_visits(data) if len(zeros) == 0 else data])[0], 1.0)
     where = listing([data.labels[k] for k in zeros])
     empty = f"{count_noun(len(zeros), 'reading')} of exactly 0, 0, 0 ({where}) were empty"
-    trials = [Trial(empty, _some_visits(sound))] if len(zeros) else []
+    trials = [Trial(empty, some_visits(sound))] if len(zeros) else []
     misses = _misses(robot, [trial.data for trial in trials])
     prefix = f"{empty}, and " if len(zeros) else ""
     if not trials or misses[0] > _CLOSER * now:
@@ -154,10 +135,6 @@ def _file_units(data: Measurements) -> dict[str, str | None]:
     except CalibrationError:
         return {}
     return dict(zip(table.names, table.units, strict=True))
-
-
-def _some_visits(data: Measurements) -> Measurements:
-    return data.subset(np.unique(np.linspace(0, len(data) - 1, _POSES).astype(np.intp)))
 
 
 def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> list[float]:
@@ -212,16 +189,11 @@ def _miss_of(robot: Robot, data: Measurements, ok: BoolArray, passive: FloatArra
 
 def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
     """Yield each mistake, undone in some of the measurements."""
-    data = _some_visits(measured)
+    data = some_visits(measured)
     q, points = data.joints, data.points(robot)
     for at in likely_maps(robot, data):
         yield Trial(at.words(robot), replace(data, joints=at.joints(q)), at.changes, at)
-    yield from _shifted_trials(measured)
-    yield from _rescaled_trials(robot, measured)
-    angles = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
-    if np.any(angles):
-        yield Trial("degrees were read as radians", replace(data, joints=np.where(angles, np.radians(q), q)))
-        yield Trial("radians were read as degrees", replace(data, joints=np.where(angles, np.degrees(q), q)))
+    yield from joint_value_trials(robot, measured)
     yield from ((Trial(words, with_points(robot, data, size * points))) for words, size in _units(robot, data))
     for order, sign in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         words = _axes_in_words(order, sign)
@@ -231,33 +203,6 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
             words = "the measurement frame is left-handed (an axis with the wrong sign, or two axes swapped)"
         if words:
             yield Trial(words, with_points(robot, data, points[..., list(order)] * sign))
-
-
-def _shifted_trials(measured: Measurements) -> Iterator[Trial]:
-    """Joint values shifted to other rows, counted in the measured order; rows of the file may be missing here."""
-    places = measured.places
-    for rows, sign in product(range(1, _SHIFTS + 1), (1, -1)):
-        _, of_joints, of_points = np.intersect1d(places + sign * rows, places, return_indices=True)
-        if len(of_joints) > _FEW:
-            joints = measured.joints[of_joints]
-            side = f"{'one row' if rows == 1 else f'{rows} rows'} {'above' if sign > 0 else 'below'}"
-            shifted = replace(measured.subset(of_points), joints=joints)
-            yield Trial(f"all joint values stood {side} their measurements", _some_visits(shifted))
-
-
-def _rescaled_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
-    """Joint values mapped back from ranges such as 0 to 1 to the joints' limits; the file may have meant any unit."""
-    lower, upper = robot.urdf.limits(robot.joint_names)
-    if not np.all(np.isfinite(upper - lower)):
-        return
-    angles = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
-    si = measured.joints
-    for numbers, (low, high) in product((np.where(angles, np.degrees(si), 1e3 * si), si), _RANGES):
-        reach = high - low
-        if np.all((numbers > low - 0.1 * reach) & (numbers < high + 0.1 * reach)):
-            whole = replace(measured, joints=lower + (numbers - low) / reach * (upper - lower))
-            words = f"all joint values were mapped from the joints' limits to the range {low} to {high}"
-            yield Trial(words, _some_visits(whole))
 
 
 def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:

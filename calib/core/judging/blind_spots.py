@@ -11,7 +11,7 @@ from calib.core.base.units import millimetres
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
-from calib.core.judging.effect_kinds import PARTS_PER_MILLION, Trait
+from calib.core.judging.effect_kinds import Trait
 from calib.core.judging.effects import has_time, scale
 from calib.core.judging.error_budget import ENOUGH_REPEATS
 from calib.core.judging.repeatability import repeatability
@@ -44,7 +44,7 @@ def _scale(fit: Fit) -> Iterator[str]:
     least = findings.linear(fit).visible(column)
     made = least * float(np.linalg.norm(column)) / np.sqrt(fit.statistics.freedom)
     if made > NO_MATTER * findings.linear(fit).factor:
-        below = "" if least > LARGE_SCALE else f" below {float(f'{PARTS_PER_MILLION * least:.2g}'):.0f} ppm"
+        below = "" if least > LARGE_SCALE else f" below {float(f'{millimetres(least):.2g}'):g} mm in 1 m"
         yield f"a scale error{below}, of the instrument or from heat (no known length was measured)"
 
 

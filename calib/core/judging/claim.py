@@ -169,8 +169,11 @@ class Claim:
             for seen in self.unused
             if (kept := seen.without_outliers)
         )
-        narrow = f" Joints that moved through less than half of their range: {listing(self.joints_moved_little)}."
-        return f"{subject} {off}.{shown}{narrow if self.joints_moved_little else ''}"
+        narrow = (
+            " Elsewhere errors may be larger; joints that moved through less than half of their range:"
+            f" {listing(self.joints_moved_little)}."
+        )
+        return f"{subject} {off} (each predicted from the others).{narrow if self.joints_moved_little else ''}{shown}"
 
     def to_dict(self) -> dict[str, object]:
         """Return the entry of `result.json`; errors in the unit of errors."""

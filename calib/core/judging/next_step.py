@@ -76,6 +76,11 @@ class NextStep:
         )
 
 
+def aim_of(sentence: str) -> str:
+    """Return the sentence of a `NextStep` without its command, whose placeholders nobody can type."""
+    return sentence.partition(": ")[0].replace(f"{FOLDER}/", "")
+
+
 def next_step(fit: Fit) -> NextStep:
     """Return the answer to the first reason of the verdict, or a test or use of the result."""
     verdict, done = judge(fit), _tried_answers(fit)
@@ -132,7 +137,7 @@ def _use(fit: Fit) -> NextStep:
     if why_no_origins(fit):
         return NextStep("correct a program by the whole model", program)
     if not lost_by(fit.robot, Holds.ORIGINS):
-        return NextStep(f"use {FOLDER}/calibrated.urdf, or correct a program for the real robot", program)
+        return NextStep(f"use {FOLDER}/calibrated.urdf, or correct a program by it", program)
     origins, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
     both = f"{whole.in_unit(whole.rms)} with them, {origins.in_unit(origins.rms)} without, RMS at {whole.pose_words}"
     if fit.terms is not None and whole.rms > origins.rms:

@@ -63,6 +63,7 @@ def check_convergence(fit: Fit) -> Iterator[Reason]:
         text = (
             f"not converged: the weights of the robust loss '{fit.loss}' do not settle; too many measurements disagree"
         )
+        advice = "leave the outliers out (--exclude-outliers), or fit without this loss"
     elif end.receding_parameters:
         text = (
             f"not converged: these poses do not determine {listing(end.receding_parameters)}: the fit would"

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
-from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import CalibrationError
 from calib.core.base.memoize import memoize
 from calib.core.base.units import millimetres, quantity_text
-from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import LARGE_NOISE
-from calib.core.fitting.mistaken_readings import jumbled_residuals
+from calib.core.fitting.mistaken_readings import errors_of_parts, jumbled_errors, mistaken_readings
 from calib.core.fitting.solved_fit import NoiseEstimate
 from calib.core.instruments.kind import Part
 from calib.core.judging import findings
@@ -22,9 +18,6 @@ from calib.core.judging.better_or_worse import comparisons
 from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.numerics.chances import UNLIKELY
 from calib.core.numerics.statistics import chi_square
-from calib.core.robots.robot import Robot
-from calib.core.rows.observed import observe
-from calib.core.rows.registration import register
 
 NOISE_RATIO = 3.0
 """If the found noise is more than this many times the stated one, the statement or the model is wrong."""
@@ -45,10 +38,6 @@ LEFT_OUT = 0.01
 NOT_STATED = 2.0
 """Factor on that limit where the noise of the instrument is not stated and adds to it: a camera that observes a small
 space has 1 % of it."""
-_MEDIAN = 0.6745  # median of the size of a normal error, in standard deviations
-_CLOSER = 0.2  # another meaning is better if it leaves less than this part of the error
-_TRIED = 20  # largest number of poses that are tried
-_FEWEST_READINGS = 4
 
 
 def noise(fit: Fit) -> Iterator[Reason]:
@@ -71,12 +60,13 @@ def noise(fit: Fit) -> Iterator[Reason]:
         jumbled = {} if np.isfinite(spread) else _jumbled_errors(fit)
         for estimate in fit.noise:
             size = jumbled.get((estimate.group.name, estimate.group.part), np.inf)
-            if estimate.sigma > NO_BETTER * size:
+            doubted = estimate.stated is None or _is_above_statement(estimate)
+            if doubted and estimate.sigma > NO_BETTER * size:
                 yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
                     f"no fit: residuals{_group_noise_in_words(fit, estimate)} of"
                     f" {noise_in_words(estimate, estimate.sigma)} per axis; with joint values of other rows they are"
                     f" {noise_in_words(estimate, size)}. Check units, axes, joint order and signs, names of what was"
-                    " read, and whether joint values and readings of each row belong together",
+                    " read, and whether joint values and readings of each row belong together; or move the joints more",
                     answer=_first_answer(fit),
                 )
             elif _impossible(fit, estimate):
@@ -88,14 +78,14 @@ def noise(fit: Fit) -> Iterator[Reason]:
 
 
 def _jumbled_errors(fit: Fit) -> dict[tuple[str, Part], float]:
-    """Errors with each joint at its value in some other row [SI], by group of readings, from their medians."""
-    errors: dict[tuple[str, Part], list[FloatArray]] = {}
-    for name, residuals in jumbled_residuals(fit.robot, fit.identification.data).items():
-        instrument = fit.robot.instrument(name)
-        for k, part in enumerate(instrument.part_of_row):
-            errors.setdefault((instrument.group, instrument.parts[part]), []).append(residuals[:, k])
-    sizes = {group: np.abs(np.concatenate(parts)) for group, parts in errors.items()}
-    return {group: float(np.nanmedian(each)) / _MEDIAN for group, each in sizes.items() if np.isfinite(each).any()}
+    """Errors with each joint at its value in some row [SI], by group; none of readings that this does not change."""
+    data, sizes = fit.identification.data, dict[tuple[str, Part], float]()
+    now = errors_of_parts(fit.robot, data)
+    for (name, part), size in jumbled_errors(fit.robot, data).items():
+        if not np.isclose(size, now.get((name, part), 0.0)):
+            group = fit.robot.instrument(name).group, part
+            sizes[group] = max(sizes.get(group, 0.0), size)
+    return sizes
 
 
 def misread(fit: Fit) -> Iterator[Reason]:
@@ -105,7 +95,7 @@ def misread(fit: Fit) -> Iterator[Reason]:
             continue
         data, beyond = fit.identification.data, ""
         readers = [name for name in data.readings if fit.nominal.instrument(name).group == estimate.group.name]
-        meaning = next(filter(None, (_other_meaning(fit.nominal, data, name) for name in readers)), "")
+        meaning = next(filter(None, (mistaken_readings(fit.nominal, data, name) for name in readers)), "")
         if estimate.sigma > estimate.group.part.largest:
             beyond = f", more than any such instrument has ({noise_in_words(estimate, estimate.group.part.largest)})"
         if meaning or beyond:
@@ -114,39 +104,6 @@ def misread(fit: Fit) -> Iterator[Reason]:
                 f" {noise_in_words(estimate, estimate.sigma)} per axis{beyond}: the numbers mean something else;"
                 f" {meaning or 'look at their order, form, unit and frame'}"
             )
-
-
-def _other_meaning(robot: Robot, data: Measurements, name: str) -> str:
-    """Return another meaning of the numbers of an instrument; empty if none fits.
-
-    Each meaning that its kind knows, such as quaternions in another order, is tried on the nominal robot, with base and
-    targets placed by it. A meaning that brings the readings much nearer is named.
-    """
-    some = data.subset(np.unique(np.linspace(0, len(data) - 1, _TRIED).astype(np.intp)))
-    readings = some.readings.get(name)
-    if readings is None or len(readings) < _FEWEST_READINGS or not np.isfinite(readings.values).all():
-        return ""
-    tried = []
-    for words, values in robot.instrument(name).other_meanings(readings.values):
-        changed = replace(some, readings={**some.readings, name: replace(readings, values=values)})
-        tried.append((_nominal_error(robot, changed, name), words))
-    best, words = min(tried, default=(np.inf, ""))
-    now = _nominal_error(robot, some, name)
-    if not best < _CLOSER * now:
-        return ""
-    return f"probable mistake: {words}. Corrected, the nominal robot fits {now / max(best, 1e-9):.0f} times better"
-
-
-def _nominal_error(robot: Robot, data: Measurements, name: str) -> float:
-    """Root mean square error of the rows whose numbers may mean something else, by the nominal robot [SI]."""
-    instrument = robot.instrument(name)
-    rows = [k for k, part in enumerate(instrument.part_of_row) if np.isfinite(instrument.parts[part].largest)]
-    try:
-        placed = register(robot, data)
-        observed = observe(placed, placed.assemble(data.joints, context=data.conditions), data.readings)
-    except CalibrationError:
-        return float("inf")
-    return float(np.sqrt(np.mean(observed[name].residuals[:, rows] ** 2)))
 
 
 def noise_in_words(estimate: NoiseEstimate, size: float, digits: int = 3) -> str:

@@ -23,6 +23,7 @@ from calib.core.numerics.identifiability import extend_reduced, unit_columns
 from calib.core.numerics.observability import information
 from calib.core.numerics.tall import slices
 from calib.core.robots.joint_errors import columns_of_terms, driven_by
+from calib.core.robots.robot import Robot
 from calib.core.robots.terms.one_coefficient import Gain
 from calib.core.robots.terms.term import Context
 from calib.core.robots.terms.terms import TERMS
@@ -186,7 +187,7 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
     for parts, deviations in (left, _gain_errors(fit)):
         sure = np.abs(parts) / np.maximum(deviations, EXACT)
         scales += np.where(sure > max(_least_sigmas(fit, int(np.sum(moved))), _SUREST * np.max(sure)), parts, 0.0)
-    scaled = np.flatnonzero(np.abs(scales) > JOINT_SCALED)
+    scaled = np.flatnonzero(np.abs(scales) > np.maximum(JOINT_SCALED, PLAUSIBLE * _expected_gains(fit.nominal)))
     if len(scaled):
         factors = [f"{joints_named(names[j])} {1.0 + scales[j]:.4g} times as far" for j in scaled]
         yield Code.JOINT_SCALED.says(
@@ -194,6 +195,14 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
             f" {100 * JOINT_SCALED:g} %: look at the unit and the range of these columns, and at the gear ratios of the"
             " controller and of the description"
         )
+
+
+def _expected_gains(robot: Robot) -> FloatArray:
+    """Standard deviations of the gains that the description has for the actuated joints; 0 for the others."""
+    expected = np.zeros(len(robot.joint_names))
+    for term in (term for term in robot.terms if isinstance(term, Gain)):
+        expected[list(driven_by(term, robot.mechanism))] = term.parameters[0].sigma_si
+    return expected
 
 
 def _gain_errors(fit: Fit) -> tuple[FloatArray, FloatArray]:

@@ -222,7 +222,8 @@ def _widening_sentence(fit: Fit, q: FloatArray) -> str:
     away, alone = _uncertain(flat, covariance, _covariance_given(covariance, terms))
     if away <= max(_well_known(fit, at_used), WIDENED * alone):
         return ""
-    return f"{millimetres(away):.2g} mm RMS there, and to {millimetres(at_used):.2g} mm at the poses used"
+    used = f"{millimetres(at_used):.2g} mm at the poses used"
+    return f"{millimetres(away):.2g} mm RMS there, and to {used}, not counting base and tool"
 
 
 def _relative(fit: Fit, configurations: Configurations) -> FloatArray:

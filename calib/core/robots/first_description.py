@@ -45,7 +45,14 @@ _NO_LOOPS = """\
 # closed_loop: [[frame_a, frame_b]]
 # type: [3d]                      # 3d: the points coincide; 6d: the whole frames
 # closed_loop_axes: [[y, z]]
+{home}"""
+_HOME = """\
 # home: {{{home}}}                # an assembled configuration, needed with loops: every joint of them
+"""
+_HOME_WITHIN_LIMITS = """\
+# Where the robot starts [m, rad], with loops an assembled configuration: the middle of their limits for joints that
+# cannot be at 0; the others are at 0.
+home: {home}
 """
 _LOOPS = """\
 # Closed loops, cut open: these frames coincide, in the directions that the mechanism constrains. Passive joints are
@@ -254,7 +261,10 @@ def description_text(
         base=quoted(description.base.frame), target=quoted(target), point=point, **(words or {})
     )
     remark = " ".join(remark.split())
-    loops = _NO_LOOPS.format(home=", ".join(f"{quoted(name)}: 0" for name in moving[:2]))
+    home = _HOME.format(home=", ".join(f"{quoted(name)}: 0" for name in moving[:2]))
+    if within := _home_within_limits(urdf, description.name_mot):
+        home = _HOME_WITHIN_LIMITS.format(home=quoted(within))
+    loops = _NO_LOOPS.format(home=home)
     if description.closed_loop:
         loops = _LOOPS.format(
             pairs=quoted([list(pair) for pair in description.closed_loop]),
@@ -282,6 +292,12 @@ def description_text(
         else _HELD_ENDS.format(held=quoted(_end_components(urdf, joints))),
         example=quoted(description.name_mot[0]),
     )
+
+
+def _home_within_limits(urdf: UrdfText, joints: Sequence[str]) -> dict[str, float]:
+    """Middles of the limits of the joints that cannot be at 0 [m or rad], by name."""
+    limits = zip(joints, *(ends.tolist() for ends in urdf.limits(joints)), strict=True)
+    return {name: float(f"{(low + high) / 2:.6g}") for name, low, high in limits if not low <= 0.0 <= high}
 
 
 def _end_components(urdf: UrdfText, chain: Sequence[str]) -> list[str]:

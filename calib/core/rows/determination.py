@@ -56,7 +56,7 @@ class Determination(ReadOnlyArrays):
         poses, n_free = self.free.rank, self.free.n_columns
         if poses == n_free:
             return f"all {n_free} free parameters can be found from these poses"
-        text = f"{poses} of {n_free} free parameters can be found from these poses"
+        text = f"{poses} combinations of the {n_free} free parameters can be found from these poses"
         more = self.together.rank - poses
         if self.missing == 0:
             return f"{text}; the other {more} stay near nominal"

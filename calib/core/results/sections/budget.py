@@ -115,8 +115,9 @@ def worst_joint(fit: Fit) -> str:
         for one, (part, half) in zip(joints, percent, strict=False)
     ]
     lowest, next_part = percent[0][0] - percent[0][1], percent[1][0] if percent[1:] else 0.0
-    doubt = "" if lowest > next_part else "not determined: "
-    return f"{doubt}{words[0]} of the squared error before calibration" + (f"; next {words[1]}" if words[1:] else "")
+    doubt = "" if lowest > next_part else "not determined, since its interval is too wide: "
+    following = f"; next {words[1]}" if words[1:] else ""
+    return f"{doubt}{words[0]} (95 %) of the squared error before calibration{following}"
 
 
 def budget_lines(fit: Fit) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from calib.core.base.words import count_noun, listing, sentence
@@ -11,6 +13,7 @@ from calib.core.rows.prediction import PositionUncertainty
 
 CORRELATED = 0.95
 """Least correlation coefficient that is listed."""
+_UNMOVED = 1e-9  # mm: positions that no parameter moves
 
 
 def rank_content(fit: Fit) -> dict[str, object]:
@@ -76,28 +79,30 @@ def unsure(fit: Fit) -> dict[str, list[str]]:
 
 def position_uncertainty_table(fit: Fit) -> dict[str, object]:
     """Return the uncertainty of predicted positions, over the used and the validation poses [mm]."""
-    sets: list[tuple[str, ErrorSet | None, PositionUncertainty | None]] = [
-        ("identification", fit.identification, fit.identification_uncertainty),
-        ("validation", fit.validation, fit.validation_uncertainty),
-    ]
     return {
         name: uncertainty.table() | {"worst_pose": errors.data.names[uncertainty.worst]}
-        for name, errors, uncertainty in sets
-        if uncertainty is not None and errors is not None
+        for name, errors, uncertainty in _position_sets(fit)
     }
 
 
 def position_lines(fit: Fit) -> list[str]:
     """Return the uncertainty of predicted positions, one line for each set of poses."""
-    lines = []
-    sets = [("poses used", fit.identification, fit.identification_uncertainty)]
-    if fit.validation is not None and fit.validation_uncertainty is not None:
-        sets.append(("poses not used", fit.validation, fit.validation_uncertainty))
-    for name, errors, uncertainty in sets:
+    lines, words = [], {"identification": "poses used", "validation": "poses not used"}
+    for name, errors, uncertainty in _position_sets(fit):
         summary = uncertainty.summary()
         lines.append(
             f"Predicted positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
-            f" (pose {errors.data.names[uncertainty.worst]}), over the {name},"
+            f" (pose {errors.data.names[uncertainty.worst]}), over the {words[name]},"
             f" {fit.uncertainty.coverage_sentence}{uncertainty.remark()}"
         )
     return lines
+
+
+def _position_sets(fit: Fit) -> Iterator[tuple[str, ErrorSet, PositionUncertainty]]:
+    """The used and the validation poses, with the uncertainty of positions, where any parameter moves a position."""
+    for name, errors, uncertainty in (
+        ("identification", fit.identification, fit.identification_uncertainty),
+        ("validation", fit.validation, fit.validation_uncertainty),
+    ):
+        if errors is not None and uncertainty is not None and uncertainty.summary()["max"] > _UNMOVED:
+            yield name, errors, uncertainty

@@ -62,7 +62,7 @@ def _size_in_words(trial: TermTrial) -> str:
     of = f" of {listing(list(trial.joints))}" if trial.joints else ""
     sure = "surely there" if trial.proven else "probably there"
     size = f"{trial.size:.2g} times what is usual ({low:.2g} to {high:.2g})"
-    return f"{trial.term}{of} ({size}, {sure}: log evidence {trial.evidence:+.1f})"
+    return f"{trial.term}{of} ({size}, {sure})"
 
 
 def _coefficients(fit: Fit, kind: str) -> list[str]:

@@ -59,12 +59,13 @@ class LinkShape:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A link's inertial (None if the file has none), visuals and collisions, and unknown kinds of visuals."""
+    """A link's inertial (None if the file has none), visuals and collisions, and unknown kinds of both."""
 
     inertial: Inertial | None
     visuals: tuple[LinkShape, ...]
     collisions: tuple[LinkShape, ...]
     unknown: tuple[str, ...]
+    unknown_collisions: tuple[str, ...]
 
 
 def element_tree(source: bytes) -> Element:
@@ -107,7 +108,7 @@ def _link(link: Element, colours: dict[str, tuple[float, ...]], where: str) -> L
         None if inertial is None else _inertial(inertial, f"{where}, inertial"),
         tuple(shapes["visual"]),
         tuple(shapes["collision"]),
-        tuple(kind.tag for kind in link.iterfind("visual/geometry/*") if kind.tag not in _KINDS),
+        *(tuple(kind.tag for kind in link.iterfind(f"{role}/geometry/*") if kind.tag not in _KINDS) for role in shapes),
     )
 
 

@@ -18,7 +18,9 @@ along one direction n of the first body, so the loop holds the other two. Along 
 configurations drawn around the file's. The links of such a loop have n as their z axis: it holds x and y.
 
 When it fails. Free joints are fixed at the file's pose. Ties by tendons, and joints that follow others by a polynomial,
-are errors: URDF has none. Of shapes, boxes, spheres, cylinders and mesh files are kept.
+are errors: URDF has none. Of shapes, boxes, spheres, cylinders, capsules and mesh files are kept: as visuals those that
+MuJoCo draws, as collisions those that touch something in it. A remark says where other collision shapes are left out,
+and those of the world.
 
 Reference: todorov2012.
 """
@@ -29,7 +31,7 @@ import io
 import itertools
 import os
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,6 +43,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import UrdfError
+from calib.core.base.words import listing
 from calib.core.numerics import linalg
 from calib.core.robots.urdf.writing import (
     document,
@@ -48,7 +51,7 @@ from calib.core.robots.urdf.writing import (
     joint_element,
     number_attribute,
     perpendicular_axes,
-    visual_element,
+    shape_element,
 )
 
 _DRAWN = 12  # configurations for the directions of a loop
@@ -163,6 +166,7 @@ class _MjcfReader:
         self.link_of: dict[int, str] = {}  # link of each body
         self.home: dict[str, float] = {}
         self.remarks: list[str] = []
+        self.unread: dict[str, None] = {}  # links with collision shapes that a URDF cannot hold
 
     def read(self) -> MjcfRobot:
         self._link("world", 0)
@@ -173,6 +177,8 @@ class _MjcfReader:
             carrier = self.link_of[int(self.model.site_bodyid[site])]
             self._add_fixed_joint(carrier, name, _se3(self.model.site_pos[site], self.model.site_quat[site]))
         loops = tuple(self._equalities())
+        if self.unread:
+            self.remarks.append(unread_shapes(list(self.unread)))
         remark = "".join(f"; {remark}" for remark in self.remarks).replace("--", "- -")
         self.root.insert(0, ElementTree.Comment(f" from MJCF: {Path(self.path).name.replace('--', '- -')}{remark} "))
         source = document(self.root)
@@ -282,30 +288,37 @@ class _MjcfReader:
             place = _se3(model.body_ipos[body], model.body_iquat[body])
             inertial_element(link, place, repr(float(model.body_mass[body])), diagonal)
         first = int(model.body_geomadr[body])
-        for geom in range(first, first + int(model.body_geomnum[body])) if body else ():
-            if model.geom_group[geom] < _SHOWN_GROUPS:
-                self._shape(link, geom)
+        for geom in range(first, first + int(model.body_geomnum[body])):
+            shapes = list(self._shapes(geom)) if body else []
+            if shapes and model.geom_group[geom] < _SHOWN_GROUPS:
+                shape_element(link, "visual", *shapes[0])
+            if model.geom_contype[geom] or model.geom_conaffinity[geom]:
+                for shape in shapes:
+                    shape_element(link, "collision", *shape)
+                if not shapes:
+                    self.unread.setdefault(name)
 
-    def _shape(self, link: Element, geom: int) -> None:
+    def _shapes(self, geom: int) -> Iterator[tuple[pin.SE3, Element]]:
+        """URDF's shapes of a shape, with their places: of a capsule the cylinder, then its ends."""
         model, types = self.model, self.mujoco.mjtGeom
         size, place = np.array(model.geom_size[geom]), _se3(model.geom_pos[geom], model.geom_quat[geom])
         kind = int(model.geom_type[geom])
-        shape: tuple[str, dict[str, str]] | None = None
         if kind == types.mjGEOM_BOX:
-            shape = "box", {"size": number_attribute(2 * size)}
+            yield place, Element("box", size=number_attribute(2 * size))
         elif kind == types.mjGEOM_SPHERE:
-            shape = "sphere", {"radius": repr(float(size[0]))}
+            yield place, Element("sphere", radius=repr(float(size[0])))
         elif kind in (types.mjGEOM_CYLINDER, types.mjGEOM_CAPSULE):
-            shape = "cylinder", {"radius": repr(float(size[0])), "length": repr(float(2 * size[1]))}
+            radius, half = repr(float(size[0])), float(size[1])
+            yield place, Element("cylinder", radius=radius, length=repr(2 * half))
+            for end in (-half, half) if kind == types.mjGEOM_CAPSULE else ():
+                yield place * pin.SE3(np.eye(3), np.array([0.0, 0.0, end])), Element("sphere", radius=radius)
         elif kind == types.mjGEOM_MESH:
             mesh = int(model.geom_dataid[geom])
             file = _text(model.paths[model.mesh_pathadr[mesh] :]) if model.mesh_pathadr[mesh] >= 0 else ""
             if Path(file).suffix.lower() in _MESHES:
                 place = place * _se3(model.mesh_pos[mesh], model.mesh_quat[mesh]).inverse()  # MuJoCo centres meshes
                 where = Path(self.meshes, file).as_posix()
-                shape = "mesh", {"filename": where, "scale": number_attribute(model.mesh_scale[mesh])}
-        if shape is not None:
-            visual_element(link, place, Element(*shape))
+                yield place, Element("mesh", filename=where, scale=number_attribute(model.mesh_scale[mesh]))
 
     def _motors(self) -> Iterator[str]:
         types = self.mujoco.mjtTrn
@@ -389,6 +402,11 @@ class _MjcfReader:
         axis = directions[:, 2] if count == 2 else directions[:, 0]
         second, third = perpendicular_axes(axis)
         return np.column_stack([second, third, axis] if count == 2 else [axis, second, third]), max(count, 1)
+
+
+def unread_shapes(links: Sequence[str]) -> str:
+    """Say on which links collision shapes are left out."""
+    return f"collision shapes left out, which a URDF cannot hold (write 'obstacles' for them): of {listing(links)}"
 
 
 def _se3(xyz: FloatArray, quaternion: FloatArray) -> pin.SE3:

@@ -28,8 +28,8 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError, nearest
-from calib.core.robots.urdf.mjcf_reading import MjcfLoop, MjcfRobot
-from calib.core.robots.urdf.writing import document, inertial_element, joint_element, perpendicular_axes, visual_element
+from calib.core.robots.urdf.mjcf_reading import MjcfLoop, MjcfRobot, unread_shapes
+from calib.core.robots.urdf.writing import document, inertial_element, joint_element, perpendicular_axes, shape_element
 
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _ENDLESS = 1e10  # SDF limits above this count as none [m or rad]
@@ -66,6 +66,7 @@ class _SdfReader:
         self.named = {e.get("name", ""): e for tag in ("link", "joint", "frame") for e in model.findall(tag)}
         self.root = Element("robot", name=model.get("name") or Path(path).stem)
         self.known: dict[str, pin.SE3] = {}
+        self.unread: dict[str, None] = {}  # links with collision shapes that a URDF cannot hold
         self.tree: dict[str, Element] = {}  # joint of SDF by its child
 
     def read(self) -> MjcfRobot:
@@ -87,7 +88,8 @@ class _SdfReader:
         named = [text for plugin in self.model.iter("plugin") for e in plugin.iter("joint_name") if (text := e.text)]
         motors = tuple(name for name in moving if name in named) if named or loops else tuple(moving)
         cut = [f"joint {joint.get('name')} closes a loop, which is cut open there" for joint in later]
-        return MjcfRobot(document(self.root), motors, tuple(loops), (), dict.fromkeys(moving, 0.0), tuple(cut))
+        unread = [unread_shapes(list(self.unread))] if self.unread else []
+        return MjcfRobot(document(self.root), motors, tuple(loops), (), dict.fromkeys(moving, 0.0), (*cut, *unread))
 
     def _text(self, element: Element, tag: str, default: str = "") -> str:
         return (element.findtext(tag) or default).strip()
@@ -247,10 +249,13 @@ class _SdfReader:
         if inertial is not None and mass:
             moments = inertial.findall("inertia/*")
             inertial_element(result, self._pose(inertial), mass, {e.tag: (e.text or "0").strip() for e in moments})
-        for visual in link.findall("visual"):
-            shape = self._shape(visual)
-            if shape is not None:
-                visual_element(result, self._pose(visual), shape)
+        for role in ("visual", "collision"):
+            for element in link.findall(role):
+                shape = self._shape(element)
+                if shape is not None:
+                    shape_element(result, role, self._pose(element), shape)
+                elif role == "collision":
+                    self.unread.setdefault(link.get("name", ""))
 
     def _shape(self, visual: Element) -> Element | None:
         for kind, keys in (("box", ("size",)), ("sphere", ("radius",)), ("cylinder", ("radius", "length"))):

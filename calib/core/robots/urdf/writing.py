@@ -99,9 +99,9 @@ def inertial_element(link: Element, origin: pin.SE3, mass: str, moments: Mapping
     SubElement(element, "inertia", {key: moments.get(key, "0") or "0" for key in _MOMENTS})
 
 
-def visual_element(link: Element, origin: pin.SE3, shape: Element) -> None:
-    """Add a shape to a link."""
-    element = SubElement(link, "visual")
+def shape_element(link: Element, role: str, origin: pin.SE3, shape: Element) -> None:
+    """Add a shape to a link; `role` is `visual` or `collision`."""
+    element = SubElement(link, role)
     SubElement(element, "origin", origin_of(origin))
     SubElement(element, "geometry").append(shape)
 

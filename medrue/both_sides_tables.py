@@ -78,7 +78,7 @@ def pose_count_table(both_sides: BothSides) -> ResultTable:
         "What remains along x after calibration, by the number of poses",
         tuple(columns),
         (
-            "poses chosen by O1 of the extended model; the paper's: by O1 of its own model",
+            "poses are chosen by O1 of the extended model, and for the paper's model by its own O1",
             f"simulated; {count_noun(len(both_sides.draws), 'draw')}; at all other poses from both sides, with the"
             f" tracker's noise, which alone has an RMS of {millimetres(NOISE):.4f} mm and a mean magnitude of"
             f" {millimetres(NOISE) * np.sqrt(2 / np.pi):.4f} mm",
@@ -113,10 +113,10 @@ def extended_parameter_table(both_sides: BothSides) -> ResultTable:
             column("std", draw.std),
         ),
         (
-            "simulated; first draw; only those whose std is less than half of the expected error: the others rest on"
-            " their priors",
-            "the actual backlash is half of that at the rail's ends; on average over the stroke it is"
-            f" {200 / np.pi * both_sides.rail.wear:.1f} % larger, which is what a model without wear can find",
+            "simulated; first draw; only parameters whose std is less than half of the expected error: the others rest"
+            " on their priors",
+            "the actual value is half of the backlash at the rail's ends; a model without wear finds the average over"
+            f" the stroke, which is {200 / np.pi * both_sides.rail.wear:.1f} % larger",
         ),
     )
 
@@ -128,7 +128,7 @@ def both_sides_findings(both_sides: BothSides) -> tuple[str, ...]:
     return (
         f"From both sides at the same {len(both_sides.sets[0].chosen)} poses,"
         f" {count_noun(len(both_sides.extended.parameters), 'parameter')} (geometry in all six components, and the"
-        f" screw's lead, turns and backlash) leave a mean x error of {extended}, the paper's model {paper}; the"
+        f" screw's lead, turns and backlash) leave a mean x error of {extended}; the paper's model leaves {paper}. The"
         f" tracker's noise alone is {noise * np.sqrt(2 / np.pi):.3f} mm (RMS {rms} and {noise:.3f} mm).",
         _needed_poses(both_sides),
     )

@@ -157,7 +157,7 @@ def cause_table(experiment: Experiment) -> ResultTable:
     ]
     if experiment.imperfections == Imperfections():
         notes.append(
-            "the paper gives the lead error; the other sizes are chosen so that as much remains as in the paper"
+            "the paper gives the lead error; the other sizes are chosen so that the error that remains is the paper's"
         )
     return ResultTable("causes", "What remains after calibration, by cause", tuple(columns), tuple(notes))
 
@@ -199,9 +199,9 @@ def _error_before_finding(experiment: Experiment) -> str:
     placed = millimetres(np.linalg.norm(base_placed(nominal, nominal - draw.before), axis=1)).mean()
     below = int(np.sum(distances <= printed))
     verdict = (
-        "no pose of ours has as little as the paper's mean, so that which of them are chosen does not explain it"
+        "all our poses are above the paper's mean, so the choice of validation poses does not explain it"
         if below == 0
-        else f"{count_noun(below, 'pose')} of ours {'has' if below == 1 else 'have'} no more than the paper's mean"
+        else f"{count_noun(below, 'pose')} of ours {'is' if below == 1 else 'are'} not above the paper's mean"
     )
     return (
         f"Before calibration the error lies between {distances.min():.2f} and {distances.max():.2f} mm over all"
@@ -220,7 +220,7 @@ def _axis_finding(experiment: Experiment) -> str:
     shares = [
         ", ".join(f"{a} {100 * v / s.sum():.0f} %" for a, v in zip("xyz", s, strict=True)) for s in (squares, paper)
     ]
-    return f"What the paper's model leaves{mostly} {shares[0]} of the mean square error; in the paper {shares[1]}."
+    return f"The error after calibration{mostly} {shares[0]} of the mean square; in the paper {shares[1]}."
 
 
 def _measuring_finding(experiment: Experiment) -> str:

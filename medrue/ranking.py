@@ -135,7 +135,7 @@ def ranking_table(rankings: dict[str, Ranking]) -> ResultTable:
         tuple(TableColumn(header, column, 4) for header, column in cells),
         (
             f"simulated; better or worse: by paired differences over {count_noun(first.n_draws, 'draw')}, Student's t"
-            f" with Holm's correction; chance says so of any pair in one ranking of {1 / LUCK:.0f}; open: may be"
+            f" with Holm's correction; by chance alone, one ranking in {1 / LUCK:.0f} has such a pair; open: may be"
             " chance",
         ),
     )

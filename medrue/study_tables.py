@@ -206,11 +206,11 @@ def _findings_against_paper(ours: Ranking, study: PaperStudy) -> tuple[str, ...]
         f"Before calibration the mean error is {millimetres(study.nominal_errors()[0]):.2f} mm here,"
         f" {error_table(2)['before']['mean']:.2f} mm in the paper; at single poses of ours it lies between"
         f" {nominal.min():.2f} and {nominal.max():.2f} mm.",
-        f"The paper's order of the mean error, from one draw: {', '.join(paper)}. Its two least are {best_two} ours"
+        f"The paper's order of the mean error, from one draw: {', '.join(paper)}. Its two smallest are {best_two} ours"
         f" among these; its largest, {paper[-1]}, is {'also' if shared[-1] == paper[-1] else 'not'} ours. Kendall's tau"
         f" of the two orders: {agreement(printed, means):.2f} (1: the same order, 0: none).",
-        f"Mean error of uniform over that of O1: {here:.2f} here, {there:.1f} in the paper. Among our candidates the"
-        f" uniform choice has {100 * o1.before['O1'] / o1.after['O1']:.0f} % of the O1 of the best.",
+        f"Ratio of mean errors, uniform choice to O1: {here:.2f} here, {there:.1f} in the paper. The uniform choice"
+        f" has {100 * o1.before['O1'] / o1.after['O1']:.0f} % of the O1 of the best choice from our candidates.",
     )
 
 

@@ -57,7 +57,7 @@ SIZE = StudySize(noise_draws=50, actual_draws=20, noise_per_actual=2)
 QUICK = StudySize(noise_draws=4, actual_draws=2, noise_per_actual=1)
 BEFORE = "before"
 TOOL_KNOWN = "encoders, tool known"
-"""Encoders with the tool's true place on the probe, which they do not see, but which can be measured on a bench."""
+"""Encoders, and the true place of the tool on the probe: encoders do not see it, a bench can measure it."""
 WAYS = ("world", "shape")
 """Ways to compare predictions with the truth; see the module docstring."""
 ARTEFACTS = (

@@ -52,7 +52,7 @@ CANDIDATES = 540
 TURN, LEAN, TWIST = np.radians(30.0), np.radians(20.0), np.radians(30.0)
 """How far the probe turns about the leg's axis, leans along it, and twists about its own [rad]."""
 PUT_UP = (5e-3, float(np.radians(1.0)))
-"""How far an artefact that is put up by hand is from where it is expected, one standard deviation [m, rad]."""
+"""Placing error of an artefact that is put up by hand, one standard deviation [m, rad]."""
 ENCODER_SIGMA = SIGMA / float(table1().nominal[PARAMETERS.index("L12")])
 """Noise of an encoder that turns [rad]."""
 _PLASTIC = 1.2207440846057596  # the real root of g^4 = g + 1: the R3 sequence (Roberts, 2018)

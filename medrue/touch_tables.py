@@ -49,8 +49,8 @@ def error_table(study: TouchStudy, way: str) -> ResultTable:
     notes = [
         f"simulated; distance from the true position at all {study.noise.shape[-1]} poses of the target workspace; seed"
         f" {study.seed}",
-        f"every method measures {count_noun(COUNT, 'pose')}; the draws of noise are on Table I's robot, the actual"
-        f" robots drawn within +-2 mm and +-1.5 deg, {count_noun(study.by_actual.shape[1], 'draw')} of noise each;"
+        f"every method measures {count_noun(COUNT, 'pose')}; draws of noise: for Table I's robot; actual robots:"
+        f" drawn within +-2 mm and +-1.5 deg, {count_noun(study.by_actual.shape[1], 'draw')} of noise each;"
         " spread: one standard deviation",
     ]
     if way == "world":

@@ -261,7 +261,7 @@ def test_poses_near_a_singularity_are_counted(commands):
 
 
 def test_a_target_that_is_read_from_an_unknown_place_is_not_counted(commands):
-    assert "Not counted: other, seen only from unknown places." in commands.check_texts["unknown place"]
+    assert "Not counted: other (only instruments at unknown places see it)." in commands.check_texts["unknown place"]
     assert "Not counted" not in commands.check_texts["base"]
 
 
@@ -449,7 +449,7 @@ def test_more_poses_do_not_help_where_the_model_or_the_noise_is_what_is_left(com
 
 
 def test_a_goal_below_the_scatter_of_the_readings_is_told(commands):
-    said = r"not yet; readings that scatter by ([\d.]+) mm RMS about the model can never show that it is met"
+    said = r"not yet; readings that scatter by ([\d.]+) mm RMS about the model can never show that the goal is met"
     told = commands.watched["twelve"]
     left = told.fit.robot.positions(joints(60, 9)[:12]) - measured(commands.few_free[1], joints(60, 9), 9)[:12].points()
     scatter = 1e3 * np.sqrt(3 * np.sum(left**2) / (36 - 9))

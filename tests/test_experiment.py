@@ -181,10 +181,10 @@ def test_tables_stand_beside_the_papers_and_are_called_simulated(experiment: Exp
         assert "nan" not in table.csv()
         assert len(set(table.columns[0].values)) == len(table.columns[0].values)  # rows are selected by name
         json.dumps(table.to_dict(), allow_nan=False)
-    assert "chosen so that as much remains" in tables["causes"].csv()
+    assert "chosen so that the error that remains" in tables["causes"].csv()
     text = " ".join(experiment_findings(experiment))
     assert "mostly along x" in text
-    assert "no pose of ours has as little as the paper's mean" in text
+    assert "all our poses are above the paper's mean" in text
     assert "nan" not in text
 
 
@@ -195,7 +195,7 @@ def test_sentences_follow_the_numbers(experiment: Experiment) -> None:
     nothing = replace(experiment, imperfections=NONE, draws=single, causes={"tracker noise alone": single})
     text = " ".join(experiment_findings(nothing))
     assert "mostly" not in text
-    assert "What the paper's model leaves: x 3" in text
+    assert "The error after calibration: x 3" in text
     assert "over 1 draw," in text
     assert "1 draws" not in text
     table = {table.name: table for table in experiment_tables(nothing)}["causes"].csv()

@@ -320,7 +320,7 @@ def test_e_that_firmwares_read_differently_is_refused_where_a_move_is_cut(tmp_pa
     (tmp_path / "a.gcode").write_text("M83\nG90\nG1 X0 Y0 Z0\nG1 X10 E1\n")
     program = read_gcode(tmp_path / "a.gcode")
     ways = [np.zeros((1, 3)), np.array([[5e-3, 0, 0], [1e-2, 0, 0]])]
-    with pytest.raises(calib.DataError, match="line 4: is cut into 2 pieces, and nothing says what its E means"):
+    with pytest.raises(calib.DataError, match="line 4: is cut into 2 pieces, and the meaning of its E is unknown"):
         program.rewritten(ways)
     assert "G1 X10 Y0 Z0 E1" in program.rewritten([ways[0], ways[1][1:]])
 
@@ -510,7 +510,7 @@ def test_e_that_counts_from_what_is_not_known_is_not_shared(tmp_path, between, d
     (tmp_path / "a.gcode").write_text(f"G1 X0 Y0 Z0\n{between}\nG1 X1 E17\n")
     program = read_gcode(tmp_path / "a.gcode", dialect=dialect)
     ways = [np.zeros((1, 3)), np.array([[5e-3, 0, 0], [1e-2, 0, 0]])]
-    with pytest.raises(calib.DataError, match="nothing says what its E means"):
+    with pytest.raises(calib.DataError, match="the meaning of its E is unknown"):
         program.rewritten(ways)
 
 

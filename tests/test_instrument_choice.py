@@ -152,7 +152,7 @@ def test_a_touch_is_chosen_only_where_the_candidates_say_what_is_touched(tmp_pat
     assert all(words[k] for k in touched)
     with pytest.raises(calib.InputError, match="count 11 of probe is above the 10 candidates"):
         select(robot, candidates, {"probe": 11, "tracker": 3})
-    with pytest.raises(calib.InputError, match="nothing says which poses touch what; add a column 'probe'"):
+    with pytest.raises(calib.InputError, match="the poses do not say what it touches; add a column 'probe'"):
         select(robot, q, 8, instruments="each")
 
 

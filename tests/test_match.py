@@ -140,7 +140,7 @@ def test_tool_is_found_and_a_wrong_statement_is_named(stock: Path, tmp_path: Pat
     assert found.grade == "PASS", found.report()
     assert "tool: the controller's frame differs from tool0 by xyz" in found.places[1]
     assert calib.match(stock, pairs, tool=[30, 0, 120, 0, 0, 0]).grade == "PASS"
-    with pytest.raises(DataError, match="of another tool than the one stated"):
+    with pytest.raises(DataError, match="the poses contradict the stated tool"):
         calib.match(stock, pairs, tool=[0, 0, 80, 0, 0, 0])
 
 
@@ -271,7 +271,7 @@ def test_a_base_that_is_not_the_one_stated_is_named(stock: Path, tmp_path: Path)
     q, base = joint_values(1), np.eye(4)
     base[:3, 3] = [0.5, 0.0, 0.7]
     pairs = ur_pairs(tmp_path / "pairs.csv", q, base @ poses(q, origins()))
-    with pytest.raises(DataError, match="of another base than the one stated"):
+    with pytest.raises(DataError, match="the poses contradict the stated base"):
         calib.match(stock, pairs, base=[0, 0, 700, 0, 0, 0])
 
 
@@ -280,7 +280,7 @@ def test_readings_that_fit_alike_are_refused(stock: Path, tmp_path: Path) -> Non
     q = level + joint_values(1, size=0.1)
     turned = np.linalg.inv(poses(level[None], nominal_origins("ur5e")))[0]
     turned[:3, 3] = 0.0  # the tool is level where the pairs are: all forms of a small rotation are nearly the same
-    with pytest.raises(DataError, match="fit alike"):
+    with pytest.raises(DataError, match="fit equally well"):
         calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(q, origins()) @ turned, digits=(6, 1, 2)))
 
 

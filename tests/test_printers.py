@@ -217,7 +217,7 @@ def test_arms_that_no_printer_has_do_not_come_out(folder):
     (folder / "saved.cfg").write_text(printer_cfg(spans=False, true=np.array([*TRUE[:4], 225, 391, 214, *TRUE[7:]])))
     done = run("init", "--klipper", "saved.cfg", "--out", "s.yaml")
     assert done.exit_code == 2
-    assert "arms of 225, 391, 214 mm, but those of a printer are alike" in done.output
+    assert "arms of 225, 391, 214 mm, but all arms of a printer have one length" in done.output
     assert not (folder / "s.yaml").exists()
 
 
@@ -242,7 +242,7 @@ BAD_KLIPPER = [
     (
         "kinematics: delta",
         "kinematics: rotary_delta",
-        "whose arms turn, and this is for carriages on towers: begin with",
+        "only deltas with carriages on towers can be read here. Begin with",
     ),
     ("rotation_distance: 32", "", "[stepper_a] has no 'rotation_distance'"),
     ("rotation_distance: 32", "rotation_distance: 0", "must be positive"),
@@ -295,7 +295,7 @@ def test_what_is_wrong_in_a_printer_cfg_is_named(folder, old, new, said):
             "settings of Repetier; write the lines 'M665 L250.00 R125.5 H<Z max length>'",
         ),
         ("klipper", "arm_length 250\narm_radius 124\n", "settings of Smoothieware; write the lines"),
-        ("marlin", "arm_solution rotary_delta\ndelta_e 131.6\n", "is a rotary delta, whose arms turn"),
+        ("marlin", "arm_solution rotary_delta\ndelta_e 131.6\n", "is a rotary delta (arms that turn)"),
         ("duet", "M665 L208 R103", "no M665 with H, the height"),
         ("duet", "M665 L208:209 R103 H240", "M665 L has 2 rods"),
         ("duet", "M665 L208:208:208:208 R103 H240", "M665 L has 4 rods"),

@@ -27,7 +27,7 @@ MAP_POSES = 1000
 @click.option(
     "--data",
     metavar="FILE",
-    help="Measurements (CSV) to judge the robot with, instead of those of the fit; or poses alone, to look at.",
+    help="Measurements (CSV) that judge the robot instead of those of the fit; or poses alone, for a view.",
 )
 @click.option(
     "--map",

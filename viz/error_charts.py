@@ -94,7 +94,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     return Chart(
         "coverage",
         "Where the joints were",
-        "Each pair of joints within its limits, or if these are far, its measured range. Empty: not measured.",
+        "The axes show the limits of each joint, or its measured range if the limits are far. Empty: not measured.",
         tuple(panels),
         170,
     )
@@ -193,8 +193,8 @@ class _Part:
             panels.append(panel(axis(f"{across} [mm]"), axis(f"{up} [mm]"), layers, title=view, equal=True))
         return Chart(
             *self._chart_name("planes", "Errors over the workspace, after calibration"),
-            f"From dark (0) to bright ({highest:.3g} {self._unit}; outliers beyond). A square is the mean of what was"
-            " measured in it, without outliers; where there is none, nothing was measured.",
+            f"From dark (0) to bright ({highest:.3g} {self._unit}; outliers above). A square shows the mean error of"
+            " the poses in it, without outliers. No square: nothing was measured there.",
             tuple(panels),
         )
 
@@ -243,7 +243,7 @@ class _Part:
             panels.append(panel(axis(f"{joint.name} [{joint.unit}]"), y, [*layers, *means], height=240))
         return Chart(
             *self._chart_name("by-joint", "Residuals against each joint"),
-            "Predicted minus measured, with its local mean: a line that bends away from zero is an error of that joint"
+            "Predicted minus measured, with its local mean. If the line bends away from zero, the joint has an error"
             " that no parameter describes." + (" Outliers further off lie at the edge." if reach else ""),
             tuple(panels),
             280,

@@ -48,7 +48,7 @@ def corrections(fit: Fit, joints: tuple[ViewerJoint, ...]) -> Chart | None:
         panels.append(
             panel(axis(f"{joint.name} [{joint.unit}]"), axis(f"joint error [{joint.unit}]"), layers, height=240)
         )
-    text = "Error of each joint: the curve is what the fitted terms say, each point what the readings of a pose show."
+    text = "Error of each joint: the curve is the fitted terms, each point the error that the readings of a pose show."
     return Chart("joint-errors", "Fitted errors of the joints", text, tuple(panels), 280) if panels else None
 
 

@@ -109,7 +109,7 @@ def waterfall(fit: Fit) -> Chart | None:
     return Chart(
         "waterfall",
         "Causes of the error before calibration",
-        f"From {budget['rms_before']:.3g} {unit} at the top, each cause takes away its part; squares add up.{larger}",
+        f"From {budget['rms_before']:.3g} {unit} at the top, each cause is subtracted (squares add up).{larger}",
         (
             panel(
                 axis(f"RMS error [{unit}]", ends=[0, 1.03 * max(ends)]),
@@ -135,8 +135,8 @@ def joint_shares(fit: Fit) -> Chart | None:
     return Chart(
         "joints",
         "Which joint makes the error",
-        "Part of the squared error before calibration that goes with each joint, with its 95 % interval; below zero,"
-        " these readings are better without its correction. Wide intervals: other joints can stand in for it.",
+        "Part of the squared error before calibration that each joint explains, with its 95 % interval. Below zero:"
+        " its correction makes these readings worse. Wide interval: other joints can explain the same error.",
         forest(names, [("", COLOURS["after"], percent, half, texts)], "part of the squared error [%]"),
         440,
     )

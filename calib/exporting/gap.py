@@ -66,9 +66,9 @@ class Gap:
         apart, change = (quantity_text(value, self.dimension, ".4f") for value in (self.at_home, self.change))
         which = f"loop {self.name}, direction {self.direction}"
         if max(abs(self.at_home), self.change) < 1e-9:
-            return f"{which}: also closed in {self.n_poses} poses{self.where}; a 3D constraint has nothing to absorb"
+            return f"{which}: stays closed in {self.n_poses} poses{self.where}; a 3D constraint has nothing to absorb"
         return (
-            f"{which}: {apart} apart at home; a 3D constraint would have to absorb up to {change} over"
+            f"{which}: the gap is {apart} at home; a 3D constraint would have to absorb up to {change} over"
             f" {self.n_poses} poses{self.where}"
         )
 
@@ -156,7 +156,7 @@ def free_joints(robot: Robot, loop: int) -> tuple[tuple[Component, bool], ...]:
         if len(hinges) > 1 or (set(slides) - {along}) not in (set(), across):
             raise InputError(
                 f"loop {robot.mechanism.loops[loop].name}: its free directions {', '.join(free)} are not"
-                " the motions of a joint, so that no other program can close it; constrain other"
-                " directions in closed_loop_axes, or split it into two closures"
+                " the motions of one joint, and other programs close loops only with joints; constrain other"
+                " directions in closed_loop_axes, or split the loop into two closures"
             )
     return tuple((direction, True) for direction in slides) + tuple((direction, False) for direction in hinges)

@@ -40,7 +40,7 @@ WORLD = "world_link"
 _LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
 """Mass and inertia for a moving link without mass [kg], [kg m^2]: MuJoCo refuses massless moving bodies."""
 _NO_MASS, _NO_INERTIA = 1e-9, 1e-12
-"""Mass and inertia of a massless link with shapes [kg], [kg m^2]: MuJoCo before 3.4 takes its mass from the shapes."""
+"""Mass and inertia of a massless link with shapes [kg], [kg m^2]: old MuJoCo (< 3.4) computes mass from shapes."""
 _TYPES = {"prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
 
 

@@ -84,8 +84,8 @@ def _joint_path(urdf: UrdfText, base: str, tip: str) -> list[UrdfJoint]:
     while link != base:
         if link not in parent:
             raise InputError(
-                f"{urdf.path}: link '{tip}' is not behind '{base}' in the tree; this format starts at the base's frame,"
-                " so name a link below the first joint there"
+                f"{urdf.path}: link '{tip}' is not below '{base}' in the tree; this format starts at the frame of"
+                f" '{base}': name a link below its first joint"
             )
         way.insert(0, parent[link])
         link = parent[link].parent

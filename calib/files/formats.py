@@ -25,8 +25,8 @@ FORMATS = (
     OtherFormat(
         "NumPy arrays",
         "`.npz` or `.npy`",
-        "arrays of one length are columns: NAME, NAME_x to NAME_z for three, NAME_x to NAME_qw for poses (4 x 4), else"
-        " NAME_1, NAME_2, ...; in SI, or say their units under `columns`",
+        "each array gives columns: NAME for one, NAME_x to NAME_z for three, NAME_x to NAME_qw for poses (4 x 4), else"
+        " NAME_1, NAME_2, ...; arrays have one length; units are SI, or those stated under `columns`",
         lambda file: (
             file.head.startswith((b"\x93NUMPY", b"PK\x03\x04")) and file.path.suffix.lower() in (".npz", ".npy")
         ),
@@ -35,22 +35,22 @@ FORMATS = (
     OtherFormat(
         "a MATLAB file (version 5)",
         "begins with `MATLAB 5.0`",
-        "variables of one length are columns, as NumPy arrays",
+        "variables of one length become columns, named as for NumPy arrays",
         _begins(rb"MATLAB 5\.0"),
         arrays.mat5_columns,
     ),
     OtherFormat(
         "a MATLAB file (version 7.3)",
         "begins with `MATLAB 7.3`, or is HDF5",
-        "variables of one length are columns, as NumPy arrays; this needs the package h5py",
+        "variables of one length become columns, named as for NumPy arrays; this needs the package h5py",
         _begins(rb"MATLAB 7\.3|\x89HDF"),
         arrays.mat73_columns,
     ),
     _not_read(
         "a Parquet or Arrow file",
-        "begins with `PAR1`, as data sets of LeRobot, or with `ARROW1`",
+        "begins with `PAR1` (also data sets of LeRobot) or `ARROW1`",
         b"PAR1|ARROW1",
-        "give the data frame from Python: calib.read_measurements(pandas.read_parquet(FILE), robot)",
+        "read it in Python: calib.read_measurements(pandas.read_parquet(FILE), robot)",
     ),
     _not_read(
         "a bag of ROS 1", "begins with `#ROSBAG`", b"#ROSBAG", "convert it: rosbags-convert --src FILE --dst FOLDER"
@@ -87,7 +87,7 @@ FORMATS = (
     OtherFormat(
         "YAML",
         "`.yaml` or `.yml`",
-        f"a robot description comes first, then measurements; for those, {_CSV}, or record a bag with ROS",
+        f"a robot description comes first, then measurements; measurements: {_CSV}, or record a bag with ROS",
         lambda file: file.path.suffix.lower() in (".yaml", ".yml"),
     ),
     OtherFormat(
@@ -100,27 +100,27 @@ FORMATS = (
     OtherFormat(
         "JSON",
         'begins with `{"`, `[{`, or `[` and a number',
-        "arrays are columns, as NumPy arrays; so are fields of records, in a list or one in each line",
+        "arrays become columns, named as for NumPy arrays; so do fields of records (in a list, or one record a line)",
         _begins(rb'\s*(\{\s*"|\[\s*\{|\[[\s\[]*-?\d+(\.\d*)?(e-?\d+)?\s*[],])'),
         arrays.json_columns,
     ),
     OtherFormat(
         "an export of Motive (OptiTrack)",
         "begins with `Format Version`",
-        "rigid bodies and markers are columns NAME_x to NAME_z, with quaternions NAME_qx to NAME_qw",
+        "rigid bodies and markers become columns NAME_x to NAME_z, with quaternions NAME_qx to NAME_qw",
         lambda file: bool(file.first_lines) and file.first_lines[0].lstrip('"').startswith("Format Version"),
         text.motive_lines,
     ),
     OtherFormat(
         "a report of measured and nominal values, as PolyWorks and FARO write it",
-        "`Name` with `Meas X`, `Actual X`, ...; or with `Meas` and a column of X, Y, Z below each other",
-        "columns pose (the name), X, Y, Z as measured, with the unit that the header or a line above names",
+        "`Name` with `Meas X`, `Actual X`, ...; or `Meas` and a column that names the axes X, Y, Z, one in each row",
+        "columns pose (the name), and measured X, Y, Z; the header or a line above states their unit",
         reports.is_report,
         reports.report_lines,
     ),
     OtherFormat(
         "a table with names above X, Y, Z, as Vicon and TRC files have them",
-        "a line of names above one that repeats `X,Y,Z` or goes on as `X1,Y1,Z1,X2`",
+        "a line of names; the next line is `X,Y,Z,X,Y,Z,...` or `X1,Y1,Z1,X2,...`",
         "columns NAME_x, NAME_y, NAME_z, with the units of the line below",
         text.has_names_above,
         text.named_above_lines,
@@ -134,14 +134,14 @@ FORMATS = (
     ),
     OtherFormat(
         "a table separated by blanks",
-        "names with blanks between them, above lines with as many numbers",
+        "a line of names with blanks between them; the lines below have as many numbers",
         "read as if commas stood there",
         text.is_parted_by_blanks,
         text.blank_lines,
     ),
     OtherFormat(
         "rows without names of columns, as np.savetxt and programs of trackers write them",
-        "every line has numbers alone, or texts and three numbers or more in the same places",
+        "every line has only numbers; or texts and at least three numbers, in the same places",
         "columns are named 1, 2, 3, ...; `columns` says what they stand for",
         lambda file: text.has_no_names(file) and any(name.isdigit() for name in file.renamed),
         text.numbered_lines,
@@ -149,14 +149,14 @@ FORMATS = (
     OtherFormat(
         "rows without names of columns, as np.savetxt and programs of trackers write them",
         "the same, without `columns`",
-        "write a line with the names of the columns above them, such as X [mm],Y [mm]; or say in the robot description"
-        ' what they are: columns: {"1": "joint_1 [rad]", "2": ...}',
+        "write a line with the names of the columns above them, such as X [mm],Y [mm]; or state them in the robot"
+        ' description: columns: {"1": "joint_1 [rad]", "2": ...}',
         text.has_no_known_names,
     ),
     OtherFormat(
         "a table with lists in its cells, as pandas writes them",
         "the first row has a cell such as `[1.0, 2.0]`",
-        "the numbers of a list are columns, as NumPy arrays",
+        "the numbers of a list become columns, named as for NumPy arrays",
         arrays.has_lists,
         arrays.list_columns,
     ),

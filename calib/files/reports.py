@@ -91,7 +91,7 @@ def report_lines(file: SomeFile) -> list[str]:
                     raise DataError(f"{file.path}, line {k}: point '{name}' has {axis} twice; give each its own name")
                 points[name][axis] = cells[column]
     for short in (name for name, axes in points.items() if len(axes) < 3):
-        raise DataError(f"{file.path}: point '{short}' has no X, Y and Z that were measured; export all three")
+        raise DataError(f"{file.path}: point '{short}' lacks a measured X, Y or Z; export all three")
     if not points:
         raise DataError(f"{file.path}: has no measured points below its header")
     suffix = f" [{unit}]" if unit else ""

@@ -35,14 +35,15 @@ def servo_lines(file: SomeFile) -> list[str]:
     in_degrees = _line({name: f"{name} [deg]" for name in names})
     if not ranges:
         raise DataError(
-            f"{named}logs of its time are in degrees from the stretched arm: {in_degrees} in the robot description of"
-            " so101_old_calib.urdf or so100.urdf; find zeros and signs with a few poses (docs/howto/hobby_arm.md)"
+            f"{named}logs of this version are in degrees from the stretched arm; write {in_degrees} into the robot"
+            " description of so101_old_calib.urdf or so100.urdf; find zeros and signs with a few poses"
+            " (docs/howto/hobby_arm.md)"
         )
     of_range = _line({n: f"{signs[n] * (ranges[n][1] - ranges[n][0]) / 200 * turn:.4g} * {n} [deg]" for n in names})
     of_ticks = _line({n: f"{turn:.5g} * {n} - {(ranges[n][0] + ranges[n][1]) / 2 * turn:.6g} [deg]" for n in names})
     raise DataError(
-        f"{named}a log of -100..100 needs {of_range} in the robot description; one in degrees, {in_degrees}; one of raw"
-        f" ticks, {of_ticks}; find zeros and signs with a few poses (docs/howto/hobby_arm.md)"
+        f"{named}write into the robot description: for a log of -100..100, {of_range}; for degrees, {in_degrees}; for"
+        f" raw ticks, {of_ticks}; find zeros and signs with a few poses (docs/howto/hobby_arm.md)"
     )
 
 

@@ -29,11 +29,11 @@ _WIDTH = 118
 _CONFIRMED = 1.25  # largest ratio of estimated and stated noise, in either direction, that confirms the statement
 _MOST_CONFIRMED = 60.0  # largest degrees of freedom, since the next robot's instrument may be another one
 _STATEMENT = 8.0
-"""Degrees of freedom of a stated noise that may be wrong by a quarter: 1 / (2 * 0.25^2) (jcgm100, G.4.2)."""
+"""Degrees of freedom of a stated noise, whose own uncertainty is 25 %: 1 / (2 * 0.25^2) (jcgm100, G.4.2)."""
 _NAMED = 3  # unlike parameters of a robot that are named
 _UNPROVEN = {
-    "CHECK": "systematic errors there count as properties of the robot.",
-    "FAIL": "what is wrong there may count as a property of the robot: leave it out, or fit it again.",
+    "CHECK": "systematic errors of this fit would count as properties of the robot.",
+    "FAIL": "errors of this fit may count as properties of the robot: leave the robot out, or fit it again.",
 }
 _SCREEN = 12  # robots, and parameters, whose tables fit on a screen of 40 lines
 
@@ -69,7 +69,7 @@ class Member:
         if not self.is_unlike:
             return "like the others"
         words = listing([f"{name} ({away:+.0f} sigma)" for name, away in self.unlike_parameters[:_NAMED]])
-        return f"UNLIKE the others: {words or 'in many parameters a little'}"
+        return f"UNLIKE the others: {words or 'many small differences'}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -146,7 +146,7 @@ class Fleet(ReadOnlyArrays):
         left = f" Left out as unlike the others: {listing(odd)}." if odd else ""
         return (
             f"{count_noun(len(self.members) - len(odd), 'robot')} show what to expect of the next one: parameters"
-            f" differ from robot to robot by {spread:.2g} times what the description expects (median).{left}"
+            f" scatter from robot to robot by {spread:.2g} times their prior sigma (median).{left}"
         )
 
     def to_dict(self) -> dict[str, object]:

@@ -102,8 +102,8 @@ def _first_fit(
         pose = None if given is None else _pose(given, what, pairs, candidate)
         if pose is not None and _is_beyond_limits(pose, found, _ELSEWHERE):
             raise DataError(
-                f"{pairs.path}: the poses are of another {what} than the one stated: {_place(found)}, and not"
-                f" {_place(pose)}"
+                f"{pairs.path}: the poses contradict the stated {what}: they give {_place(found)}, and"
+                f" {_place(pose)} was stated"
             )
         places.append(_frame_near(found) if pose is None else pose)
     kept = tuple(int(k) for k in np.flatnonzero(aligned.kept))
@@ -147,7 +147,7 @@ def _places(fit: TwinFit, stated: tuple[bool, bool]) -> tuple[str, str]:
             texts.append(f"{what}: as stated")
         else:
             turned = "" if np.allclose(known, np.eye(4)) else f", turned: {_place(known)}"
-            texts.append(f"{what}: the controller's is that of {frame}{turned}")
+            texts.append(f"{what}: the controller's frame is {frame}{turned}")
     return texts[0], texts[1]
 
 

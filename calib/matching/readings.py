@@ -194,8 +194,8 @@ def alike_error(pairs: Pairs, readings: Sequence[Interpretation]) -> DataError:
     """Return the error for several readings that fit equally."""
     words = listing([reading.words() for reading in readings], " | ", shown=_MOST)
     return DataError(
-        f"{pairs.path}: these readings of the columns fit alike: {words}; write units and the maker's column names into"
-        " the header (qw, W P R, A B C, [deg]), or add pairs in which the tool is turned more"
+        f"{pairs.path}: several readings of the columns fit equally well: {words}; write units and the maker's column"
+        " names into the header (qw, W P R, A B C, [deg]), or add pairs in which the tool is turned more"
     )
 
 
@@ -267,7 +267,7 @@ def _single_twists(robot: Robot, pairs: Pairs, usual: Sequence[Interpretation]) 
     for sign, word in ((1.0, "plus"), (-1.0, "minus")) if n >= 3 else ():
         A = np.eye(n)
         A[2, 1] = sign
-        why = f"counts {names[2]} from the horizontal (as FANUC does): the robot's is that {word} {names[1]}"
+        why = f"counts {names[2]} from the horizontal (as FANUC does): in the URDF it is this {word} {names[1]}"
         coupled.append(Twist(f"the controller {why}", A))
     yield _likeliest(robot, pairs, coupled)
     descriptions = {shift: f"{count_noun(abs(shift), 'row')} {'below' if shift > 0 else 'above'}" for shift in _SHIFTS}

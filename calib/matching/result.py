@@ -62,14 +62,12 @@ class Match:
         agreed = self.agreement
         if not agreed.to_the_digits:
             return (
-                "the controller computes with something that joint origins cannot hold: each pair is"
-                f" {_mm(agreed.left_out)} (RMS) from what all others predict, and the file's digits allow"
+                "the controller computes with something that joint origins cannot hold: the other pairs predict each"
+                f" pair to {_mm(agreed.left_out)} (RMS), and the file's digits explain only"
                 f" {_mm(agreed.rounding_distance)}; {self._terms_tried()}"
             )
         elsewhere = f"{_mm(agreed.claim)} and {agreed.turn_claim * error_scale('angle'):.2g} mrad at 95 % of all poses"
-        sentence = (
-            f"agrees to {_mm(agreed.rms)} (RMS), which is what the file's digits allow; elsewhere within {elsewhere}"
-        )
+        sentence = f"agrees to {_mm(agreed.rms)} (RMS), the rounding of the file; at other poses within {elsewhere}"
         if agreed.claim > _OF_DIGITS * agreed.rounding_distance:
             return f"{sentence}: these pairs leave some joints open; add pairs in which all joints turn far"
         return sentence

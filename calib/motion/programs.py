@@ -277,7 +277,7 @@ def table_to_fill_in(route: Route) -> str:
         numbers = [header(column.name, column.dimension) for column in instrument.columns()]
         for name in (*numbers, *instrument.text_columns()):
             columns[name] = [""] * len(route.stops)
-    comment = "fill in what was read at each pose; rows of an instrument's own log join by 'pose'"
+    comment = "write the readings of each pose here; an instrument's own log is joined by its column 'pose'"
     return format_table(list(columns.items()), (comment,))
 
 

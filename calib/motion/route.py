@@ -150,7 +150,7 @@ def plan_route(
             f" {len(rest)} are left"
         )
     if round_:
-        notes.append(f"reached with joints a whole turn from those given: {listing(round_, shown=8)}")
+        notes.append(f"some joints are a whole turn from the given values, at {listing(round_, shown=8)}")
     if robot.description.obstacles is None:
         notes.append("the description has no 'obstacles': nothing around the robot is checked, not even a floor")
     return Route(robot, start, (*stops, *replaced), left_out, names, (*scene.remarks, *notes))
@@ -262,7 +262,7 @@ def _pass(planner: Planner, start: FloatArray, poses: Poses, searched: bool) -> 
 def _why_not_straight(planner: Planner, approach: FloatArray, touching: FloatArray) -> str:
     """Reason why a touch cannot be approached along its normal; "" for none."""
     if not np.all(np.isfinite(approach)):
-        return "no joint values bring it straight out from what it touches"
+        return "no joint values lift the tool straight off what it touches"
     hit = _why_blocked(planner.scene.robot, approach[None])[0] or planner.move(approach, touching).hit
     return f"{hit}, on its straight approach" if hit else ""
 

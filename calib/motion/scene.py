@@ -31,7 +31,7 @@ from calib.motion.shapes import Body, bodies_of, is_inside
 
 Pairs = tuple[tuple[int, int], ...]
 _ROUGH = 0.005
-"""The distance of triangles is computed if the distance of hulls minus clearance is less [m]."""
+"""Triangles are measured only if the distance of their hulls minus the clearance is less than this [m]."""
 
 _ROUND = 1e-9  # rounding of joint limits [m or rad]
 

@@ -169,7 +169,7 @@ class _Detector:
         if edge > _BLURRED:
             remark = f"blurred: edges are {edge:.0f} px wide"
         elif off:
-            remark = f"{count_noun(off, 'point')} left out, far from where the other points put the board"
+            remark = f"{count_noun(off, 'point')} left out: they do not fit the board as placed by the other points"
         elif len(points) >= FEWEST and self.board.dictionary:
             remark = self._strangers(_marker_numbers(image, self.board.dictionary))
         return DetectedImage(name, (image.shape[1], image.shape[0]), tuple(points), pixels, remark, edge)
@@ -208,7 +208,7 @@ class _Detector:
             )
         markers, columns = _marker_numbers(image, board.dictionary), self._other_columns(image)
         if columns:
-            return f"{few}: its {count_noun(len(set(markers)), 'marker')} lie as on {columns}; correct columns and rows"
+            return f"{few}: its {count_noun(len(set(markers)), 'marker')} fit {columns}; correct columns and rows"
         if mirrored:
             return f"{few}: the image is mirrored; switch that off in the camera, or flip the images back"
         if len(markers) == 0:

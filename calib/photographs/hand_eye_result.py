@@ -77,7 +77,7 @@ def judge(result: HandEye) -> HandEyeJudgement:
     if axes[1] < LITTLE_TURN:
         reasons.append(
             f"the tool turned by {np.rad2deg(axes[0]):.0f} deg about one axis, and by {np.rad2deg(axes[1]):.0f}"
-            f" deg about others: lengths along the first are poorly known"
+            f" deg about others: lengths along the first axis are poorly known"
         )
         advice.append("tilt the tool by 20 to 40 deg about two more axes")
     covered = image_coverage(scene.pixels, scene.size)
@@ -122,8 +122,8 @@ def report(result: HandEye, frames: Frames) -> str:
     if judgement.grade != "FAIL":
         lines.append(
             f"Points of new images like these are {_MM * rms(result.left_out.board):.3f} mm off on the board,"
-            f" {rms(result.left_out.pixels):.3f} px in the image (RMS of images left out in turn). The RMS of as many"
-            f" new images is below {_MM * result.limit:.3f} mm with a chance of 95 %"
+            f" {rms(result.left_out.pixels):.3f} px in the image (RMS of images left out in turn). With 95 %"
+            f" probability, the RMS of as many new images is below {_MM * result.limit:.3f} mm"
         )
     errors, by_image = np.linalg.norm(result.board, axis=1), result.rms_by_image(result.pixels)
     lines.append(
@@ -179,11 +179,11 @@ def _shares(result: HandEye, usable: bool) -> str:
     share = max(0.0, 1.0 - (alone / all_) ** 2)
     rest = _MM * rms(result.board) * np.sqrt(share)
     text = (
-        f"The camera alone (board placed freely in each image) leaves {alone:.3f} px: {100 * share:.0f} % of the"
-        f" squared error, {all_ * np.sqrt(share):.3f} px or {rest:.3f} mm, comes from the robot's poses"
+        f"The camera alone (board placed freely in each image) leaves {alone:.3f} px. The rest comes from the"
+        f" robot's poses: {100 * share:.0f} % of the squared error, {all_ * np.sqrt(share):.3f} px or {rest:.3f} mm"
     )
     if usable and share > _ROBOT_SHARE:
-        text += "; calibrating its kinematics with joint values (calib init --measure camera) can remove part of that"
+        text += "; calibrating the robot with joint values (calib init --measure camera) can remove part of that"
     return text
 
 

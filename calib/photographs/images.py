@@ -134,8 +134,8 @@ def _one_of_each_stop(source: str, values: FloatArray, still: BoolArray) -> list
     """Indices of the images to use; the others are logged in one line."""
     if not np.any(still):
         raise DataError(
-            f"{source}: at none of {count_noun(len(still), 'image')} the robot stood still, with joint states before"
-            " and after it"
+            f"{source}: the robot did not stand still at any of {count_noun(len(still), 'image')}, or joint states"
+            " before and after the image are missing"
         )
     moved, standing = np.flatnonzero(~still), np.flatnonzero(still)
     stop = stops(values[standing])

@@ -235,7 +235,7 @@ def _check_move(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPri
         return None
     return Mistake(
         "moved",
-        f"the {which} is elsewhere from image {scene.names[k]} on, by {1e3 * moved:.1f} mm and"
+        f"the {which} moved before image {scene.names[k]}, by {1e3 * moved:.1f} mm and"
         f" {np.rad2deg(turned):.2f} deg:"
         " fix it, and take the images again (or calibrate twice: with the images before, and with those after)",
     )

@@ -82,8 +82,8 @@ def _other_rotations(tool: FloatArray) -> Iterator[tuple[str, FloatArray]]:
         "the quaternions have their real part last: name their columns qx, qy, qz, qw": of.from_quat(
             np.roll(quaternions, 1, axis=1)
         ),
-        "the angles are about x, the new y and the new z; they were read as about the fixed x, y, z (or about z, the"
-        " new y, the new x, which is the same): give quaternions": of.from_euler("XYZ", angles),
+        "the angles turn about x, the new y and the new z, but were read about the fixed x, y and z (the same as about"
+        " z, the new y and the new x): give quaternions": of.from_euler("XYZ", angles),
         "the first angle is about z, and the last about x: exchange the names of their columns": of.from_euler(
             "xyz", angles[:, ::-1]
         ),

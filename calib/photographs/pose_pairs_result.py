@@ -51,7 +51,7 @@ def report_pairs(result: PosePairs, frames: Frames) -> str:
         _pose_in_words(f"Marker in {above[1]}", result.marker),
     ]
     lines += [
-        f"No pair shows this common change; measure one of the quantities in it: {change}" for change in result.unseen
+        f"These pairs cannot show a common change of {change}; measure one of them by hand" for change in result.unseen
     ]
     return "\n".join([*lines, *(f"Next: {text}" for text in judgement.advice)])
 

@@ -137,7 +137,7 @@ class Assessment(ReadOnlyArrays):
             else "calib.select(robot, candidates, count=40), or calib.fit(robot, data) of measurements at these poses"
         )
         unseen = [", ".join(self.parameters[k].name for k in group.members) for group in self.groups]
-        together = f"Can change together without effect: {listing(unseen, '; ', _GROUPS)}\n" if unseen else ""
+        together = f"These can change together without effect: {listing(unseen, '; ', _GROUPS)}\n" if unseen else ""
         return (
             f"{repr(self)[1:-1]}; {held}\n{together}"
             "Inside: to_dataframe(), the predicted standard deviation of each parameter; by_count, the error for fewer"

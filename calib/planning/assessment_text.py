@@ -179,7 +179,7 @@ def _counts(a: Assessment) -> Table:
 
 def _accuracy(a: Assessment) -> list[str]:
     if not a.accuracy.maximum:
-        return ["No free parameter moves a position: what readings tell of each parameter is printed with --verbose."]
+        return ["No free parameter moves a position. --verbose prints how well each parameter is determined."]
     rms, largest = _pair(a.accuracy)
     if math.isfinite(a.accuracy.rms):
         priors = " and the expected errors of the parameters" if any(p.prior for p in a.free_parameters) else ""
@@ -195,7 +195,9 @@ def _accuracy(a: Assessment) -> list[str]:
             "Most of this error moves all positions as one body, as an unknown place of the base does. Without that"
             f" part, positions are known to {millimetres(a.rms_without_common):.4f} mm RMS."
         )
-    return lines + ([f"Not counted: {listing(a.left_out)}, seen only from unknown places."] if a.left_out else [])
+    return lines + (
+        [f"Not counted: {listing(a.left_out)} (only instruments at unknown places see it)."] if a.left_out else []
+    )
 
 
 def _pair(task: TaskIndex) -> tuple[str, str]:

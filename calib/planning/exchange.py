@@ -137,8 +137,8 @@ def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Sp
     helped = _climb(scores(problem, "O1", chosen, _RIDGE), chosen, spacing)
     if not problem.is_determined_by(helped.chosen):
         raise NotIdentifiableError(
-            f"no choice of {len(start)} poses was found that determines the {problem.pose_information.rank.rank}"
-            " combinations of parameters that all candidates together determine; choose more poses, or hold parameters"
+            f"all candidates together determine {problem.pose_information.rank.rank} combinations of parameters; no"
+            f" choice of {len(start)} poses was found that determines as many: choose more poses, or hold parameters"
         )
     final = _climb(scores(problem, index, helped.chosen), helped.chosen, spacing)
     nothing = -np.inf if index in ("O1", TASK) else 0.0

@@ -141,8 +141,8 @@ def require_planned_touches(robot: Robot, groups: Groups, poses: Poses) -> None:
     for instrument in touches_without_target(robot, poses):
         if any(instrument.name in members for members in groups.members):
             raise InputError(
-                f"{poses.path}: instrument '{instrument.name}' reads no numbers, and nothing says which poses touch"
-                f" what; add a column '{instrument.text_columns()[0]}' that names it, empty where nothing is touched"
+                f"{poses.path}: instrument '{instrument.name}' reads no numbers, and the poses do not say what it"
+                f" touches; add a column '{instrument.text_columns()[0]}' that names it, empty where nothing is touched"
             )
 
 

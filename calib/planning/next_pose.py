@@ -29,7 +29,7 @@ from calib.planning.selection_problem import DETERMINED, TASK
 from calib.planning.selection_setting import Request, prepare
 
 ENOUGH = 0.8
-"""Part of the best pose's help that suffices for a nearer pose."""
+"""A nearer pose is taken if its gain is at least this part of the best gain."""
 _KNOWN = 1e-6  # prior information on every direction, as part of the information of all candidates
 
 

@@ -45,9 +45,9 @@ from calib.planning.next_pose import NextPose
 UNKNOWN = RootMeanSquare(math.inf, 0.0, math.inf)
 """An unknown distance."""
 LAST = 20
-"""Number of last poses that count while the predicted error does not meet the goal."""
+"""The error of this many last poses is judged while the predicted error is above the goal."""
 MOST = 40
-"""Largest number of poses that count once the predicted error meets the goal."""
+"""The error of at most this many last poses is judged once the predicted error meets the goal."""
 LEAST = 10
 """Least number of poses for an error."""
 _TOO_SMALL = 8.0
@@ -174,8 +174,7 @@ class Progress(ReadOnlyArrays):
         if self.out_of_reach:
             return (
                 "not reached, and more poses will not help: the predicted error meets the goal, unseen errors do not;"
-                " look for what the model leaves out (calib fit --terms auto), or for noise of the readings above the"
-                " goal"
+                " the model leaves something out (calib fit --terms auto), or the noise of a reading is above the goal"
             )
         noise = None if self.fit is None else self.fit.first_noise
         if noise is not None and noise.group.part.is_position:
@@ -183,7 +182,7 @@ class Progress(ReadOnlyArrays):
             # the lower 95 % limit of the scatter
             if scatter * np.sqrt(noise.freedom / scipy.special.chdtri(noise.freedom, 0.025)) > self.goal:
                 shown = f"{millimetres(scatter):.3g} mm RMS"
-                return f"not yet; readings that scatter by {shown} about the model can never show that it is met"
+                return f"not yet; readings that scatter by {shown} about the model can never show that the goal is met"
         return "not yet"
 
     def _unseen_shown(self) -> str:

@@ -24,7 +24,7 @@ from calib.planning.selection_bound import CERTIFIED, Relaxation, slopes
 from calib.planning.selection_setting import SelectionSetting
 
 SCREENED = 20_000
-"""More candidates than this are screened if the index has a bound and poses need no distance."""
+"""Above this number, candidates are screened, if the index has a bound and no least distance is set."""
 _SEARCHED = 4096  # searched candidates
 _FOR_EACH = 8  # searched candidates per requested candidate, if that is more
 

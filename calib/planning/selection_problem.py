@@ -47,7 +47,7 @@ TASK = "task"
 """Name of the task index."""
 _PART = 8192  # candidates at once
 DETERMINED = 1e-10
-"""A choice does not determine a direction if it has less than this part of all candidates' information there."""
+"""A choice determines a direction if it has at least this part of the information of all candidates there."""
 
 
 @dataclass(frozen=True, eq=False)

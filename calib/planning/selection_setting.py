@@ -146,8 +146,8 @@ def prepare(
     if request.index not in CERTIFIED or request.minimum_distance > 0:
         require_memory(
             2 * pairs.rows.size,
-            "an index without a bound, or a least distance, looks at all candidates at once; it",
-            "choose from each part of the candidates, and then from what was chosen",
+            "a choice by an index without a bound, or with a least distance, looks at all candidates at once; it",
+            "choose from each part of the candidates, and then from these choices",
         )
     done_rows, n_before, again = None, 0, 0
     usable = pairs.possible & (assembled.usable & ~_is_excluded(exclude, len(poses)))[pairs.pose]

@@ -51,7 +51,7 @@ def read_klipper(path: Path | str) -> PrinterFile:
     if kinematics == "rotary_delta":
         raise _rotary_delta(path)
     if kinematics != "delta":
-        raise DataError(f"{path}: [printer] kinematics is not 'delta'; this is for linear deltas")
+        raise DataError(f"{path}: [printer] kinematics is not 'delta'; only linear deltas can be read here")
     steppers = [f"stepper_{tower}" for tower in TOWERS]
     for stepper in steppers:
         if all(section != stepper for section, _ in cfg.entries):
@@ -87,8 +87,8 @@ def read_klipper(path: Path | str) -> PrinterFile:
 
 def _rotary_delta(path: Path | str) -> DataError:
     return DataError(
-        f"{path}: is a rotary delta, whose arms turn, and this is for carriages on towers: begin with calib init"
-        " --template delta, with its lengths as --length"
+        f"{path}: is a rotary delta (arms that turn); only deltas with carriages on towers can be read here. Begin with"
+        " calib init --template delta, and give its lengths with --length"
     )
 
 
@@ -267,8 +267,8 @@ def _require_marlin(path: Path | str, rods: tuple[float, ...], trims: Sequence[f
     for key, trim in zip("ABC", trims, strict=True):
         if abs(trim) > _TRIM:
             raise DataError(
-                f"{path}: M665 {key}{trim:g} would change a rod by {trim:g} mm; correct it (if it is the radius of"
-                " calibration, as B was in Marlin 1.1, remove it)"
+                f"{path}: M665 {key}{trim:g} would change a rod by {trim:g} mm; correct it (remove it if it is the"
+                " calibration radius, the meaning of B in Marlin 1.1)"
             )
     for key, end in zip("XYZ", ends, strict=True):
         if end > 0:
@@ -282,8 +282,8 @@ def _require_duet(path: Path | str, rods: tuple[float, ...], ends: Mapping[str, 
     for key in "AB":
         if ends.get(key, (0.0,))[0] != 0:
             raise DataError(
-                f"{path}: M666 {key}{ends[key][0]:g} tilts the bed in the firmware; set A and B to 0, probe again with"
-                " that, and calib finds endstops that level it"
+                f"{path}: M666 {key}{ends[key][0]:g} tilts the bed in the firmware; set A and B to 0, and probe again:"
+                " calib levels the bed by the endstops"
             )
 
 

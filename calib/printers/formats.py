@@ -69,7 +69,7 @@ def _klipper(geometry: DeltaGeometry) -> tuple[list[str], str]:
             f"arm_length: {_mm(geometry.arms[k])}",
             f"angle: {_degrees(geometry.angles[k])}",
         ]
-    return lines, "put these numbers into printer.cfg, in place of those that it has, also after #*#; then RESTART"
+    return lines, "replace these numbers in printer.cfg, also in the lines that begin with #*#; then RESTART"
 
 
 def _trims(geometry: DeltaGeometry) -> str:

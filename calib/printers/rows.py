@@ -85,8 +85,8 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     if arm is None and not _are_alike(file.arms):
         shown = listing([f"{millimetres(value):.4g}" for value in file.arms])
         raise DataError(
-            f"{printer.path}: has arms of {shown} mm, but those of a printer are alike, and probing cannot show their"
-            " length: measure one and state it, such as --length arm=288mm"
+            f"{printer.path}: has arms of {shown} mm, but all arms of a printer have one length. Probing cannot find"
+            " it: measure an arm and state it, such as --length arm=288mm"
         )
 
     def rounded(values: tuple[float, ...]) -> float:
@@ -168,7 +168,7 @@ def require_plausible(printer: PrinterFile) -> None:
         )
         raise DataError(
             f"{printer.path}, line {row.line}: {row.name} {millimetres(row.value):g} mm is"
-            f" {millimetres(off):.2f} mm off what {judges} say; correct it or its position, or remove both"
+            f" {millimetres(off):.2f} mm off the value from {judges}; correct it or its position, or remove both"
         )
 
 

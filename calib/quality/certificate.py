@@ -102,9 +102,7 @@ def document(content: Mapping[str, Any]) -> Document:
     facts = [("identifier", content["identifier"]), ("robot", content["robot"]), ("program", content["program"])]
     facts += [("verdict of the fit", content["verdict"]), ("poses measured", str(content["n_poses"]))]
     if content["expansion_to_correct"]:
-        grown = (
-            f"{1e6 * content['expansion_to_correct']:.3g} um/m: apply this correction; the budget takes it as applied"
-        )
+        grown = f"{1e6 * content['expansion_to_correct']:.3g} um/m: apply this correction; the budget assumes it"
         facts.append(("expansion of lengths from the base, in use", grown))
     facts += list(_facts(content["traceability"])) or [("metrological traceability", _NOT_STATED)]
     tables = [DocumentRows("What, by whom, with what", ("what", "stated"), tuple(facts)), _budget_table(found)]

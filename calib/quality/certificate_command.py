@@ -78,7 +78,7 @@ def command(
     """
     if public is not None:
         verify(result, public)
-        output.say(f"{result} is as the owner of {public} signed it")
+        output.say(f"{result} is unchanged since the owner of {public} signed it")
         return
     if out is None:
         raise click.UsageError("give --out FILE, the certificate to write")

@@ -67,7 +67,7 @@ def verify(path: str, key: str) -> None:
         public.verify(base64.b64decode(lines[0] if lines else b"", validate=True), content)
     except (import_module("cryptography.exceptions").InvalidSignature, binascii.Error):
         raise ComputationError(
-            f"{path}: is not as the owner of {key} signed it: it or {path}{ENDING} was changed, or another key signed"
+            f"{path}: does not match the signature with {key}: it or {path}{ENDING} was changed, or another key signed"
         ) from None
 
 

@@ -53,7 +53,7 @@ class Play(JointTerm):
         given = section.travel if isinstance(section.travel, list) else [section.travel]
         travel = tuple(quantity(each, joint.dimension, "travel", ValueError) for each in given)
         if not travel or min(travel) <= 0:
-            raise ValueError("travel must be positive: half of the motion that takes the joint through its play")
+            raise ValueError("travel must be positive: it is half of the motion from one side of the play to the other")
         numbers = [""] if len(travel) == 1 else [f"_{k + 1}" for k in range(len(travel))]
         size = sigma or _SIZE[joint.dimension]
         return cls(

@@ -31,13 +31,13 @@ from calib.studies.study import study
 @click.option(
     "--truth",
     metavar="priors|FILE|DIR",
-    help="The robot that is measured: drawn anew from the priors each time (priors), parameter values (CSV"
+    help="The true robot. priors: a new one for each draw, from the priors; or parameter values (CSV"
     " parameter,value,unit), a result folder, or a description; ROBOT if not given.",
 )
 @click.option(
     "--resample",
     is_flag=True,
-    help="Simulate nothing: calibrate from poses of the measurements POSES, drawn with replacement (bootstrap).",
+    help="Simulate nothing: draw poses of the measurements POSES with replacement, and calibrate (bootstrap).",
 )
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
 @loss_option

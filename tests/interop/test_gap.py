@@ -40,7 +40,7 @@ def test_gaps_of_tilted_links_are_those_that_pinocchio_measures(tilted: calib.Ro
     assert gap.at_home == pytest.approx(apart[0], abs=1e-12)
     assert gap.change == pytest.approx(np.abs(np.array(apart) - apart[0]).max(), abs=1e-12)
     assert gap.change > 1e-4
-    assert f"{1e3 * gap.at_home:.4f} mm apart at home" in gap.text()
+    assert f"the gap is {1e3 * gap.at_home:.4f} mm at home" in gap.text()
     print(gap.text())
 
 

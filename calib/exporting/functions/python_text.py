@@ -50,7 +50,7 @@ def _docstring(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
     text = [
         *header_lines(facts, lines, "BASE"),
         "",
-        f"{', '.join(functions)}: of one pose, or of batches of any shape; q is (..., {len(facts.joints)}).",
+        f"{', '.join(functions)} take one pose, or batches of any shape; q is (..., {len(facts.joints)}).",
     ]
     if facts.conditions:
         text += ["", "Joint errors depend on conditions, which these functions take by name:"]

@@ -200,8 +200,8 @@ def _pairs(
         of_camera = [name for name in places if _OF_CAMERA.search(name)]
         if len(of_camera) != 1:
             raise DataError(
-                f"{path}: holds poses {listing(list(places))}, and it is not clear which is the marker in the camera;"
-                " call them camera_x, ... and tool_x, ..., or give the tool's in a file of its own (--poses)"
+                f"{path}: holds poses {listing(list(places))}, and their names do not say which is the marker in the"
+                " camera; call the columns camera_x, ... and tool_x, ..., or give the tool poses with --poses FILE"
             )
         of_tool = next(name for name in places if name not in of_camera)
         output.say(f"{path}: taken for the marker in the camera: {of_camera[0]}; for the tool in the base: {of_tool}")

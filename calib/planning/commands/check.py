@@ -74,17 +74,15 @@ def command(
             f"sampled over the joint limits, seed {seed}",
         )
         if len(model.description.setups) > 1:
-            output.note(
-                "note: all sampled poses are in the first setup; they do not show what is moved for the other setups"
-            )
+            output.note("note: all sampled poses are in the first setup; they do not test what another setup moves")
     else:
         pose_set, source = read_pose_files(data, model), ", ".join(data)
         if parameters is None and result is None:
             model = place_by_files(model, pose_set)
     for instrument in () if isinstance(pose_set, Measurements) else touches_without_target(model, pose_set):
         output.note(
-            f"note: nothing says what '{instrument.name}' touches at these poses, or they are not at contact. They"
-            " count as touching everything, so the result is too good (one socket does not show the robot's size)."
+            f"note: the poses do not say what '{instrument.name}' touches, or they are not at contact. Every pose"
+            " counts as a touch of everything, so the result is too good (one socket does not show the robot's size)."
             f" Give poses at contact, with a column '{instrument.text_columns()[0]}'"
         )
     task_poses = None if task is None else read_poses(task, model)

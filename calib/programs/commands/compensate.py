@@ -73,7 +73,7 @@ from calib.programs.reaching.program_task import KEEP
 @click.option(
     "--dialect",
     type=click.Choice(tuple(DIALECTS)),
-    help="G-code: whose rules hold; cnc: milling machines.  [default: what the file says; .nc, .ngc: cnc]",
+    help="G-code: the firmware of the machine; cnc: milling machines.  [default: what the file says; .nc, .ngc: cnc]",
 )
 @click.option(
     "--harmless",

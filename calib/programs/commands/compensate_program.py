@@ -121,8 +121,8 @@ def _remarks(compensated: CompensatedProgram, figures: Figures) -> list[str]:
         far = millimetres(compensated.lever)
         most = figures["expected_mm"]["rms"] + far * figures["expected_angle_mrad"]["rms"] / 1e3
         lines.append(
-            f"These figures are for target '{compensation.target}'; the program's tools end up to {far:.1f} mm from it,"
-            f" where at most {most:.4f} mm (RMS) are expected"
+            f"These figures are for target '{compensation.target}'. The program's tool tips are up to {far:.1f} mm from"
+            f" it; there the expected error is at most {most:.4f} mm (RMS)"
         )
     if program.left_out:
         lines.append(f"{count_noun(len(program.left_out), 'place')} not compensated, listed above")

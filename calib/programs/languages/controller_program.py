@@ -206,6 +206,6 @@ def _remark_on_configuration(
     over = [j for j, (low, high) in says.ranges.items() if j < len(command) and not low <= command[j] <= high]
     names = ", ".join(f"{cell.robot.joint_names[j]} at {np.degrees(command[j]):.4f} deg" for j in over)
     return [
-        f"{target.label}: its configuration ({says.text}) stays, and no longer fits: {names or 'another side'};"
-        " correct it there"
+        f"{target.label}: its configuration ({says.text}) is unchanged, but no longer fits the joint values"
+        f" ({names or 'another side'}); correct it"
     ]

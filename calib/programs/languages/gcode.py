@@ -273,7 +273,7 @@ class _GcodeReader:
             options = "--harmless" if self.dialect.name else "--dialect or --harmless"
             raise line.refusal(
                 f"{self.shifted} may have moved zero or axes, or changed the tool; if not, say so with {options}; else"
-                " write the part after it into a file of its own"
+                " write the lines after it into a new file"
             )
         if self.relative is None or self.unit is None:
             raise line.refusal(f"{self.since} may have changed modes; write G90 or G91, and G20 or G21, after it")

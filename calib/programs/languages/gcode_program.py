@@ -114,8 +114,8 @@ class GcodeProgram:
             return move.e_text
         if move.e is None:
             raise DataError(
-                f"{self.label(move)}: is cut into {n} pieces, and nothing says what its E means; write M82 and G92 E0,"
-                " or M83, before it and after every G90 and G91"
+                f"{self.label(move)}: is cut into {n} pieces, and the meaning of its E is unknown; write M82 and"
+                " G92 E0, or M83, before it and after every G90 and G91"
             )
         decimals = max(_E_DECIMALS, len(move.e_text.partition(".")[2]))
         start, end = move.e

@@ -182,8 +182,8 @@ def _setups(table: Table, robot: Robot) -> IntArray | None:
     if len(wrong):
         raise DataError(
             f"{table.path}, line {table.lines[wrong[0]]}, column 'setup': goals are in the frame of the first setup"
-            f" '{names[0]}', and something was moved before '{names[setups[wrong[0]]]}'; give them in that frame"
-            " without this column, and a description whose gravity.down is that of the later setup"
+            f" '{names[0]}', and something was moved before '{names[setups[wrong[0]]]}'; give goals in the first frame,"
+            " without this column, and a description with gravity.down of the later setup"
         )
     return setups
 

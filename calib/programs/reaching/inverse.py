@@ -31,7 +31,7 @@ from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
 from calib.programs.reaching.redundancy import near_joints, without_full_turns
 from calib.programs.reaching.search import TOLERANCE, Search, start_configuration, within_joint_limits
 
-BETWEEN_SIDES = "needs a joint between the two sides of its play, where no command brings it"
+BETWEEN_SIDES = "needs a joint inside its play, where no command can hold it"
 _ROUNDS = 20
 _SETTLED = 1e-14  # change of a tilt [rad]
 
@@ -186,8 +186,8 @@ def problem(robot: Robot, goals: Goals) -> Reach:
     if lacking:
         raise InputError(
             f"{robot.path}: inclinometers read {listing(lacking)}, so these are not commanded; give their values at"
-            " each goal, in columns of these joints or of their sensors (in Python: calib.Goals with stands); for a"
-            " program that has no such columns, make these joints fixed in the URDF, as they stand"
+            " each goal, in columns of these joints or of their sensors (in Python: calib.Goals with stands); if a"
+            " program cannot have such columns, make these joints fixed in the URDF, at their present values"
         )
     target = robot.mechanism.targets[0]
     if goals.target:

@@ -159,19 +159,21 @@ def route(tmp_path_factory):
     return plan_route(robot, calib.sample(robot, 6, 5))
 
 
-def test_a_touch_is_approached_and_left_along_the_normal_of_its_surface(tmp_path):
+def test_a_touch_is_approached_and_left_along_the_normal_of_its_surface(tmp_path, run_calib):
     touch = "instruments:\n  probe: {kind: touch, target: ball, surface: plane, radius: 3 mm, places: {wall: "
     place = "{frame: l0, xyz: [0.6 m, 0, 0.9 m], rpy: [0, -90 deg, 0]}}}\n"
-    robot = calib.load(_write(tmp_path, touch + place + "self_clearance: 0 mm\n"))
-    route, mjc = plan_route(robot, calib.sample(robot, 3, 2)), _MuJoCo(())
-    assert len(route.stops) >= 2
-    balls = []
-    for q in route.corners():
-        mjc.data.qpos[:] = q
+    path = _write(tmp_path, touch + place + "self_clearance: 0 mm\n")
+    assert run_calib("sample", path, "--count", 3, "--seed", 2, "--out", tmp_path / "poses.csv").code == 0
+    assert run_calib("route", path, tmp_path / "poses.csv", "--out", tmp_path / "route").code == 0
+    rows = [row.split(",") for row in (tmp_path / "route" / "route.csv").read_text().splitlines()[2:]]
+    mjc, balls = _MuJoCo(()), []
+    for row in rows:
+        mjc.data.qpos[:] = np.radians(np.array(row[1:7], dtype=float))
         mujoco.mj_kinematics(mjc.model, mjc.data)
         link = mjc.model.body("l6").id
         balls.append(mjc.data.xpos[link] + mjc.data.xmat[link].reshape(3, 3) @ [0.05, 0.02, 0.1])
-    stops = [k for k, q in enumerate(route.corners()) if any(np.array_equal(q, stop.joints) for stop in route.stops)]
+    stops = [k for k, row in enumerate(rows) if "via" not in row[0]]
+    assert len(stops) >= 2
     for k in stops:
         assert balls[k][0] == pytest.approx(0.6 - 0.003, abs=1e-6)
         for beside in (k - 1, k + 1) if k < stops[-1] else (k - 1,):

@@ -99,7 +99,7 @@ def artefact_table(study: TouchStudy) -> ResultTable:
             TableColumn("predicted RMS [mm]", tuple(predicted), 4),
         ),
         (
-            "the first one is used; predicted by theory at nominal parameters, in the world: nothing measured or simulated",
+            "the first is used; by theory, at nominal parameters, in the world: nothing measured or simulated",
             "empty: its touches do not determine the positions",
         ),
     )

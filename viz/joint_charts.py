@@ -85,7 +85,7 @@ def dials(fit: Fit) -> Chart | None:
         for k, parameter in enumerate(nominal.parametrisation.parameters):
             column = twist[:, k]
             turns = np.allclose(column, along * (along @ column), atol=1e-9) and abs(along @ column) > 0.5
-            if turns and parameter.name in fit.free_names:
+            if turns and parameter.dimension == "angle" and parameter.name in fit.free_names:
                 found = fit.parameters[parameter.name]
                 if found.status != "prior" and np.isfinite(found.high95):  # the measurements determine it
                     change, half = found.value - found.nominal, found.high95 - found.value

@@ -126,7 +126,7 @@ def test_a_joint_that_leaves_its_configuration_is_named_with_its_line(cell):
     assert [
         remark
         for remark in result.configurations
-        if "(p0): its configuration ([-1,0,0,0]) stays" in remark and "j1 at" in remark
+        if "(p0): its configuration ([-1,0,0,0]) is unchanged" in remark and "j1 at" in remark
     ]
     assert len(result.configurations) == 1
 

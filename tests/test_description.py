@@ -160,7 +160,7 @@ URDF_MISTAKES = {
     "fixed actuated": ("[turn,", "[flange,", "name_mot: joint 'flange' is fixed, it does not move"),
     "actuated twice": ("[turn,", "[turn, turn,", "'name_mot' names 'turn' twice"),
     "held twice": ("urdf:", "held: [turn.x, turn.x]\nurdf:", "'held' names 'turn.x' twice"),
-    "order": ("urdf:", "elimination_order: [turn.w]\nurdf:", "elimination_order: no parameter 'turn.w'; of 'turn'"),
+    "order": ("urdf:", "elimination_order: [turn.w]\nurdf:", "elimination_order: no parameter 'turn.w'; 'turn' has"),
     "columns": (
         "urdf:", "columns: {a: turn, b: turn}\nurdf:", "columns: 'a' and 'b' both stand for 'turn'",
     ),
@@ -169,7 +169,7 @@ URDF_MISTAKES = {
     "home": ("urdf:", "home: {slid: 0}\nurdf:", "home: no moving joint 'slid'; did you mean 'slide'?"),
     "home fixed": ("urdf:", "home: {flange: 0}\nurdf:", "home: no moving joint 'flange'"),
     "home unit": ("urdf:", "home: {slide: 3 deg}\nurdf:", "home.slide: unit 'deg' is for an angle; a length is"),
-    "held": ("urdf:", "held: [turn.w]\nurdf:", "held: no parameter 'turn.w'; of 'turn' there are"),
+    "held": ("urdf:", "held: [turn.w]\nurdf:", "held: no parameter 'turn.w'; 'turn' has"),
     "origin": ("origin: all, components: [x", "origin: wirst, components: [x", "parametrisation: no joint origin"),
     "unit": ("sigma: 2 mm", "sigma: 2 mm, unit: inch", "parametrisation: turn.x, unit: unknown unit 'inch'; valid: m,"),
     "sigma": ("sigma: 2 mm", "sigma: 2 mrad", "parametrisation: turn.x, sigma: unit 'mrad' is for an angle; a length"),

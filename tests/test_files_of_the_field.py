@@ -153,7 +153,7 @@ def test_a_report_without_whole_points_is_one_line(tmp_path, arm):
     (tmp_path / "joints.csv").write_text("turn,slide,wrist\n" + text_of(JOINTS))
     for content, message in (
         (FARO.splitlines()[0], "has no measured points below its header"),
-        (POLYWORKS.replace("p2\tX", "p2\tDiameter"), "point 'p2' has no X, Y and Z that were measured"),
+        (POLYWORKS.replace("p2\tX", "p2\tDiameter"), "point 'p2' lacks a measured X, Y or Z"),
     ):
         (tmp_path / "points.txt").write_text(content + "\n")
         with pytest.raises(calib.DataError, match=message):
@@ -392,7 +392,7 @@ def test_files_that_are_not_read_are_named_with_the_way(tmp_path, arm):
         "motor_names": ["elbow_flex", "grip"],
     }
     (tmp_path / "so100.json").write_text(json.dumps(old))
-    with pytest.raises(calib.DataError, match=re.escape('{elbow_flex.pos: "elbow_flex [deg]"} in the robot desc')):
+    with pytest.raises(calib.DataError, match=re.escape('{elbow_flex.pos: "elbow_flex [deg]"} into the robot desc')):
         calib.read_measurements(tmp_path / "so100.json", arm())
     (tmp_path / "d.parquet").write_bytes(b"PAR1" + bytes(100))
     with pytest.raises(calib.DataError, match=r"this looks like a Parquet or Arrow file: .*read_parquet"):

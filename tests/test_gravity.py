@@ -260,7 +260,7 @@ def test_a_description_that_says_no_direction_is_refused(tmp_path, gravity, mess
         (
             "gravity_tilt_x,gravity_tilt_y",
             ("0,12", "0,11"),
-            "beyond 85 deg.*without .deg. in its header a column is in rad",
+            "beyond 85 deg.*Without .deg. in its header a column is in rad",
         ),
         ("gravity_tilt_x [deg],gravity_tilt_y [deg]", ("0,0", "0,88"), "line 3: gravity_tilt is a tilt beyond 85 deg"),
         (

@@ -130,8 +130,8 @@ def test_the_drawing_is_opencvs_own():
 @pytest.mark.parametrize(
     ("told", "shown", "words"),
     [
-        ("charuco:8x6:30mm:21mm:DICT_5X5_100", "", "its 24 markers lie as on a board of 6 columns"),
-        ("charuco:7x8:30mm:21mm:DICT_5X5_100", "", "its 24 markers lie as on a board of 6 columns"),
+        ("charuco:8x6:30mm:21mm:DICT_5X5_100", "", "its 24 markers fit a board of 6 columns"),
+        ("charuco:7x8:30mm:21mm:DICT_5X5_100", "", "its 24 markers fit a board of 6 columns"),
         ("charuco:6x8:30mm:21mm:DICT_6X6_250", "", "but some of DICT_5X5_50; correct 'dictionary'"),
         (CHARUCO, "mirrored", "the image is mirrored"),
         (CHARUCO, "empty", "no marker of DICT_5X5_100; the image has no contrast (grey values from 127 to 127 of 255)"),

@@ -78,12 +78,12 @@ def test_a_split_is_in_file_order_and_repeatable():
 
 @pytest.mark.parametrize("fraction", [0.0, 1.0, -0.5, 0.01, 0.99])
 def test_a_split_that_leaves_nothing_is_an_error(fraction):
-    with pytest.raises(calib.DataError, match="leave no pose to"):
+    with pytest.raises(calib.DataError, match="no pose is left to"):
         some(10).split(validation=fraction)
 
 
 def test_all_poses_the_same_cannot_be_split():
-    with pytest.raises(calib.DataError, match="leave no pose to fit"):
+    with pytest.raises(calib.DataError, match="no pose is left to fit"):
         some(10, same=range(1, 10)).split(validation=0.5)
 
 

@@ -94,7 +94,7 @@ def test_free_directions_become_joints_where_joints_have_these_motions(four_bar,
     robot = replace(four_bar, mechanism=replace(four_bar.mechanism, loops=(loop,)))
     assert free_directions(robot, 0) == tuple(free.split())
     if kinds is None:
-        with pytest.raises(InputError, match="are not the motions of a joint"):
+        with pytest.raises(InputError, match="are not the motions of one joint"):
             free_joints(robot, 0)
     else:
         assert list(free_joints(robot, 0)) == kinds

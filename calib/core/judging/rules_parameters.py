@@ -23,7 +23,6 @@ from calib.core.numerics.identifiability import extend_reduced, unit_columns
 from calib.core.numerics.observability import information
 from calib.core.numerics.tall import slices
 from calib.core.robots.joint_errors import columns_of_terms, driven_by
-from calib.core.robots.robot import Robot
 from calib.core.robots.terms.one_coefficient import Gain
 from calib.core.robots.terms.term import Context
 from calib.core.robots.terms.terms import TERMS
@@ -187,7 +186,7 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
     for parts, deviations in (left, _gain_errors(fit)):
         sure = np.abs(parts) / np.maximum(deviations, EXACT)
         scales += np.where(sure > max(_least_sigmas(fit, int(np.sum(moved))), _SUREST * np.max(sure)), parts, 0.0)
-    scaled = np.flatnonzero(np.abs(scales) > np.maximum(JOINT_SCALED, PLAUSIBLE * _expected_gains(fit.nominal)))
+    scaled = np.flatnonzero(np.abs(scales) > np.maximum(JOINT_SCALED, PLAUSIBLE * _expected_gains(fit)))
     if len(scaled):
         factors = [f"{joints_named(names[j])} {1.0 + scales[j]:.4g} times as far" for j in scaled]
         yield Code.JOINT_SCALED.says(
@@ -197,10 +196,11 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
         )
 
 
-def _expected_gains(robot: Robot) -> FloatArray:
-    """Standard deviations of the gains that the description has for the actuated joints; 0 for the others."""
-    expected = np.zeros(len(robot.joint_names))
-    for term in (term for term in robot.terms if isinstance(term, Gain)):
+def _expected_gains(fit: Fit) -> FloatArray:
+    """Standard deviations of gains of the actuated joints as described, (n_actuated,); 0 where their size was found."""
+    robot, expected = fit.nominal, np.zeros(len(fit.nominal.joint_names))
+    found = () if fit.terms is None else [trial.term for trial in fit.terms.trials if trial.added]
+    for term in (term for term in robot.terms if isinstance(term, Gain) and "gain" not in found):
         expected[list(driven_by(term, robot.mechanism))] = term.parameters[0].sigma_si
     return expected
 

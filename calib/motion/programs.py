@@ -142,7 +142,7 @@ def _question(route: Route, start: FloatArray | None = None) -> str:
     values = ", ".join(f"{value:.1f}" for value in _DEGREES * (route.start if start is None else start))
     return (
         f"Robot must stand at {values} deg. Nothing moves before you confirm."
-        f" Ready for stop {_plain(route.stops[0].name)}"
+        f" The first stop is {_plain(route.stops[0].name)}"
     )
 
 

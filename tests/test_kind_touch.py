@@ -284,6 +284,7 @@ def test_files_that_cannot_be(fit_file, edit, said):
     assert said in run.err
 
 
+@pytest.mark.quick(0)
 def test_a_socket_that_was_never_touched_is_named(fit_file):
     extra = "points: {s: [0, 0, 0.3], "
     assert fit_file(instrument=PLATE.replace("points: {", extra)).code == 0  # the plate is found by the other points

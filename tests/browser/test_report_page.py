@@ -143,6 +143,7 @@ WORDS = """async () => { // where each text of each plot is drawn [px]: [plot, t
   return found.map(([canvas, text, at]) => [canvases.indexOf(canvas), text, at, canvas.width, canvas.height]); }"""
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("size", [(1000, 900), (390, 844)])
 def test_texts_of_plots_are_whole_and_numbers_at_an_axis_do_not_touch(show, size, tmp_path_factory):
     """An arm whose joints have the names of real ones, and turn by 360 degrees both ways."""
@@ -245,6 +246,7 @@ def test_hover_a_box_in_a_plot_a_line_of_a_table_and_a_click_in_space_mean_the_s
     assert selected(tab)["space"] == list(range(n_rows))  # all again
 
 
+@pytest.mark.quick(0)
 def test_compared_results_fit_the_window_and_print(show, tmp_path):
     from viz_examples import medrue_fit
 
@@ -269,6 +271,7 @@ def test_small_numbers_of_a_logarithmic_axis_are_not_rounded_to_zero(small_repor
     assert shown == ["0.000001", "0.0001", "0.7", "1000"]
 
 
+@pytest.mark.quick(0)
 def test_plots_take_the_colours_of_a_dark_page(small_report):
     tab, inks = small_report, []
     for scheme in ("dark", "light"):

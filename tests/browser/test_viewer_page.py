@@ -252,6 +252,7 @@ def test_frames_carry_their_names(tab):
     assert "carriage" in tab.page.locator("#labels span:visible").all_inner_texts()
 
 
+@pytest.mark.quick(0)
 def test_on_a_phone_nothing_is_cut_off_and_everything_can_be_reached(chromium, viewer_file):
     tab = Tab(chromium, size=(390, 844), device_scale_factor=2, has_touch=True, is_mobile=True)
     tab.open(viewer_file.as_uri())
@@ -373,6 +374,7 @@ def test_without_webgl_the_numbers_still_work(chromium, viewer_file):
     tab.context.close()
 
 
+@pytest.mark.quick(0)
 def test_five_thousand_poses_load_and_can_be_stepped_through(show, tmp_path):
     nominal, calibrated, table = many_poses(5000)
     tab = show(scene_page(build_scene(nominal, calibrated, table)).save(tmp_path / "viewer.html").as_uri())
@@ -382,6 +384,7 @@ def test_five_thousand_poses_load_and_can_be_stepped_through(show, tmp_path):
     assert tab.changed(tab.page.locator("#show-validation").click) > 0.001
 
 
+@pytest.mark.quick(0)
 def test_poses_without_measured_points_show_predictions_beside_those_with_errors(show, tmp_path):
     nominal, calibrated, table = many_poses(40)
     unseen = np.arange(40) < 10

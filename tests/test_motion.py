@@ -107,7 +107,7 @@ def test_no_contact_anywhere_on_a_route(route, n_poses):
         route = plan_route(route.robot, calib.sample(route.robot, n_poses, 1))
     checker, reach = _MuJoCo(_BOXES), 1.8  # [m] the arm's, so 4 mm a step: half a clearance is more, on both sides
     assert len(route.stops) > n_poses / 2
-    assert set(route.left_out.values()) <= {"no free way leads there"}
+    assert all(why.startswith("no free way leads there") for why in route.left_out.values())
     corners = route.corners()
     for one, other in itertools.pairwise(corners):
         for part in np.linspace(0, 1, 2 + int(reach * np.sum(np.abs(other - one)) / 0.004)):

@@ -127,24 +127,28 @@ class OwnLink:
 
 def self_touched(folder):
     """A finger on the hand that touches taxels of its own first link, whose places are off by centimetres."""
-    yaml = f"{ARM}targets: {{finger: {{frame: l6, xyz: {BALL.tolist()}}}}}\ninstruments:\n"
-    yaml += "  skin: {kind: touch, target: finger, sigma: 0.02 mm, places: {"
-    yaml += ", ".join(
-        f"{name}: {{frame: l1, xyz: {(np.array(at) + off).tolist()}, position: unknown, sigma: 20 mm}}"
-        for (name, at), off in zip(TAXELS.items(), OFF, strict=True)
-    )
-    robot = load(folder, "arm.yaml", f"{yaml}}}}}\nparametrisation:\n{FREE}")
+
+    def described(off):
+        yaml = f"{ARM}targets: {{finger: {{frame: l6, xyz: {BALL.tolist()}}}}}\ninstruments:\n"
+        yaml += "  skin: {kind: touch, target: finger, sigma: 0.02 mm, places: {"
+        yaml += ", ".join(
+            f"{name}: {{frame: l1, xyz: {(np.array(at) + error).tolist()}, position: unknown, sigma: 20 mm}}"
+            for (name, at), error in zip(TAXELS.items(), off, strict=True)
+        )
+        return load(folder, "arm.yaml", f"{yaml}}}}}\nparametrisation:\n{FREE}")
+
     places = {name: dict(zip("xyz", at, strict=True)) for name, at in TAXELS.items()}
     true = NEAR | {f"{name}.{axis}": value for name, at in places.items() for axis, value in at.items()}
 
     def drawn(rng):
+        robot = described(0.02 * rng.standard_normal((3, 3)))  # each time other places, as their sigma says
         words = np.array(list(TAXELS))[rng.integers(0, 3, 90)]
         points = np.array([TAXELS[word] for word in words]) + SIGMA * rng.standard_normal((90, 3))
         q, ok = brought(OwnLink(), rng.uniform(-1.5, 1.5, (90, 6)), points)
         kept = np.flatnonzero(ok)[:50]
         return calib.as_measurements(robot, q[kept], {"skin": [str(word) for word in words[kept]]})
 
-    return robot, true, drawn
+    return described(OFF), true, drawn
 
 
 def true_direction(true, azimuth, altitude):

@@ -123,7 +123,7 @@ def test_poses_read_from_elsewhere_are_judged_with_their_frame_placed_anew(unkno
     assert moved.validation.rms("after") > 1.0  # m
     verdict = moved.verdict
     assert (verdict.grade, verdict.to_dict()["codes"][0]) == ("CHECK", "frame_moved")
-    assert "With the frame placed anew, the judged RMS error falls from" in verdict.reasons[0].text
+    assert "With the frame placed anew, the RMS error falls from" in verdict.reasons[0].text
     assert not {"validation", "worse_on_validation"} & set(verdict.to_dict()["codes"])
     assert verdict.claim.gain is Benefit.BETTER
     assert verdict.claim.unused[0].accuracy.rms == pytest.approx(np.sqrt(3) * SIGMA, rel=0.25)

@@ -73,7 +73,7 @@ MISTAKES = {
     "rows, some of which are left out": (
         two_encoders,
         lambda d: replace(d, joints=np.roll(d.joints, 1, axis=0)).subset(np.flatnonzero(np.arange(40) % 4)),
-        "all joint values stood one row below their measurements",
+        "all joint values are one row below their measurements",
     ),
     "azimuths": (
         pointed,

@@ -473,6 +473,17 @@ def test_a_board_behind_the_arm_is_not_in_sight_of_a_camera_beside_it(tmp_path):
     assert re.fullmatch(r"l\d in sight of ball by eye", hits[1])
 
 
+def test_a_camera_that_looks_away_sees_nothing_and_that_is_said(tmp_path, run_calib):
+    camera = "{frame: l0, xyz: [3 m, 0, 1 m], rpy: [0, 0, 90 deg]}"  # it looks straight up
+    sees = "image: [1000, 800], intrinsics: {fx: 900, fy: 900, cx: 500, cy: 400}"
+    board = "board: {kind: chessboard, columns: 4, rows: 3, square: 20 mm}"
+    eye = f"instruments: {{eye: {{kind: pixel, target: ball, camera: {camera}, {sees}, {board}}}}}\n"
+    run = run_calib("sample", _write(tmp_path, eye), "--count", 20, "--out", tmp_path / "poses.csv")
+    assert run.code == 0, run.err
+    assert "no reading there depends on a free parameter" in run.out
+    assert "eye at 0 of 20" in run.err
+
+
 def test_legs_that_slide_are_rods_on_both_sides(tmp_path):
     text = (
         Path("docs/examples/stewart.yaml")

@@ -47,7 +47,7 @@ FREE = "  - {origin: j3, components: [ry], sigma: 20 mrad}\n  - {origin: j4, com
 FREE += "  - {origin: j5, components: [ry], sigma: 20 mrad}\n  - {origin: j3, components: [z], sigma: 5 mm}\n"
 BALLS = {"near": [0.5, 0.1, 0.3], "far": [0.2, -0.6, 0.5]}
 OFF = 0.02 * np.array([[1, -1, 0.5], [-1, 1, 1], [0.5, 1, -1]])  # of the taxels' described places [m]
-TAXELS = {"palm": [0.5, 0.0, 0.3], "wrist": [0.35, 0.3, 0.1], "elbow": [0.3, -0.2, -0.1]}
+TAXELS = {"palm": [0.5, 0.0, 0.3], "wrist": [0.6, 0.08, 0.5], "elbow": [0.45, -0.08, 0.6]}
 SENSOR = np.array([0.03, -0.02, 0.08, 0.1, 2.0, -0.5])
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SIGMA, ARCSEC = 2e-5, np.radians(1 / 3600)
@@ -146,6 +146,7 @@ def self_touched(folder):
         points = np.array([TAXELS[word] for word in words]) + SIGMA * rng.standard_normal((90, 3))
         q, ok = brought(OwnLink(), rng.uniform(-1.5, 1.5, (90, 6)), points)
         kept = np.flatnonzero(ok)[:50]
+        assert set(words[kept]) == set(TAXELS)  # all are in reach
         return calib.as_measurements(robot, q[kept], {"skin": [str(word) for word in words[kept]]})
 
     return described(OFF), true, drawn

@@ -102,9 +102,9 @@ def test_a_turned_joint_with_another_zero_is_named_by_what_would_be_right(arm, d
 
 def test_joint_values_beside_the_wrong_row_are_named(arm, data):
     above = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])  # beside the next measurement
-    assert "all joint values stood one row below their measurements" in likely_mistake(arm, above)
+    assert "all joint values are one row below their measurements" in likely_mistake(arm, above)
     below = replace(data.subset(np.arange(len(data) - 1)), joints=data.joints[1:])
-    assert "all joint values stood one row above their measurements" in likely_mistake(arm, below)
+    assert "all joint values are one row above their measurements" in likely_mistake(arm, below)
 
 
 @pytest.mark.amount(1, 4)
@@ -116,7 +116,7 @@ def test_a_shift_is_named_where_rows_are_held_out(arm, data, amount):
         shifted = replace(data.subset(measured), joints=data.joints[joints_], order=None)
         used, _ = shifted.split(validation=0.25)
         side = "below" if rows > 0 else "above"
-        assert f"all joint values stood {abs(rows)} rows {side} their measurements" in likely_mistake(arm, used)
+        assert f"all joint values are {abs(rows)} rows {side} their measurements" in likely_mistake(arm, used)
 
 
 @pytest.mark.amount(1, 5)
@@ -212,7 +212,7 @@ def test_a_five_bar_with_a_shifted_table_is_told(five_bar):
     robot, data = five_bar
     data = data.subset(np.arange(20))
     shifted = replace(data.subset(np.arange(1, 20)), joints=data.joints[:-1])
-    assert "all joint values stood one row below their measurements" in likely_mistake(robot, shifted)
+    assert "all joint values are one row below their measurements" in likely_mistake(robot, shifted)
 
 
 @pytest.fixture(scope="module")
@@ -248,7 +248,7 @@ def test_mistakes_in_the_data_of_a_real_arm_are_named(motoman):
     signs = np.array([1, -1, -1, -1, 1, 1, 1])
     assert "joints S, L, U have the wrong sign" in likely_mistake(robot, replace(data, joints=signs * data.joints))
     shifted = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])
-    assert "all joint values stood one row below their measurements" in likely_mistake(robot, shifted)
+    assert "all joint values are one row below their measurements" in likely_mistake(robot, shifted)
 
 
 @pytest.mark.parametrize(

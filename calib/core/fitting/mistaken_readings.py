@@ -29,14 +29,14 @@ from calib.core.rows.registration import register
 
 _Errors = dict[tuple[str, Part], float]  # of each instrument and part
 
-_CLOSER = 0.2  # misfit with the mistake undone, over that with the data unchanged
-_AS_GOOD = 1.5  # misfit over another one, up to which it is as good
-_FITS = 0.05  # misfit up to which readings fit
-_LEFT = 0.75  # part of the rows that a trial keeps: few rows fit by chance
-_NONE = 1e-6  # misfit of exact readings
-_FEWEST = 4  # readings that do not fit by chance
-_ENOUGH = 20  # rows with jumbled joints
-_NAMED = 3
+_CLOSER = 0.2  # with the mistake undone, the misfit is less than this part of what it was
+_AS_GOOD = 1.5  # another mistake explains the data as well if its misfit is at most this many times the least
+_FITS = 0.05  # readings with a smaller misfit fit
+_LEFT = 0.75  # part of the rows that a trial must keep: few rows fit by chance
+_NONE = 1e-6  # smallest misfit: exact readings have none
+_FEWEST = 4  # fewer readings may fit by chance
+_ENOUGH = 20  # rows with jumbled joints, so that few rows do not stay as they are
+_NAMED = 3  # mistakes in a message
 
 
 def jumbled_errors(robot: Robot, data: Measurements) -> _Errors:

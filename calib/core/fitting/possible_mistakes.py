@@ -64,7 +64,7 @@ def _shifted_trials(measured: Measurements) -> Iterator[Trial]:
             joints = measured.joints[of_joints]
             side = f"{'one row' if rows == 1 else f'{rows} rows'} {'above' if sign > 0 else 'below'}"
             shifted = replace(measured.subset(of_points), joints=joints)
-            yield Trial(f"all joint values stood {side} their measurements", some_visits(shifted))
+            yield Trial(f"all joint values are {side} their measurements", some_visits(shifted))
 
 
 def _rescaled_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:

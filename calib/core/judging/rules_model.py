@@ -232,7 +232,7 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
     placed = ""
     if moved.errors is not None:
         before, after = (millimetres(errors.rms("after")) for errors in (fit.validation, moved.errors))
-        placed = f". With the frame placed anew, the judged RMS error falls from {before:.3g} to {after:.3g} mm"
+        placed = f". With the frame placed anew, the RMS error falls from {before:.3g} to {after:.3g} mm"
     yield Code.FRAME_MOVED.says(
         f"the tracker, the base or its frame probably moved between the two files, by {millimetres(moved.shift):.3g} mm"
         f" and {np.degrees(moved.angle):.2g} deg: this explains all but {millimetres(moved.rms_after):.3g} mm"

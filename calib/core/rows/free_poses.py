@@ -29,10 +29,12 @@ def worth_sentence(robot: Robot, kept: Poses, every: Poses) -> str:
     if not np.any(robot.is_free):
         return "nothing is free to be identified"
     ranks = [numerical_rank(rows_of_measured(robot, poses, None)[0]) for poses in (kept, every)]
+    if not ranks[1].rank:
+        return "no reading there depends on a free parameter"
     if ranks[0].rank < ranks[1].rank:
         return f"they determine {ranks[0].rank} combinations of parameters, and {ranks[1].rank} with nothing in the way"
     values = [
-        observability(rank.singular_values[: max(ranks[1].rank, 1)], len(poses))["O1"]
+        observability(rank.singular_values[: ranks[1].rank], len(poses))["O1"]
         for rank, poses in zip(ranks, (kept, every), strict=True)
     ]
     return f"O1 is {100 * values[0] / values[1]:.1f} % of what it would be with nothing in the way"

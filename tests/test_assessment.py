@@ -122,6 +122,7 @@ def test_parameters_of_which_equally_little_is_known_come_in_their_own_order(tmp
     assert names == [p.name for p in assessment.free_parameters if p.prior]
 
 
+@pytest.mark.quick(0)
 def test_a_place_that_nobody_expects_anywhere_has_no_expected_error_left():
     """The tracker's place has no prior; that of the reflector has one, and three poses hardly say more."""
     arm = calib.load(EXAMPLES / "arm.yaml")

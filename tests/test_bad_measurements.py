@@ -76,6 +76,7 @@ def test_too_few_rows_are_a_wrong_input(folder, fit_file, n):
     assert result is None
 
 
+@pytest.mark.quick(0)
 def test_rank_loss_names_the_parameters_that_cannot_be_separated(folder, fit_file, run_calib):
     (folder / "all.yaml").write_text("priors: false\n" + YAML + FREE)  # 36 components, 26 combinations
     run, result = fit_file(joints(60), arm_positions(folder, joints(60)), "all.yaml")

@@ -167,6 +167,7 @@ def measured(folder, n, seed, noise=1e-5):
     return points
 
 
+@pytest.mark.quick(0)
 def test_it_is_found_in_a_file_chosen_and_used(tmp_path, run_calib):
     bending_arm(tmp_path)
     (tmp_path / "arm.yaml").write_text(re.sub(r"  - {joint.*\n", "", YAML) + "sigma: 0.01 mm\n")

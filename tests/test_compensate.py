@@ -68,6 +68,7 @@ def perturbed(robot, seed, share=1.0):
     return robot.with_parameters(drawn)
 
 
+@pytest.mark.quick(0)
 def test_medrue_runs_a_compensated_program_at_the_error_of_its_calibration():
     robot, workspace = calib.load(robot_file()), target_workspace()
     nominal, actual = table1().nominal, table1().actual
@@ -330,6 +331,7 @@ def test_distances_lie_within_their_limits_as_often_as_stated():
         assert np.mean((drawn > low) & (drawn < high)) == pytest.approx(0.96, abs=0.02)  # two moments are matched
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize("keep", ["pose", "axis"])
 def test_orientations_are_off_by_what_is_expected(tmp_path, keep):
     """Truths drawn from the covariance of a calibration by poses run its compensated program."""

@@ -131,6 +131,7 @@ def test_a_joint_that_leaves_its_configuration_is_named_with_its_line(cell):
     assert len(result.configurations) == 1
 
 
+@pytest.mark.quick(0)
 def test_the_branch_is_the_one_that_the_program_says(cell):
     """The wrist flipped over, axis 4 half a turn on: the same pose, and another robot there."""
     folder, *_, fit = cell

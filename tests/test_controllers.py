@@ -225,6 +225,7 @@ def test_what_joint_zeros_leave_is_stated() -> None:
     assert f"{1000 * made.remainder.rms:.4g} mm RMS" in made.content.decode()
 
 
+@pytest.mark.quick(0)
 def test_joint_zeros_of_a_robot_with_loops() -> None:
     """MedRUE with the paper's errors of its motors alone."""
     robot = calib.load(ROOT / "urdf" / "medrue.yaml")

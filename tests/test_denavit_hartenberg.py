@@ -149,6 +149,7 @@ def test_a_published_table_comes_back_with_its_numbers(tmp_path: Path) -> None:
         assert np.abs(values - expected).max() < 1e-9, name
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("file_format", ["dh", "mdh"])
 @pytest.mark.parametrize("name", ["ur10", "stanford"])
 def test_a_calibrated_robot_is_held_exactly(file_format: str, name: str, tmp_path: Path) -> None:

@@ -350,6 +350,7 @@ def test_assumed_noise_and_measured_candidates_are_said_where_there_are_any(comm
 # compare
 
 
+@pytest.mark.quick(0)
 def test_what_differs_is_what_was_changed(commands):
     texts = commands.compare_texts
     assert "first and longer: 1 parameter of the robot differs, flange.z (all" in texts["first and longer"]

@@ -123,6 +123,7 @@ def test_rotating_the_frame_of_a_robust_fit_changes_nothing(tmp_path):
     np.testing.assert_allclose(lengths[0], lengths[1], atol=1e-7)
 
 
+@pytest.mark.quick(0)
 def test_asking_for_everything_at_once_works(arm):
     data = noisy(arm, joints(60), SIGMA, 1)
     fit = calib.fit(
@@ -173,6 +174,7 @@ def test_a_failed_fit_leaves_no_calibrated_robot(failed, tmp_path):
     np.testing.assert_allclose(seen.values, failed.robot.values)
 
 
+@pytest.mark.quick(0)
 def test_a_forced_export_says_so_inside(failed, tmp_path):
     save(failed, tmp_path / "out", force=True)
     assert read_content(tmp_path / "out")["verdict"]["forced"] is True
@@ -186,6 +188,7 @@ def test_a_forced_export_says_so_inside(failed, tmp_path):
     assert load_result(tmp_path / "out", failed.nominal).robot.name == "six axes"
 
 
+@pytest.mark.quick(0)
 def test_an_old_calibrated_robot_does_not_stay_beside_a_failed_result(good, failed, tmp_path):
     save(good, tmp_path / "out", pages={"report.html": b"of the old fit"})
     (tmp_path / "out" / "notes.txt").write_text("mine")
@@ -204,6 +207,7 @@ def test_an_old_calibrated_robot_does_not_stay_beside_a_failed_result(good, fail
     }
 
 
+@pytest.mark.quick(0)
 def test_result_json_has_the_verdict_and_what_it_rests_on(arm, tmp_path):
     q = joints(60)
     truth = arm.with_parameters({"j2.x": 0.053, "j3.rx": 0.004})

@@ -201,6 +201,7 @@ def test_a_joint_that_counts_the_other_way_gets_its_sign_from_a_fit_too(tmp_path
     assert zeros.offsets[5] == pytest.approx(0.01, abs=1e-6)
 
 
+@pytest.mark.quick(0)
 def test_what_a_format_has_no_place_for_is_fitted_as_it_is(tmp_path):
     """A known target on a flange that is off: the best six origins, not those of a robot with the flange moved."""
     from test_controllers import ur_robot

@@ -182,6 +182,7 @@ def check_minimum(fit, known, data):
         assert cost(fit.robot.values + step) > least
 
 
+@pytest.mark.quick(0)
 def test_a_robot_that_was_repaired_is_named_and_keeps_what_else_the_fleet_knows(results):
     robot, _, folders, mean = results
     fleet, rng = calib.fleet(*folders[1:]), np.random.default_rng(8)
@@ -267,6 +268,7 @@ def test_a_failed_result_that_was_forced_is_named(results, tmp_path):
     assert not any(note.startswith("Verdict") for note in calib.fleet(*folders[1:3]).notes)
 
 
+@pytest.mark.quick(0)
 def test_a_description_with_a_fleet_of_other_parameters_is_refused(results, tmp_path):
     _, _, folders, _ = results
     calib.fleet(*folders[1:3]).save(tmp_path / "fleet.yaml")

@@ -28,6 +28,7 @@ def assert_same_kinematics_as_yourdfpy(robot, path, generator, count=3):
             assert np.abs(robot.forward(q, link) - expected).max() < ONE_PICOMETRE, link
 
 
+@pytest.mark.quick(0)
 def test_random_trees_have_the_same_forward_kinematics_as_in_yourdfpy(tmp_path):
     generator = np.random.default_rng(11)
     for k in range(25):

@@ -69,6 +69,7 @@ def test_robots_with_errors_are_off_by_what_is_promised_of_every_form_of_program
         assert form == "solve" or rms(after) < 0.03 * rms(before), form
 
 
+@pytest.mark.quick(0)
 def test_what_a_point_of_unknown_place_leaves_open_is_counted_and_not_corrected(tmp_path):
     """The last origin may be off by 1 mm, the point by the half; of s together the first is 0.8 s +- 0.447 mm."""
     nominal = arm(tmp_path, "known", "unknown, sigma: 0.5 mm")
@@ -262,6 +263,7 @@ def test_commands_leave_a_good_robot_alone_and_say_so(nominal_delta, tmp_path, r
     assert [row["joints"]["arm_2 [deg]"] for row in rows["rows"]] == pytest.approx(np.degrees([0.2, 0.125]), abs=1e-12)
 
 
+@pytest.mark.quick(0)
 def test_solve_writes_what_is_expected_at_each_target(nominal_delta, tmp_path, run_calib):
     trial, folder = nominal_delta
     goal = 1e3 * trial.fit.robot.positions(trial.program[:1])[0, 0]

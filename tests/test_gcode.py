@@ -204,6 +204,7 @@ def test_a_program_that_is_told_its_own_points_keeps_them(tmp_path):
     assert np.abs(written[-1] - [299.99997, 111.11103, 0]).max() < 1.1e-4
 
 
+@pytest.mark.quick(0)
 def test_a_reflector_and_a_tracker_elsewhere_move_no_point(delta):
     robot = delta[0]
     moved = robot.with_parameters({"base.x": 1.5, "base.rz": 0.8, "tool.x": 0.02, "tool.z": -0.03})

@@ -119,6 +119,7 @@ def test_a_focal_length_is_found_from_tilted_boards_and_refused_from_those_seen_
         intrinsics_at_first(replace(tilted, pixels=pixels))
 
 
+@pytest.mark.quick(0)
 def test_the_robots_part_is_told_from_the_cameras():
     view = scene(12, "tool", noise=0.2, shift=4e-4, turn=3e-4)
     result = calibrate(view, INTRINSICS, mounts=("tool",), lens="given")
@@ -178,6 +179,7 @@ def test_each_mistake_is_named_and_none_passes(amount):
         assert judge(result).grade != "PASS"
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(1, 2)
 def test_exchanged_intrinsics_are_named_and_do_not_spoil_the_lens_found(amount):
     view = scene(6, "base", noise=0.2)
@@ -366,6 +368,7 @@ def test_corners_that_are_off_go_by_themselves_and_are_no_doubt(clean, good):
     assert len(content(result, Frames())["points_left_out"]) == 4
 
 
+@pytest.mark.quick(0)
 def test_so_many_corners_off_are_a_reason_to_look():
     images = scene(8, "tool", seed=4, noise=0.1)
     generator, pixels = np.random.default_rng(1), images.pixels.copy()

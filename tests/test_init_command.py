@@ -244,6 +244,7 @@ def test_a_way_to_measure_gives_a_description_that_loads_and_a_file_that_reads(t
     assert data.ignored == ()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("measure", ["tracker", "touch", "camera", "ballbar", "rosbag"])
 def test_the_schema_takes_the_description_of_every_way_to_measure(tmp_path, run_calib, measure):
     jsonschema = pytest.importorskip("jsonschema")

@@ -210,6 +210,7 @@ def test_bad_entries_are_named(tmp_path, term, message):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.quick(0)
 def test_a_curve_is_found_where_there_is_one_and_stays_flat_where_there_is_none(tmp_path):
     robot = with_terms(
         tmp_path, "arm.yaml", ["{joint: joint_2, term: curve, orders: 25}", "{joint: joint_4, term: curve, orders: 25}"]

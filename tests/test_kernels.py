@@ -67,6 +67,7 @@ def case(request, tmp_path):
     return robot, robot.with_parameters(robot.values + off), q
 
 
+@pytest.mark.quick(1)
 def test_closed_loops_are_those_of_the_reference(case):
     robot, moved, q = case
     seed = robot.assemble(q).passive

@@ -156,6 +156,7 @@ def test_cameras_anywhere_are_found_with_an_unknown_body(arm, most, amount):
         assert Rotation.from_matrix(result[:3, :3].T @ camera[:3, :3]).magnitude() < 0.1, seed
 
 
+@pytest.mark.quick(0)
 @pytest.mark.parametrize(("pose", "where"), [("known", "unknown"), ("unknown", "known")])
 def test_one_end_is_found_where_the_other_is_known(tmp_path, pose, where):
     camera, body = places(6)
@@ -259,6 +260,7 @@ def test_check_reads_the_files_that_fit_reads(tmp_path, run_calib):
     assert "has no column of any instrument" in none.err
 
 
+@pytest.mark.quick(0)
 def test_two_cameras_share_the_columns_of_a_long_file_and_see_one_body(tmp_path):
     robot, files = written(tmp_path)
     data = read_measurements(files, robot)

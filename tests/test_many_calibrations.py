@@ -288,6 +288,7 @@ def test_processes_of_loky_do_the_draws_and_one_that_is_killed_loses_none(five_b
     assert np.array_equal(after_loss.draws.values, alone.draws.values)
 
 
+@pytest.mark.quick(0)
 def test_sums_over_draws_are_those_of_the_arrays(arm):
     studied = calib.study(arm, joints(30), draws=40, truth=bent(arm), sigma=SIGMA, elsewhere=joints(4, 5))
     draws, truth = studied.draws, bent(arm).values[arm.is_free]

@@ -131,6 +131,7 @@ def test_pair_of_another_program_is_named_and_left_out(stock: Path, tmp_path: Pa
     assert distance95(matched, lambda q: poses(q, o)) <= matched.agreement.claim
 
 
+@pytest.mark.quick(0)
 def test_tool_is_found_and_a_wrong_statement_is_named(stock: Path, tmp_path: Path) -> None:
     o, q = origins(), joint_values(1)
     tool = np.eye(4)

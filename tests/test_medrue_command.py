@@ -27,6 +27,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("medrue.study.QUICK", StudySize(2, 2, 1))
 
 
+@pytest.mark.quick(0)
 def test_poses_are_those_of_the_closed_form(tmp_path: Path) -> None:
     out = tmp_path / "poses.csv"
     run = medrue("poses", "--out", str(out), "--json", str(tmp_path / "facts.json"))

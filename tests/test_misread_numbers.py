@@ -91,6 +91,7 @@ def test_lengths_of_another_unit_fail(tmp_path, scale, priors):
     assert result[2] == ("longer" if scale > 1 else "shorter")
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("scale", [0.984, 1.0, 1.016])
 def test_the_noise_of_many_poses_does_not_hide_lengths_of_another_unit(scale):
     """An arm whose priors take most of the scale up: what is left of it is small beside the squares of noise."""
@@ -113,6 +114,7 @@ def test_inches_read_as_millimetres_are_told_as_a_factor():
     assert float(factor[1]) == pytest.approx(1 / 25.4, rel=0.1)
 
 
+@pytest.mark.quick(0)
 def test_gears_that_turn_too_far_are_no_lengths_of_another_unit():
     """Larger arcs look like longer links: a gain of 1 % of all joints, which the model lacks, like lengths 1 % off."""
     robot = calib.load(EXAMPLES / "arm.yaml")

@@ -183,6 +183,7 @@ def test_a_balanced_one_way_layout_has_the_sizes_of_its_mean_squares(monkeypatch
     assert family[0] ** 2 == pytest.approx((between - within) / 6, rel=1e-4)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_no_other_sizes_are_likelier(seed):
     """By the search of another package, from other starts, on an unbalanced layout."""

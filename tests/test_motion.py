@@ -484,6 +484,7 @@ def test_a_camera_that_looks_away_sees_nothing_and_that_is_said(tmp_path, run_ca
     assert "eye at 0 of 20" in run.err
 
 
+@pytest.mark.quick(0)
 def test_legs_that_slide_are_rods_on_both_sides(tmp_path):
     text = (
         Path("docs/examples/stewart.yaml")
@@ -547,6 +548,7 @@ def test_poses_are_shown_in_red_where_they_collide(tmp_path):
     assert marks["collides"] == "alarm"
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", ["position", "pose", "orientation", "distance", "touch", "joint_reading"])
 def test_plain_poses_of_every_kind_are_shown(tmp_path, kind):
     from viz.inputs import gather

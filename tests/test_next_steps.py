@@ -131,6 +131,7 @@ def test_what_is_offered_can_be_typed_as_it_stands(run_calib, tmp_path):
     )
 
 
+@pytest.mark.quick(0)
 def test_what_is_offered_has_the_options_that_were_typed(run_calib, tmp_path):
     robot, data, out = EXAMPLES / "arm.yaml", EXAMPLES / "arm_simulated.csv", tmp_path / "my result"
     options = ("--fix", "reflector.x,reflector.y", "--prior", "joint_2.z = 0.1 mm", "--seed", "3", "--no-pages")

@@ -105,6 +105,7 @@ def test_a_file_of_somebody_else_stays_and_its_own_is_written_again(here, run_ca
     assert run_calib(*command, "--force", cwd=here).code == 0
 
 
+@pytest.mark.quick(0)
 def test_a_program_is_not_compensated_in_place(here, run_calib, fitted):
     fitted.save(here / "fit", pages=False)
     shutil.copy(here / "d.csv", here / "moves.csv")

@@ -158,6 +158,7 @@ def _entry(**changes):
     return entry | changes
 
 
+@pytest.mark.quick(0)
 def test_a_fit_by_directions_finds_stations_and_the_robot(lab):
     folder, robot, true = lab
     loaded = calib.load(folder / "fit")
@@ -430,6 +431,7 @@ class Keyhole(KINDS["position"]):
         return View(np.full((count, 3, 3), np.nan), self.there + generator.uniform(-2e-3, 2e-3, (count, 3)))
 
 
+@pytest.mark.quick(0)
 def test_poses_are_brought_to_where_a_kind_reads_something(tmp_path, monkeypatch):
     monkeypatch.setattr(KINDS, "_given", {"keyhole": Keyhole})
     for name in ("arm.urdf", "arm.yaml"):

@@ -191,6 +191,7 @@ parametrisation:
 """
 
 
+@pytest.mark.quick(0)
 def test_a_base_that_nobody_measured_does_not_count_in_how_well_positions_are_known(tmp_path, run_calib):
     """Lengths from unknown points leave millimetres to where the robot stands, and micrometres to what it does."""
     robot = calib.load(write_six_axis(tmp_path, WIRES.replace("PLACE", "unknown")))

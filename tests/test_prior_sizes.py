@@ -58,6 +58,7 @@ def test_what_the_data_do_not_see_is_as_uncertain_as_its_size():
     assert np.allclose(added, 2.0 * np.eye(2))  # V = 1: a quarter of the way to a factor e^2 in variance
 
 
+@pytest.mark.quick(0)
 def test_intervals_of_families_that_are_hardly_seen_hold():
     rng = np.random.default_rng(1)
     family = np.repeat([0, 1, 2], 12)

@@ -378,6 +378,7 @@ def kind(name):
     return KINDS[name].from_section("it", KINDS[name].section.model_validate({"kind": name} | ENTRIES[name]))
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", ENTRIES)
 def test_kinds_keep_what_they_promise(name):
     own = kind(name)
@@ -569,6 +570,7 @@ def test_errors_of_a_mount_that_turns_about_one_place_are_not_drawn_over_places(
         assert any("planes" in name for name in charts) == drawn_over_places
 
 
+@pytest.mark.quick(0)
 @pytest.mark.skipif(not (SHARED / "hangprinter_cable").is_dir(), reason="the cables are not here")
 def test_every_second_position_of_a_real_cable_robot_tells_of_the_others(tmp_path):
     rows = np.genfromtxt(SHARED / "hangprinter_cable" / "samples.csv", delimiter=",", skip_header=1)

@@ -118,6 +118,7 @@ def test_many_repeats_do_not_make_sure_of_what_the_model_leaves_out(arm, tmp_pat
     assert np.mean(error <= fit.statistics.half_width) > 0.8
 
 
+@pytest.mark.quick(0)
 def test_accuracy_and_repeatability_of_validation_poses_are_told_too(arm, tmp_path):
     data = measured(arm, tmp_path, scatter=5e-5, between=0.0)
     fit = calib.fit(arm, data.subset(np.arange(135)), validation=data.subset(np.arange(135, 180)))
@@ -127,6 +128,7 @@ def test_accuracy_and_repeatability_of_validation_poses_are_told_too(arm, tmp_pa
     assert table["pose_accuracy"]["after"]["mean"] > to_dict(fit)["repeats"]["pose_accuracy"]["after"]["mean"]
 
 
+@pytest.mark.quick(0)
 def test_repeats_whose_encoders_differ_scatter_about_what_the_model_predicts(tmp_path):
     scatter = 4e-5
     (tmp_path / "unknown").mkdir()

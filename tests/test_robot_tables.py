@@ -70,6 +70,7 @@ def test_too_few_or_doubtful_columns_are_not_guessed(robot, data):
         calib.read_measurements(renamed(data, names | {"joint_1 [deg]": "joint_1 [deg]"}), robot)
 
 
+@pytest.mark.quick(0)
 def test_the_command_line_tells_a_guess_in_one_line(data, tmp_path, run_calib):
     rows = renamed(data, foreign("J{} (deg)", "{} (mm)"))
     lines = [",".join(rows), *(",".join(map(str, row)) for row in zip(*rows.values(), strict=True))]

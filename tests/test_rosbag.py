@@ -176,6 +176,7 @@ def wrong_bags(q):
     }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     "what", ["no joints", "no measurement", "moving", "apart", "joints twice", "not finite", "other joints"]
 )

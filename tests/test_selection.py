@@ -119,6 +119,7 @@ def test_the_order_of_measurement_is_short(by_o1):
     assert by_o1.travel[1] < 0.6 * by_o1.travel[0]
 
 
+@pytest.mark.quick(0)
 def test_excluded_candidates_are_never_chosen(medrue, by_o1):
     out = by_o1.chosen[:20]
     selection = select(medrue, Q, 84, "O1", exclude=out.tolist())
@@ -128,6 +129,7 @@ def test_excluded_candidates_are_never_chosen(medrue, by_o1):
         select(medrue, Q, 84, "O1", exclude=[420])
 
 
+@pytest.mark.quick(0)
 def test_chosen_poses_keep_their_distance_also_from_measured_ones(medrue):
     measured = Q[::40]
     selection = select(medrue, Q, 30, "O1", measured=measured, minimum_distance=0.06)
@@ -139,6 +141,7 @@ def test_chosen_poses_keep_their_distance_also_from_measured_ones(medrue):
         select(medrue, Q, 84, "O1", minimum_distance=0.3)
 
 
+@pytest.mark.quick(0)
 def test_poses_to_add_complement_those_measured(medrue):
     """All indices are those of measured and chosen poses together, and measured ones are not chosen again."""
     measured = Q[:60]

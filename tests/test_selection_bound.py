@@ -25,6 +25,7 @@ def mask_of(chosen, n=N):
     return mask
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("index", CERTIFIED)
 @pytest.mark.parametrize("known", [None, 0.3 * np.eye(D)], ids=["poses alone", "with priors"])
 def test_no_subset_exceeds_the_bound(index, known):

@@ -59,6 +59,7 @@ def test_a_sigma_that_cannot_be_is_an_error(tmp_path, sigma):
         calib.simulate(small_arm(tmp_path), some_poses(3), sigma, np.random.default_rng(1))
 
 
+@pytest.mark.quick(0)
 def test_a_pose_that_cannot_be_assembled_is_an_error_with_its_label(medrue):
     q = np.array([medrue.home, medrue.home])
     q[1, 1:3] = 0.0, np.pi  # the cranks away from each other: the distal links do not meet

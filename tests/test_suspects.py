@@ -275,6 +275,7 @@ def test_positions_in_the_wrong_unit_are_named(arm, data, amount):
         assert words in likely_mistake(arm, with_points(arm, data, factor * data.points(arm)))
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -297,6 +298,7 @@ def test_a_left_handed_frame_somewhere_is_named(arm, data):
     assert "left-handed" in mistake or "y of the measured positions had the wrong sign" in mistake
 
 
+@pytest.mark.quick(0)
 def test_a_closed_loop_robot_whose_loops_stay_open_is_told_the_mistake(medrue):
     q = np.array(target_workspace().q)[::20]
     swapped = calib.as_measurements(medrue, q[:, [0, 1, 3, 2, 4, 5]], forward(q, table1().actual).p_world_tool[:, None])

@@ -183,6 +183,7 @@ def test_too_few_poses_are_a_remark_only_where_poses_that_were_not_used_bear_the
     assert remark(validated, "too_few_poses").grade == "PASS"
 
 
+@pytest.mark.quick(0)
 def test_validation_at_poses_that_the_fit_has_used_is_pointed_out(arm, truth):
     data = noisy(truth, joints(80), SIGMA, 1)
     again = calib.fit(arm, data, validation=noisy(truth, joints(80)[:30], SIGMA, 2))
@@ -351,6 +352,7 @@ def aligned(points, onto):
     return (points - centre) @ turn + other
 
 
+@pytest.mark.quick(0)
 def test_joint_terms_that_the_poses_hardly_decide_are_told(prior_arm):
     """The sentence says what robots drawn from the fit's covariance scatter by, base and tool placed anew."""
     rng = np.random.default_rng(3)

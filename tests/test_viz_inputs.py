@@ -93,6 +93,7 @@ def test_a_folder_shows_the_outliers_that_were_left_out(tmp_path):
     assert saved.poses.outlier[83]
 
 
+@pytest.mark.quick(0)
 def test_what_a_file_says_about_itself_is_shown_with_its_data(fit, tmp_path):
     data = dataclasses.replace(measurements(range(0, 420, 60)), comments=("Simulated measurements",))
     for scene in (gather(medrue_robot(), None, data).scene, gather(medrue_robot(), fit, data).scene):

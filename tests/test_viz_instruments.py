@@ -135,6 +135,7 @@ def test_plots_of_a_part_have_its_unit_and_axes(pose_fit):
     assert [layer["label"] for layer in by_joint[0]["layers"] if layer["label"]] == ["rx", "ry", "rz"]
 
 
+@pytest.mark.quick(0)
 def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(tmp_path):
     robot = arm(tmp_path, "instruments: {ball: {kind: distance, sigma: 0.05 mm}}\n")
     data = calib.simulate(bent(robot), joints(120), None, np.random.default_rng(4))
@@ -213,6 +214,7 @@ def test_poses_at_which_nothing_was_read_are_not_counted_and_have_no_error(tmp_p
     assert "at poses like the 30 measured" in fit.verdict.claim.region
 
 
+@pytest.mark.quick(0)
 def test_a_tracker_can_validate_what_distances_identified(tmp_path):
     robot = arm(
         tmp_path,

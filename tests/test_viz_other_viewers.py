@@ -13,6 +13,7 @@ from viz.recording import recording
 from viz.scene import scene_of_fit
 
 
+@pytest.mark.quick(0)
 def test_a_recording_holds_every_row_and_the_errors_of_each(monkeypatch):
     rerun = pytest.importorskip("rerun", reason="extra 'rerun'")
     logged, log = [], rerun.RecordingStream.log

@@ -131,6 +131,7 @@ def test_outliers_that_were_left_out_are_listed_and_both_results_shown():
     assert "with outliers, after 84" in words_of(html)
 
 
+@pytest.mark.quick(0)
 def test_cross_validation_is_shown_and_judged_by():
     html = undrawn(calib.fit(medrue_robot(), measurements(range(0, 420, 5)), folds=3))
     assert "left out in turn, after 84" in words_of(html)
@@ -377,6 +378,7 @@ def test_places_on_a_tilted_plane_are_also_seen_in_that_plane(tilt, more):
         )  # as far apart as in space
 
 
+@pytest.mark.quick(0)
 def test_outliers_have_a_mark_of_their_own_in_every_plot():
     fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))))
     _, rows = charts_of(fit)
@@ -534,6 +536,7 @@ def test_the_forest_has_every_free_parameter_and_its_interval_in_expected_deviat
     assert "d31" not in shown  # held
 
 
+@pytest.mark.quick(0)
 def test_a_column_of_temperatures_is_the_record_where_nothing_else_is_said(fit):
     n = len(fit.identification.data)
     html = undrawn(with_comments(fit, temperature=np.linspace(20.04, 22.3, n)))

@@ -140,6 +140,7 @@ def test_it_says_stop_only_where_both_intervals_keep_the_goal(robot, data, candi
     assert not replace(told, predicted=good, unseen=worse, n_settled=3).out_of_reach
 
 
+@pytest.mark.quick(0)
 def test_poses_to_check_with_are_drawn_at_random(robot, data, candidates):
     watch = calib.Watch(robot, 1e-4, candidates=candidates, seed=3)
     first = watch.update(data[:-1])  # its predicted error meets the goal
@@ -336,6 +337,7 @@ def test_a_pose_that_cannot_be_assembled_is_passed_over(tmp_path):
     assert f"line {head + 3}" in file.remarks()[0]
 
 
+@pytest.mark.quick(0)
 def test_a_file_of_which_no_line_can_be_read_is_an_error(run_calib, tmp_path):
     path = tmp_path / "other.csv"
     path.write_text("a,b\n1,2\n3,4\n")

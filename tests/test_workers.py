@@ -214,6 +214,7 @@ def test_an_error_in_the_work_reaches_the_caller_and_signals_are_as_before() -> 
     assert signal.getsignal(signal.SIGTERM) == handler
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     "number",
     [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL],
@@ -226,6 +227,7 @@ def test_processes_end_with_their_program_and_hold_no_pipe_open(number: signal.S
         assert ended(output)
 
 
+@pytest.mark.quick(0)
 @pytest.mark.amount(2, 12)
 def test_ctrl_c_ends_program_and_processes_at_any_moment(tmp_path: Path, amount: int) -> None:
     """As a terminal sends it, to all of them; at most moments a large result is half-way through a pipe."""
@@ -282,6 +284,7 @@ def test_what_cannot_be_sent_is_an_error_and_waits_for_nothing() -> None:
         executor.submit(abs, -1)
 
 
+@pytest.mark.quick(0)
 def test_a_hang_up_that_is_ignored_stays_ignored(tmp_path: Path) -> None:
     with started(tmp_path, "nohup") as (program, output):
         program.send_signal(signal.SIGHUP)
@@ -312,6 +315,7 @@ def _unread(factor: int) -> None:
     raise ImportError("not here")
 
 
+@pytest.mark.quick(0)
 def test_each_process_gets_what_the_work_shares_once(monkeypatch):
     monkeypatch.setattr(Shared, "sent", 0)
     with Workers(2) as executor:
@@ -321,6 +325,7 @@ def test_each_process_gets_what_the_work_shares_once(monkeypatch):
         assert Shared.sent == 4
 
 
+@pytest.mark.quick(0)
 def test_a_process_that_could_not_read_a_function_does_not_use_the_one_before():
     with Workers(2) as executor:
         assert list(results_in_order(Shared(3), range(6), executor)) == [0, 3, 6, 9, 12, 15]

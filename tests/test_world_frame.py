@@ -42,6 +42,7 @@ def test_flat_and_mirrored_points_still_give_a_proper_rotation() -> None:
         assert abs(np.linalg.det(rigid_fit(p, q).rotation) - 1) < 1e-12
 
 
+@pytest.mark.quick(0)
 def test_covariance_agrees_with_the_scatter_over_draws() -> None:
     generator = np.random.default_rng(4)
     truth, sigma = some_pose(generator), 1e-4
@@ -55,6 +56,7 @@ def test_covariance_agrees_with_the_scatter_over_draws() -> None:
     assert np.abs(np.linalg.eigvals(ratio) - 1).max() < 0.26
 
 
+@pytest.mark.quick(0)
 def test_noise_is_estimated_with_the_right_degrees_of_freedom() -> None:
     generator = np.random.default_rng(5)
     squares = [rigid_fit(NESTS, NESTS + generator.normal(0, 1e-4, NESTS.shape)).sigma ** 2 for _ in range(500)]
@@ -82,6 +84,7 @@ def test_outliers_are_found_without_their_neighbours(sigma: float | None) -> Non
     assert rigid_fit(points, seen, sigma).outliers == (7, 4)
 
 
+@pytest.mark.quick(0)
 def test_clean_points_are_seldom_called_outliers() -> None:
     generator = np.random.default_rng(8)
     points = some_points(generator, 5)

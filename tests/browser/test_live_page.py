@@ -75,6 +75,7 @@ def test_only_this_computer_is_asked(live):
     assert [url for url in tab.requests if not url.startswith((viewer.url, "data:", "blob:"))] == []
 
 
+@pytest.mark.quick(0)
 def test_a_browser_that_comes_later_sees_the_present_pose_and_does_not_hold_the_program_up_when_closed(live, chromium):
     viewer, tab, _ = live
     viewer.show_pose(33)

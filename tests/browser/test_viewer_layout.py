@@ -173,6 +173,7 @@ def test_points_can_be_made_smaller_and_larger(tab):
     assert tab.changed(slide, tab, "point-size", 7) > 0.01
 
 
+@pytest.mark.quick(0)
 def test_nothing_is_drawn_while_nothing_changes(tab):
     frames = "v.stage.viewer.renderer.info.render.frame"
     tab.drawn()
@@ -197,6 +198,7 @@ def test_each_reason_has_its_grade_and_remarks_of_the_file_are_shown(show, scene
     assert tab.page.get_by_text("second line").is_visible()
 
 
+@pytest.mark.quick(0)
 def test_a_turned_phone_shows_the_whole_scene_again(show, viewer_file):
     tab = show(viewer_file.as_uri(), size=(844, 390))
     tab.page.set_viewport_size({"width": 390, "height": 844})

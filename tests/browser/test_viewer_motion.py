@@ -77,6 +77,7 @@ def test_less_motion_changes_the_state_at_once(tab):
     assert tab.state(PART) == 0
 
 
+@pytest.mark.quick(0)
 def test_poses_play_at_the_speed_asked_for_until_paused(moving):
     moving.page.locator("#speed").select_option("20")
     moving.page.locator("#play").click()
@@ -181,6 +182,7 @@ def test_the_sliders_follow_the_pose_and_keep_the_joint_limits(tab, scene):
     assert np.all(high >= scene.poses.joints.max(axis=0))
 
 
+@pytest.mark.quick(0)
 def test_a_robot_without_poses_can_be_moved(show, tmp_path):
     robot = calib.load("docs/examples/five_bar.yaml")
     tab = show(viz.page(robot).save(tmp_path / "viewer.html").as_uri())

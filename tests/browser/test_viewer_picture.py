@@ -24,6 +24,7 @@ def brightness(tab):
     return float(tab.picture().mean())
 
 
+@pytest.mark.quick(0)
 def test_the_theme_is_the_systems_until_the_reader_decides(tab):
     box = tab.page.locator("#dark")
     light = brightness(tab)

@@ -99,6 +99,7 @@ def numbers_and_rest(svg: str) -> tuple[np.ndarray, str]:
     return np.array([float(item) for item in re.findall(number, svg)]), re.sub(number, "#", svg)
 
 
+@pytest.mark.quick(0)
 def test_figure_4_is_what_the_program_draws_now():
     robot = load(robot_file())
     selection = select(robot, np.array(target_workspace().q), COUNT, "O1", sigma=SIGMA)

@@ -40,6 +40,7 @@ def transform(joint, value: float) -> np.ndarray:
     return result @ motion
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("file", ["robot.urdf", "drake.urdf", "free_drake.urdf"])
 def test_check_urdf_accepts_the_file(case, file: str) -> None:
     beside_python = Path(sys.executable).parent / "check_urdf"

@@ -173,7 +173,7 @@ def test_the_command_writes_the_program_and_tells_what_holds(cell, tmp_path, mon
     done = CliRunner().invoke(command, [*arguments, "--json", str(tmp_path / "new.json")])
     assert done.exit_code == 0, done.output
     assert "7 of 7 targets compensated (pose kept)" in done.stdout
-    assert "end up to 64.8 mm from it" in done.stdout
+    assert "tool tips are up to 64.8 mm from" in done.stdout
     assert "Poses are from link 'l0' to link 'l6'" in done.stdout
     assert "not compensated" in done.stderr
     content = json.loads((tmp_path / "new.json").read_text())

@@ -137,7 +137,7 @@ def test_the_drawing_is_opencvs_own():
         (CHARUCO, "empty", "no marker of DICT_5X5_100; the image has no contrast (grey values from 127 to 127 of 255)"),
         ("chessboard:8x5:24mm", "chessboard", "but one of 9 x 6 squares"),
         ("circles:4x9:20mm", "circles", "but one of 4 x 11 dots"),
-        ("aruco:3x4:40mm:10mm:DICT_4X4_50", "aruco", "its 12 markers lie as on a board of 4 columns"),
+        ("aruco:3x4:40mm:10mm:DICT_4X4_50", "aruco", "its 12 markers fit a board of 4 columns"),
     ],
 )
 def test_why_no_board_is_found_is_said(told, shown, words):

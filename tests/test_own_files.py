@@ -194,17 +194,6 @@ def test_the_same_holds_from_python(here, fitted):
         robot.save(here / "other.yaml")
 
 
-def test_measurements_in_the_folder_of_a_result_are_not_replaced_from_python(here):
-    (here / "out").mkdir()
-    path = here / "out" / "residuals.csv"
-    shutil.copy(EXAMPLES / "arm_simulated.csv", path)
-    robot = calib.load(here / "arm.yaml")
-    fit = calib.fit(robot, calib.read_measurements(path, robot))
-    with pytest.raises(InputError, match="is read by this command"):
-        fit.save(here / "out", pages=False)
-    assert path.read_bytes() == (EXAMPLES / "arm_simulated.csv").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("name", "text"),
     [

@@ -236,6 +236,9 @@ def test_empty_files_and_such_as_would_not_change_may_be_replaced(tmp_path):
     write_folder(tmp_path / "out", {"a": b"same"})
     with pytest.raises(InputError):
         write_folder(tmp_path / "out", {"a": b"other"}, inputs=[tmp_path / "out" / "a"])
+    (tmp_path / "out" / "b").write_bytes(b"mine")
+    with pytest.raises(InputError, match="b: was not written by this program"):
+        write_folder(tmp_path / "out", {"a": b"same"}, obsolete=["b"])
 
 
 def test_of_files_that_belong_together_none_is_written_if_one_may_not_be(tmp_path):

@@ -67,11 +67,6 @@ def test_figures_are_files(checked):
     assert all(path.read_text().startswith("<?xml") for path in figures)
 
 
-def test_json_on_standard_output_is_alone_there(run_calib, tmp_path):
-    run = run_calib("check", ROBOT, write_poses(tmp_path / "poses.csv", Q[::20]), "--json", "-")
-    assert json.loads(run.out)["n_poses"] == 21
-
-
 def test_without_data_poses_are_sampled(run_calib, tmp_path):
     run = run_calib("check", write_arm(tmp_path), "--poses", 30, "--json", "-")
     assert run.code == 0, run.err

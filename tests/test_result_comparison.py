@@ -82,13 +82,6 @@ def test_errors_are_on_the_same_rows_where_there_are_any(fits, tmp_path):
     assert calib.compare(fits / "before", fits / "shifted").errors_on == ("readings that it did not use",) * 2
 
 
-def test_fits_of_the_same_readings_are_shown_and_not_tested(fits, tmp_path):
-    shutil.copytree(fits / "before", tmp_path / "copy")
-    comparison = calib.compare(fits / "before", tmp_path / "copy")
-    assert all(np.isnan(p) for difference in comparison.differences for p in difference.p_values)
-    assert "no tests, because both used the same 50 readings" in " ".join(comparison.report().split())
-
-
 def test_a_failed_fit_is_not_tested(fits, tmp_path):
     shutil.copytree(fits / "again", tmp_path / "failed")
     with_verdict(tmp_path / "failed", "FAIL", "not to be used")

@@ -167,7 +167,6 @@ def test_accuracy_is_told_for_the_task_poses(run_calib, tmp_path):
     [
         (("few.csv",), "9 poses give 27 coordinates for 28 free parameters"),
         (("open.csv",), "line 4"),
-        (("missing.csv",), "no such file"),
         (("poses.csv", "--sigma-mm", "0"), "--sigma-mm 0"),
         (("poses.csv", "--task", "open.csv"), "line 4"),
         (("--poses", "0"), "--poses 0"),

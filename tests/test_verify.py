@@ -418,7 +418,6 @@ ONE = f"{JOINTS}\n0,0,0.3,0,0.5,0\n"
         (ONE, ("--plan", "--change", "joint_3.ry=1 mm"), "joint_3.ry"),
         (ONE, ("--plan", "--change", "joint_3.ry=0 deg"), "is not a change"),
         (ONE, ("--plan", "--change", "base.x=1 mm"), "'base.x' is no parameter or joint zero"),
-        ("a,b\n1,2\n", ("--plan",), "no column 'joint_1'"),
     ],
 )
 def test_wrong_input_is_refused_in_one_line(folder, tmp_path, text, options, message):

@@ -156,7 +156,8 @@ def _instruments_in(robot: Robot, table: Table, several: bool) -> list[Instrumen
 
 def _no_instrument(robot: Robot, table: Table) -> str:
     expected = "; ".join(dict.fromkeys(", ".join(named_columns(instrument)) for instrument in robot.instruments))
-    return f"has no column of any instrument; expected: {expected}; the file has {listed_columns(table.names)}"
+    there = listed_columns(list(map(table.header, table.names)))
+    return f"has no column of any instrument; expected: {expected}; the file has {there}"
 
 
 def format_measurements(robot: Robot, data: Measurements, comments: tuple[str, ...] = ()) -> str:

@@ -3,7 +3,9 @@
 A file of measurements has one row for each visit: joint columns, and the columns of the instruments that read there.
 Cells of an instrument that are all empty mean that it read nothing. Measurements may also be spread over several files:
 those with joint columns give the visits, the others say by their `pose` column to which visit each of their rows
-belongs, many rows to one visit if need be (pixels, for instance).
+belongs, many rows to one visit if need be (pixels, for instance). Without such a column, rows belong to each other by
+their order, or by time, if the robot description asks for it (`join`); what was joined is logged as a warning (logger
+`calib`).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The route: the order of poses, free paths between them, and poses that cannot be visited.
 
 Order of work. Poses that are not free, or outside the joint limits, are left out. The others are put in an order of
-little travel, and paths are found one after the other. Poses without a path are left
-out by name, and replaced by the next best candidates, which are visited at the end.
+little travel, and paths are found one after the other. Poses without a path are left out by name, and replaced by the
+next best candidates, which are visited at the end.
 
 A touch is approached and left along the normal of the touched surface: z of a plane's or socket's axes, and of a sphere
 the line from its centre. The target is moved along it by the smallest change of joint values, within their limits.

@@ -80,7 +80,10 @@ class Pictures(Protocol):
         """Return the page of a fleet."""
 
     def answer(self, subject: object, title: str, text: str, figures: Sequence[tuple[int, str]]) -> bytes:
-        """Return the page of a judgement or of a hand-eye calibration."""
+        """Return the page of a judgement or of a hand-eye calibration, with the text on the terminal.
+
+        `figures` are HTML of pictures, each with the number of the image that it belongs to (-1: of none).
+        """
 
     def figures(self, subject: object) -> dict[str, bytes]:
         """Return the figures of an assessment or a selection."""
@@ -122,52 +125,16 @@ def pages(fit: Fit, logo: Path | str | None = None) -> dict[str, bytes]:
     return files
 
 
-def comparison(result_comparison: ResultComparison) -> bytes:
-    """Return the page of results side by side.
-
-    Raises:
-        InputError: Nothing that draws is installed.
-    """
-    return _installed_pictures("--html")[0].comparison(result_comparison)
-
-
-def fleet(learned: object) -> bytes:
-    """Return the page of robots of one model side by side.
-
-    Raises:
-        InputError: Nothing that draws is installed.
-    """
-    return _installed_pictures("--html")[0].fleet(learned)
-
-
-def answer(subject: object, title: str, text: str, figures: Sequence[tuple[int, str]] = ()) -> bytes:
-    """Return the page of a judgement or of a hand-eye calibration.
-
-    Args:
-        subject: Either.
-        title: Heading of the page.
-        text: The text on the terminal.
-        figures: HTML of pictures, each with the number of the image that it belongs to (-1: of none).
-
-    Raises:
-        InputError: Nothing that draws is installed.
-    """
-    return _installed_pictures("--html")[0].answer(subject, title, text, figures)
-
-
 def figures(subject: object) -> dict[str, bytes]:
     """Return figures of an assessment or a selection as files, name -> content.
 
     Raises:
         InputError: Nothing that draws is installed, or something that it needs is missing.
     """
-    files: dict[str, bytes] = {}
-    for module in _installed_pictures("--plots"):
-        try:
-            files |= module.figures(subject)
-        except ImportError as error:
-            raise InputError(f"--plots: {error.name} is not installed; `pip install {error.name}` first") from None
-    return files
+    try:
+        return installed("--plots").figures(subject)
+    except ImportError as error:
+        raise InputError(f"--plots: {error.name} is not installed; `pip install {error.name}` first") from None
 
 
 def plots(fit: Fit) -> Plots:
@@ -177,18 +144,9 @@ def plots(fit: Fit) -> Plots:
         InputError: Nothing that draws is installed, or something that it needs is missing.
     """
     try:
-        return _installed_pictures("plot")[0].plots(fit)
+        return installed("plot").plots(fit)
     except ImportError as error:
         raise InputError(f"plot: {error.name} is not installed; `pip install {error.name}` first") from None
-
-
-def live(robot: Robot) -> Live:
-    """Return a live page that shows a robot.
-
-    Raises:
-        InputError: Nothing that draws is installed.
-    """
-    return _installed_pictures("--view")[0].live(robot)
 
 
 def _pictures_named(name: str) -> Pictures:
@@ -197,8 +155,14 @@ def _pictures_named(name: str) -> Pictures:
     return pictures
 
 
-def _installed_pictures(option: str) -> list[Pictures]:
-    modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
-    if not modules:
+def installed(option: str) -> Pictures:
+    """Return the functions that draw, for an option or attribute that needs them.
+
+    Raises:
+        InputError: Nothing that draws is installed.
+    """
+    entry = next(iter(entry_points(group=GROUP)), None)
+    if entry is None:
         raise InputError(f"{option}: nothing that draws is installed (entry point group {GROUP})")
-    return modules
+    pictures: Pictures = entry.load()
+    return pictures

@@ -23,10 +23,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest, t
 
 from calib.core.base.errors import CalibrationError
-from calib.photographs.estimation import plain
+from calib.photographs.estimation import plain, rms
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import judge
-from calib.photographs.left_out_images import rms
 from calib.photographs.scene import BoardScene, HandEyePlacement, plane_errors_on_board
 
 TABLES = {

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from calib.core.results.array_files import array_file, read_array_file
+from calib.core.results.saved_fit import array_file, read_array_file
 
 
 def with_verdict(folder: Path, grade: str, reason: str) -> None:

@@ -425,7 +425,7 @@ def _(shop):
 def _(shop):
     there = calib.fit(shop.arm, noisy(shop.truth, joints(11), SIGMA, 1))
     n = int(np.sum(shop.arm.is_free))
-    return Situation(there, shop.good, r"(\d+) measured coordinates for (\d+) parameters", (33, n))
+    return Situation(there, shop.good, r"(\d+) measured values for (\d+) parameters", (33, n))
 
 
 @situation(Code.MOVES_AS_ONE)

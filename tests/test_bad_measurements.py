@@ -72,7 +72,7 @@ def test_too_few_rows_are_a_wrong_input(folder, fit_file, n):
     run, result = fit_file(joints(n), arm_positions(folder, joints(n)))
     assert run.code == 2
     assert f"{n} pose" in one_line(run)
-    assert f"{3 * n} coordinates for 26 unknowns without a prior; measure at least 9 poses" in run.err
+    assert f"{3 * n} measured values for 26 unknowns without a prior; measure at least 9 poses" in run.err
     assert result is None
 
 

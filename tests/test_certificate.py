@@ -11,6 +11,7 @@ from lxml import etree
 
 import calib
 from calib.core.data.in_memory import as_measurements
+from calib.core.judging.repeatability import doubtful_repeats
 from calib.core.numerics.rigid import best_transform
 from calib.core.robots.traceability import TraceabilitySection
 from calib.quality.monte_carlo import monte_carlo
@@ -267,7 +268,14 @@ def test_repeated_poses_bring_repeatability_and_the_figures_of_iso_9283(arm, mea
     fit.save(tmp_path / "fit")
     out = tmp_path / "c.json"
     assert run_calib("certificate", tmp_path / "fit", "--out", out, "--draws", 0).code == 0
-    assert {figure["name"] for figure in json.loads(out.read_text())["iso9283"]} == {"AP", "RP"}
+    content = json.loads(out.read_text())
+    assert {figure["name"] for figure in content["iso9283"]} == {"AP", "RP"}
+    assert "if the robot did not leave the pose between them" in content["iso9283_doubt"]  # four rows in a row
+    assert any("nothing else if the robot did not move" in str(row) for row in content["budget"]["rows"])
+    turned = np.arange(96).reshape(24, 4).T.ravel()
+    apart = calib.fit(arm, as_measurements(arm, q[turned], y[turned], [names[k] for k in turned]))
+    assert doubtful_repeats(fit.identification)
+    assert not doubtful_repeats(apart.identification)
 
 
 @pytest.mark.parametrize(

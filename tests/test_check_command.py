@@ -165,7 +165,7 @@ def test_accuracy_is_told_for_the_task_poses(run_calib, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("few.csv",), "9 poses give 27 coordinates for 28 free parameters"),
+        (("few.csv",), "9 poses give 27 measured values for 28 free parameters"),
         (("open.csv",), "line 4"),
         (("poses.csv", "--sigma-mm", "0"), "--sigma-mm 0"),
         (("poses.csv", "--task", "open.csv"), "line 4"),

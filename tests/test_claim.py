@@ -1,5 +1,7 @@
 """What a fit claims: errors of poses that it has not seen, held against others, and what the verdict makes of it."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -116,6 +118,9 @@ def test_poses_read_from_elsewhere_are_judged_with_their_frame_placed_anew(unkno
     assert not {"validation", "worse_on_validation"} & set(verdict.to_dict()["codes"])
     assert verdict.claim.gain is Benefit.BETTER
     assert verdict.claim.unused[0].accuracy.rms == pytest.approx(np.sqrt(3) * SIGMA, rel=0.25)
+    left = re.search(r"validation, frame placed anew +30 +[\d.]+ -> ([\d.]+)", moved.report())[1]
+    assert float(left) == pytest.approx(1e3 * np.sqrt(3) * SIGMA, rel=0.25)  # mm; nothing is metres off
+    assert not re.search(r"\de\+\d", moved.report())
 
 
 def test_another_robot_fails_wherever_the_tracker_stands(unknown_base):
@@ -144,4 +149,5 @@ def test_a_few_bad_rows_of_many_decide_nothing_and_are_named(arm, truth, n_bad, 
     if holds:
         assert claim.unused[0].without_outliers.rms == pytest.approx(np.sqrt(3) * SIGMA, rel=0.15)
         assert "without outliers" in claim.words
+        assert fit.verdict.reasons[0].code == "outliers"
         assert Claim.from_dict(claim.to_dict()).words == claim.words

@@ -1,6 +1,7 @@
 """The error budget against robots whose causes are known: closed forms, and all orders of all causes."""
 
 import json
+import re
 from itertools import combinations
 from math import factorial
 
@@ -115,7 +116,7 @@ def test_the_parts_are_those_of_the_true_causes_within_their_uncertainty(mixed):
     left = shares(fit.budget)
     assert left[NOISE].mean_square == pytest.approx(3 * SIGMA**2, rel=1e-12)
     assert abs(left[UNEXPLAINED].mean_square) < 0.35 * 3 * SIGMA**2
-    assert fit.budget.advice == "The rest is as large as the stated noise; more modelling will not help"
+    assert fit.budget.advice == "The rest is no larger than the stated noise; more modelling will not help"
 
 
 def test_joints_as_causes_are_those_of_all_orders(mixed):
@@ -176,7 +177,7 @@ def test_the_advice_is_only_as_sure_as_the_noise_is_known(tmp_path, stated, repe
         assert to_dict(fit)["error_budget"]["noise_from"] is None
     else:
         known = "repeatability" if repeats > 1 else "the stated noise"
-        assert f"The rest is as large as {known}" in fit.budget.advice
+        assert f"The rest is no larger than {known}" in fit.budget.advice
         assert parts[NOISE].mean_square == pytest.approx(3 * SIGMA**2, rel=0.2 if repeats > 1 else 1e-9)
 
 
@@ -207,6 +208,15 @@ def test_what_an_unknown_base_and_the_first_joint_share_does_not_move_the_split(
         result = shares(fit.budget)
         parts.append([result[GEOMETRY].mean_square, result[PLACES].mean_square, result[GEOMETRY].std])
     np.testing.assert_allclose(parts[0], parts[1], rtol=0.05, atol=0.01 * fit.budget.before)
+
+
+def test_less_than_the_noise_is_left_where_too_much_was_stated(tmp_path):
+    nominal = arm(tmp_path, "", sigma="80 um")  # four times as much as there is
+    truth = nominal.with_parameters({"turn.z": 3e-3, "slide.y": 1e-3})
+    fit = calib.fit(nominal, measured(truth, 60, 5))
+    left = next(row for row in budget_table(fit)["causes"] if row["cause"] == UNEXPLAINED)
+    assert left["remark"] == "none: less is left than the noise"
+    assert not re.search(r"not explained.*-0\.\d", fit.report(verbose=True))
 
 
 def test_the_report_and_the_result_show_the_same_budget(mixed):

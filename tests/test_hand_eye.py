@@ -13,10 +13,9 @@ from scipy.spatial.transform import Rotation
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.photographs import starts
 from calib.photographs.camera_alone import intrinsics_at_first, point_errors
-from calib.photographs.estimation import estimate, solve
+from calib.photographs.estimation import estimate, predict_left_out_images, rms, solve
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
-from calib.photographs.left_out_images import predict_left_out_images, rms
 from calib.photographs.other_readings import other_readings
 from calib.photographs.scene import HandEyePlacement, plane_errors_on_board, residuals, rows
 from calib.photographs.shared_errors import ErrorSizes

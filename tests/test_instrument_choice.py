@@ -167,7 +167,7 @@ def test_a_touch_is_chosen_only_where_the_candidates_say_what_is_touched(tmp_pat
         ({"count": {"tracker": -1, "bar": 9}}, "count -1 of tracker"),
         ({"count": {"tracker": 0, "bar": 0}}, "count 0: choose at least one pose"),
         ({"count": {"wire": 8}}, "no instrument 'wire'"),
-        ({"count": {"bar": 5}}, "5 coordinates cannot determine 6 parameters; choose at least 6 poses"),
+        ({"count": {"bar": 5}}, "5 measured values cannot determine 6 parameters; choose at least 6 poses"),
     ],
 )
 def test_bad_choices_are_one_clear_line(tmp_path, arguments, words):

@@ -94,7 +94,7 @@ def test_a_draw_gives_the_numbers_of_a_separate_fit(case, loss, request):
     off = (result.values - alone.robot.values[alone.free]) / alone.statistics.std
     # both stop where the next step is below 1e-4 standard deviations; robust weights stand to a thousandth
     assert np.max(np.abs(off)) < (1e-4 if loss == "none" else 1e-2)
-    assert result.std == pytest.approx(alone.statistics.std, rel=1e-5 if loss == "none" else 1e-2)
+    assert result.statistics.std == pytest.approx(alone.statistics.std, rel=1e-5 if loss == "none" else 1e-2)
     assert not result.open
     assert result.names_outliers == bool(alone.outliers)
 
@@ -138,10 +138,12 @@ def test_draws_give_all_the_numbers_of_separate_fits(instruments, tmp_path):
         alone = calib.fit(robot, each, sigma=sigma)
         statistics = alone.statistics
         assert np.max(np.abs(made.values - alone.robot.values[alone.free]) / statistics.std) < 1e-4
-        assert made.std == pytest.approx(statistics.std, rel=1e-5)
-        assert made.covariance == pytest.approx(statistics.covariance, rel=1e-4, abs=1e-5 * np.max(made.std) ** 2)
-        assert made.half_width == pytest.approx(statistics.half_width, rel=1e-4)
-        assert made.freedom == pytest.approx(statistics.freedom, rel=1e-9)
+        assert made.statistics.std == pytest.approx(statistics.std, rel=1e-5)
+        assert made.statistics.covariance == pytest.approx(
+            statistics.covariance, rel=1e-4, abs=1e-5 * np.max(made.statistics.std) ** 2
+        )
+        assert made.statistics.half_width == pytest.approx(statistics.half_width, rel=1e-4)
+        assert made.statistics.freedom == pytest.approx(statistics.freedom, rel=1e-9)
         assert made.sigma == pytest.approx([estimate.sigma for estimate in alone.noise], rel=1e-7)
         assert made.chi_square == pytest.approx(alone.chi_square.value, rel=1e-7)
         assert made.names_outliers == bool(alone.outliers)
@@ -163,7 +165,7 @@ def test_draws_of_which_more_is_to_be_found_give_the_numbers_of_fits(five_bar):
         made = repeated.estimate(DrawnData(robot, each))
         alone = calib.fit(robot, each, sigma=SIGMA)
         assert np.max(np.abs(made.values - alone.robot.values[alone.free]) / alone.statistics.std) < 1e-2
-        assert made.std == pytest.approx(alone.statistics.std, rel=1e-2)  # noise is found to one percent
+        assert made.statistics.std == pytest.approx(alone.statistics.std, rel=1e-2)  # noise is found to one percent
 
 
 @pytest.mark.quick(0)

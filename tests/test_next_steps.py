@@ -87,6 +87,8 @@ def test_what_passed_on_other_poses_goes_on_to_be_used(robot, data, say):
     )
     say("PASS", "nothing_to_correct")
     assert advice_after_fit(validated, "a.yaml", ("d.csv",), "out", {}).endswith(": calib verify out measured.csv")
+    say("PASS", "nothing_to_correct", "systematic")  # an error is left that no parameter describes
+    assert "--terms auto" in advice_after_fit(validated, "a.yaml", ("d.csv",), "out", {})
 
 
 def test_a_printer_gets_the_settings_of_its_firmware(say, tmp_path, run_calib):

@@ -14,7 +14,7 @@ from calib.core.base.errors import CalibrationError
 from calib.core.rows.simulate import simulate
 from calib.printers.files import read_printer
 from calib.printers.formats import geometry_of
-from calib.printers.rows import expected_geometry
+from calib.printers.rows import expected_geometry, residuals
 
 TRUE = np.array([103.3, 210.12, 329.85, 90.0, 208.25, 207.95, 208.1, 240.9, 241.6, 240.4])
 STEP = 32 / (200 * 16)
@@ -144,6 +144,21 @@ def test_a_simulated_printer_is_found_from_its_printer_cfg_and_written_back(fold
         p = as_firmware(firmware, (folder / f"{firmware}.txt").read_text())
         down = 1e-3 * np.array([carriages(p, place) for place in places])
         assert np.abs(1e3 * ours.nozzle(down) - places).max() < 5e-4  # the lines have four decimals
+
+
+def test_a_fit_shows_the_errors_of_what_the_owner_has_saved(folder):
+    assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0
+    printer = read_printer("printer.cfg", "klipper")
+    errors = 1e3 * residuals(printer.geometry, printer.rows)
+    heights = np.array([len(row.places) == 1 for row in printer.rows])
+    report = calib.fit("p.yaml", "p.csv").report()
+    for part, some in (("height", heights), ("distance", ~heights)):
+        before = re.search(rf"{part} \[mm\], settings in use +25 +([\d.]+) -> ", report)[1]
+        assert float(before) == pytest.approx(np.sqrt(np.mean(errors[some] ** 2)), abs=6e-5)
+    text = (folder / "p.yaml").read_text()
+    (folder / "p.yaml").write_text(text.replace("in_use: {delta_radius", "in_use: {radius"))
+    with pytest.raises(CalibrationError, match=r"p\.yaml: in_use.*'radius'.*delta_radius"):
+        calib.load("p.yaml")
 
 
 def test_what_probing_cannot_know_stays_as_designed(folder):

@@ -2,6 +2,7 @@
 
 import logging
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +101,23 @@ def test_a_unit_that_is_written_otherwise_is_named(robot, data, joint, axis, mes
 def test_columns_that_are_not_needed_may_be_called_anything(robot, data):
     table = renamed(data, foreign("joint_{} [deg]", "reflector_{}_mm")) | {"joint_1 (raw)": ["-"] * len(data)}
     np.testing.assert_allclose(calib.read_poses(table, robot).joints, data.joints, atol=1e-15)
+
+
+def test_messages_call_columns_as_the_file_does(robot, data):
+    """A guessed name, and one of the description; the file has neither of the robot's."""
+    named = renamed(
+        data, {f"joint_{k} [deg]": f"J{k} [deg]" for k in range(1, 7)} | {"reflector_x [mm]": "reflektor_x"}
+    )
+    with pytest.raises(
+        calib.DataError, match=r"no column 'reflector_x'; did you mean 'reflektor_x'\? The file.* J1, J2"
+    ):
+        calib.read_measurements(named, robot)
+    described = robot.description.model_copy(update={"columns": {"height": "reflector_z [mm]"}})
+    other = replace(robot, description=described)
+    named = renamed(data, {"reflector_z [mm]": "height"})
+    named["height"] = ["high", *named["height"][1:]]
+    with pytest.raises(calib.DataError, match="line 1, column 'height': 'high' is not a number"):
+        calib.read_measurements(named, other)
 
 
 def test_blanks_between_columns_are_named(robot, tmp_path):

@@ -143,7 +143,7 @@ def broken(folder):
     ("arguments", "words"),
     [
         (("good.csv", "--count", "43"), "count 43 is above the 42 candidates"),
-        (("good.csv", "--count", "9"), "27 coordinates cannot determine 28 parameters"),
+        (("good.csv", "--count", "9"), "27 measured values cannot determine 28 parameters"),
         (("good.csv", "--count", "20", "--index", "O7"), "'O7' is not one of"),
         (("open.csv", "--count", "20"), "open.csv, line 6: cannot be assembled (loop"),
         (("twice.csv", "--count", "20"), "twice.csv, line 44: the same joint values as twice.csv, line 2"),

@@ -480,7 +480,7 @@ def test_the_page_alone_answers_ten_questions(fit, html):
         "where was it measured": r"Where it was measured x .* mm in",
         "how sure is that": r"predicted positions are known to [\d.]+ mm on average, [\d.]+ mm at worst",
         "which file is to be loaded": r"Robot to load calibrated\.urdf",
-        "what is left, and why": r"not explained [\d.]+ .* The rest is as large as the stated noise",
+        "what is left, and why": r"not explained [\d.]+ .* The rest is no larger than the stated noise",
         "what is not known": r"What could not be identified .*? held at nominal .*?\bd31\b",
     }
     assert {question for question, words in answers.items() if not re.search(words, shown)} == set()

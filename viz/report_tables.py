@@ -77,7 +77,7 @@ def worst(fit: Fit) -> str:
     group, errors = judging_errors(fit)
     if not errors.main_part.is_position:
         return _worst_reading(errors)
-    used = VALIDATION if group == VALIDATION else IDENTIFICATION
+    used = VALIDATION if group.startswith(VALIDATION) else IDENTIFICATION
     outliers = findings.validation_outliers(fit) if used == VALIDATION else findings.outliers(fit)
     table = average_poses(pose_table_of_errors(fit, used, errors, outliers=outliers))
     row = int(np.nanargmax(np.linalg.norm(table.error("after"), axis=1)))

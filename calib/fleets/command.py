@@ -47,5 +47,5 @@ def command(results: tuple[str, ...], out: str | None, html: str | None, verbose
         learned.save(out, force=output.force)
         output.say(f"{out} and {urdf} written; `calib fit {out} DATA --out DIR` calibrates one more robot")
     if html is not None:
-        output.write(html, pictures.fleet(learned))
+        output.write(html, pictures.installed("--html").fleet(learned))
         output.say(f"Written to {html}")

@@ -31,12 +31,10 @@ class StraightMove:
     Attributes:
         hit: The first colliding pair in the order of checking, or "".
         clearance: Smallest distance of any pair at the checked points [m]; a lower bound for meshes far apart.
-        tightest: Name of that pair.
     """
 
     hit: str
     clearance: float
-    tightest: str
 
 
 def check_move(scene: CollisionScene, start: FloatArray, end: FloatArray) -> StraightMove:
@@ -45,27 +43,25 @@ def check_move(scene: CollisionScene, start: FloatArray, end: FloatArray) -> Str
     parts = np.linspace(0.0, 1.0, n + 1)
     ends, ok = scene.configurations(start + parts[:, None] * (end - start))
     if not np.all(ok):
-        return StraightMove("loops that do not close", 0.0, "")
+        return StraightMove("loops that do not close", 0.0)
     reach = scene.reach(1.1 * np.max(np.abs(ends), axis=0))
     pieces = _Pieces(parts[:-1], parts[1:], ends[:-1], ends[1:], np.ones((n, len(scene.pairs)), dtype=bool))
-    least, tightest = np.inf, ""
+    least = np.inf
     while len(pieces):
         middles, ok = scene.configurations(start + pieces.middle[:, None] * (end - start))
         if not np.all(ok):
-            return StraightMove("loops that do not close", 0.0, "")
+            return StraightMove("loops that do not close", 0.0)
         nearer = pieces.excursions(middles, scene) @ reach.T - scene.margins / 2
         apart = scene.distances(middles, pieces.pairs, thorough=False)
-        place = np.unravel_index(np.argmin(apart + scene.margins), apart.shape) if apart.size else ()
-        if apart.size and apart[place] + scene.margins[place[1]] < least:
-            least, tightest = float(apart[place] + scene.margins[place[1]]), scene.name(int(place[1]))
+        least = min(least, float(np.min(apart + scene.margins, initial=np.inf)))
         if np.any(apart <= 0):
-            return StraightMove(scene.name(int(np.argmin(np.min(apart, axis=0)))), least, tightest)
+            return StraightMove(scene.name(int(np.argmin(np.min(apart, axis=0)))), least)
         unproven = pieces.pairs & (apart <= nearer)
         too_short = unproven & (nearer + scene.margins / 2 < _FINEST)
         if np.any(too_short):
-            return StraightMove(scene.name(int(np.flatnonzero(np.any(too_short, axis=0))[0])), least, tightest)
+            return StraightMove(scene.name(int(np.flatnonzero(np.any(too_short, axis=0))[0])), least)
         pieces = pieces.halve(middles, unproven)
-    return StraightMove("", least, tightest)
+    return StraightMove("", least)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ Points have equal weights, or weights by the errors that the points of an image 
 (`calib.photographs.shared_errors`). Shared errors give differences within an image more weight than differences between
 images. This is right if the robot errs, wrong if lens or board are not as modelled, and blind to errors of the robot
 that follow the pose. So callers use such weights only if they predict left-out images better
-(`calib.photographs.hand_eye_calibration`).
+(`calib.photographs.hand_eye_calibration`): each image in turn, by a fit of the others.
 
 Why. An image of 24 corners has 48 rows, but its robot pose is wrong once. If the rows count as independent, intervals
 (`calib.photographs.intervals`) are several times too narrow, and images near the board, where the robot's error is
@@ -22,12 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.errors import NotConvergedError, NotIdentifiableError
 from calib.core.numerics import linalg
 from calib.photographs.arm_errors import arm_twists
 from calib.photographs.intervals import intervals
-from calib.photographs.scene import BoardScene, HandEyePlacement, linearise
+from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, plane_errors_on_board, residuals
 from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, find_noise, normal_equations
 
 LITTLE_TURN = np.deg2rad(15)
@@ -189,3 +189,37 @@ def turning(poses: FloatArray) -> FloatArray:
     middle = scipy.spatial.transform.Rotation.from_matrix(rotations).mean().as_matrix()
     turns = scipy.spatial.transform.Rotation.from_matrix(middle.T @ rotations).as_rotvec()
     return linalg.singular_values(turns)[:3] * 2 / np.sqrt(max(len(poses), 1)) if len(poses) > 2 else np.zeros(3)
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOutImages(ReadOnlyArrays):
+    """Errors of left-out images, predicted minus detected: pixels (m, 2) [px], and on the board (m, 2) [m]."""
+
+    pixels: FloatArray
+    board: FloatArray
+
+
+def predict_left_out_images(
+    scene: BoardScene,
+    placed: HandEyePlacement,
+    free: Sequence[int],
+    weights: ErrorSizes,
+    prior: IntrinsicsPrior | None = None,
+    *,
+    scaled: bool = False,
+) -> LeftOutImages:
+    """Return the errors of each image against a fit of the others, at fixed weights."""
+    pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
+    for i in range(len(scene)):
+        only: BoolArray = np.arange(len(scene)) == i
+        part, in_image = scene.select_images(only), scene.image == i
+        without = solve(scene.select_images(~only), placed, free, weights, prior, scaled=scaled, steps=6)
+        pixels[in_image], board[in_image] = residuals(part, without), plane_errors_on_board(part, without)
+    return LeftOutImages(pixels, board)
+
+
+def rms(errors: FloatArray) -> float:
+    """Return the root mean square length of the finite errors among (m, 2)."""
+    squares = np.sum(errors**2, axis=1)
+    known = np.isfinite(squares)
+    return float(np.sqrt(np.mean(squares[known]))) if np.any(known) else float("nan")

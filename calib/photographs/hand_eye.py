@@ -8,9 +8,8 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
-from calib.photographs.estimation import HandEyeEstimate
+from calib.photographs.estimation import HandEyeEstimate, LeftOutImages, rms
 from calib.photographs.images_off import OffImage, OffPoint
-from calib.photographs.left_out_images import LeftOutImages, rms
 from calib.photographs.mistakes import Mistake
 from calib.photographs.scene import BoardScene, plane_errors_on_board, points_in_camera, residuals
 

@@ -22,10 +22,9 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, DataError
 from calib.core.base.words import count_noun
 from calib.photographs.camera_alone import LEAST_IMAGES, camera_alone, intrinsics_at_first
-from calib.photographs.estimation import estimate
+from calib.photographs.estimation import LeftOutImages, estimate, predict_left_out_images, rms
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.images_off import fitting_images, fitting_points, images_far_off
-from calib.photographs.left_out_images import LeftOutImages, predict_left_out_images, rms
 from calib.photographs.lens_choice import lens_choices, lens_prior, unlikely
 from calib.photographs.mistakes import find_mistakes
 from calib.photographs.scene import BoardScene, Mount

@@ -11,9 +11,8 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.words import as_data, count_noun, listing
 from calib.core.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
-from calib.photographs.estimation import LITTLE_TURN, turning
+from calib.photographs.estimation import LITTLE_TURN, rms, turning
 from calib.photographs.hand_eye import HandEye
-from calib.photographs.left_out_images import rms
 from calib.photographs.scene import SIDES, Mount
 
 FEW = 10  # images; a result of fewer gets CHECK

@@ -15,8 +15,7 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import ComputationError
 from calib.core.numerics import linalg
 from calib.photographs.camera_alone import point_errors
-from calib.photographs.estimation import plain
-from calib.photographs.left_out_images import predict_left_out_images, rms
+from calib.photographs.estimation import plain, predict_left_out_images, rms
 from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior
 from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, residuals
 from calib.photographs.starts import Start, image_rms

@@ -17,8 +17,7 @@ from calib.core.base.errors import ComputationError, NotIdentifiableError
 from calib.core.instruments.camera import NAMES
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.photographs.camera_alone import camera_alone
-from calib.photographs.estimation import plain
-from calib.photographs.left_out_images import LeftOutImages, predict_left_out_images
+from calib.photographs.estimation import LeftOutImages, plain, predict_left_out_images
 from calib.photographs.scene import BoardScene, HandEyePlacement
 from calib.photographs.shared_errors import IntrinsicsPrior
 

@@ -26,8 +26,7 @@ from calib.core.instruments.camera import NAMES
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import LeftOutBlocks
 from calib.photographs.camera_alone import camera_alone
-from calib.photographs.estimation import HandEyeEstimate, estimate, solve
-from calib.photographs.left_out_images import predict_left_out_images, rms
+from calib.photographs.estimation import HandEyeEstimate, estimate, predict_left_out_images, rms, solve
 from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior, unlikely
 from calib.photographs.other_readings import other_readings
 from calib.photographs.scene import SIDES, BoardScene, HandEyePlacement, ImageSums, Mount, linearise, residuals, rows

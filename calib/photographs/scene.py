@@ -148,14 +148,12 @@ class ImageSums(ReadOnlyArrays):
     """Residuals and derivatives, summed over the points of each image; see the module docstring.
 
     Attributes:
-        residuals: Predicted minus detected, (m, 2) [px].
         jj, jg, gg: J^T J, J^T G, G^T G, (n, k, k), (n, k, 6), (n, 6, 6).
         jr, gr, rr: J^T r, G^T r, r^T r, (n, k), (n, 6), (n,).
         n_rows: Rows of each image, (n,).
         n_arm: Number of columns, the last ones, for errors of the arm (`calib.photographs.arm_errors`).
     """
 
-    residuals: FloatArray
     jj: FloatArray
     jg: FloatArray
     gg: FloatArray
@@ -241,7 +239,7 @@ def linearise(scene: BoardScene, placed: HandEyePlacement, free: Sequence[int], 
     squares = np.array([part.T @ part for part in images])
     jj, jg, gg = squares[:, :k, :k], squares[:, :k, k:-1], squares[:, k:-1, k:-1]
     jr, gr, rr = squares[:, :k, -1], squares[:, k:-1, -1], squares[:, -1, -1]
-    return ImageSums(r, jj, jg, gg, jr, gr, rr, 2 * scene.counts)
+    return ImageSums(jj, jg, gg, jr, gr, rr, 2 * scene.counts)
 
 
 def plane_errors_on_board(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DataError, nearest, nearest_column
+from calib.core.base.errors import DataError, nearest
 from calib.core.base.units import Dimension
 from calib.core.data.tables import Table, read_table
 from calib.core.instruments.rotations import Form, not_rotations, rotations_of
@@ -166,7 +166,7 @@ def _tool_poses_from_joints(table: Table, robot: Robot) -> FloatArray:
     """Poses of the first target's frame by the robot's kinematics, (n, 4, 4)."""
     missing = next((name for name in robot.joint_names if name not in table.names), None)
     if missing is not None:
-        raise DataError(f"{table.path}: no column '{missing}'{nearest_column(missing, table.names)}")
+        raise DataError(table.lacks(missing))
     joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
     return robot.forward(joints)
 

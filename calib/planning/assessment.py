@@ -288,8 +288,9 @@ def _require_rows(robot: Robot, poses: Poses, per_pose: int) -> None:
     needed = sum(use and not p.prior for p, use in zip(robot.parameters, robot.is_free, strict=True))
     if per_pose * len(poses) < needed:
         raise DataError(
-            f"{poses.path}: {len(poses)} poses give {per_pose * len(poses)} coordinates for {needed} free parameters"
-            f" without a prior; give at least {-(-needed // per_pose)} poses (several times that for a useful result)"
+            f"{poses.path}: {len(poses)} poses give {per_pose * len(poses)} measured values for {needed} free"
+            f" parameters without a prior; give at least {-(-needed // per_pose)} poses (several times that for a"
+            " useful result)"
         )
 
 

@@ -11,6 +11,7 @@ from rich.table import Table
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import millimetres
 from calib.core.base.words import as_data, count_noun, listing, plain_text, sentence, text_table
+from calib.core.numerics.identifiability import Rank
 from calib.core.numerics.null_space import UnseenGroup, describe_group, natural_coefficients
 from calib.core.numerics.observability import INDICES, TaskIndex
 from calib.core.rows.candidates import WHITENED
@@ -50,8 +51,8 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
             "n_rows": a.n_rows,
             "sigma_mm": None if a.sigma == WHITENED else millimetres(a.sigma),
             "sigma_assumed": a.sigma_assumed,
-            "rank_all": _rank(a, everything=True),
-            "rank_free": _rank(a, everything=False),
+            "rank_all": _rank(a.rank_all),
+            "rank_free": _rank(a.rank_free),
             "rank_with_priors": a.determination.together.rank,
             "held": [name for name, free in zip(names, a.free, strict=True) if not free],
             "groups": [_group(a, k) for k in range(len(a.groups))],
@@ -215,17 +216,8 @@ def _task(task: TaskIndex) -> dict[str, object]:
     }
 
 
-def _rank(a: Assessment, *, everything: bool) -> dict[str, object]:
-    rank = a.rank_all if everything else a.rank_free
-    return {
-        "rank": rank.rank,
-        "n_columns": rank.n_columns,
-        "singular_values": [float(value) for value in rank.singular_values],
-        "threshold": rank.threshold,
-        "smallest_kept": rank.smallest_kept,
-        "largest_dropped": rank.largest_dropped,
-        "unclear": rank.unclear,
-    }
+def _rank(rank: Rank) -> dict[str, object]:
+    return vars(rank) | {"singular_values": rank.singular_values.tolist(), "unclear": rank.unclear}
 
 
 def _group(a: Assessment, k: int) -> dict[str, object]:

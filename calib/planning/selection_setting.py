@@ -213,10 +213,10 @@ def require_count(setting: SelectionSetting) -> None:
     problem = setting.problem
     missing = problem.pose_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
     n_read = np.where(usable, pairs.n_read, 0)
-    coordinates = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
-    if coordinates < missing:
+    n_values = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
+    if n_values < missing:
         raise InputError(
-            f"count {request.count}: {coordinates} coordinates cannot determine {missing} parameters;"
+            f"count {request.count}: {n_values} measured values cannot determine {missing} parameters;"
             f" choose at least {-(-missing // int(np.max(n_read)))} poses (several times that for a useful result)"
         )
 

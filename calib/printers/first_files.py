@@ -38,7 +38,7 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
     urdf, title = out.with_suffix(".urdf"), " ".join(Path(printer.path).name.replace("--", "-").split())
     files = {
         urdf: linear_delta_urdf(plan, f"linear delta, cut open: {title}"),
-        out: linear_delta_description(plan, title, urdf.name, len(printer.rows)),
+        out: linear_delta_description(plan, title, urdf.name, len(printer.rows), printer.geometry),
         **({out.with_suffix(".csv"): printer_table(printer)} if printer.rows else {}),
     }
     output.check(*map(str, files))
@@ -60,7 +60,7 @@ def _saved_errors(printer: PrinterFile) -> str:
             parts.append(f"{noun} {millimetres(float(np.sqrt(np.mean(of_kind**2)))):.4f} mm RMS")
     return (
         f"errors of the settings in {Path(printer.path).name}: {', '.join(parts)}; the firmware computed them from"
-        " these rows, so a fit compares with the printer as designed"
+        " these rows, so a fit is judged against the printer as designed"
     )
 
 

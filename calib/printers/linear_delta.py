@@ -214,7 +214,7 @@ def linear_delta_urdf(plan: Plan, title: str) -> str:
     return robot_text("linear_delta", title, plan.links, plan.joints)
 
 
-def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int = 0) -> str:
+def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int, saved: DeltaGeometry) -> str:
     """Return the text of a delta's description; arms are held if there are no more rows than parameters."""
     twice = "platform_2" in plan.links
     sigma = f"{millimetres(DISTANCE):g} mm"
@@ -246,7 +246,19 @@ instruments:
 # delta_radius, angles of towers, arms and endstops as firmwares have them. Probing hardly shows arms and angles: they
 # are expected to be as designed, within {millimetres(ARM):g} mm and {math.degrees(ANGLE):g} deg.
 parametrisation: {NAME}
-{_HELD if 0 < n_rows <= _N_PARAMETERS else ""}"""
+{_in_use(saved) if n_rows else ""}{_HELD if 0 < n_rows <= _N_PARAMETERS else ""}"""
+
+
+def _in_use(saved: DeltaGeometry) -> str:
+    lengths = {"delta_radius": saved.radius}
+    lengths |= {
+        f"{name}_{t}": each[k]
+        for name, each in (("arm", saved.arms), ("endstop", saved.endstops))
+        for k, t in enumerate(TOWERS)
+    }
+    texts = [f"{name}: {millimetres(length):.6f} mm" for name, length in lengths.items()]
+    texts += [f"angle_{t}: {math.degrees(saved.angles[k]):.6f} deg" for k, t in enumerate("ab")]
+    return f"\n# What the firmware uses now. It was computed from the same rows.\nin_use: {{{', '.join(texts)}}}\n"
 
 
 _N_PARAMETERS = 9

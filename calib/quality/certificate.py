@@ -12,7 +12,7 @@ import numpy as np
 from calib.core.base.units import millimetres
 from calib.core.base.version import PROGRAM
 from calib.core.base.words import as_data
-from calib.core.judging.repeatability import iso_figures
+from calib.core.judging.repeatability import doubtful_repeats, iso_figures
 from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.saved_fit import SAVED
 from calib.core.robots.traceability import TraceabilitySection
@@ -88,6 +88,7 @@ def certificate_content(result: LoadedResult, stated: TraceabilitySection, found
             for f in figures
             if f.name in ("AP", "RP")
         ],
+        "iso9283_doubt": doubtful_repeats(fit.identification),
     }
     return dict(as_data(content))
 
@@ -120,7 +121,9 @@ def document(content: Mapping[str, Any]) -> Document:
             for f in content["iso9283"]
         )
         columns = ("figure", "pose", "cycles", "value [um]", "coverage interval, 95 % [um]")
-        tables.append(DocumentRows(f"Repeated poses. {FEW_CYCLES}", columns, figures))
+        doubt = content["iso9283_doubt"]
+        title = f"Repeated poses. {FEW_CYCLES}{doubt and f' {doubt[0].upper()}{doubt[1:]}.'}"
+        tables.append(DocumentRows(title, columns, figures))
     return Document("Calibration certificate of a robot", answer, tuple(tables), _SIGNED_BY, content["identifier"])
 
 

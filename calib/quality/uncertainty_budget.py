@@ -39,7 +39,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.data.in_memory import PosesLike
 from calib.core.instruments.pixel import Pixel
 from calib.core.judging import findings
-from calib.core.judging.repeatability import repeatability
+from calib.core.judging.repeatability import doubtful_repeats, repeatability
 from calib.core.judging.verdict import JudgedFit
 from calib.core.numerics import linalg
 from calib.core.numerics.prior_sizes import variance_by_sizes
@@ -308,6 +308,8 @@ def _robot_rows(fit: JudgedFit, included: float, poses: PosesLike | None) -> lis
     rows, claim = [], fit.verdict.claim
     if freedom:
         note = "repeated poses; contains the noise of a reading"
+        if doubtful_repeats(fit.identification):
+            note += ", and nothing else if the robot did not move between them"
         rows.append(BudgetRow.direct(REPEATABILITY, scatter, float(freedom), note))
         included += scatter**2
     if claim is not None and claim.at_measured_poses.is_position:

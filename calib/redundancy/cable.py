@@ -56,7 +56,7 @@ class Cable(Relation):
     """Motor angles of one cable, with one row for the distance. `lengths` are L, R and g."""
 
     section = CableSection
-    parts = (Part("cable", ("cable",), "length"),)
+    parts = (Part("cable", ("cable",), "length", plural="lengths of cables"),)
     lengths: tuple[OwnLength, ...] = ()
     gear: float = 1.0
     lines: int = 1

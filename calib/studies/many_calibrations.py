@@ -26,6 +26,7 @@ from calib.core.fitting.problem import Problem
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solving import convergence_at, solve_from, uncertainty_at
 from calib.core.instruments.kind import View
+from calib.core.numerics.statistics import Statistics
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import views_of_instruments
 from calib.core.rows.whitening import Whitening
@@ -38,25 +39,17 @@ class DrawEstimate:
 
     Attributes:
         values: Values of the free parameters, (n_free,) [m or rad].
-        covariance: Their covariance, (n_free, n_free).
-        std: Their standard deviations, (n_free,).
-        half_width: Half their 95 % intervals, (n_free,).
-        coverage_factor: Half a 95 % interval, in standard deviations.
+        statistics: Their uncertainty.
         sigma: Estimated noise of each group of rows, (n_groups,) [SI].
         chi_square: Sum of squares of the residuals in units of the stated noise, if all of it is stated.
-        freedom: Degrees of freedom.
         names_outliers: Whether some reading is further off than noise explains.
         open: Reason why the fit did not converge; empty if it did.
     """
 
     values: FloatArray
-    covariance: FloatArray
-    std: FloatArray
-    half_width: FloatArray
-    coverage_factor: float
+    statistics: Statistics
     sigma: FloatArray
     chi_square: float
-    freedom: float
     names_outliers: bool
     open: str = ""
 
@@ -126,13 +119,9 @@ class RepeatedCalibration(ReadOnlyArrays):
         test = rows.studentise(rows.with_weights(weights).posterior_information.root, weights, statistics.freedom)
         return DrawEstimate(
             solved.evaluation.robot.values[self.first.unknowns.index],
-            statistics.covariance,
-            statistics.std,
-            statistics.half_width,
-            statistics.coverage_factor,
+            statistics,
             sigma,
             float(np.sum(statistics.factors.freedom * (sigma / typical) ** 2)),
-            statistics.freedom,
             len(test.outliers) > 0,
             "" if convergence.converged else convergence.message,
         )

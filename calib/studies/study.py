@@ -217,7 +217,7 @@ def _chunk(setting: _Setting, numbers: range) -> tuple[Draws, list[str]]:
 
 def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
     """A draw with an answer."""
-    first = setting.first
+    first, known = setting.first, estimate.statistics
     true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
     errors = half_width = np.zeros((0, len(truth.target_names), 3))
     if len(setting.prediction_joints):
@@ -225,17 +225,17 @@ def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
         values[first.unknowns.index] = estimate.values
         robot = first.robot.with_parameters(values)
         at = linearise(robot, robot.assemble(setting.prediction_joints, setting.prediction_passive))
-        spread = propagate_covariance(at.jacobian[..., first.unknowns.index], estimate.covariance)
-        half_width = estimate.coverage_factor * np.sqrt(np.diagonal(spread, axis1=2, axis2=3))
+        spread = propagate_covariance(at.jacobian[..., first.unknowns.index], known.covariance)
+        half_width = known.coverage_factor * np.sqrt(np.diagonal(spread, axis1=2, axis2=3))
         errors = at.positions - truth.positions(setting.prediction_joints, seed=setting.prediction_passive)
     rows = (
         np.array([true.get(name, np.nan) for name in first.free_names]),
         estimate.values,
-        estimate.std,
-        estimate.half_width,
+        known.std,
+        known.half_width,
         estimate.sigma,
         estimate.chi_square if setting.states_noise else np.nan,
-        estimate.freedom,
+        known.freedom,
         float(estimate.names_outliers),
         errors,
         half_width,

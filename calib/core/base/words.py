@@ -80,6 +80,11 @@ def distinct_names(paths: Sequence[Path | str]) -> tuple[str, ...]:
     return tuple("/".join(path[first : len(path) - last]) for path in parts)
 
 
+def significant(value: float, digits: int = 3) -> str:
+    """Return a number with so many significant digits, and without an exponent below a million: 3060, not 3.06e+03."""
+    return f"{float(f'{value:.{digits}g}'):g}"
+
+
 def sentence(clause: str) -> str:
     """Return a clause with a capital and a full stop."""
     return f"{clause[0].upper()}{clause[1:]}."

@@ -24,5 +24,5 @@ def command(results: tuple[str, ...], html: str | None, output: Output) -> None:
     output.say(comparison.report().rstrip())
     output.json(comparison.to_dict())
     if html is not None:
-        output.write(html, pictures.comparison(comparison))
+        output.write(html, pictures.installed("--html").comparison(comparison))
         output.say(f"Written to {html}")

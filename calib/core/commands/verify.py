@@ -87,7 +87,9 @@ def command(
     text = text_report(acceptance, figures, missing)
     output.say(text)
     if html is not None:
-        output.write(html, pictures.answer(acceptance, "New measurements of a calibrated robot", text))
+        output.write(
+            html, pictures.installed("--html").answer(acceptance, "New measurements of a calibrated robot", text, ())
+        )
         output.say(f"Written to {html}")
     if acceptance.verdict != "agrees":
         raise click.exceptions.Exit(_NOT_AS_PROMISED)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.base.errors import DataError, nearest, nearest_column, require_known
+from calib.core.base.errors import DataError, nearest, require_known
 from calib.core.base.units import Dimension
 from calib.core.data.measurement_columns import correlation_columns, std_columns
 from calib.core.data.measurements import setup_pairs
@@ -29,10 +29,10 @@ def columns_in(instrument: Instrument, table: Table) -> list[str]:
     return [name for name in names if name in table.names]
 
 
-def nearest_free_column(name: str, robot: Robot, table: Table) -> str:
-    """Return the hint for a column that a table lacks; no column that another joint or instrument reads is offered."""
+def lacking_column(name: str, robot: Robot, table: Table) -> str:
+    """Return the message on a column that a table lacks; none that another joint or instrument reads is offered."""
     read = {column for instrument in robot.instruments for column in columns_in(instrument, table)}
-    return nearest_column(name, table.names, read | {*robot.joint_names, "pose", "setup"})
+    return table.lacks(name, read | {*robot.joint_names, "pose", "setup"})
 
 
 def readings_in(
@@ -54,9 +54,8 @@ def readings_in(
         if hint is not None:
             raise DataError(f"{table.path}, {hint}")
         raise DataError(
-            f"{table.path}: no column '{lacking}'{nearest_free_column(lacking, robot, table)} (the robot description"
-            f" has '{instrument.name}': change this name there, or the column; 'calib init URDF --out robot.yaml'"
-            " writes a description)"
+            f"{lacking_column(lacking, robot, table)} (the robot description has '{instrument.name}': change this name"
+            " there, or the column; 'calib init URDF --out robot.yaml' writes a description)"
         )
     columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
     numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
@@ -65,7 +64,7 @@ def readings_in(
     texts: dict[str, list[str]] = {}
     for name in instrument.text_columns():
         if name not in table.names:
-            raise DataError(f"{table.path}: no column '{name}'{nearest_free_column(name, robot, table)}")
+            raise DataError(lacking_column(name, robot, table))
         every = table.text(name)
         texts[name] = [every[k] for k in some]
     belongs, pairs, details = instrument.parse_texts(texts, [f"{table.path}, line {table.lines[k]}" for k in some])
@@ -73,10 +72,10 @@ def readings_in(
     kept = some[mine]
     partly = np.argwhere(empty[kept])
     if len(partly):
-        k, c = partly[0]
+        k, column = partly[0][0], table.header(list(columns)[partly[0][1]])
         raise DataError(
-            f"{table.path}, line {table.lines[kept[k]]}, column '{list(columns)[c]}': is empty; fill it in, or leave"
-            f" all cells of '{instrument.name}' empty"
+            f"{table.path}, line {table.lines[kept[k]]}, column '{column}': is empty; fill it in, or leave all cells of"
+            f" '{instrument.name}' empty"
         )
     values = instrument.values({name: column[kept] for name, column in columns.items()})
     if not columns:  # it reads no numbers: one row of values serves all
@@ -108,7 +107,8 @@ def _is_labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArra
     texts, names = table.text(column), [other.name for other in group]
     for line, text in zip(table.lines, texts, strict=True):
         if text and text not in names:
-            raise DataError(f"{table.path}, line {line}, column '{column}': no {column} '{text}'{nearest(text, names)}")
+            where = f"{table.path}, line {line}, column '{table.header(column)}'"
+            raise DataError(f"{where}: no {column} '{text}'{nearest(text, names)}")
     return np.array([text == instrument.name for text in texts], dtype=bool)
 
 
@@ -139,13 +139,14 @@ def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatAr
         return None
     missing = next((name for name, _ in names if name not in table.names), None)
     if missing is not None:
-        raise DataError(f"{table.path}: no column '{missing}', but '{present[0]}'; give all standard deviations")
+        raise DataError(
+            f"{table.path}: no column '{missing}', but '{table.header(present[0])}'; give all standard deviations"
+        )
     std = np.stack([_column_of_readings(instrument, table, kept, name, dimension) for name, dimension in names], axis=1)
     if np.any(std <= 0):
         k, c = np.argwhere(std <= 0)[0]
-        raise DataError(
-            f"{table.path}, line {table.lines[kept[k]]}, column '{names[c][0]}': a standard deviation must be positive"
-        )
+        where = f"{table.path}, line {table.lines[kept[k]]}, column '{table.header(names[c][0])}'"
+        raise DataError(f"{where}: a standard deviation must be positive")
     correlation = np.tile(np.eye(len(names)), (len(kept), 1, 1))
     for name in correlated:
         i, j = correlation_columns(instrument)[name]
@@ -168,7 +169,7 @@ def _column_of_readings(
     if np.any(np.isnan(values)):
         line = table.lines[kept[int(np.argmax(np.isnan(values)))]]
         raise DataError(
-            f"{table.path}, line {line}, column '{name}': is empty; fill it in, as '{instrument.name}' read something"
-            " there"
+            f"{table.path}, line {line}, column '{table.header(name)}': is empty; fill it in, as '{instrument.name}'"
+            " read something there"
         )
     return values

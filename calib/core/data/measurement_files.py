@@ -3,12 +3,15 @@
 A file of measurements has one row for each visit: joint columns, and the columns of the instruments that read there.
 Cells of an instrument that are all empty mean that it read nothing. Measurements may also be spread over several files:
 those with joint columns give the visits, the others say by their `pose` column to which visit each of their rows
-belongs, many rows to one visit if need be (pixels, for instance).
+belongs, many rows to one visit if need be (pixels, for instance). Without such a column, rows belong to each other by
+their order, or by time, if the robot description asks for it (`join`); what was joined is logged as a warning (logger
+`calib`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -16,8 +19,8 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, InputError, listed_columns, require_known
+from calib.core.base.words import warn_once
 from calib.core.data.instrument_cells import columns_in, named_columns, readings_in
-from calib.core.data.joined_tables import join_by_pose_column
 from calib.core.data.joining import join_poses, join_readings
 from calib.core.data.measurement_columns import header, in_table_unit
 from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements
@@ -28,6 +31,7 @@ from calib.core.data.tables import Source, Table, is_columns
 from calib.core.instruments.kind import Instrument, Readings
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
+from calib.core.robots.terms.terms import condition_columns
 
 
 def robot_of_data(path: object, robot: RobotLike) -> Robot:
@@ -156,7 +160,8 @@ def _instruments_in(robot: Robot, table: Table, several: bool) -> list[Instrumen
 
 def _no_instrument(robot: Robot, table: Table) -> str:
     expected = "; ".join(dict.fromkeys(", ".join(named_columns(instrument)) for instrument in robot.instruments))
-    return f"has no column of any instrument; expected: {expected}; the file has {listed_columns(table.names)}"
+    there = listed_columns(list(map(table.header, table.names)))
+    return f"has no column of any instrument; expected: {expected}; the file has {there}"
 
 
 def format_measurements(robot: Robot, data: Measurements, comments: tuple[str, ...] = ()) -> str:
@@ -189,3 +194,69 @@ def format_positions(
                         in_table_unit(numbers[:, t, a], "length")
                     )
     return format_table(list(columns.items()), comments)
+
+
+_TIME = "time"
+
+
+def join_by_pose_column(tables: Sequence[Table], robot: Robot) -> list[Table]:
+    """Return tables that a column `pose` joins; it is added if the description asks to join by rows or by time.
+
+    Raises:
+        DataError: No table or several have joint values, numbers of rows differ, or there is no `time` near enough.
+    """
+    how, joints = robot.description.join, set(robot.commanded_names)
+    if how == "pose" or len(tables) == 1:
+        return list(tables)
+    leaders = [table for table in tables if joints <= set(table.names)]
+    if len(leaders) != 1:
+        raise DataError(f"{tables[0].path}: join: {how} needs one file with joint values, not {len(leaders)}")
+    every, leader = np.arange(len(leaders[0].rows)), leaders[0]
+    return [
+        _with_poses(table, every, every) if table is leader else _follower(table, leader, robot) for table in tables
+    ]
+
+
+def _follower(table: Table, leader: Table, robot: Robot) -> Table:
+    """The rows of a table that belong to rows of the leader; the number of the leader's row is the pose."""
+    if robot.description.join == "rows":
+        if len(table.rows) != len(leader.rows):
+            raise DataError(
+                f"{table.path}: has {len(table.rows)} rows, and {leader.path} has {len(leader.rows)}; join: rows needs"
+                " the same number"
+            )
+        warn_once(f"{table.path}: joined row by row with {leader.path}, as the description asks")
+        return _with_poses(table, np.arange(len(table.rows)), np.arange(len(table.rows)))
+    own, given = _times(table), _times(leader)
+    order = np.argsort(own)
+    place = np.searchsorted(own[order], given)
+    pair = order[np.clip([place - 1, place], 0, len(own) - 1)]
+    nearest = pair[np.argmin(np.abs(own[pair] - given), axis=0), np.arange(len(given))]
+    apart, lag = np.abs(own[nearest] - given), robot.description.lag
+    near = np.flatnonzero(apart <= lag)
+    if len(near) == 0:
+        raise DataError(
+            f"{table.path}: its times are {np.min(apart):.3g} s or more from those in {leader.path}, and 'lag' allows"
+            f" {lag:g} s; make their clocks agree, or give a larger 'lag' in the robot description"
+        )
+    warn_once(f"{table.path}: joined to {len(near)} of {len(given)} rows of {leader.path} by time, within {lag:g} s")
+    return _with_poses(table, nearest[near], near)
+
+
+def _times(table: Table) -> FloatArray:
+    if _TIME not in table.names:
+        raise DataError(f"{table.path}: no column 'time' to join by; name it so, or under 'columns' in the description")
+    return table.column(_TIME, condition_columns()[_TIME])
+
+
+def _with_poses(table: Table, rows: np.ndarray, poses: np.ndarray) -> Table:
+    """Some rows of a table, with a column `pose` of these numbers in place of its own, if it has one."""
+    others = [k for k, name in enumerate(table.names) if name != "pose"]
+    cells = [(*(table.rows[int(row)][k] for k in others), str(int(p) + 1)) for row, p in zip(rows, poses, strict=True)]
+    return replace(
+        table,
+        names=(*(table.names[k] for k in others), "pose"),
+        units=(*(table.units[k] for k in others), None),
+        rows=tuple(cells),
+        lines=tuple(table.lines[int(row)] for row in rows),
+    )

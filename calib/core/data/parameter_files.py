@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from calib.core.base.errors import DataError, ParameterError, nearest_column
+from calib.core.base.errors import DataError, ParameterError
 from calib.core.base.parameter import index_of
 from calib.core.base.units import per_si
 from calib.core.data.table_writing import format_table
@@ -31,10 +31,7 @@ def read_parameters(path: Path | str, robot: RobotLike, *, complete: bool = Fals
     table = read_table(path)
     for name in COLUMNS:
         if name not in table.names:
-            raise DataError(
-                f"{path}: no column '{name}'{nearest_column(name, table.names)}; a parameter file has the columns"
-                f" {', '.join(COLUMNS)}"
-            )
+            raise DataError(f"{table.lacks(name)}; a parameter file has the columns {', '.join(COLUMNS)}")
     values: dict[str, float] = {}
     rows = zip(table.text("parameter"), table.text("value"), table.text("unit"), table.lines, strict=True)
     for name, text, unit, line in rows:

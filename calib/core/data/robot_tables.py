@@ -59,7 +59,12 @@ def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | N
     text = ", ".join(f"{name} for {meant}" for name, meant in guessed.items())
     warn_once(f"{table.path}: took columns {text}; `columns` in the robot description says what they really are")
     halved = {guessed[name]: MappedColumn(guessed[name], None, factor=0.5) for name in spread}
-    return replace(table, names=tuple(guessed.get(name, name) for name in table.names), maps={**table.maps, **halved})
+    return replace(
+        table,
+        names=tuple(guessed.get(name, name) for name in table.names),
+        maps={**table.maps, **halved},
+        headers={**table.headers, **{meant: table.header(name) for name, meant in guessed.items()}},
+    )
 
 
 def _deviation_columns(robot: Robot, table: Table, guessed: Mapping[str, str]) -> dict[str, str]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest
-from calib.core.data.instrument_cells import labels_of_rows, nearest_free_column, setups_of
+from calib.core.data.instrument_cells import labels_of_rows, lacking_column, setups_of
 from calib.core.data.measurement_columns import APPROACH
 from calib.core.data.measurements import Poses, states_by_order
 from calib.core.data.tables import Table
@@ -110,11 +110,13 @@ def _joints_of_table(
             continue
         sensor = sensed.get(name)
         if sensor in reading and name in table.names:
-            raise DataError(f"{table.path}: column '{name}' and inclinometer '{sensor}' share a joint; leave one out")
+            raise DataError(
+                f"{table.path}: column '{table.header(name)}' and inclinometer '{sensor}' share a joint; leave one out"
+            )
         if name not in table.names and sensor is None:
             raise DataError(
-                f"{table.path}: no column '{name}'{nearest_free_column(name, robot, table)} (if your file has"
-                " another name for it, translate that name under 'columns' in the robot description)"
+                f"{lacking_column(name, robot, table)} (if your file has another name for it, translate that name under"
+                " 'columns' in the robot description)"
             )
         if name not in table.names and sensor not in reading:
             raise DataError(

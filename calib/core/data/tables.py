@@ -11,7 +11,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, TypeGuard, cast
@@ -85,6 +85,7 @@ class Table:
         comments: Comment lines without their #.
         separator: Separator of the cells.
         maps: Conversion from cells to values (factor, offset) of the columns that need one, by name.
+        headers: Names in the file of columns that are called otherwise here, by name.
     """
 
     path: str
@@ -95,6 +96,16 @@ class Table:
     comments: tuple[str, ...]
     separator: str
     maps: Mapping[str, MappedColumn] = field(default_factory=dict)
+    headers: Mapping[str, str] = field(default_factory=dict)
+
+    def header(self, name: str) -> str:
+        """Return the name of a column in the file, for messages."""
+        return self.headers.get(name, name)
+
+    def lacks(self, name: str, taken: Collection[str] = ()) -> str:
+        """Return the message on a column that is missing; of the columns here, those `taken` are not offered."""
+        hint = nearest_column(name, list(map(self.header, self.names)), set(map(self.header, taken)))
+        return f"{self.path}: no column '{name}'{hint}"
 
     def column(self, name: str, dimension: Dimension | None, *, gaps: bool = False) -> FloatArray:
         """Return a column of numbers in SI, (n_rows,).
@@ -108,11 +119,13 @@ class Table:
                 points.
         """
         if name not in self.names:
-            raise DataError(f"{self.path}: no column '{name}'{nearest_column(name, self.names)}")
+            raise DataError(self.lacks(name))
         index = self.names.index(name)
         if dimension is None and self.units[index] is not None:
-            raise DataError(f"{self.path}, column '{name}': has a unit, but is a pure number; remove the unit")
-        place = f"{self.path}, column '{name}'"
+            raise DataError(
+                f"{self.path}, column '{self.header(name)}': has a unit, but is a pure number; remove the unit"
+            )
+        place = f"{self.path}, column '{self.header(name)}'"
         divisor = 1.0 if dimension is None else per_si(self.units[index], dimension, place, DataError)
         values = self._numbers(index, gaps=gaps)
         if np.all(np.isnan(values)):
@@ -135,7 +148,7 @@ class Table:
     def text(self, name: str) -> list[str]:
         """Return a column as text, without blanks around it; one that is missing is a `DataError`."""
         if name not in self.names:
-            raise DataError(f"{self.path}: no column '{name}'{nearest_column(name, self.names)}")
+            raise DataError(self.lacks(name))
         index = self.names.index(name)
         return [self._name(text_of(cells[index].strip()), row, index) for row, cells in enumerate(self.rows)]
 
@@ -173,7 +186,7 @@ class Table:
             )
 
     def _where(self, row: int, index: int) -> str:
-        return f"{self.path}, line {self.lines[row]}, column '{self.names[index]}'"
+        return f"{self.path}, line {self.lines[row]}, column '{self.header(self.names[index])}'"
 
 
 def read_number(cell: str, where: str, separator: str = ",") -> float:
@@ -259,7 +272,7 @@ def read_table(
     first, separator = filled[0], separator_of(lines[filled[0] - 1])
     cells = {number: _cells(str(path), lines[number - 1], number, separator) for number in filled}
     header = cells.pop(first)
-    names, units, maps = _header(str(path), header, renamed or {})
+    names, units, maps, headers = _header(str(path), header, renamed or {})
     below = units_below(header, cells[filled[1]]) if cells else None
     if below:
         units = tuple(unit or other for unit, other in zip(units, below, strict=True))
@@ -272,7 +285,7 @@ def read_table(
     if not cells:
         raise DataError(f"{path}: has a header but no rows")
     rows = tuple(cells.values())
-    return Table(str(path), names, units, rows, tuple(cells), tuple(map(visible, comments)), separator, maps)
+    return Table(str(path), names, units, rows, tuple(cells), tuple(map(visible, comments)), separator, maps, headers)
 
 
 def _without_comments(lines: Sequence[str], above: int) -> tuple[list[str], list[int]]:
@@ -306,7 +319,7 @@ def _check_widths(path: str, rows: Mapping[int, Sequence[str]], width: int, head
 def _table_of_columns(
     path: str, columns: Sequence[tuple[str, Sequence[object]]], comments: tuple[str, ...], renamed: Mapping[str, str]
 ) -> Table:
-    names, units, maps = _header(path, tuple(header for header, _ in columns), renamed)
+    names, units, maps, headers = _header(path, tuple(header for header, _ in columns), renamed)
     lengths = {header: len(cells) for header, cells in columns}
     if len(set(lengths.values())) > 1:
         header = next(header for header, length in lengths.items() if length != len(columns[0][1]))
@@ -314,7 +327,7 @@ def _table_of_columns(
     rows = tuple(zip(*([_as_text(cell) for cell in cells] for _, cells in columns), strict=True))
     if not rows:
         raise DataError(f"{path}: has no rows")
-    return Table(path, names, units, rows, tuple(range(1, len(rows) + 1)), comments, ",", maps)
+    return Table(path, names, units, rows, tuple(range(1, len(rows) + 1)), comments, ",", maps, headers)
 
 
 def unique_headers(table: Columns) -> list[str]:
@@ -342,15 +355,16 @@ def _cells(path: str, line: str, number: int, separator: str) -> tuple[str, ...]
 
 def _header(
     path: str, cells: tuple[str, ...], renamed: Mapping[str, str]
-) -> tuple[tuple[str, ...], tuple[str | None, ...], dict[str, MappedColumn]]:
-    """Names and units of columns, and the meanings that a description gives to cells."""
-    names, units, maps = [], [], dict[str, MappedColumn]()
+) -> tuple[tuple[str, ...], tuple[str | None, ...], dict[str, MappedColumn], dict[str, str]]:
+    """Names and units of columns, the meanings that a description gives to cells, and the names in the file."""
+    names, units, maps, headers = [], [], dict[str, MappedColumn](), dict[str, str]()
     for number, cell in enumerate(cells, start=1):
         cell = text_of(cell.strip())
         name, unit = split_column(cell)
         known = renamed.get(cell, renamed.get(name))
         if known is not None:
             mapped = mapped_column(known)
+            headers[mapped.name] = name
             name, unit = mapped.name, mapped.unit if cell in renamed else unit or mapped.unit
             if not mapped.plain:
                 maps[name] = mapped
@@ -362,4 +376,4 @@ def _header(
     for name in names:
         if names.count(name) > 1:
             raise DataError(f"{path}: column '{name}' appears twice; names must be unique")
-    return tuple(names), tuple(units), maps
+    return tuple(names), tuple(units), maps, headers

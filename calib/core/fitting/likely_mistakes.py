@@ -30,9 +30,8 @@ from calib.core.base.words import count_noun, listing
 from calib.core.data.measurements import Measurements, with_points
 from calib.core.data.tables import read_table
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
-from calib.core.fitting.mistaken_readings import mistaken_readings
+from calib.core.fitting.mistaken_readings import Trial, joint_value_trials, mistaken_readings, some_visits
 from calib.core.fitting.photographed_points import photographed_points
-from calib.core.fitting.possible_mistakes import Trial, joint_value_trials, some_visits
 from calib.core.fitting.scaled_joints import joint_scales
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register

@@ -69,7 +69,7 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
         per_visit = sum(robot.instrument(name).n_rows for name in data.readings)
         needed = max(3, -(-(unknown + 1) // max(per_visit, 1)))
         raise DataError(
-            f"{data.path}: {len(data)} {'pose gives' if len(data) == 1 else 'poses give'} {rows} coordinates for"
+            f"{data.path}: {len(data)} {'pose gives' if len(data) == 1 else 'poses give'} {rows} measured values for"
             f" {unknown} unknowns without a prior; measure at least {needed} poses (several times that for a useful"
             " result)"
         )

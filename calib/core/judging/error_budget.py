@@ -271,7 +271,7 @@ def _advice(left: float, noise: float, beyond: CauseShare, source: str) -> str:
         )
     known = "repeatability (the scatter of repeats)" if source == "repeats" else "the stated noise"
     if left <= _AS_LARGE**2 * noise and beyond.mean_square + 2.0 * beyond.std <= _SURE * noise:
-        return f"The rest is as large as {known}; more modelling will not help"
+        return f"The rest is no larger than {known}; more modelling will not help"
     if beyond.mean_square > 2.0 * beyond.std and left > _AS_LARGE**2 * noise:
         return f"The rest is larger than {known}: more modelling may help, or the noise is larger than that"
     return f"Too few poses to tell whether the rest is larger than {known}"

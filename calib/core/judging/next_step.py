@@ -88,8 +88,7 @@ def next_step(fit: Fit) -> NextStep:
     open_answers = [answer for answer in answers if answer is not Answer.LOOK and answer not in done]
     if Answer.CORRECT in open_answers:  # other findings come from the mistake
         return _repeat_fit(fit, "correct the data or the description as the reasons say, and fit again")
-    data = fit.identification.data
-    if Answer.ADD_TERMS in open_answers and len(stretches(data, LEAST_POSES)) < LEAST_POSES:
+    if Answer.ADD_TERMS in open_answers and not _has_poses_for_terms(fit):
         open_answers = [Answer.OTHER_POSES if answer is Answer.ADD_TERMS else answer for answer in open_answers]
     if fit.convergence.receding_parameters:  # from every start
         open_answers = [Answer.OTHER_POSES if answer is Answer.TRY_STARTS else answer for answer in open_answers]
@@ -104,6 +103,10 @@ def next_step(fit: Fit) -> NextStep:
     if answers:
         return NextStep("look at the largest errors", f"calib view {ROBOT} --result {FOLDER}")
     return _use(fit)
+
+
+def _has_poses_for_terms(fit: Fit) -> bool:
+    return len(stretches(fit.identification.data, LEAST_POSES)) >= LEAST_POSES
 
 
 def _tried_answers(fit: Fit) -> set[Answer]:
@@ -129,7 +132,11 @@ def _repeat_fit(fit: Fit, aim: str, *words: str, folder: str = AGAIN, same_noise
 
 def _use(fit: Fit) -> NextStep:
     """The next step for a result without objections: it depends on the robot, and on what its files hold."""
-    if judge(fit).nothing_to_correct:
+    verdict = judge(fit)
+    if verdict.nothing_to_correct:
+        remarks = {reason.answer for reason in verdict.reasons} - _tried_answers(fit)
+        if Answer.ADD_TERMS in remarks and _has_poses_for_terms(fit):  # errors are left that no parameter describes
+            return _repeat_fit(fit, *_OPTIONS[Answer.ADD_TERMS])
         return NextStep("keep the nominal robot, and test it again later", f"calib verify {FOLDER} measured.csv")
     if own := result_use(fit.nominal.description):
         return NextStep(own.aim, own.command)

@@ -248,7 +248,7 @@ class System:
             )
         if self.freedom < 1:
             raise DataError(
-                f"{data.path}: {self.n_rows} measured coordinates are only enough to place base and"
+                f"{data.path}: {self.n_rows} measured values are only enough to place base and"
                 " targets; measure more poses"
             )
         return self

@@ -123,6 +123,18 @@ def repeatability(errors: ErrorSet) -> tuple[float, int]:
     return float(np.sqrt(squares / freedom)), freedom
 
 
+def doubtful_repeats(errors: ErrorSet) -> str:
+    """Return what repeats may show in place of repeatability, in words; empty if the robot surely left each pose."""
+    several = _pose_scatters(errors)
+    places = errors.data.places
+    if not several or any(np.ptp(places[scatter.visits]) >= len(scatter.visits) for scatter in several):
+        return ""
+    return (
+        "readings of a pose follow each other: if the robot did not leave the pose between them, RP is the scatter of"
+        " the instrument alone"
+    )
+
+
 def pose_error_over_repeatability(errors: ErrorSet, n_effective: float) -> tuple[float, float]:
     """Return the ratio of two noises of one reading, by the errors of pose means and by repeats, and its chance.
 
@@ -254,12 +266,8 @@ def _missing(
         result.append(f"{len(several)} repeated poses where ISO 9283 has five")
     if min(cycles) < CYCLES:
         result.append(f"{min(cycles)} cycles of a pose where ISO 9283 has {CYCLES}")
-    places = errors.data.places
-    if all(np.ptp(places[scatter.visits]) < len(scatter.visits) for scatter in several):
-        result.append(
-            "readings of a pose follow each other: if the robot did not leave the pose between them, RP is the scatter"
-            " of the instrument alone"
-        )
+    if doubt := doubtful_repeats(errors):
+        result.append(doubt)
     if not turned:
         result.append("no orientation was read: no AP and RP of angles")
     present = {figure.name for figure in figures}

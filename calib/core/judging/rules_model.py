@@ -11,7 +11,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, millimetres
-from calib.core.base.words import count_noun, joints_named, listing
+from calib.core.base.words import count_noun, joints_named, listing, significant
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import moved_frame
 from calib.core.judging import findings
@@ -231,12 +231,13 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
         return
     placed = ""
     if moved.errors is not None:
-        before, after = (millimetres(errors.rms("after")) for errors in (fit.validation, moved.errors))
-        placed = f". With the frame placed anew, the RMS error falls from {before:.3g} to {after:.3g} mm"
+        before, after = (significant(millimetres(e.rms("after"))) for e in (fit.validation, moved.errors))
+        placed = f". With the frame placed anew, the RMS error falls from {before} to {after} mm"
+    shift, angle = significant(millimetres(moved.shift)), significant(float(np.degrees(moved.angle)), 2)
     yield Code.FRAME_MOVED.says(
-        f"the tracker, the base or its frame probably moved between the two files, by {millimetres(moved.shift):.3g} mm"
-        f" and {np.degrees(moved.angle):.2g} deg: this explains all but {millimetres(moved.rms_after):.3g} mm"
-        f" RMS{placed}. Measure both from one place, or hold out poses of one file (--validate 0.25)"
+        f"the tracker, the base or its frame probably moved between the two files, by {shift} mm and {angle} deg: this"
+        f" explains all but {significant(millimetres(moved.rms_after))} mm RMS{placed}. Measure both from one place, or"
+        " hold out poses of one file (--validate 0.25)"
     )
 
 
@@ -252,8 +253,8 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
     if chance > UNLIKELY:
         evidence += f"{'; ' if evidence else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
         yield Code.NOTHING_TO_CORRECT.says(
-            f"nothing to correct: {evidence}. Measurements with {noise_in_words(fit.first_noise, fit.sigma)} of noise"
-            " show no error of the nominal robot"
+            f"nothing to correct: {evidence}. No error of the parameters shows beside the"
+            f" {noise_in_words(fit.first_noise, fit.sigma)} that are left"
         )
     elif entries and all(entry.after >= entry.before for entry in entries):
         yield Code.NO_GAIN.says(

@@ -124,7 +124,10 @@ def judge(fit: Fit) -> Verdict:
         reasons.insert(0, Code.LIKELY_MISTAKE.says(text, grade="FAIL" if gross else "CHECK"))
     if claim is not None and claim.holds and (claim.gain is Benefit.BETTER or no_correction):
         reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
-    reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.counted, reason.code != Code.FRAME_MOVED))
+    first = {Code.FRAME_MOVED}
+    if claim is not None and any(seen.without_outliers is not None for seen in claim.unused):
+        first.add(Code.OUTLIERS)  # the claim holds without them
+    reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.code not in first, reason.counted))
     grade = reasons[0].grade if reasons else "PASS"
     if grade == "FAIL":  # other findings say nothing about numbers that must not be used
         return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))

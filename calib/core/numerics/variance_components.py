@@ -47,10 +47,10 @@ _CONVERGED = 0.01  # the iteration of a shared error ends once it changes by les
 
 
 def require_freedom(freedom: float, n_rows: int) -> None:
-    """Raise `NotIdentifiableError` unless n_rows coordinates leave at least one degree of freedom."""
+    """Raise `NotIdentifiableError` unless n_rows measured values leave at least one degree of freedom."""
     if freedom < 1 - 1e-9:
         raise NotIdentifiableError(
-            f"{n_rows} measured coordinates for {n_rows - max(freedom, 0.0):.0f} parameters: too few to find the"
+            f"{n_rows} measured values for {n_rows - max(freedom, 0.0):.0f} parameters: too few to find the"
             " uncertainty of the result. Measure more poses"
         )
 

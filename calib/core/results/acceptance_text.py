@@ -16,9 +16,10 @@ from calib.core.judging.repeatability import CONDITIONS, IsoFigure, conditions
 from calib.core.numerics.chances import FALSE_ALARM
 
 _SHOWN, _WIDTH = 5, 120  # changes; characters of a line
+_APART = 0.1  # a ratio and a ratio of millimetres that are nearer, on both sides of 1, do not contradict each other
 _LARGEST = 1.0  # a change is too large for the linear model if its detectable size is larger [m or rad]
-_LARGER = "errors are larger than at the poses of the calibration"
-_PATTERN = "errors are no larger than at the poses of the calibration, but have the pattern of a change of the robot"
+_LARGER = "errors are larger than the calibration claims"
+_PATTERN = "errors are no larger than the calibration claims, but have the pattern of a change of the robot"
 _SENTENCES = {
     "agrees": "AGREES: the robot is as accurate as its calibration claims",
     "drifted": "DRIFTED: one change of the robot explains the readings",
@@ -157,12 +158,14 @@ def _errors(acceptance: Acceptance) -> list[str]:
         lines.append(
             f"Position errors over {count_noun(data.n_poses, 'pose')}: {rms:.4f} mm RMS,"
             f" {table['max']:.4f} mm at worst; expected{with_it}: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
-            f" uncertainty of the calibration {left_open:.4f} mm), at most {millimetres(acceptance.limit):.4f} mm"
+            f" uncertainty of the calibration {left_open:.4f} mm); by chance at most"
+            f" {millimetres(acceptance.limit):.4f} mm RMS"
         )
-        if rms <= promised < np.sqrt(2.0) * left_open and acceptance.ratio > 1.0 and acceptance.verdict != "agrees":
+        times = rms / promised
+        if (times > 1.0) != (acceptance.ratio > 1.0) and abs(times - acceptance.ratio) > _APART:
             lines.append(
-                "Judge by the ratio: most of the expected error lies in the few directions that the calibration leaves"
-                " uncertain. It hides errors in the others"
+                "Judge by the ratio: most of these millimetres lie in the few directions that the calibration leaves"
+                " uncertain, where chance makes them many or few. They hide errors in the others"
             )
     return lines
 
@@ -178,7 +181,8 @@ def _drift(acceptance: Acceptance) -> list[str]:
     interval = f"95 %: {low:+.4f} to {high:+.4f}"
     if acceptance.p_drift >= FALSE_ALARM / 2:
         largest = f"the largest, of {first.name}, has p = {acceptance.p_drift:.2g}"
-        return [f"No change stands out: {largest} (significant below {FALSE_ALARM / 2:g})"]
+        allowance = "Allowing for these common errors, no" if acceptance.has_unlike_poses else "No"
+        return [f"{allowance} change stands out: {largest} (significant below {FALSE_ALARM / 2:g})"]
     if acceptance.verdict != "drifted":
         rest = f"the rest has p = {acceptance.p_rest:.2g}"
         return [f"A change of {first.name} by {size}, {interval}, does not explain all of it: {rest}"]

@@ -118,6 +118,7 @@ class Description(Section):
     `obstacles` are what the robot must not touch, and parts of its tool; `self_clearance` is the distance that its
     links keep from each other; `sight` is from where a tracker sees the targets (`calib.core.robots.surroundings`).
     `traceability` is where the measurements come from, for a certificate (`calib.core.robots.traceability`).
+    `in_use` has parameters as the controller has them now, if they were computed from the same measurements.
     `tolerance` is how far the tool may be off, 95 % of the time: a verdict compares its claim with it [m].
     `join` says what joins files without joint values to those with them: the column `pose`, the order of rows, or the
     nearest `time`, at most `lag` away [s].
@@ -159,6 +160,7 @@ class Description(Section):
     model: str | None = None
     priors: bool = True
     prior: dict[str, Quantity] = Field(default_factory=dict)
+    in_use: dict[str, Quantity] = Field(default_factory=dict)
     sigma: PositionSigma | None = None
     tolerance: PositiveLength | None = None
     obstacles: Obstacles | None = None

@@ -46,16 +46,31 @@ def build_parametrisation(
     """
     plain = _without_names(description, urdf, mechanism, places, where)
     parameters = list(plain.parameters)
-    for name, sigma in description.prior.items():
-        try:
-            place = index_of(parameters, name, f"{where}: prior")
-            sigma_si = quantity(sigma, parameters[place].dimension, f"{where}: prior of '{name}'")
-        except InputError as error:
-            raise DescriptionError(str(error)) from None
+    _indexed_values(description.in_use, parameters, f"{where}: in_use")
+    for place, sigma_si in _indexed_values(description.prior, parameters, f"{where}: prior").items():
         if sigma_si <= 0:
+            name = parameters[place].name
             raise DescriptionError(f"{where}: prior of '{name}': sigma must be positive; 'held' keeps it at nominal")
         parameters[place] = replace(parameters[place], sigma_si=sigma_si, prior=True)
     return ParametrisationStack((plain,), tuple(parameters)) if description.prior else plain
+
+
+def _indexed_values(given: Mapping[str, object], parameters: Sequence[Parameter], where: str) -> dict[int, float]:
+    """Numbers that a description gives to parameters [SI], by the index of each; `DescriptionError` if one is wrong."""
+    numbers = {}
+    for name, value in given.items():
+        try:
+            place = index_of(parameters, name, where)
+            numbers[place] = quantity(value, parameters[place].dimension, f"{where} of '{name}'")
+        except InputError as error:
+            raise DescriptionError(str(error)) from None
+    return numbers
+
+
+def robot_in_use(robot: SomeRobot) -> SomeRobot:
+    """Return the robot as its controller computes it now, by the key `in_use` of its description."""
+    numbers = _indexed_values(robot.description.in_use, robot.parameters, f"{robot.path}: in_use")
+    return robot.with_parameters({robot.parameters[place].name: value for place, value in numbers.items()})
 
 
 def _without_names(

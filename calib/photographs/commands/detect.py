@@ -23,7 +23,7 @@ from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.opencv import GreyImage
 from calib.photographs.pages import Picture, figure, small_copy
 from calib.photographs.scene import scene_of
-from calib.pictures import answer
+from calib.pictures import installed
 
 
 @click.command("detect")
@@ -66,7 +66,7 @@ def command(
         ]
         figures = [(-1, figure(picture)) for picture in pictures]
         title = f"Photographs of a board: {detection.board}"
-        output.write(page_file, answer(detection, title, "\n".join(lines), figures))
+        output.write(page_file, installed("--page").answer(detection, title, "\n".join(lines), figures))
     for line in lines:
         output.say(line)
     output.say(f"Written to {out}")

@@ -35,7 +35,7 @@ from calib.photographs.pose_pairs import PosePairs, solve_pairs
 from calib.photographs.pose_pairs_result import content_of_pairs, judge_pairs, report_pairs
 from calib.photographs.scene import Mount, scene_of
 from calib.photographs.tool_poses import ANGLES, image_names, match_images, pose_columns, poses_of, read_tool_poses
-from calib.pictures import answer
+from calib.pictures import installed
 
 _NO_POSES = (
     "give the pose of the tool at each image with --poses FILE; or photographs in a bag with joint states, and"
@@ -301,4 +301,4 @@ def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedIma
     text = f"Arrows: from where points were found to where they should be, {factor:g} times as long"
     numbers = [*range(len(scene)), *[-1] * len(off)]  # outlying images belong to no mark of a plot
     figures = [(number, figure(picture)) for number, picture in zip(numbers, pictures, strict=True)]
-    return answer(result, "Hand-eye calibration", f"{report(result, frames)}\n{text}", figures)
+    return installed("--html").answer(result, "Hand-eye calibration", f"{report(result, frames)}\n{text}", figures)

@@ -15,7 +15,7 @@ from calib.core.commands.common import SIGMA_HELP, Output, different_poses, load
 from calib.core.data.measurement_files import read_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.data.plan_files import read_plan
-from calib.pictures import Live, live
+from calib.pictures import Live, installed
 from calib.planning.progress import LEAST, Progress
 from calib.planning.watch import CANDIDATES, GrowingFile, Watch
 
@@ -90,7 +90,7 @@ def command(
         output.remarks(watch.notes)
         return
     output.remarks(watch.notes)
-    viewer = live(model) if view else None
+    viewer = installed("--view").live(model) if view else None
     try:
         _follow(watch, GrowingFile(file, model), every, viewer, output)
     except KeyboardInterrupt:

@@ -1,7 +1,7 @@
 """The common parts of controllers' languages: expressions, assignments, calls, data and moves.
 
 A subclass for each language defines its assignments, known routines and settings, and the form of targets, tools and
-frames. Reading records which data are set or decide the path (`data_uses`), and the steps of each routine
+frames. Reading records which data are set or decide the path (`DataUses`), and the steps of each routine
 (`control_flow`). Then all paths are followed, and each move is processed with the settings that hold there.
 
 A routine that is neither declared nor known to be harmless may set its arguments, the data that it can see, and every

@@ -6,9 +6,9 @@ import numpy as np
 from exchange import Answer, Photographs, fit_time, main
 
 import calib
+from calib.photographs.estimation import rms
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import judge
-from calib.photographs.left_out_images import rms
 from calib.photographs.scene import BoardScene
 
 

@@ -11,14 +11,18 @@ from rich.table import Table
 from calib.core.base.units import ERROR_UNIT, error_scale
 from calib.core.base.words import text_table
 from calib.core.fitting.error_sets import STATES, ErrorSet, error_table
+from calib.core.fitting.fit import errors_on
 from calib.core.fitting.fitted import Fit
+from calib.core.fitting.moved_frame import validation_errors
 from calib.core.instruments.kind import Part
 from calib.core.judging.claim import Claim
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
+from calib.core.robots.parametrisation import robot_in_use
 
 NAMES = {"cross_validation": "left out in turn"}
 """Display names of sets of poses."""
-_JUDGED_BY = ("validation", "left out in turn", "identification")
+_PLACED_ANEW = "validation, frame placed anew"
+_JUDGED_BY = (_PLACED_ANEW, "validation", "left out in turn", "identification")
 
 
 def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
@@ -31,9 +35,27 @@ def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
     return sets
 
 
+def shown_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
+    """Return the sets by their display names.
+
+    Validation poses whose frame moved have it placed anew. Settings in use were computed from the poses used: their
+    errors there come last.
+    """
+    placed = validation_errors(fit)
+    sets = [
+        (_PLACED_ANEW, placed)
+        if errors is fit.validation and placed is not None and placed is not errors
+        else (NAMES.get(name, name), errors)
+        for name, errors in error_sets(fit)
+    ]
+    if fit.nominal.description.in_use:
+        sets.append(("settings in use", errors_on(robot_in_use(fit.placed), fit.robot, fit.identification.data)))
+    return sets
+
+
 def judging_errors(fit: Fit) -> tuple[str, ErrorSet]:
     """Return the decisive errors, at unused poses if there are any, and the name of their poses."""
-    sets = {NAMES.get(name, name): errors for name, errors in error_sets(fit)}
+    sets = dict(shown_sets(fit))
     name = next(name for name in _JUDGED_BY if name in sets)
     return name, sets[name]
 
@@ -41,7 +63,7 @@ def judging_errors(fit: Fit) -> tuple[str, ErrorSet]:
 def accuracy_grids(fit: Fit) -> list[Grid]:
     """Return a table for each part that was read: each set before and after calibration."""
     sets: list[tuple[str, ErrorSet, Sequence[str]]]
-    sets = [(NAMES.get(name, name), error_set, STATES) for name, error_set in error_sets(fit)]
+    sets = [(name, error_set, STATES) for name, error_set in shown_sets(fit)]
     if fit.with_all is not None:
         sets.append(("with outliers", fit.with_all.identification, STATES[1:]))
     parts = dict.fromkeys(part for _, error_set, _ in sets for _, part, _ in error_set.parts())
@@ -74,16 +96,16 @@ def change_text(fit: Fit, claim: Claim | None) -> Table:
     """Return the error (RMS) before and after: a line for each part of each set of poses, and the claim of the fit."""
     heading = "error before -> after"
     table = text_table((heading, "poses", "RMS", "95 %", "largest"), (heading,), plain=True)
-    parts = dict.fromkeys(part for _, errors in error_sets(fit) for _, part, _ in errors.parts())
+    parts = dict.fromkeys(part for _, errors in shown_sets(fit) for _, part, _ in errors.parts())
     for part in parts:
-        for label, error_set in error_sets(fit):
+        for label, error_set in shown_sets(fit):
             errors = [error_set.errors(state, part.name) for state in STATES]
             if not all(len(sizes) for sizes in errors):
                 continue
             tables = [error_table(sizes, part) for sizes in errors]
             pairs = [[cast(float, summary[key]) for summary in tables] for key in ("rms", "p95", "max")]
             cells = [" -> ".join(f"{value:.4f}" for value in pair) for pair in pairs]
-            name = f"{part.name} [{ERROR_UNIT[part.dimension]}], {NAMES.get(label, label)}"
+            name = f"{part.name} [{ERROR_UNIT[part.dimension]}], {label}"
             table.add_row(name, str(error_set.data.n_poses), *cells)
     if claim is not None and np.isfinite(claim.at_measured_poses.limit95):
         measured, scale = claim.at_measured_poses, error_scale(claim.at_measured_poses.dimension)

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from calib.core.base.units import ERROR_UNIT, error_scale
+from calib.core.base.words import significant
 from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
 from calib.core.judging.error_budget import NOISE, PLACES, REST, UNEXPLAINED, CauseShare, ErrorBudget
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 
 _FINEST = 1e-3  # a page shows digits down to this part of the whole mean square
-_NOT_SEEN = "none to be seen"
-"""Remark in place of a mean square that is negative by chance."""
+_NOT_SEEN, _LESS = "none to be seen", "none: less is left than the noise"
+"""Remarks in place of a mean square that is negative, by chance, or because the stated noise is too large."""
 
 
 def budget_table(fit: Fit) -> dict[str, Any] | None:
@@ -30,13 +31,14 @@ def budget_table(fit: Fit) -> dict[str, Any] | None:
 
     def row(cause: str, mean_square: float, std: float) -> dict[str, object]:
         positive = mean_square >= 0.0
+        surely = _LESS if cause == UNEXPLAINED else "makes it larger"
         return {
             "cause": cause,
             "mean_square": scale**2 * mean_square,
             "std": scale**2 * std,
             "rms": scale * math.sqrt(mean_square) if positive else math.nan,
             "share": mean_square / budget.before if positive and budget.before > 0 else math.nan,
-            "remark": "" if positive else "makes it larger" if mean_square < -2.0 * std else _NOT_SEEN,
+            "remark": "" if positive else surely if mean_square < -2.0 * std else _NOT_SEEN,
         }
 
     return {
@@ -78,7 +80,7 @@ def budget_grid(fit: Fit) -> Grid | None:
         (
             row["cause"],
             GridNumber(row["rms"]),
-            square(math.nan if row["remark"] == _NOT_SEEN else row["mean_square"], row["std"]),
+            square(math.nan if row["remark"] in (_NOT_SEEN, _LESS) else row["mean_square"], row["std"]),
             square(row["std"], row["std"]),
             row["remark"] or f"{100 * row['share']:.1f} %",
         )
@@ -111,7 +113,7 @@ def worst_joint(fit: Fit) -> str:
         return ""
     percent = [100 * np.array([one.mean_square, 1.96 * one.std]) / budget.before for one in joints[:2]]
     words = [
-        f"{one.cause} {float(f'{part:.2g}'):g} % ± {float(f'{half:.2g}'):g} %"  # 150, not 1.5e+02
+        f"{one.cause} {significant(part, 2)} % ± {significant(half, 2)} %"
         for one, (part, half) in zip(joints, percent, strict=False)
     ]
     lowest, next_part = percent[0][0] - percent[0][1], percent[1][0] if percent[1:] else 0.0

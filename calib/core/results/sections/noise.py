@@ -9,7 +9,7 @@ import numpy as np
 from calib.core.base.units import ERROR_UNIT, error_scale, millimetres, quantity_text
 from calib.core.base.words import count_noun
 from calib.core.fitting.fitted import Fit
-from calib.core.judging.repeatability import repeat_table, repeatability
+from calib.core.judging.repeatability import doubtful_repeats, repeat_table, repeatability
 from calib.core.results.sections.accuracy import error_sets
 
 
@@ -123,11 +123,12 @@ def repeat_lines(fit: Fit) -> list[str]:
         lines.append(f"Scatter of the repeats: {millimetres(scatter):.4g} mm per axis")
     for name, errors in (("used", fit.identification), ("not used", fit.validation)):
         table = None if errors is None else repeat_table(errors)
-        if table is not None:
+        if errors is not None and table is not None:
             (before, after), again = table["pose_accuracy"].values(), table["pose_repeatability"]
+            doubt = doubtful_repeats(errors)
             lines.append(
                 f"ISO 9283-style, {count_noun(table['n_poses'], 'pose')} {name}: accuracy AP {before['mean']:.3f} mm"
                 f" before, {after['mean']:.3f} after (largest {after['max']:.3f}); repeatability RP {again['mean']:.3f}"
-                f" mm (largest {again['max']:.3f})"
+                f" mm (largest {again['max']:.3f}){doubt and f'; {doubt}'}"
             )
     return lines

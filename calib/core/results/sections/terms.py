@@ -11,7 +11,7 @@ from calib.core.fitting.terms.candidate_terms import TermTrial, why_term_unknown
 from calib.core.fitting.terms.joint_curves import joint_curves
 from calib.core.robots.terms.terms import TERMS
 
-_NONE = "none, because the measurements show none"
+_NONE = "none, because none improves the prediction of poses left out"
 
 
 def terms_table(fit: Fit) -> dict[str, object]:

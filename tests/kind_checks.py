@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
 from calib.core.instruments.position import Position
+from calib.core.rows.jacobian import linearise
 from calib.core.rows.observed import observe, predict_readings
 
 _STEP = 1e-4
@@ -62,6 +63,18 @@ def chain_error(robot, q, readings):
             assert error <= 1e-6, f"{name}, {[robot.parameters[k].name for k in some]}: {error}"
             worst = max(worst, error)
     return worst
+
+
+def assert_terms_move_positions_as_differences_say(robot, q, context=None):
+    """Derivatives of positions by coefficients of joint terms, to a millionth of the largest; returns the Jacobian."""
+    jacobian = linearise(robot, robot.assemble(q, context=context)).jacobian
+    for k in range(*robot.coefficients.indices(len(robot.values))):
+        change = 1e-5 * (np.arange(len(robot.values)) == k)
+        more, less = (robot.with_parameters(robot.values + s * change).positions(q, context) for s in (1, -1))
+        difference = (more - less) / 2e-5
+        within = 1e-6 * np.abs(difference).max() + 1e-9  # differences lose digits in entries that are small
+        assert np.allclose(jacobian[..., k], difference, rtol=0, atol=within), robot.parameters[k].name
+    return jacobian
 
 
 def brought(robot, q, points):

@@ -492,7 +492,7 @@ def _(shop):
     return Situation(there, shop.good, r"(\d+) of (\d+) readings are copies", (40, 120))
 
 
-@situation(Code.ZERO_READINGS)
+@situation(Code.ZERO_READINGS, "FAIL")
 def _(shop):
     """Among readings that no correction of one mistake brings right."""
     points = noisy(shop.truth, joints(80), SIGMA, 1).points(shop.arm).copy()
@@ -501,7 +501,7 @@ def _(shop):
     return Situation(robust, shop.good, r"(\d) poses were read at exactly 0, 0, 0.*row 7, row 9", (2,))
 
 
-@situation(Code.EQUAL_COLUMNS)
+@situation(Code.EQUAL_COLUMNS, "FAIL")
 def _(shop):
     """One of two targets was exported with the same column twice; the fit does without it."""
     arm = shop.robot(YAML.replace("  ball:", "  other: {frame: l6, xyz: [0, -40 mm, 90 mm]}\n  ball:") + FREE)
@@ -514,7 +514,7 @@ def _(shop):
     return Situation(*fits, "columns ball_x and ball_y are equal in every row")
 
 
-@situation(Code.REPEATABILITY)
+@situation(Code.REPEATABILITY, "CHECK")
 def _(shop):
     """60 poses of three readings each, which scatter by 10 um about what is 50 um off."""
     fits = []

@@ -186,16 +186,6 @@ def test_sampled_poses_can_be_taken_and_stay_within_limits(medrue):
         assert poses.joints[:, k].max() <= joints[name].upper
 
 
-def test_a_sliding_joint_without_limits_cannot_be_sampled(tmp_path):
-    yaml = write_arm(tmp_path)
-    urdf = (tmp_path / "arm.urdf").read_text()
-    arm = calib.load(yaml)
-    assert len(sample(arm, 5, np.random.default_rng(0))) == 5
-    (tmp_path / "arm.urdf").write_text(urdf.replace('<limit lower="0" upper="1" effort="1" velocity="1"/>', ""))
-    with pytest.raises(calib.CalibrationError):
-        sample(calib.load(yaml), 5, np.random.default_rng(0))
-
-
 @pytest.mark.parametrize("sigmas", [("1000 m", "0.001 mm"), ("0.001 mm", "1000 m")])
 def test_no_expected_error_hides_what_moves_the_target(tmp_path, sigmas):
     """Ranks and groups are facts of mechanism and poses, however far apart the expected errors are."""

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -458,11 +459,7 @@ def test_command_gives_poses_for_controllers_that_take_them(tmp_path, calibrated
     ("text", "options", "code", "message"),
     [
         ("a,b\n1,2\n", (), 2, "no position columns"),
-        (f"{JOINTS}\n", (), 2, "no rows"),
-        ("", (), 2, "is empty"),
         (f"{JOINTS}\n0,0,0,0,0,x\n", (), 2, "line 2, column 'joint_6'"),
-        (f"{JOINTS}\n0,0,0,0,0,\n", (), 2, "column 'joint_6': is empty"),
-        (f"{JOINTS}\n0,0,0,0,0,nan\n", (), 2, "is not finite"),
         ("joint_1,joint_2\n0,0\n", (), 2, "no column 'joint_3'"),
         (f"joint_1,{NAMES}\n0,1,1,1\n", (), 2, "none for joint 'joint_2'; give all joints, or none"),
         (f"{JOINTS} [mm]\n0,0,0,0,0,0\n", (), 2, "column 'joint_6'"),
@@ -500,29 +497,11 @@ def test_a_result_folder_is_a_robot_and_something_else_needs_one(tmp_path, calib
     assert "is not a result folder; give that as ROBOT, or with --result DIR" in outcome.output
 
 
-@pytest.mark.parametrize("what", ["missing", "of another robot", "failed", "without the fit"])
-def test_wrong_results_are_refused(tmp_path, calibrated, what):
-    folder, robot, code = tmp_path / "result", EXAMPLES / "arm.yaml", 2
-    if what != "missing":
-        folder.mkdir()
-        for file in calibrated.iterdir():
-            (folder / file.name).write_bytes(file.read_bytes())
-    if what == "of another robot":
-        robot = write_six_axis(tmp_path)
-    if what == "failed":
-        code = 3
-        with_verdict(folder, "FAIL", "it was wrong")
-    if what == "without the fit":
-        (folder / "fit.npz").unlink()
-    joints = "j1,j2,j3,j4,j5,j6" if what == "of another robot" else JOINTS
-    outcome = run(tmp_path, f"{joints}\n0,0,0.3,0,0.5,0\n", robot=robot, result=folder)
-    message = {
-        "missing": "holds no result",
-        "of another robot": "result of another robot",
-        "failed": "it was wrong",
-        "without the fit": "(fit.npz of a later one is missing); run the fit again",
-    }[what]
-    assert (outcome.exit_code, message in outcome.output) == (code, True), outcome.output
+def test_a_failed_result_compensates_nothing(tmp_path, calibrated):
+    shutil.copytree(calibrated, tmp_path / "failed")
+    with_verdict(tmp_path / "failed", "FAIL", "it was wrong")
+    outcome = run(tmp_path, f"{JOINTS}\n0,0,0.3,0,0.5,0\n", result=tmp_path / "failed")
+    assert (outcome.exit_code, "it was wrong" in outcome.output) == (3, True), outcome.output
 
 
 @pytest.mark.quick(0)

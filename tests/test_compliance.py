@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from kind_checks import assert_terms_move_positions_as_differences_say
 
 import calib
 from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.core.robots.terms.term import Context
-from calib.core.rows.jacobian import linearise
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 G = 9.81
@@ -132,14 +132,7 @@ def test_columns_agree_with_central_differences(machine):
     q = poses(robot, 6, 1)
     values = robot.values.copy()
     values[robot.coefficients] = 3e-4
-    bent = robot.with_parameters(values)
-    jacobian = linearise(bent, bent.assemble(q)).jacobian
-    for k in range(*robot.coefficients.indices(len(values))):
-        change = np.zeros_like(values)
-        change[k] = STEP
-        more, less = (bent.with_parameters(values + sign * change).positions(q) for sign in (1, -1))
-        difference = (more - less) / (2 * STEP)
-        assert np.allclose(jacobian[..., k], difference, rtol=0, atol=1e-6 * max(1.0, np.abs(difference).max()))
+    assert_terms_move_positions_as_differences_say(robot.with_parameters(values), q)
 
 
 def test_compliance_is_recovered_from_data_of_other_code(machine):

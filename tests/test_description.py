@@ -5,7 +5,7 @@ import pytest
 from small_robots import ARM_URDF, ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 
 import calib
-from calib.core.base.errors import InputError, UrdfError
+from calib.core.base.errors import InputError
 from calib.core.robots.description import read_description
 
 
@@ -148,13 +148,6 @@ def test_files_that_cannot_be_read_are_errors(tmp_path):
     assert complaint(path) == "is not UTF-8 text; give a robot description (YAML) or a URDF in UTF-8"
 
 
-def test_a_missing_urdf_is_an_error_that_names_it(tmp_path):
-    path = write_arm(tmp_path)
-    (tmp_path / "arm.urdf").unlink()
-    with pytest.raises(UrdfError, match=r"arm\.urdf: no such file"):
-        calib.load(path)
-
-
 URDF_MISTAKES = {
     "actuated": ("[turn,", "[turm,", "name_mot: no joint 'turm'; did you mean 'turn'?"),
     "fixed actuated": ("[turn,", "[flange,", "name_mot: joint 'flange' is fixed, it does not move"),
@@ -225,15 +218,6 @@ def test_names_that_a_joint_has_already_get_other_origins(tmp_path):
 def parallelogram(tmp_path, old="", new="", **options):
     assert PARALLELOGRAM_YAML.count(old) >= 1
     return write_parallelogram(tmp_path, PARALLELOGRAM_YAML.replace(old, new, 1), **options)
-
-
-def test_a_loop_closes_in_the_directions_that_the_description_names(tmp_path):
-    robot = calib.load(parallelogram(tmp_path))
-    a = np.linspace(0.2, 2.9, 7)
-    assert robot.passive_names == ("c", "b")
-    assert np.abs(robot.assemble(a[:, None]).passive - np.stack([a, -a], axis=1)).max() < 1e-12  # the loops' tolerance
-    expected = np.stack([0.5 * np.cos(a) + 0.5, 0.5 * np.sin(a), 0 * a], axis=1)
-    assert np.abs(robot.positions(a[:, None])[:, 0] - expected).max() < 1e-12
 
 
 @pytest.mark.parametrize("axes", ["[x, y, rz]", "[rz, y, x]"])

@@ -104,6 +104,7 @@ def test_one_change_that_explains_little_is_told_beside_what_it_leaves(commands)
     assert name in ("slide.x", "flange.z")
     assert float(p) < 0.005
     assert "does not explain" not in texts["alone"]
+    assert [commands.verified[name].verdict for name in ("two", "alone")] == ["calibrate again", "drifted"]
     largest = re.search(r"No change stands out: the largest, of \S+, has p = (\S+) \(sig", texts["agrees"])[1]
     assert float(largest) >= 0.005
 
@@ -113,6 +114,7 @@ def test_millimetres_do_not_count_what_was_left_out(commands):
     said = r"over (\d+) poses: ([\d.]+) mm RMS, ([\d.]+) mm at worst"
     assert "Left out, further off than noise explains: pose 7" in commands.verify_texts["slip"]
     assert "Left out" not in commands.verify_texts["agrees"]
+    assert [commands.verified[name].verdict for name in ("slip", "agrees")] == ["agrees", "agrees"]
     kept = np.delete(np.arange(25), 7)
     q = joints(25, 7)
     errors = commands.fit.robot.positions(q)[kept, 0] - measured(commands.truth, q, 7).points(commands.truth)[kept, 0]

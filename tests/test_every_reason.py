@@ -36,6 +36,7 @@ def test_a_reason_is_said_where_it_is_true_and_not_without_its_cause(shop, code)
         (reason,) = (reason for reason in made.there.verdict.reasons if reason.code == code)
         assert (made.there.verdict.grade, reason.grade) == (GRADES[code], GRADES[code])
         assert GRADES[code] != "PASS" or (reason.counted and made.there.verdict.claim.holds)
+        assert GRADES[code] != "FAIL" or made.there.verdict.claim is None  # such numbers must not be used
 
 
 @pytest.mark.parametrize(

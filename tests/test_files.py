@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -295,39 +294,6 @@ def test_a_disk_without_room_leaves_the_old_result_and_nothing_else(tmp_path):
     assert trouble == ""
     assert said.count("cannot be written (file too large)") == 2
     assert tree(tmp_path) == before
-
-
-FULL = """
-import sys
-from calib.core.base.errors import InputError
-from calib.core.base.files import write_folder
-refused, full = 0, b"n" * int(sys.argv[2])
-for size in range(0, 2 * len(full), 3000):
-    try:
-        write_folder(sys.argv[1] + "/out", {"a": b"n" * size, "b": b"n" * size})
-    except InputError as error:
-        assert "no space left on device" in str(error), error
-        refused += 1
-print(refused)
-"""
-
-
-def test_a_full_disk_leaves_the_old_result_and_nothing_else(tmp_path):
-    """A real one, of 256 kB, where this user may mount one."""
-    mounted = shutil.which("mount") and subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], capture_output=True
-    )
-    if not mounted or mounted.returncode:
-        pytest.skip("no file system can be mounted here")
-    try:
-        said, trouble = in_process(FULL, tmp_path, 200_000).communicate()
-        assert trouble == ""
-        assert int(said) > 50
-        seen = tree(tmp_path)
-        assert sorted(seen) == ["out", "out/a", "out/b"]
-        assert seen["out/a"] == seen["out/b"]
-    finally:
-        subprocess.run(["umount", tmp_path], check=True)
 
 
 READ_ONLY = """

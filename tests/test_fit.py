@@ -174,21 +174,6 @@ def test_a_failed_fit_leaves_no_calibrated_robot(failed, tmp_path):
     np.testing.assert_allclose(seen.values, failed.robot.values)
 
 
-@pytest.mark.quick(0)
-def test_a_forced_export_says_so_inside(failed, tmp_path):
-    save(failed, tmp_path / "out", force=True)
-    assert read_content(tmp_path / "out")["verdict"]["forced"] is True
-    urdf = (tmp_path / "out" / "calibrated.urdf").read_text()
-    assert "verdict: FAIL, exported by force" in urdf
-    assert "the limit of evaluations was reached" in urdf
-    (tmp_path / "out" / "arm.yaml").write_text((YAML + FREE).replace("arm.urdf", "calibrated.urdf"))
-    again = calib.load(tmp_path / "out" / "arm.yaml")
-    q = joints(5)
-    np.testing.assert_allclose(again.positions(q), failed.robot.positions(q), atol=1e-12)
-    assert load_result(tmp_path / "out", failed.nominal).robot.name == "six axes"
-
-
-@pytest.mark.quick(0)
 def test_an_old_calibrated_robot_does_not_stay_beside_a_failed_result(good, failed, tmp_path):
     save(good, tmp_path / "out", pages={"report.html": b"of the old fit"})
     (tmp_path / "out" / "notes.txt").write_text("mine")

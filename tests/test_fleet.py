@@ -223,7 +223,6 @@ def test_bad_input_is_one_line_that_says_what_to_do(results, tmp_path):
     for arguments, said in (
         ((first,), "1 result given; give those of two or more robots"),
         ((first, first), "is given twice"),
-        ((first, folder), "holds no result"),
         ((first, folder / "arm.yaml"), "arm.yaml: holds no result"),
         ((first, folder / "nowhere"), "nowhere: holds no result"),
         ((first, second, "--out", tmp_path / "fleet.json"), "ends in .yaml"),

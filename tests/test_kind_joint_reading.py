@@ -196,20 +196,6 @@ def test_an_encoder_must_not_be_called_as_a_motor(tmp_path, run_calib):
     assert "instruments.turn: its column 'turn' is that of a joint; rename the instrument" in run.err
 
 
-@pytest.mark.parametrize(
-    ("header", "said"),
-    [
-        ("elbw [deg]", "has no column of any instrument; expected: elbow"),
-    ],
-)
-def test_files_that_cannot_be(tmp_path, run_calib, header, said):
-    robot = five_bar(tmp_path)
-    (tmp_path / "data.csv").write_text(f"left_motor,right_motor,{header}\n2.2,0.94,-80\n2.3,0.9,-82\n")
-    run = run_calib("fit", robot.path, tmp_path / "data.csv", "--out", tmp_path / "out")
-    assert run.code == 2
-    assert said in run.err
-
-
 def test_an_encoder_alone_of_an_arm_determines_nothing_and_says_so(tmp_path, run_calib):
     """What an encoder of a commanded joint reads depends on no link."""
     encoder = "instruments:\n  encoder: {kind: joint_reading, joint: turn, sigma: 0.1 mrad}\n"

@@ -284,7 +284,6 @@ def test_two_cameras_share_the_columns_of_a_long_file_and_see_one_body(tmp_path)
         ("pose,point,px_u,px_v", "v0,p1,1,2", "no column 'camera', which tells left and right apart"),
         ("pose,camera,px_u,px_v", "v0,left,1,2", "no column 'point'"),
         ("pose,camera,point,px_u [mm],px_v", "v0,left,p1,1,2", "unit 'mm' is for a length"),
-        ("pose,camera,point,px_u,px_v", "v0,left,p1,1,", "line 2, column 'px_v': is empty"),
         ("pose,camera,point,px_u,px_v", "w0,left,p1,1,2", "no file with joint values has a pose 'w0'"),
     ],
 )
@@ -332,7 +331,6 @@ def test_descriptions_that_cannot_be(tmp_path, run_calib, edit, said):
     [
         ("point,x [mm],y [mm],z [mm]\na,1,2,3\na,1,2,4\n", "line 3: point 'a' comes twice"),
         ("point,x,y,z\na,1,2\n", "line 2: 3 cells for 4 columns"),
-        ("point,x,y,z\na,1,2,b\n", "line 2, column 'z': 'b' is not a number"),
         ("point,x [deg],y,z\na,1,2,3\n", "column 'x': unit 'deg' is for an angle"),
         ("point,x,y,z\n", "has no points"),
     ],

@@ -97,18 +97,6 @@ def test_the_view_of_poses_follows_pinocchio():
         assert np.array_equal(seen[k], [*pose.rotation.T.ravel(), *pose.translation])
 
 
-def test_a_moved_robot_leaves_the_one_before_as_it_was(tmp_path):
-    robot, there = medrue(tmp_path)
-    step = 0.1 * np.array([parameter.sigma_si for parameter in robot.parameters])
-    moved = robot.with_parameters(robot.values + step)
-    again, fresh = robot.positions(there.actuated), calib.load(robot_file())
-    assert np.array_equal(
-        moved.positions(there.actuated), fresh.with_parameters(moved.values).positions(there.actuated)
-    )
-    assert np.array_equal(again, robot.positions(there.actuated))
-    assert np.abs(moved.positions(there.actuated) - again).max() > 1e-4
-
-
 @pytest.mark.parametrize("n", [0, 1, 31, 95, 96, 97, 1000])
 def test_chunks_are_all_poses_in_parts_of_about_equal_size(n):
     parts = [range(n)[part] for part in kinematics.chunks(n)]

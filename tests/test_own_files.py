@@ -194,17 +194,6 @@ def test_the_same_holds_from_python(here, fitted):
         robot.save(here / "other.yaml")
 
 
-def test_measurements_in_the_folder_of_a_result_are_not_replaced_from_python(here):
-    (here / "out").mkdir()
-    path = here / "out" / "residuals.csv"
-    shutil.copy(EXAMPLES / "arm_simulated.csv", path)
-    robot = calib.load(here / "arm.yaml")
-    fit = calib.fit(robot, calib.read_measurements(path, robot))
-    with pytest.raises(InputError, match="is read by this command"):
-        fit.save(here / "out", pages=False)
-    assert path.read_bytes() == (EXAMPLES / "arm_simulated.csv").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("name", "text"),
     [
@@ -247,6 +236,9 @@ def test_empty_files_and_such_as_would_not_change_may_be_replaced(tmp_path):
     write_folder(tmp_path / "out", {"a": b"same"})
     with pytest.raises(InputError):
         write_folder(tmp_path / "out", {"a": b"other"}, inputs=[tmp_path / "out" / "a"])
+    (tmp_path / "out" / "b").write_bytes(b"mine")
+    with pytest.raises(InputError, match="b: was not written by this program"):
+        write_folder(tmp_path / "out", {"a": b"same"}, obsolete=["b"])
 
 
 def test_of_files_that_belong_together_none_is_written_if_one_may_not_be(tmp_path):

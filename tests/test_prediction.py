@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.core.results.result_reading import load_result
 from calib.core.robots.terms.terms import parse_terms
 from calib.core.rows.candidates import rows_of_poses
 from calib.core.rows.prediction import PositionUncertainty, order_of_joints, recombined_joints
@@ -43,11 +42,6 @@ def test_the_covariance_is_that_of_drawn_parameters_and_of_joints_off_by_what_is
         size = np.max(np.abs(simulated))
         away = 3 * np.sqrt(2 / amount) * size  # three standard errors
         np.testing.assert_allclose(prediction.covariance[k, 0], simulated, atol=away)
-
-
-def test_positions_are_those_of_the_calibrated_robot(fit):
-    q = joints(4, seed=5)
-    np.testing.assert_array_equal(fit.predict(q).positions, fit.robot.positions(q))
 
 
 def test_the_summary_names_mean_rms_largest_and_the_worst_pose(fit):
@@ -111,14 +105,6 @@ def test_positions_are_better_known_than_single_parameters(fit):
     assert fit.identification_uncertainty.summary()["max"] < 1e3 * np.max(fit.statistics.std)
 
 
-def test_the_uncertainty_comes_back_from_the_result_folder(fit, tmp_path):
-    fit.save(tmp_path / "out")
-    q = joints(4, seed=5)
-    again = load_result(tmp_path / "out", fit.nominal).predict(q)
-    np.testing.assert_allclose(again.covariance, fit.predict(q).covariance, rtol=1e-9)
-    assert again.coverage_factor == pytest.approx(fit.statistics.coverage_factor)
-
-
 def test_predict_writes_a_standard_deviation_for_each_coordinate(fit, tmp_path, run_calib):
     fit.save(tmp_path / "out")
     poses = tmp_path / "poses.csv"
@@ -147,12 +133,6 @@ def test_predict_without_a_result_states_no_uncertainty(fit, tmp_path, run_calib
     assert run.code == 0, run.err
     assert "std" not in (tmp_path / "p.csv").read_text()
     assert "known to" not in run.out
-
-
-def test_a_covariance_of_another_robot_is_refused(fit, tmp_path, medrue):
-    fit.save(tmp_path / "out")
-    with pytest.raises(calib.DataError, match="is the result of another robot"):
-        load_result(tmp_path / "out", medrue)
 
 
 def test_other_combinations_keep_the_values_of_each_joint_and_break_what_they_do_together():

@@ -2,7 +2,6 @@
 
 import copy
 import itertools
-import pickle
 from importlib.metadata import version
 from inspect import Parameter, signature
 from pathlib import Path
@@ -331,7 +330,6 @@ def test_python_says_what_the_command_line_says(robot, data, fit, tmp_path):
 
 GUESSES = {
     # numpy and pandas: rows, masks, length, tables
-    "len of data": lambda t: len(t.data) == 80,
     "every other row": lambda t: len(t.data[::2]) == 40,
     "shuffled rows": lambda t: len(t.data[np.random.default_rng(0).permutation(len(t.data))]) == 80,
     "slice of poses": lambda t: len(t.candidates[10:20]) == 10,
@@ -361,7 +359,6 @@ GUESSES = {
     "score on held-out rows": lambda t: t.fit.validation.table()["after"]["rms"] < 0.1,
     "folds with a seed": lambda t: calib.fit(t.robot, t.data, folds=2, seed=3).folds.seed == 3,
     "starts with a seed": lambda t: calib.fit(t.robot, t.used, starts=2, seed=3).seed == 3,
-    "a fit is pickled": lambda t: str(pickle.loads(pickle.dumps(t.fit))) == str(t.fit),
     "a robot is copied": lambda t: copy.deepcopy(t.robot).parameters == t.robot.parameters,
     # lmfit: parameters by name, reports, intervals, covariance
     "names": lambda t: "joint_3.z" in list(t.fit.parameters),
@@ -373,18 +370,11 @@ GUESSES = {
     "html of a fit": lambda t: "joint_3.z" in t.fit._repr_html_(),
     "parameter of a robot": lambda t: t.robot.parameters["joint_3.z"].nominal == 440,
     "parameters of a robot in a row": lambda t: t.robot.parameters[:2] == tuple(t.robot.parameters)[:2],
-    "prior": lambda t: t.robot.with_prior("joint_3.z", "1 um").parameters["joint_3.z"].sigma_si == 1e-6,
-    "values into a robot": lambda t: t.robot.with_parameters({"joint_3.z": 0.441}).values.max() >= 0.441,
     "kwargs of fit": lambda t: calib.fit(t.robot, t.used, loss="huber", sigma=3e-5).converged,
     # the words of the command line
-    "check": lambda t: calib.check(t.robot, t.candidates).n_poses == 40,
     "html of a check": lambda t: "joint_3.z" in calib.check(t.robot, t.candidates)._repr_html_(),
-    "select": lambda t: len(calib.select(t.robot, t.candidates, 20, seed=1)) == 20,
     "select by name": lambda t: len(calib.select(t.robot, t.candidates, count=20, index="O3").joints) == 20,
     "html of a selection": lambda t: "O1" in calib.select(t.robot, t.candidates, 20)._repr_html_(),
-    "sample": lambda t: np.array_equal(
-        calib.sample(t.robot, 5, seed=1).joints, calib.sample(t.robot, 5, seed=1).joints
-    ),
     "sample within": lambda t: np.all(
         np.abs(calib.sample(t.robot, 5, seed=1, within={"joint_1": (-0.1, 0.1)}).joints[:, 0]) <= 0.1
     ),
@@ -393,11 +383,8 @@ GUESSES = {
         t.robot.positions(t.robot.sample(5, seed=1, within={"reflector_z": (0.2, 0.4)}))[..., 2] <= 0.4
     ),
     "select from a sample": lambda t: len(calib.select(t.robot, t.robot.sample(60, seed=1), count=20)) == 20,
-    "simulate": lambda t: len(calib.simulate(t.robot, t.candidates, 3e-5, seed=1)) == 40,
-    "solve": lambda t: np.all(calib.solve(t.fit.robot, t.fit.robot.positions(t.held.joints[:2])[:, 0]).ok),
     "forward": lambda t: t.fit.robot.forward(t.held.joints[0], "reflector").shape[-2:] == (4, 4),
     "html of a robot": lambda t: "joint_3.z" in t.robot._repr_html_(),
-    "compare": lambda t: "fit 2" in str(calib.compare(t.fit, calib.fit(t.robot, t.held))),
     "watch": lambda t: calib.Watch(t.robot, "0.2 mm", candidates=t.candidates, seed=1).update(t.data).n_poses == 80,
     "load what was saved": lambda t: (
         calib.load_result(t.folder).parameters["joint_3.z"].std == pytest.approx(t.fit.parameters["joint_3.z"].std)

@@ -2,7 +2,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from kind_checks import positions_by_joint
 from scipy.stats import f
 from six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
 
@@ -30,26 +29,6 @@ def noisy_data(arm, positions, n=80, seed=3):
 
 def significant(fit):
     return [pattern for pattern in fit.patterns if pattern.significant]
-
-
-def test_joint_derivatives_are_those_of_central_differences(arm):
-    q = joints(5)
-    analytic = positions_by_joint(arm, q)
-    for j in range(6):
-        step = np.zeros(6)
-        step[j] = 1e-6
-        numeric = (arm.positions(q + step) - arm.positions(q - step)) / 2e-6
-        np.testing.assert_allclose(analytic[..., j], numeric, atol=1e-9)
-
-
-def test_joint_derivatives_go_through_closed_loops(medrue):
-    q = medrue.home[None] + 0.02
-    analytic = positions_by_joint(medrue, q)
-    for j in range(6):
-        step = np.zeros(6)
-        step[j] = 1e-6
-        numeric = (medrue.positions(q + step) - medrue.positions(q - step)) / 2e-6
-        np.testing.assert_allclose(analytic[..., j], numeric, atol=2e-8)
 
 
 def test_the_direction_of_motion_is_kept_while_a_joint_stands_still():

@@ -15,8 +15,7 @@ from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallel
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import calib
-from calib.core.base.errors import CalibrationError, ComputationError, DataError, InputError
-from calib.core.base.files import write_folder
+from calib.core.base.errors import CalibrationError, ComputationError, DataError
 from calib.core.data.tables import read_table
 from calib.core.results.result_reading import load_result, read_content
 from calib.core.results.results import _covariance_table, save
@@ -93,10 +92,6 @@ def strict(text):
         raise ValueError(constant)
 
     return json.loads(text, parse_constant=refuse)
-
-
-def test_the_contract_s_files_are_there(folder):
-    assert {"result.json", "calibrated.urdf", "parameters.csv", "residuals.csv"} <= set(tree(folder))
 
 
 def test_result_json_says_what_the_contract_asks(folder, fitted):
@@ -191,46 +186,6 @@ def test_where_a_reading_has_no_number_its_cell_is_empty(folder):
     for column in ("leverage", "studentised", "weight"):
         assert table.text(column)[30:] == [""] * 12  # of readings that were not fitted
     assert table.text("loop_singular_value") == [""] * 42  # the arm has no loops
-
-
-def test_predict_uses_the_result(folder, fitted, run_calib, tmp_path):
-    q = np.array([[0.3, 0.2, -0.4]])
-    (tmp_path / "q.csv").write_text("turn,slide,wrist\n0.3,0.2,-0.4\n")
-    run = run_calib("predict", fitted.nominal.path, "q.csv", "--result", folder, "--out", "p.csv", cwd=tmp_path)
-    assert run.code == 0, run.err
-    table = read_table(tmp_path / "p.csv")
-    results = [table.column(f"tip_{axis}", "length")[0] for axis in "xyz"]
-    assert np.abs(fitted.robot.positions(q)[0, 0] - results).max() < 1e-14
-
-
-def test_a_second_result_replaces_the_first_and_leaves_other_files(fitted, tmp_path):
-    (tmp_path / "notes.txt").write_text("mine")
-    out = tmp_path
-    write_folder(out, {"result.json": b"old"})
-    fitted.save(out)
-    assert (out / "notes.txt").read_text() == "mine"
-    assert read_content(out)["n_poses"] == 30
-
-
-@pytest.mark.parametrize("failing", ["result.json", "calibrated.urdf", "residuals.csv"])
-def test_a_result_that_cannot_be_written_leaves_the_old_one(fitted, tmp_path, monkeypatch, failing):
-    out = tmp_path / "out"
-    save(fitted, out)
-    (out / "notes.txt").write_text("mine")
-    before = tree(out)
-    write_bytes = Path.write_bytes
-
-    def disk_full(self, data):
-        if self.name == failing:
-            write_bytes(self, data[: len(data) // 2])
-            raise OSError(28, "No space left on device")
-        return write_bytes(self, data)
-
-    monkeypatch.setattr(Path, "write_bytes", disk_full)
-    with pytest.raises(InputError, match="no space left on device"):
-        save(fitted, out)
-    assert tree(out) == before
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 def test_saving_twice_gives_the_same_bytes(fitted, folder, tmp_path):
@@ -547,10 +502,3 @@ def test_every_command_takes_a_folder_as_the_robot_and_means_the_same_as_with_re
     assert run.code in (0, 3), run.err
     before = read_content(tmp_path / "again")["errors"]["identification"]["before"]
     assert before["max"] < 1e-3  # mm: the digits of the file; before is the calibrated robot
-
-
-def test_without_pages_old_ones_are_removed(fitted, tmp_path):
-    save(fitted, tmp_path, pages={"report.html": b"page", "viewer.html": b"page"})
-    with_pages = set(tree(tmp_path))
-    save(fitted, tmp_path)
-    assert with_pages - set(tree(tmp_path)) == {"report.html", "viewer.html"}

@@ -110,7 +110,6 @@ def test_an_unknown_frame_names_the_nearest(tmp_path):
         small_arm(tmp_path).forward([0, 0, 0], "tol")
 
 
-@pytest.mark.quick(0)
 def test_a_pose_that_cannot_be_assembled_is_an_error_that_says_by_how_much(tmp_path):
     """Crank 0.5, coupler 1, rocker 0.25, ground 1 m: at a = 180 deg, 1.5 m are to be spanned with 1.25 m."""
     yaml = write_parallelogram(tmp_path)

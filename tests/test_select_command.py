@@ -153,7 +153,6 @@ def broken(folder):
         (("good.csv", "--count", "20", "--sigma-mm", "0"), "--sigma-mm 0"),
         (("good.csv", "--count", "20", "--min-distance-mm", "-1"), "minimum distance"),
         (("good.csv", "--count", "20", "--starts", "0"), "0 starts"),
-        (("missing.csv", "--count", "20"), "no such file"),
         (("good.csv",), "give one of --count and --goal-mm"),
         ((), "Missing argument 'CANDIDATES'; here: a file of joint values, such as calib sample"),
     ],

@@ -158,18 +158,6 @@ def test_poses_to_add_complement_those_measured(medrue):
 
 
 @pytest.mark.quick(0)
-def test_repeats_of_a_measured_pose_count(medrue):
-    once, often = (
-        calib.as_measurements(
-            medrue, np.repeat(Q[:30], n, axis=0), np.zeros((30 * n, 3)), np.repeat([f"p{k}" for k in range(30)], n)
-        )
-        for n in (1, 4)
-    )
-    few, many = (select(medrue, Q, 20, "task", measured=data) for data in (once, often))
-    assert many.measured_only["O3"] == pytest.approx(2 * few.measured_only["O3"], rel=1e-6)
-
-
-@pytest.mark.quick(0)
 def test_the_task_index_is_about_the_task_poses(medrue):
     corner = Q[:28]
     there, everywhere = select(medrue, Q, 40, "task", task=corner), select(medrue, Q, 40, "task")

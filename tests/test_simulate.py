@@ -10,7 +10,7 @@ from small_robots import ARM_YAML, small_arm, write_arm
 from test_kind_pixel import FREE, INTRINSICS, POINTS
 
 import calib
-from calib.core.base.errors import DataError, UnreachablePoseError
+from calib.core.base.errors import DataError
 from calib.core.data.plan_files import read_plan
 from calib.core.data.tables import read_table
 
@@ -57,15 +57,6 @@ def test_the_same_seed_gives_the_same_numbers(tmp_path):
 def test_a_sigma_that_cannot_be_is_an_error(tmp_path, sigma):
     with pytest.raises(DataError, match="must be zero or a positive number"):
         calib.simulate(small_arm(tmp_path), some_poses(3), sigma, np.random.default_rng(1))
-
-
-@pytest.mark.quick(0)
-def test_a_pose_that_cannot_be_assembled_is_an_error_with_its_label(medrue):
-    q = np.array([medrue.home, medrue.home])
-    q[1, 1:3] = 0.0, np.pi  # the cranks away from each other: the distal links do not meet
-    poses = calib.Poses(q, ("file.csv, line 2", "file.csv, line 3"), ("a", "b"), "file.csv", ())
-    with pytest.raises(UnreachablePoseError, match=r"^file\.csv, line 3: loop .* stays open by .* mm at best"):
-        calib.simulate(medrue, poses, 0.0, np.random.default_rng(1))
 
 
 def test_the_command_writes_the_truth_the_noise_and_the_seed_into_the_file(tmp_path, run_calib):

@@ -10,7 +10,7 @@ import pytest
 from calib.core.base.errors import DataError
 from calib.core.data.layouts import cells_of
 from calib.core.data.table_writing import format_table
-from calib.core.data.tables import check_plausible, read_number, read_table
+from calib.core.data.tables import check_plausible, read_table
 
 
 @pytest.fixture
@@ -120,11 +120,6 @@ def test_commas_that_may_mean_something_else_are_errors_with_line_and_column(tab
     assert complaint(table.column, "b", "length") == f"{tmp_path / 'table.csv'}, {message}"
 
 
-def test_a_missing_file_or_a_folder_is_an_error(tmp_path):
-    assert complaint(read_table, tmp_path / "no.csv") == f"{tmp_path / 'no.csv'}: no such file; give a CSV file"
-    assert complaint(read_table, tmp_path) == f"{tmp_path}: cannot be read (is a directory)"
-
-
 @pytest.mark.parametrize(
     ("cell", "message"),
     [
@@ -145,33 +140,11 @@ def test_a_cell_that_is_no_number_is_an_error_with_line_and_column(table_of, tmp
     assert complaint(table.column, "b", "length") == f"{tmp_path / 'table.csv'}, line 4, column 'b': {message}"
 
 
-def test_a_long_cell_is_shortened_in_the_message():
-    assert len(complaint(read_number, "x" * 10_000, "here")) < 200
-
-
 def test_an_unknown_column_names_the_one_that_begins_alike(table_of):
     table = table_of("shoulder_pan [deg],shoulder_lift_joint [deg]\n1,2\n")
     assert complaint(table.column, "shoulder_pan_joint", "angle").endswith(
         "; did you mean 'shoulder_pan'? The file has shoulder_pan, shoulder_lift_joint"
     )
-
-
-def test_an_unknown_column_names_the_nearest(table_of):
-    assert complaint(table_of("tool_x,tool_y\n1,2\n").column, "tool_z", "length").endswith(
-        "no column 'tool_z'; did you mean 'tool_y'? The file has tool_x, tool_y"
-    )
-
-
-@pytest.mark.parametrize(
-    ("unit", "dimension", "message"),
-    [
-        ("furlong", "length", "column 'a': unknown unit 'furlong'; valid: m, mm, um"),
-        ("dge", "angle", "column 'a': unknown unit 'dge'; did you mean 'deg'?"),
-        ("deg", "length", "column 'a': unit 'deg' is for an angle; a length is expected (m, mm, um)"),
-    ],
-)
-def test_a_wrong_unit_names_the_column(table_of, unit, dimension, message):
-    assert complaint(table_of(f"a [{unit}]\n1\n").column, "a", dimension).endswith(message)
 
 
 def test_numbers_without_a_unit_that_cannot_be_si_are_refused(table_of):

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
+from viz_examples import medrue_robots
 
 import calib
-import medrue
-from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from viz.bodies import bodies_of, posed_robot
 
@@ -14,9 +13,7 @@ LOOPS = (("E1_B", "E1_D"), ("E2_B", "E2_D"), ("G2_E", "G2_slide"))
 
 @pytest.fixture(scope="module")
 def robots():
-    nominal = calib.load(medrue.robot_file())
-    calibrated = nominal.with_parameters(dict(zip(table1().names, table1().actual, strict=True)))
-    return nominal, calibrated
+    return medrue_robots()
 
 
 @pytest.fixture(scope="module")

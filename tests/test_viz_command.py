@@ -44,9 +44,7 @@ def test_quiet_prints_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere.yaml"], "no such file"),
         ([ROBOT, "--result", "nowhere"], "holds no result"),
-        ([ROBOT, "--data", "nowhere.csv"], "no such file"),
         ([ROBOT, "--html", "/dev/null/view.html"], "cannot be written"),
         ([ROBOT, "--html", "view.html", "--port", "1"], "leave out --port"),
         ([ROBOT, "--port", "70000"], "not in the range"),

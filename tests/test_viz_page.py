@@ -11,16 +11,14 @@ import numpy as np
 import pytest
 import umsgpack
 from signed_files import read_plain
+from viz_examples import medrue_robots, pose_table
 
 import calib
-import medrue
 import viz
 from calib.core.base.errors import InputError
-from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from viz import poses
 from viz.drawing import draw
-from viz.poses import PoseTable
 from viz.scene import build_scene
 from viz.scene_data import certainty, point_pixels, ranges, scene_data, summary
 from viz.shapes import mesh
@@ -35,27 +33,14 @@ def scene():
 
 
 def medrue_scene():
-    nominal = calib.load(medrue.robot_file())
-    calibrated = nominal.with_parameters(dict(zip(table1().names, table1().actual, strict=True)))
+    nominal, calibrated = medrue_robots()
     q = target_workspace().q[::40]
     n = len(q)
     before, after = (robot.positions(q)[:, 0] for robot in (nominal, calibrated))
     measured = after + np.random.default_rng(3).normal(0, 4e-5, after.shape)
-    table = PoseTable(
-        q,
-        measured,
-        before,
-        after,
-        np.full(n, 4e-5),
-        np.full((n, 3), 2e-5),
-        ("identification",) * 5 + ("validation",) * (n - 5),
-        np.arange(n) == 2,
-        (HOSTILE, *map(str, range(1, n))),
-        ("tool",) * n,
-        np.ones(n, dtype=np.intp),
-        ("file.csv",) * n,
-        np.arange(n),
-    )
+    groups = ("identification",) * 5 + ("validation",) * (n - 5)
+    known = {"spread": np.full((n, 3), 2e-5), "group": groups, "outlier": np.arange(n) == 2}
+    table = pose_table(q, measured, before, after, labels=(HOSTILE, *map(str, range(1, n))), **known)
     return build_scene(nominal, calibrated, table)
 
 

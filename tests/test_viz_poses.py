@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
+from viz_examples import measurements, medrue_fit, medrue_robot, pose_table, spoiled
 
 import calib
 from viz.pose_sources import from_fit, from_measurements
-from viz.poses import PoseTable, empty
+from viz.poses import empty
 
 
 @pytest.fixture(scope="module")
@@ -20,23 +20,9 @@ def fit():
 
 
 def small(**changes):
-    n = 4
-    values = {
-        "joints": np.zeros((n, 2)),
-        "measured": np.zeros((n, 3)),
-        "before": np.ones((n, 3)),
-        "after": np.full((n, 3), 1e-3),
-        "sigma": np.full(n, 1e-3),
-        "spread": np.zeros((n, 3)),
-        "group": ("identification",) * n,
-        "outlier": np.zeros(n, dtype=bool),
-        "labels": ("1", "2", "3", "4"),
-        "targets": ("tool",) * n,
-        "readings": np.ones(n, dtype=np.intp),
-        "series": ("file.csv",) * n,
-        "place": np.arange(n),
-    }
-    return PoseTable(**(values | changes))
+    poses = {"q": np.zeros((4, 2)), "measured": np.zeros((4, 3)), "before": np.ones((4, 3))}
+    poses |= {"after": np.full((4, 3), 1e-3), "sigma": np.full(4, 1e-3), "spread": np.zeros((4, 3))}
+    return pose_table(**(poses | changes))
 
 
 def test_the_table_of_a_fit_holds_its_errors(fit):

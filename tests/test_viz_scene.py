@@ -5,42 +5,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from viz_examples import medrue_robots, pose_table
 
 import calib
-import medrue
-from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from viz.decorations import decorations_of
 from viz.judgement import judgement_of_result
-from viz.poses import PoseTable
 from viz.scene import build_scene, nice_factor
 
 
 @pytest.fixture(scope="module")
 def robots():
-    nominal = calib.load(medrue.robot_file())
-    return nominal, nominal.with_parameters(dict(zip(table1().names, table1().actual, strict=True)))
+    return medrue_robots()
 
 
 def table(robots, measured=True):
     q = target_workspace().q[::30]
-    n = len(q)
     before, after = (robot.positions(q)[:, 0] for robot in robots)
-    return PoseTable(
-        q,
-        after + 5e-5 if measured else np.full((n, 3), np.nan),
-        before,
-        after,
-        np.full(n, 4e-5),
-        np.full((n, 3), np.nan),
-        ("measured",) * n,
-        np.zeros(n, dtype=bool),
-        tuple(map(str, range(n))),
-        ("tool",) * n,
-        np.ones(n, dtype=np.intp),
-        ("file.csv",) * n,
-        np.arange(n),
-    )
+    points = after + 5e-5 if measured else np.full_like(after, np.nan)
+    return pose_table(q, points, before, after, group=("measured",) * len(q))
 
 
 def test_a_robot_alone_stands_at_home(robots):

@@ -84,29 +84,38 @@ def long_named_fit(folder, repeats=5):
     return calib.fit(robot, data.subset(kept), validation=data.subset(held))
 
 
+def medrue_robots():
+    """MedRUE, nominal and with Table I's actual parameters."""
+    nominal = medrue_robot()
+    return nominal, nominal.with_parameters(dict(zip(table1().names, table1().actual, strict=True)))
+
+
+def pose_table(q, measured, before, after, **changes):
+    """A table of one reading of 0.04 mm at each pose, for identification, without uncertainty of the prediction."""
+    n = len(q)
+    columns = {
+        "sigma": np.full(n, 4e-5),
+        "spread": np.full((n, 3), np.nan),
+        "group": ("identification",) * n,
+        "outlier": np.zeros(n, dtype=bool),
+        "labels": tuple(map(str, range(n))),
+        "targets": ("tool",) * n,
+        "readings": np.ones(n, dtype=np.intp),
+        "series": ("file.csv",) * n,
+        "place": np.arange(n),
+    }
+    return PoseTable(q, measured, before, after, **(columns | changes))
+
+
 def many_poses(n):
     """MedRUE's nominal and calibrated robots and a pose table of `n` poses around the target workspace."""
-    nominal = medrue_robot()
-    calibrated = nominal.with_parameters(dict(zip(table1().names, table1().actual, strict=True)))
+    nominal, calibrated = medrue_robots()
     generator = np.random.default_rng(0)
     q = np.resize(target_workspace().q, (n, 6)) + generator.normal(0, 2e-3, (n, 6))
     before, after = (robot.positions(q)[:, 0] for robot in (nominal, calibrated))
     groups = tuple(generator.choice(["identification", "validation"], n).tolist())
-    table = PoseTable(
-        q,
-        after + generator.normal(0, 4e-5, (n, 3)),
-        before,
-        after,
-        np.full(n, 4e-5),
-        np.full((n, 3), np.nan),
-        groups,
-        generator.random(n) < 0.002,
-        tuple(map(str, range(n))),
-        ("tool",) * n,
-        np.ones(n, dtype=np.intp),
-        ("file.csv",) * n,
-        np.arange(n),
-    )
+    measured = after + generator.normal(0, 4e-5, (n, 3))
+    table = pose_table(q, measured, before, after, group=groups, outlier=generator.random(n) < 0.002)
     return nominal, calibrated, table
 
 

@@ -51,19 +51,6 @@ def test_robot_and_ghost_stand_where_they_should(tab, scene):
             np.testing.assert_allclose(matrices(tab, "ghostMatrices"), expected, atol=1e-6 * (1 + factor))
 
 
-def test_loops_are_closed_in_every_pose_shown(tab, scene):
-    names = scene.bodies.names
-    slide(tab, "ghost-factor", 4)
-    for pose in range(0, len(scene.poses), 40):
-        slide(tab, "pose", pose)
-        for which, factor in (("solidMatrices", 1), ("ghostMatrices", 20)):
-            places = matrices(tab, which)[:, :3, 3]
-            assert np.linalg.norm(places[names.index("G2_E")] - places[names.index("G2_slide")]) < 1e-6 * factor
-            for number in (1, 2):
-                apart = places[names.index(f"E{number}_B")] - places[names.index(f"E{number}_D")]
-                assert np.linalg.norm(apart[1:]) < 1e-6 * factor
-
-
 def test_before_and_after_switch_colours_legend_and_lists(tab):
     tab.page.locator("#same-scale").uncheck()
     assert tab.page.locator("#legend-title").inner_text() == "Error after calibration [mm]"

@@ -67,7 +67,7 @@ class ErrorSet(ReadOnlyArrays):
 
     def _pose_means(self, name: str, errors: FloatArray) -> FloatArray:
         """Means over an instrument's readings of one pose and one pair of frames, in order of first appearance."""
-        first, number = self._repeats(name)
+        first, number = self._repeats[name]
         if len(first) == len(errors):
             return errors
         total, count = np.zeros((len(first), errors.shape[1])), np.zeros((len(first), errors.shape[1]))
@@ -77,20 +77,15 @@ class ErrorSet(ReadOnlyArrays):
             means: FloatArray = (total / count)[np.argsort(first)]
         return means
 
-    def _repeats(self, name: str) -> tuple[IntArray, IntArray]:
-        """First reading of each pose and pair of frames, (n_different,), and its number for each reading, (n,)."""
-        if name not in self._known_repeats:
-            readings = self.data.readings[name]
-            keys = np.stack([self.data.pose_numbers[readings.visits], readings.pairs], axis=1)
-            keys = np.hstack([keys, _pose_numbers(readings.details)[:, None]])
-            _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-            self._known_repeats[name] = first, number.reshape(-1)
-        return self._known_repeats[name]
-
     @cached_property
-    def _known_repeats(self) -> dict[str, tuple[IntArray, IntArray]]:
-        """Cache of `_repeats`, by instrument."""
-        return {}
+    def _repeats(self) -> dict[str, tuple[IntArray, IntArray]]:
+        """By instrument, the first reading of each pose and pair of frames, and their number for each reading, (n,)."""
+        result = {}
+        for name, readings in self.data.readings.items():
+            columns = [self.data.pose_numbers[readings.visits], readings.pairs, _pose_numbers(readings.details)]
+            _, first, number = np.unique(np.stack(columns, axis=1), axis=0, return_index=True, return_inverse=True)
+            result[name] = first, number.reshape(-1)
+        return result
 
     @property
     def main_part(self) -> Part:

@@ -79,21 +79,14 @@ class Whitening:
         """
         parts = []
         for name in self._names:
-            array = np.nan_to_num(arrays[name]) if np.isnan(arrays[name]).any() else arrays[name]
-            parts.append(self.whiten(name, array).reshape(-1, *array.shape[2:]))
+            array, inverse = arrays[name], self._inverse[name]
+            array = np.nan_to_num(array) if np.isnan(array).any() else array
+            if inverse.ndim == 2:  # no correlations
+                whitened = array * (inverse if array.ndim == 2 else inverse[:, :, None])
+            else:
+                whitened = np.matmul(inverse, array if array.ndim == 3 else array[:, :, None])
+            parts.append(whitened.reshape(-1, *array.shape[2:]))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-    def whiten(self, name: str, array: FloatArray, chosen: IntArray | slice = slice(None)) -> FloatArray:
-        """Whiten an array of some readings of an instrument by the stated covariance, (n, n_rows) or (n, n_rows, k).
-
-        Args:
-            name: The instrument.
-            chosen: Numbers of the readings, (n,); all if not given.
-        """
-        inverse = self._inverse[name][chosen]
-        if inverse.ndim == 2:  # no correlations: divide
-            return array * (inverse if array.ndim == 2 else inverse[:, :, None])
-        return np.matmul(inverse, array) if array.ndim == 3 else np.matmul(inverse, array[:, :, None])[:, :, 0]
 
     def unwhiten_rows(self, whitened: FloatArray, scales: Scales) -> dict[str, FloatArray]:
         """Undo whitening by `scales`, from all rows (n_all_rows,) to readings, (n, n_rows) [SI] by instrument."""

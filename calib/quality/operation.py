@@ -16,7 +16,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.registry import list_entry_points
@@ -152,8 +152,8 @@ def _chain(robot: Robot, joints: FloatArray) -> dict[str, FloatArray]:
         if joint.get("type") == "prismatic":
             moved[:, :3, 3] = value * axis
         else:
-            moved[:, :3, :3] = Rotation.from_rotvec(value * axis).as_matrix()
-        origin[:3, :3], origin[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+            moved[:, :3, :3] = scipy.spatial.transform.Rotation.from_rotvec(value * axis).as_matrix()
+        origin[:3, :3], origin[:3, 3] = scipy.spatial.transform.Rotation.from_euler("xyz", rpy).as_matrix(), xyz
         poses[child] = poses.setdefault(parent, np.tile(np.eye(4), (len(joints), 1, 1))) @ origin @ moved
     return poses
 

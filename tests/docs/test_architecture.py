@@ -83,6 +83,13 @@ def test_the_list_of_commands_loads_no_science():
     assert {line.split()[0] for line in page if line.startswith("  ")} >= {"fit", "check", "view", "watch"}
 
 
+def test_parts_of_scipy_are_loaded_at_first_use():
+    parts = ("scipy.spatial", "scipy.sparse", "scipy.optimize", "scipy.stats")
+    check = f"import sys, calib.core.commands.fit\nprint([part for part in {parts} if part in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, cwd=architecture.ROOT)
+    assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
 def test_no_modules_import_each_other_in_a_circle():
     assert architecture.circle({name: imported(path) - {name} for name, path in modules().items()}) == []
 

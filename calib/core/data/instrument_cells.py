@@ -81,14 +81,19 @@ def readings_in(
     if not columns:  # it reads no numbers: one row of values serves all
         values = np.repeat(values, len(kept), axis=0)
     numbers_of_pairs = pairs[mine] + setup_pairs(robot, instrument, setups_of(robot, table))[kept]
-    every_label = labels_of_rows(table) if own_lines else []
+    every_label = labels_of_rows(table, names_of_poses(table)) if own_lines else []
     labels = tuple(every_label[k] for k in kept) if own_lines else None
     return Readings(rows[kept], numbers_of_pairs, values, _covariance(instrument, table, kept), details[mine], labels)
 
 
-def labels_of_rows(table: Table) -> list[str]:
-    """Return the name of each row in messages: file, line, and pose if it has a name."""
-    names = [f" (pose {name})" for name in table.text("pose")] if "pose" in table.names else [""] * len(table.rows)
+def names_of_poses(table: Table) -> tuple[str, ...] | None:
+    """Return the name of the pose of each row; None if the table names no poses."""
+    return tuple(table.text("pose")) if "pose" in table.names else None
+
+
+def labels_of_rows(table: Table, poses: tuple[str, ...] | None) -> list[str]:
+    """Return the name of each row in messages: file, line, and pose if `names_of_poses` names it."""
+    names = [""] * len(table.rows) if poses is None else [f" (pose {name})" for name in poses]
     return [f"{table.path}, line {line}{name}" for line, name in zip(table.lines, names, strict=True)]
 
 

@@ -150,7 +150,7 @@ class Poses(ReadOnlyArrays, HintedObject):
         """Number of different poses."""
         return int(self.pose_numbers.max(initial=-1)) + 1
 
-    @property
+    @cached_property
     def conditions(self) -> Context:
         """Conditions of the commands, for joint terms; with the direction of approach, if it is given."""
         approach = np.zeros_like(self.joints) if self.approach is None else self.approach
@@ -186,7 +186,7 @@ class Measurements(Poses):
         """Whether the direction of approach is stated, and not assumed from the order of the rows."""
         return self.approach is not None and not self.approach_assumed
 
-    @property
+    @cached_property
     def conditions(self) -> Context:
         """Conditions of the commands, for joint terms; with the direction of approach."""
         return Context.from_conditions(self.approach_directions, self.context, self.setups)

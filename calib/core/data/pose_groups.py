@@ -20,6 +20,8 @@ def pose_labels(joints: FloatArray) -> IntArray:
     """
     rounded = np.round(joints / SAME_JOINTS)
     near = _may_have_neighbours(rounded)
+    if not np.any(near):
+        return np.arange(len(joints))
     cells, cell = np.unique(rounded[near], axis=0, return_inverse=True)
     linked = scipy.spatial.cKDTree(cells).query_pairs(
         1.5, p=np.inf, output_type="ndarray"

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest
-from calib.core.data.instrument_cells import labels_of_rows, lacking_column, setups_of
+from calib.core.data.instrument_cells import labels_of_rows, lacking_column, names_of_poses, setups_of
 from calib.core.data.measurement_columns import APPROACH
 from calib.core.data.measurements import Poses, states_by_order
 from calib.core.data.tables import Table
@@ -35,7 +35,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     setups = setups_of(robot, table) if robot.description.setups and "setup" in table.names else None
     joints, sensed = _joints_of_table(table, robot, setups, robot.joint_names)
     joints.flags.writeable = False  # so its holders need no copy
-    called = tuple(table.text("pose")) if "pose" in table.names else None
+    called = names_of_poses(table)
     if called is not None and "" in called:
         line = table.lines[called.index("")]
         raise DataError(f"{table.path}, line {line}, column 'pose': is empty; name the pose, or leave the column out")
@@ -46,7 +46,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     ignored = tuple(name for name in table.names if name not in used)
     poses = Poses(
         joints,
-        tuple(labels_of_rows(table)),
+        tuple(labels_of_rows(table, called)),
         names,
         table.path,
         ignored,

@@ -163,7 +163,7 @@ class Table:
         cells = [row[index] for row in self.rows]
         try:
             values = np.array([float(cell) for cell in cells])
-            if np.all(np.isfinite(values)) and not any("_" in cell for cell in cells):  # float() also reads 1_000
+            if np.all(np.isfinite(values)) and "_" not in ",".join(cells):  # float() also reads 1_000
                 return values
         except ValueError:
             pass  # the error below names the cell

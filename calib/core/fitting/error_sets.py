@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NoReturn
 
 import numpy as np
@@ -66,19 +67,25 @@ class ErrorSet(ReadOnlyArrays):
 
     def _pose_means(self, name: str, errors: FloatArray) -> FloatArray:
         """Means over an instrument's readings of one pose and one pair of frames, in order of first appearance."""
-        readings = self.data.readings[name]
-        keys = np.stack([self.data.pose_numbers[readings.visits], readings.pairs], axis=1)
-        keys = np.hstack([keys, _pose_numbers(readings.details)[:, None]])
-        _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        first, number = self._repeats[name]
         if len(first) == len(errors):
             return errors
-        number = number.reshape(-1)
         total, count = np.zeros((len(first), errors.shape[1])), np.zeros((len(first), errors.shape[1]))
         np.add.at(total, number, np.nan_to_num(errors))
         np.add.at(count, number, np.isfinite(errors).astype(float))
         with np.errstate(invalid="ignore"):
             means: FloatArray = (total / count)[np.argsort(first)]
         return means
+
+    @cached_property
+    def _repeats(self) -> dict[str, tuple[IntArray, IntArray]]:
+        """By instrument, the first reading of each pose and pair of frames, and their number for each reading, (n,)."""
+        result = {}
+        for name, readings in self.data.readings.items():
+            columns = [self.data.pose_numbers[readings.visits], readings.pairs, _pose_numbers(readings.details)]
+            _, first, number = np.unique(np.stack(columns, axis=1), axis=0, return_index=True, return_inverse=True)
+            result[name] = first, number.reshape(-1)
+        return result
 
     @property
     def main_part(self) -> Part:

@@ -215,7 +215,8 @@ class SolvedFit(ReadOnlyArrays):
     @cached_property
     def joint_derivative(self) -> dict[str, FloatArray]:
         """Derivative of the readings by the actuated joints, of each instrument, (n, n_rows, n_actuated) [SI]."""
-        observed = observe(self.robot, self.configurations, self.identification.data.readings, joints=True)
+        none, readings = np.zeros(0, dtype=np.intp), self.identification.data.readings  # no parameters
+        observed = observe(self.robot, self.configurations, readings, joints=True, index=none)
         return {name: own.joint_derivative.copy() for name, own in observed.items()}  # the rest takes memory
 
     def whitened_residuals_and_rows(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
@@ -233,7 +234,8 @@ class SolvedFit(ReadOnlyArrays):
 
     def _whitened(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray, Whitening, FloatArray]:
         """Residuals before and after (n_rows,), their whitening, and scales of the groups (n_groups,)."""
-        whitening = Whitening(self.robot, errors.data, self.sigma_given)
+        used = errors.data is self.identification.data
+        whitening = self.whitening if used else Whitening(self.robot, errors.data, self.sigma_given)
         known = {
             (estimate.group.name, estimate.group.part.name, estimate.group.stated): estimate for estimate in self.noise
         }

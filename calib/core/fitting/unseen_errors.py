@@ -64,6 +64,7 @@ def accuracy(fit: Fit) -> Accuracy:
     return accuracy_of_errors(fit.identification, PoseUse.USED) if predicted is None else predicted
 
 
+@memoize
 def predicted_accuracy(fit: Fit) -> Accuracy | None:
     """Return the predicted error at poses like those used by the module docstring; None if none can be predicted."""
     predicted = leave_one_out_errors(fit)

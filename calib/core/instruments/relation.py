@@ -28,7 +28,6 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 import scipy
-from scipy.spatial.transform import Rotation
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest
@@ -148,7 +147,7 @@ class Relation(FrameInstrument):
             change = step * np.eye(3)[component % 3]
             if component < 3:
                 return self.misses(View(view.rotation, view.translation + change), unknowns, readings)
-            turned = Rotation.from_rotvec(change).as_matrix() @ view.rotation
+            turned = scipy.spatial.transform.Rotation.from_rotvec(change).as_matrix() @ view.rotation
             return self.misses(View(turned, view.translation), unknowns, readings)
 
         by_twist, by_unknown = np.zeros((n, self.n_rows, 6)), np.zeros((n, self.n_rows, width))
@@ -183,7 +182,7 @@ class Relation(FrameInstrument):
             held = [k for k, part in enumerate(ANGLE_COMPONENTS) if part not in scene.unknown[name]]
             if len(scene.unknown[name]) >= _LOST and sigmas.get(name) is None:
                 for turn in cube_rotations()[1:]:
-                    if np.any(np.abs(Rotation.from_matrix(turn).as_rotvec()[held]) > _STEP):
+                    if np.any(np.abs(scipy.spatial.transform.Rotation.from_matrix(turn).as_rotvec()[held]) > _STEP):
                         continue
                     turned = places[name].copy()
                     turned[:3, :3] = turned[:3, :3] @ turn

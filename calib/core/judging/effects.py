@@ -28,7 +28,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import FloatArray, IntArray
@@ -47,7 +46,6 @@ ORDERS = range(1, 121)
 """Cycles of a wave in a turn of the joint, or over the range that a joint slides."""
 SLIPS = 15
 """Number of places in the course of the measurement at which a slip of a target is tested."""
-_DEGREE = 3
 _SAME = 1e-6  # cycles that rounding may add
 _ON_GRID = 0.99  # a wave of length 1 is the same at all visits if its mean is longer than this
 _VISITS_LOOKED_AT = 256
@@ -369,5 +367,5 @@ def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, Flo
 
 def _curves(values: FloatArray) -> FloatArray:
     """Legendre polynomials of degree 1 to 3 over the range of some values (n,), as factors of one effect, (n, 1, 3)."""
-    reach = float(np.ptp(values)) or 1.0
-    return legendre.legvander(2 * (values - values.min()) / reach - 1, _DEGREE)[:, None, 1:]
+    x = 2 * (values - values.min()) / (float(np.ptp(values)) or 1.0) - 1
+    return np.stack([x, (3 * x**2 - 1) / 2, (5 * x**3 - 3 * x) / 2], axis=1)[:, None]

@@ -272,12 +272,15 @@ class _Search:
 def _finish_descent(system: _System, noise: float, rotation: FloatArray) -> FloatArray:
     """Return the rotation (3, 3) at the end of a descent, refined without the small weights of guesses."""
     exact = _eliminate_translation(system, noise)
-    least = _OPEN * system.weight * _SMALLEST
+    least, by_turn = _OPEN * system.weight * _SMALLEST, _turned_rows(exact.F)
     for _ in range(_LAST_STEPS):
-        left, values, right = linalg.svd(_slope(exact.F, rotation), full_matrices=False)
+        right, values, left = linalg.svd((rotation.ravel() @ by_turn).reshape(3, -1), full_matrices=False)
         determined = values > max(_OPEN * values[0], least)
         error = exact.F @ rotation.ravel() - exact.f
-        rotation = rotation @ pin.exp3(-right[determined].T @ ((left.T @ error)[determined] / values[determined]))
+        step = right[:, determined] @ ((left @ error)[determined] / values[determined])
+        rotation = rotation @ pin.exp3(-step)
+        if np.linalg.norm(step) < _STILL:
+            break
     return rotation
 
 
@@ -293,10 +296,10 @@ def _descend(rows: FloatArray, starts: FloatArray) -> tuple[FloatArray, FloatArr
     """
     F, f = rows[:, :9], rows[:, 9]
     ends, last = starts.copy(), starts.reshape(-1, 9) @ F.T - f
-    damping, moving = np.full(len(starts), 1e-2), np.arange(len(starts))
+    damping, moving, by_turn = np.full(len(starts), 1e-2), np.arange(len(starts)), _turned_rows(F)
     for _ in range(_ITERATIONS):
         rotations, errors = ends[moving], last[moving]
-        slope = _slope(F, rotations).transpose(0, 2, 1)
+        slope = (rotations.reshape(-1, 9) @ by_turn).reshape(len(moving), 3, -1)  # J^T
         square = slope @ slope.transpose(0, 2, 1)
         size = np.trace(square, axis1=1, axis2=2)
         twice = rotations.transpose(0, 2, 1) @ (errors @ F).reshape(-1, 3, 3)
@@ -322,7 +325,6 @@ def _positive(square: FloatArray) -> BoolArray:
     return positive
 
 
-def _slope(F: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Return d(F vec(R exp(w)))/dw at w = 0 for R (..., 3, 3), (..., n_rows, 3)."""
-    turned = rotation[..., None, :, :] @ _TURNS
-    return np.swapaxes(turned.reshape(*turned.shape[:-2], 9) @ F.T, -1, -2)
+def _turned_rows(F: FloatArray) -> FloatArray:
+    """Return the matrix (9, 3 n_rows) that turns vec(R) into d(F vec(R exp(w)))/dw at w = 0, axis by axis."""
+    return (F.reshape(-1, 3, 3) @ _TURNS[:, None].swapaxes(-1, -2)).reshape(-1, 9).T

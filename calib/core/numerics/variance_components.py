@@ -153,8 +153,9 @@ def find_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Com
         NotIdentifiableError: No degrees of freedom are left.
     """
     members, counts = [model.layout.group == g for g in range(len(start))], model.layout.counts
-    parts = [slice(None) if np.all(rows) else rows for rows in members]  # a slice copies nothing
-    factors = [reduce_rows(model.jacobian[rows], model.residuals[rows]) for rows in parts]
+    factors = [
+        model.factor if np.all(rows) else reduce_rows(model.jacobian[rows], model.residuals[rows]) for rows in members
+    ]
     scales = start.copy()
 
     def scaled() -> LinearModel:

@@ -252,7 +252,7 @@ _CONTENT, _ARRAY = "content", "array"
 def array_file(content: object) -> bytes:
     """Return the file of mappings, sequences, arrays, text and numbers; NaN and infinite numbers included."""
     arrays: list[NDArray[Any]] = []
-    text = json.dumps(_without_arrays(content, arrays))
+    text = json.dumps(content, default=lambda array: {_ARRAY: _place_in(arrays, array)})
     entries = {_CONTENT: np.frombuffer(text.encode(), dtype=np.uint8)}
     entries |= {str(k): array for k, array in enumerate(arrays)}
     stream = io.BytesIO()
@@ -270,16 +270,13 @@ def read_array_file(file: bytes) -> Any:
         raise ValueError(f"it is damaged: {error}") from None
 
 
-def _without_arrays(value: Any, arrays: list[NDArray[Any]]) -> Any:
-    """The value with arrays replaced by their indices, and appended to `arrays` unless they are there."""
-    if isinstance(value, np.ndarray):
-        known = next((k for k, array in enumerate(arrays) if array is value), len(arrays))
-        if known == len(arrays):
-            arrays.append(value)
-        return {_ARRAY: known}
-    if isinstance(value, dict):
-        return {key: _without_arrays(part, arrays) for key, part in value.items()}
-    return [_without_arrays(part, arrays) for part in value] if isinstance(value, (list, tuple)) else value
+def _place_in(arrays: list[NDArray[Any]], array: object) -> int:
+    """The index of an array among others, at whose end it is put unless it is there."""
+    if not isinstance(array, np.ndarray):
+        raise TypeError(f"cannot be stored: {type(array).__name__}")
+    known = next((k for k, other in enumerate(arrays) if other is array), len(arrays))
+    arrays += [array] * (known == len(arrays))
+    return known
 
 
 def _with_arrays(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:

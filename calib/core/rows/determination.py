@@ -75,6 +75,7 @@ def determination(columns: FloatArray, parameters: Sequence[Parameter], free: Bo
     unit = reduce_rows(unit)
     has_prior = np.array([p.prior for p, use in zip(parameters, free, strict=True) if use], dtype=bool)
     together = np.vstack([unit[:, free], np.eye(len(has_prior))[has_prior]])
-    return Determination(
-        numerical_rank(unit), numerical_rank(unit[:, free]), numerical_rank(together), unit, lengths, together
-    )
+    of_all = numerical_rank(unit)
+    of_free = of_all if np.all(free) else numerical_rank(unit[:, free])
+    with_priors = numerical_rank(together) if np.any(has_prior) else of_free
+    return Determination(of_all, of_free, with_priors, unit, lengths, together)

@@ -238,7 +238,7 @@ def parameter_twists(robot: Robot) -> FloatArray:
 def derivative_by_parameters(
     robot: Robot, derivative: FloatArray, columns: tuple[FloatArray, ...], index: IntArray
 ) -> FloatArray:
-    """Return the derivative by some of the parameters, (n, n_rows, n_index).
+    """Return the derivative by some of the parameters, (n, n_rows, n_index): a part of `derivative` itself, or new.
 
     Args:
         robot: Its joint terms belong to the columns.
@@ -250,7 +250,7 @@ def derivative_by_parameters(
     filled = int(np.sum(index < first))
     if filled == len(index):
         every = filled > 0 and index[-1] - index[0] == filled - 1
-        return derivative[:, :, index[0] : index[-1] + 1].copy() if every else derivative[:, :, index]
+        return derivative[:, :, index[0] : index[-1] + 1] if every else derivative[:, :, index]
     result = np.empty((*derivative.shape[:2], len(index)))  # filled in place: there may be hundreds of coefficients
     result[:, :, :filled] = derivative[:, :, index[:filled]]
     for term, phi in zip(robot.terms, columns, strict=True):

@@ -50,7 +50,7 @@ class Observed:
     term_columns: tuple[FloatArray, ...]
 
     def derivative_by(self, index: IntArray) -> FloatArray:
-        """Return a new array of derivatives by some parameters, in rising order (k,), (n, n_rows, k)."""
+        """Return the derivatives by some parameters, in rising order (k,), (n, n_rows, k); not to be changed."""
         return derivative_by_parameters(self.robot, self.derivative, self.term_columns, index)
 
     @property

@@ -71,37 +71,22 @@ class Whitening:
         """Groups of rows whose noise has one scale."""
         return self.layout.groups
 
-    def flatten(self, arrays: Mapping[str, FloatArray], *, in_place: bool = False) -> FloatArray:
+    def flatten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
         """Whiten arrays by instrument, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
 
-        Args:
-            arrays: Arrays by instrument.
-            in_place: Whether the arrays may be overwritten, so that large ones are not copied.
-
         Returns:
-            (n_all_rows,) or (n_all_rows, k).
+            A new array, (n_all_rows,) or (n_all_rows, k).
         """
         parts = []
         for name in self._names:
-            array = np.nan_to_num(arrays[name]) if np.isnan(arrays[name]).any() else arrays[name]
-            parts.append(self.whiten(name, array, in_place=in_place).reshape(-1, *array.shape[2:]))
+            array, inverse = arrays[name], self._inverse[name]
+            array = np.nan_to_num(array) if np.isnan(array).any() else array
+            if inverse.ndim == 2:  # no correlations
+                whitened = array * (inverse if array.ndim == 2 else inverse[:, :, None])
+            else:
+                whitened = np.matmul(inverse, array if array.ndim == 3 else array[:, :, None])
+            parts.append(whitened.reshape(-1, *array.shape[2:]))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-    def whiten(
-        self, name: str, array: FloatArray, chosen: IntArray | slice = slice(None), *, in_place: bool = False
-    ) -> FloatArray:
-        """Whiten an array of some readings of an instrument by the stated covariance, (n, n_rows) or (n, n_rows, k).
-
-        Args:
-            name: The instrument.
-            chosen: Numbers of the readings, (n,); all if not given.
-            in_place: Whether the array may be overwritten.
-        """
-        inverse = self._inverse[name][chosen]
-        if inverse.ndim == 2:  # no correlations: divide
-            scale = inverse if array.ndim == 2 else inverse[:, :, None]
-            return np.multiply(array, scale, out=array if in_place else None)
-        return np.matmul(inverse, array) if array.ndim == 3 else np.matmul(inverse, array[:, :, None])[:, :, 0]
 
     def unwhiten_rows(self, whitened: FloatArray, scales: Scales) -> dict[str, FloatArray]:
         """Undo whitening by `scales`, from all rows (n_all_rows,) to readings, (n, n_rows) [SI] by instrument."""
@@ -144,9 +129,7 @@ class Whitening:
 
     def columns(self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns) -> FloatArray:
         """Return the whitened derivative of the rows by the scaled unknowns, (n_rows, n_free), as in `rows`."""
-        columns = self.flatten(
-            {name: observed[name].derivative_by(unknowns.index) for name in self._names}, in_place=True
-        )
+        columns = self.flatten({name: observed[name].derivative_by(unknowns.index) for name in self._names})
         columns *= unknowns.scales
         if np.any(groups != 1.0):
             columns /= self.row_scale(groups)[:, None]

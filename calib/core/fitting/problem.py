@@ -40,6 +40,7 @@ from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
 _LEAST_FREEDOM = 0.1  # least degrees of freedom per row, where priors hold more parameters than there are rows
+_UNSEEN = 1e-3  # of a component of this length, rows decide a millionth of the variance
 _TRIALS = 2  # points that the solver compares before it moves
 
 
@@ -324,7 +325,7 @@ class _SolverRows:
         self.begin = first = unknowns.deviations(start.robot.values)
         if unknowns.families:
             rows = problem.derivative(start, groups, unknowns, weights)
-            self._seen = SeenColumns.from_rows(rows, unknowns.prior, unknowns.family)
+            self._seen = SeenColumns.from_rows(rows, unknowns.prior, unknowns.family, _UNSEEN)
             self.begin, self._prior = self._seen.combine(first), self._seen.prior
             self._others = first - self._seen.coefficients(self.begin)
         self._looked_at: list[tuple[FloatArray, Evaluation | None]] = [(self.begin, start)]

@@ -110,15 +110,22 @@ class SeenColumns(ReadOnlyArrays):
     family: IntArray
 
     @staticmethod
-    def from_rows(rows: FloatArray, prior: Prior, family: IntArray) -> SeenColumns:
-        """Return what rows (n_rows, n) see of columns with a prior, and a family or -1, (n,)."""
+    def from_rows(rows: FloatArray, prior: Prior, family: IntArray, least: float | None = None) -> SeenColumns:
+        """Return what rows see.
+
+        Args:
+            rows: (n_rows, n).
+            prior: Prior of the columns.
+            family: Family of each column, -1 for none, (n,).
+            least: Length of the shortest component; a ten-thousandth of the longest of its family if not given.
+        """
         others = np.flatnonzero(family < 0)
         places, combinations = [others], list[FloatArray]([np.eye(len(others))])
         for index in _members(family):
             own = rows[:, index]
             values, vectors = linalg.eigh(own.T @ own)
             places.append(index)
-            combinations.append(vectors[:, values >= _ASIDE**2 * values[-1]])
+            combinations.append(vectors[:, values >= (_ASIDE**2 * values[-1] if least is None else least**2)])
         numbers = np.repeat(np.arange(len(places)) - 1, [part.shape[1] for part in combinations])
         known = prior.select(others)  # families have independent priors
         known = replace(known, has=np.append(known.has, numbers[numbers >= 0] >= 0))

@@ -173,12 +173,13 @@ def test_a_balanced_one_way_layout_has_the_sizes_of_its_mean_squares(monkeypatch
     monkeypatch.setattr("calib.core.numerics.size_search._curvature", lambda at: np.zeros(len(at.logs)))
     monkeypatch.setattr("calib.core.numerics.size_search._cost", lambda at: at.cost)
     monkeypatch.setattr("calib.core.numerics.size_search._CONVERGED", 1e-7)
-    monkeypatch.setattr("calib.core.numerics.size_search._GAIN", 0.0)
     rows = one_way([6] * 12, np.random.default_rng(2), between=0.8, within=0.3)
     table = rows.values.reshape(12, 6)
     within = np.sum((table - table.mean(axis=1, keepdims=True)) ** 2) / (12 * 5)
     between = 6 * np.var(table.mean(axis=1), ddof=1)
-    family, noise, _ = MixedModel.from_rows(rows).sizes(likeliest_sizes(MixedModel.from_rows(rows)).logs)
+    family, noise, _ = MixedModel.from_rows(rows).sizes(
+        likeliest_sizes(MixedModel.from_rows(rows), least_gain=0.0).logs
+    )
     assert noise[0] ** 2 == pytest.approx(within, rel=1e-4)
     assert family[0] ** 2 == pytest.approx((between - within) / 6, rel=1e-4)
 

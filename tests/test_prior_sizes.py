@@ -5,7 +5,7 @@ import pytest
 
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.prior_sizes import Products, find_noise_with_families, variance_by_sizes
+from calib.core.numerics.prior_sizes import SeenColumns, find_noise_with_families, variance_by_sizes
 
 FAMILY = np.array([-1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 1])
 STEP = 1e-4
@@ -74,9 +74,7 @@ def test_intervals_of_families_that_are_hardly_seen_hold():
             np.zeros(36),
             RowGroups.from_groups(np.zeros(60, dtype=int), 1),
         )
-        sizes = find_noise_with_families(
-            Products.from_model(model), model.prior, model.deviations, np.array([False]), family, np.ones(1)
-        )[1][family]
+        sizes = find_noise_with_families(model, np.array([False]), family, np.ones(1))[1][family]
         covariance = np.linalg.inv((jacobian * sizes).T @ (jacobian * sizes) + np.eye(36))
         u = -covariance @ (jacobian * sizes).T @ model.residuals
         total = covariance + variance_by_sizes(covariance, family, u)
@@ -95,9 +93,22 @@ def test_what_rows_do_not_see_of_a_family_says_nothing_about_its_size():
     found = []
     for jacobian in (seen, unseen):
         n = jacobian.shape[1]
-        products = Products.from_rows(jacobian, residuals, np.zeros(40, dtype=int), 1)
-        family, prior, zero = np.zeros(n, dtype=int), Prior(np.ones(n, dtype=bool)), np.zeros(n)
-        found.append(find_noise_with_families(products, prior, zero, np.array([True]), family, np.ones(1)))
+        rows = RowGroups.from_groups(np.zeros(40, dtype=int), 1)
+        model = LinearModel(residuals, jacobian, Prior(np.ones(n, dtype=bool)), np.zeros(n), rows)
+        found.append(find_noise_with_families(model, np.array([True]), np.zeros(n, dtype=int), np.ones(1)))
     (noise, size), (same_noise, same_size) = found
     assert np.allclose(same_noise, noise, rtol=1e-9)
     assert np.allclose(same_size, size, rtol=1e-9)
+
+
+def test_components_that_rows_see_have_all_of_their_effect():
+    rng = np.random.default_rng(3)
+    family = np.array([0, -1, 0, 1, 0, 1, -1])
+    rows = rng.standard_normal((30, 7))
+    rows[:, 4] = rows[:, 0] - 2.0 * rows[:, 2]  # two components of three
+    seen = SeenColumns.from_rows(rows, Prior(family >= 0), family, 1e-6)
+    w = rng.standard_normal(len(seen.family))
+    assert list(seen.family) == [-1, -1, 0, 0, 1, 1]
+    assert list(seen.prior.has) == [False, False, True, True, True, True]
+    np.testing.assert_allclose(seen.combine(rows) @ w, rows @ seen.coefficients(w), atol=1e-12)
+    np.testing.assert_allclose(seen.combine(seen.coefficients(w)), w, atol=1e-12)

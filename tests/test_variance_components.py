@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.prior_sizes import Products, find_noise_with_families
+from calib.core.numerics.prior_sizes import find_noise_with_families
 from calib.core.numerics.variance_components import find_components, find_scales
 
 N_FREE = 4
@@ -165,9 +165,7 @@ def with_families(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
     model, family = with_families(seed)
-    scales, sizes = find_noise_with_families(
-        Products.from_model(model), model.prior, model.deviations, ONE, family, np.array([1.0])
-    )
+    scales, sizes = find_noise_with_families(model, ONE, family, np.array([1.0]))
 
     def minus_twice_log(x):
         factor = np.append(np.exp(x[1:]), 1.0)[family]
@@ -183,9 +181,4 @@ def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
 def test_a_family_that_is_not_seen_keeps_the_size_that_is_expected():
     model, family = with_families(3)
     unseen = replace(model, jacobian=model.jacobian * np.where(family == 1, 1e-9, 1.0))
-    assert (
-        find_noise_with_families(
-            Products.from_model(unseen), unseen.prior, unseen.deviations, ONE, family, np.array([1.0])
-        )[1][1]
-        == 1.0
-    )
+    assert find_noise_with_families(unseen, ONE, family, np.array([1.0]))[1][1] == 1.0

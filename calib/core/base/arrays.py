@@ -26,8 +26,9 @@ def as_slice(chosen: IntArray) -> IntArray | slice:
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return the array itself if it is read-only, else a read-only copy."""
-    if not array.flags.writeable and array.base is None:
+    """Return the array itself if it is read-only, and the array that it is a view of; else a read-only copy."""
+    owner = array if array.base is None else array.base
+    if isinstance(owner, np.ndarray) and not (array.flags.writeable or owner.flags.writeable):
         return array
     copied = array.copy()
     copied.flags.writeable = False

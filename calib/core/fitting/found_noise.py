@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.fitting.problem import Evaluation, Problem
-from calib.core.numerics.prior_sizes import Products, find_noise_with_families
+from calib.core.numerics.prior_sizes import find_noise_with_families
 from calib.core.numerics.variance_components import find_components, find_scales
 
 
@@ -24,14 +24,9 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     Returns:
         Scales of the groups (n_groups,), factors of the families (n_families,).
     """
-    ones, unknowns = np.ones(len(groups)), problem.unknowns
-    plain = problem.weighing is None
+    ones, unknowns, plain = np.ones(len(groups)), problem.unknowns, problem.weighing is None
     if unknowns.families:
-        products = problem.products(evaluation, ones) if plain else Products.from_model(problem.rows(evaluation, ones))
-        deviations = unknowns.deviations(evaluation.robot.values)
-        return find_noise_with_families(
-            products, unknowns.prior, deviations, problem.noise_found, unknowns.family, groups
-        )
+        return find_noise_with_families(problem.rows(evaluation, ones), problem.noise_found, unknowns.family, groups)
     model = problem.compressed(evaluation, ones, unknowns) if plain else problem.rows(evaluation, ones)
     return find_scales(model, groups, problem.noise_found).scales, np.ones(0)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -29,7 +29,7 @@ from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE, LeastSquaresSolution, minimise
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.linear_point import RowStack
-from calib.core.numerics.prior_sizes import Products
+from calib.core.numerics.prior_sizes import SeenColumns
 from calib.core.numerics.variance_components import SharedError
 from calib.core.robots.configurations import Configurations, close, describe_open, solve_configurations
 from calib.core.robots.joint_errors import term_columns
@@ -40,6 +40,7 @@ from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
 _LEAST_FREEDOM = 0.1  # least degrees of freedom per row, where priors hold more parameters than there are rows
+_UNSEEN = 1e-3  # of a component of this length, rows decide a millionth of the variance
 _TRIALS = 2  # points that the solver compares before it moves
 
 
@@ -51,14 +52,12 @@ class Evaluation:
         robot: The robot with these values.
         configurations: Its configurations at the visits.
         readings: Readings of each instrument, by name.
-        products: Cache of `Problem.products`: scales of the unknowns, and the products for these scales.
         factors: Cache of `Problem.compressed`: unknowns, and the triangular factor of each group's rows for them.
     """
 
     robot: Robot
     configurations: Configurations
     readings: Mapping[str, Readings]
-    products: list[tuple[FloatArray, Products]] = field(default_factory=list)
     factors: list[tuple[Unknowns, list[FloatArray]]] = field(default_factory=list)
 
     @cached_property
@@ -282,24 +281,6 @@ class Problem(ReadOnlyArrays):
         parts = [slice(None) if np.all(mine) else mine for mine in members]  # a slice copies nothing
         return [scale * reduce_rows(rows[part], residuals[part]) for part, scale in zip(parts, groups, strict=True)]
 
-    def products(self, evaluation: Evaluation, groups: FloatArray, rows: FloatArray | None = None) -> Products:
-        """Return J^T J and J^T r of the rows for the free parameters, whitened by the stated noise.
-
-        They are computed once for an evaluation, and serve all tried scales of noise and sizes of families.
-
-        Args:
-            evaluation, groups: Arguments of `rows`.
-            rows: The derivative of the rows, (n_rows, n_free), if it is known.
-        """
-        scales = self.unknowns.scales
-        if not evaluation.products:
-            rows = self.derivative(evaluation, groups, self.unknowns) if rows is None else rows
-            residuals = self.residuals(evaluation, groups)
-            made = Products.from_rows(rows, residuals, self.whitening.layout.group, len(groups)).times(groups)
-            evaluation.products.append((scales, made))
-        before, products = evaluation.products[0]
-        return products if np.array_equal(before, scales) else products.scale_columns(scales / before)
-
     def solve(
         self,
         start: Evaluation,
@@ -328,30 +309,40 @@ class Problem(ReadOnlyArrays):
 class _SolverRows:
     """Residuals and Jacobian at the points that the solver tries; each point is evaluated once.
 
+    The solver's variables w are u; of families, they are the components that rows see at the start. The other
+    components stay.
+
     Attributes:
-        begin: u at the start, (n_unknowns,).
+        begin: w at the start, (n_variables,).
         current: Evaluation at the point of the last Jacobian.
     """
 
     def __init__(
         self, problem: Problem, start: Evaluation, groups: FloatArray, unknowns: Unknowns, weights: FloatArray | None
     ) -> None:
-        self.begin, self.current = unknowns.deviations(start.robot.values), start
         self._problem, self._groups, self._unknowns, self._weights = problem, groups, unknowns, weights
+        self.current, self._prior, self._seen = start, unknowns.prior, None
+        self.begin = first = unknowns.deviations(start.robot.values)
+        if unknowns.families:
+            rows = problem.derivative(start, groups, unknowns, weights)
+            self._seen = SeenColumns.from_rows(rows, unknowns.prior, unknowns.family, _UNSEEN)
+            self.begin, self._prior = self._seen.combine(first), self._seen.prior
+            self._others = first - self._seen.coefficients(self.begin)
         self._looked_at: list[tuple[FloatArray, Evaluation | None]] = [(self.begin, start)]
-        self._n_rows = problem.whitening.layout.n_rows + len(unknowns.prior.rows)
+        self._n_rows = problem.whitening.layout.n_rows + len(self._prior.rows)
 
-    def _evaluation(self, u: FloatArray) -> Evaluation | None:
+    def _evaluation(self, w: FloatArray) -> Evaluation | None:
         for known, evaluation in self._looked_at:
-            if np.array_equal(known, u):
+            if np.array_equal(known, w):
                 return evaluation
+        u = w if self._seen is None else self._others + self._seen.coefficients(w)
         evaluation = self._problem.evaluate_if_closed(self._unknowns.robot_at(self.current.robot, u), self.current)
-        self._looked_at = [*self._looked_at, (u, evaluation)][-_TRIALS:]
+        self._looked_at = [*self._looked_at, (w, evaluation)][-_TRIALS:]
         return evaluation
 
-    def residuals(self, u: FloatArray) -> FloatArray:
-        """Return all residuals at u (n_unknowns,), ending with the priors' rows, (n_rows,); NaN where a loop opens."""
-        evaluation = self._evaluation(u)
+    def residuals(self, w: FloatArray) -> FloatArray:
+        """Return all residuals at w (n_variables,), ending with the priors' rows, (n_rows,); NaN where a loop opens."""
+        evaluation = self._evaluation(w)
         if evaluation is None:
             return np.full(self._n_rows, np.nan)
         problem, residuals = self._problem, self._problem.residuals(evaluation, self._groups)
@@ -359,28 +350,22 @@ class _SolverRows:
             residuals = problem.weighing.whiten(residuals)
         if self._weights is not None:
             residuals *= np.sqrt(self._weights)[problem.whitening.layout.reading]
-        return np.concatenate([residuals, self._unknowns.prior.times(u)])
+        return np.concatenate([residuals, self._prior.times(w)])
 
-    def jacobian(self, u: FloatArray) -> RowStack:
-        """Return the derivative of the residuals by u, (n_rows, n_unknowns), and make u the current point."""
-        evaluation = self._evaluation(u)
+    def jacobian(self, w: FloatArray) -> RowStack:
+        """Return the derivative of the residuals by w, (n_rows, n_variables), and make w the current point."""
+        evaluation = self._evaluation(w)
         if evaluation is None:  # derivatives are requested only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
-        self.current, self._looked_at = evaluation, [(u, evaluation)]  # the others take memory
+        self.current, self._looked_at = evaluation, [(w, evaluation)]  # the others take memory
         problem, groups, unknowns = self._problem, self._groups, self._unknowns
-        rows, prior = problem.derivative(evaluation, groups, unknowns, self._weights), unknowns.prior
+        rows = problem.derivative(evaluation, groups, unknowns, self._weights)
+        rows = rows if self._seen is None else self._seen.combine(rows)
         if problem.weighing is not None:
-            return RowStack(problem.weighing.whiten(rows), prior)
-        if self._weights is not None:
-            return RowStack(rows, prior)
-        if unknowns.families:
-            of_all = unknowns is problem.unknowns
-            return RowStack(rows, prior, products=partial(self._products, evaluation, rows) if of_all else None)
-        return RowStack(rows, prior, lambda: problem.compressed(evaluation, groups, unknowns, rows).factor)
-
-    def _products(self, evaluation: Evaluation, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """J^T J (n, n) and J^T r (n,) of the rows (n_rows, n) at an evaluation."""
-        return self._problem.products(evaluation, self._groups, rows).weigh(self._groups)
+            return RowStack(problem.weighing.whiten(rows), self._prior)
+        if self._weights is not None or self._seen is not None:
+            return RowStack(rows, self._prior)
+        return RowStack(rows, self._prior, lambda: problem.compressed(evaluation, groups, unknowns, rows).factor)
 
 
 def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:

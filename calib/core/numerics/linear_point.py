@@ -38,13 +38,11 @@ class RowStack:
         rows: J, (n_rows, n).
         prior: Prior of the unknowns.
         factor: Function that returns the triangular factor of [J r], (n + 1, n + 1) or fewer rows, where it is known.
-        products: Function that returns J^T J (n, n) and J^T r (n,), where these are known.
     """
 
     rows: FloatArray
     prior: Prior
     factor: Callable[[], FloatArray] | None = None
-    products: Callable[[], tuple[FloatArray, FloatArray]] | None = None
 
     @staticmethod
     def from_matrix(matrix: FloatArray | RowStack) -> RowStack:
@@ -77,8 +75,7 @@ class RowStack:
         """Return the products of all columns and one more (m,) with each other, (n + 1, n + 1)."""
         n_rows, n = self.rows.shape
         gram = np.zeros((n + 1, n + 1))
-        known = self.products or (lambda: (self.rows.T @ self.rows, self.rows.T @ right[:n_rows]))
-        gram[:n, :n], gram[:n, n] = known()
+        gram[:n, :n], gram[:n, n] = self.rows.T @ self.rows, self.rows.T @ right[:n_rows]
         self.prior.add_to(gram[:n, :n])
         gram[:n, n] += self.prior.rows.T @ right[n_rows:]
         gram[n, :n], gram[n, n] = gram[:n, n], right @ right

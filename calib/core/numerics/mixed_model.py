@@ -40,7 +40,7 @@ With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the
 Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Components
 below a ten-thousandth of the largest are dropped: rows do not see them. With a least length, so are components of a
 family that move all rows together by less than a part of the noise: of a coefficient u ~ N(0, 1) whose column has the
-length l, rows decide l^2 / (1 + l^2) of its variance.
+length l, rows decide l^2 / (1 + l^2) of its variance. So a solution omits components that are too short with its sizes.
 
 Another row, of derivatives b by the components, has the variance  b S A^-1 S b^T + d^2 |h|^2. A pose that was used is
 predicted by all others: with Q_kk the block of its rows, the error of that is Q_kk^-1 (Q y)_k, and its covariance
@@ -61,14 +61,14 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import LeftOutBlocks, blocks_of_equal_length
 from calib.core.numerics.identifiability import inverse_of_triangle, square_of_triangle
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
 
 _DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
-_LEAST_EFFECT = 1e-3  # a solution omits a coefficient that moves all rows together by less than this part of the noise
+_LEAST_EFFECT = 0.02  # a solution omits a coefficient that moves all rows together by less than this part of the noise
 _RIDGE = 1e-12  # a matrix that rounding might make singular gets this part of its diagonal added
 
 
@@ -152,12 +152,18 @@ class MixedModel(ReadOnlyArrays):
             start = end
         return result
 
-    def solve(self, logs: FloatArray) -> SolvedModel:
-        """Solve the model with sizes whose logarithms are given, (n_sizes,); -inf leaves a family out."""
+    def solve(self, logs: FloatArray, seen: IntArray | None = None) -> SolvedModel:
+        """Solve the model with given sizes.
+
+        Args:
+            logs: Logarithms of the sizes, (n_sizes,); -inf leaves a family out.
+            seen: Columns with a coefficient, (n_seen,); those that rows see with these sizes if not given.
+        """
         families, noise, scatter = self.sizes(logs)
         variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
         scale = np.append(families, [1.0, 1.0])[self.family]  # the appended entries are for families -2 and -1
-        seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _LEAST_EFFECT))
+        if seen is None:
+            seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _LEAST_EFFECT))
         root = np.sqrt(variance)
         z, y = self.whiten_columns(seen, scale, variance), self.y / root
         matrix, prior = z.T @ z, self.has_prior[seen]  # a product with its own transpose: half of the work
@@ -167,6 +173,7 @@ class MixedModel(ReadOnlyArrays):
         left = y - z @ v
         determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(np.sum(np.log(variance)))
         cost = float(np.sum(left**2) + np.sum(prior * v**2))
+        hold(matrix, upper)  # of which `upper` is a view
         solved = SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (determinant + cost))
         vars(solved)["z"] = z  # the derivatives need z next
         return solved

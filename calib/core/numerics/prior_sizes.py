@@ -25,13 +25,12 @@ Reference: kass1989; patterson1971; mackay1992; chung2013.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import inverse_of_triangle, square_of_triangle
@@ -75,14 +74,75 @@ def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: Floa
     spread = spread_of_sizes(covariance, family)
     slopes = np.stack([2.0 * covariance[:, index] @ deviations[index] for index in members], axis=1)
     added: FloatArray = slopes @ spread @ slopes.T
+    weights, columns = list[FloatArray](), list[FloatArray]()
     for f, index in enumerate(members):
-        inner = 4.0 * covariance[np.ix_(index, index)] - 2.0 * np.eye(len(index))
-        added += spread[f, f] * (covariance[:, index] @ inner @ covariance[index])
+        values, vectors = linalg.eigh(covariance[np.ix_(index, index)])
+        weights.append(spread[f, f] * (4.0 * values - 2.0))
+        columns.append(covariance[:, index] @ vectors)
+    scaled = np.concatenate(columns, axis=1) * np.sqrt(np.abs(weight := np.concatenate(weights)))
+    for sign in (1.0, -1.0):  # products with their own transpose: half of the work
+        part = scaled[:, np.sign(weight) == sign]
+        added += sign * (part @ part.T)
     return added
 
 
 def _members(family: IntArray) -> list[IntArray]:
     return [np.flatnonzero(family == number) for number in range(int(np.max(family, initial=-1)) + 1)]
+
+
+@dataclass(frozen=True, eq=False)
+class SeenColumns(ReadOnlyArrays):
+    """Columns other than those of families, then the principal components of families that the rows see.
+
+    With w their coefficients, those of all columns are u = B w. B has orthonormal columns. Components that rows do not
+    see keep the mean of their prior, whatever the size of the family is.
+
+    Attributes:
+        places: Columns of each part, (k,).
+        combinations: Part of B, (k, k_new) for each part.
+        prior: Prior of w.
+        family: Family of each w, -1 for none, (n_new,).
+    """
+
+    places: tuple[IntArray, ...]
+    combinations: tuple[FloatArray, ...]
+    prior: Prior
+    family: IntArray
+
+    @staticmethod
+    def from_rows(rows: FloatArray, prior: Prior, family: IntArray, least: float | None = None) -> SeenColumns:
+        """Return what rows see.
+
+        Args:
+            rows: (n_rows, n).
+            prior: Prior of the columns.
+            family: Family of each column, -1 for none, (n,).
+            least: Length of the shortest component; a ten-thousandth of the longest of its family if not given.
+        """
+        others = np.flatnonzero(family < 0)
+        places, combinations = [others], list[FloatArray]([np.eye(len(others))])
+        for index in _members(family):
+            own = rows[:, index]
+            values, vectors = linalg.eigh(own.T @ own)
+            places.append(index)
+            combinations.append(vectors[:, values >= (_ASIDE**2 * values[-1] if least is None else least**2)])
+        numbers = np.repeat(np.arange(len(places)) - 1, [part.shape[1] for part in combinations])
+        known = prior.select(others)  # families have independent priors
+        known = replace(known, has=np.append(known.has, numbers[numbers >= 0] >= 0))
+        return SeenColumns(tuple(places), tuple(combinations), known, numbers)
+
+    def combine(self, columns: FloatArray) -> FloatArray:
+        """Return `columns` times B, (..., n_new), from (..., n)."""
+        parts = zip(self.places, self.combinations, strict=True)
+        return np.concatenate([columns[..., index] @ part for index, part in parts], axis=-1)
+
+    def coefficients(self, combined: FloatArray) -> FloatArray:
+        """Return u = B w, (n,), from w (n_new,)."""
+        ends = np.cumsum([part.shape[1] for part in self.combinations])[:-1]
+        own = [part @ w for part, w in zip(self.combinations, np.split(combined, ends), strict=True)]
+        result = np.empty(sum(map(len, own)))
+        result[np.concatenate(self.places)] = np.concatenate(own)
+        return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,13 +153,11 @@ class Products:
         gram: J^T J of the rows of each group, (n_groups, n_free, n_free).
         right_side: J^T y, (n_groups, n_free).
         square: |y|^2, (n_groups,).
-        count: Number of rows, (n_groups,).
     """
 
     gram: FloatArray
     right_side: FloatArray
     square: FloatArray
-    count: IntArray
 
     @staticmethod
     def from_rows(jacobian: FloatArray, residuals: FloatArray, group: IntArray, n_groups: int) -> Products:
@@ -110,25 +168,7 @@ class Products:
             in_group = group == g
             rows, right = (jacobian, residuals) if np.all(in_group) else (jacobian[in_group], residuals[in_group])
             gram[g], pull[g], square[g] = rows.T @ rows, rows.T @ right, right @ right
-        return Products(gram, pull, square, np.bincount(group[group >= 0], minlength=n_groups))
-
-    @staticmethod
-    def from_model(model: LinearModel) -> Products:
-        """Return the products of the rows of a linear model."""
-        counts = model.layout.counts
-        return replace(
-            Products.from_rows(model.jacobian, model.residuals, model.layout.group, len(counts)), count=counts
-        )
-
-    def times(self, scales: FloatArray) -> Products:
-        """Return the products of rows times the scales of their groups, (n_groups,)."""
-        squares = scales**2
-        gram, pull = squares[:, None, None] * self.gram, squares[:, None] * self.right_side
-        return Products(gram, pull, squares * self.square, self.count)
-
-    def scale_columns(self, factor: FloatArray) -> Products:
-        """Return the products of columns times a factor of each, (n_free,)."""
-        return Products(factor[:, None] * self.gram * factor, self.right_side * factor, self.square, self.count)
+        return Products(gram, pull, square)
 
     def weigh(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return J^T J (n_free, n_free) and J^T y (n_free,) of all rows over the scales of their groups (n_groups,)."""
@@ -137,15 +177,6 @@ class Products:
         for weight, more in zip(weights[1:], self.gram[1:], strict=True):
             gram += weight * more
         return gram, weights @ self.right_side
-
-    def combine_columns(self, parts: Sequence[tuple[IntArray, FloatArray]]) -> Products:
-        """Return the products of combinations of columns: of columns (k,), their combinations (k, k_new), in turn."""
-
-        def combine(products: FloatArray) -> FloatArray:
-            return np.concatenate([products[..., index] @ combinations for index, combinations in parts], axis=-1)
-
-        gram = np.stack([combine(combine(one).T) for one in self.gram])
-        return Products(gram, combine(self.right_side), self.square, self.count)
 
     def squared_residuals(self, step: FloatArray) -> FloatArray:
         """Return |y + J step|^2 of each group, (n_groups,), for a step (n_free,)."""
@@ -164,12 +195,7 @@ def inverse_root(matrix: FloatArray) -> FloatArray:
 
 
 def find_noise_with_families(
-    products: Products,
-    prior: Prior,
-    deviations: FloatArray,
-    sought: BoolArray,
-    family: IntArray,
-    start: FloatArray,
+    model: LinearModel, sought: BoolArray, family: IntArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Find scales of groups together with the size of the priors of families.
 
@@ -179,8 +205,7 @@ def find_noise_with_families(
     error away from zero, and coefficients that the data do not see keep an interval.
 
     Args:
-        products: Products of the rows, whitened by the stated noise.
-        prior, deviations: Prior of the columns, and u at which the rows were computed, (n_free,).
+        model: The rows, whitened by the stated noise.
         sought: Mask of the groups whose scales are to be found, (n_groups,).
         family: Family of each parameter, -1 for none, (n_free,).
         start: Scales of the groups to start from, (n_groups,).
@@ -188,10 +213,12 @@ def find_noise_with_families(
     Returns:
         Scales of the groups (n_groups,), and a_f of the families (n_families,).
     """
-    products, prior, deviations, family = _combine_seen(products, prior, deviations, family, start)
+    seen, counts = SeenColumns.from_rows(model.jacobian, model.prior, family), model.layout.counts
+    deviations, prior, family = seen.combine(model.deviations), seen.prior, seen.family
+    products = Products.from_rows(seen.combine(model.jacobian), model.residuals, model.layout.group, len(counts))
     members, known = _members(family), prior.together
     scales, sizes = start.copy(), np.ones(len(members))
-    alone = int(np.sum(products.count > 0)) == 1
+    alone = int(np.sum(counts > 0)) == 1
     for _ in range(_ROUNDS):
         factor = np.append(sizes, 1.0)[family]  # deviations and variances below are divided by these
         gram, pull = products.weigh(scales)
@@ -201,12 +228,12 @@ def find_noise_with_families(
         variances = np.einsum("ij,ij->i", root, root) / factor**2
         inverse = None if alone else square_of_triangle(root)
         change = np.ones(len(start))
-        for g in map(int, np.flatnonzero(sought & (products.count > 0))):
+        for g in map(int, np.flatnonzero(sought & (counts > 0))):
             if inverse is None:  # the rows determine all directions that priors do not
                 used = len(factor) - prior.share(root[known] / factor[known, None], variances)
             else:
                 used = float(np.sum(inverse * products.gram[g])) / scales[g] ** 2
-            change[g] = np.sqrt(left[g] / max(products.count[g] - used, 0.5)) / scales[g]
+            change[g] = np.sqrt(left[g] / max(counts[g] - used, 0.5)) / scales[g]
         growth = np.ones(len(members))
         for f, in_family in enumerate(members):
             determined = len(in_family) - float(np.sum(variances[in_family]))
@@ -219,22 +246,3 @@ def find_noise_with_families(
         if np.all(np.abs(growth - 1.0) <= _CONVERGED) and np.all(np.abs(change - 1.0) <= _CONVERGED / 10):
             break
     return scales, sizes
-
-
-def _combine_seen(
-    products: Products, prior: Prior, deviations: FloatArray, family: IntArray, scales: FloatArray
-) -> tuple[Products, Prior, FloatArray, IntArray]:
-    """Products, prior, deviations and family of principal components of families, after the other parameters.
-
-    Components that rows do not see are left out: they have their prior, whatever the size is.
-    """
-    gram, others = products.weigh(scales)[0], np.flatnonzero(family < 0)
-    parts: list[tuple[IntArray, FloatArray]] = [(others, np.eye(len(others)))]
-    for index in _members(family):
-        values, vectors = linalg.eigh(gram[np.ix_(index, index)])
-        parts.append((index, vectors[:, values >= _ASIDE**2 * values[-1]]))
-    numbers = np.repeat(np.arange(len(parts)) - 1, [combinations.shape[1] for _, combinations in parts])
-    known = prior.select(others)  # families have independent priors
-    known = replace(known, has=np.append(known.has, numbers[numbers >= 0] >= 0))
-    deviations = np.concatenate([deviations[index] @ combinations for index, combinations in parts])
-    return products.combine_columns(parts), known, deviations, numbers

@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.mixed_rows import FLAT
@@ -44,16 +44,20 @@ _AT_BOUND = 1e-9  # difference of a logarithm from its bound
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
 _CONVERGED = 0.03  # sizes are found if twice the cost changes less with their logarithms
-_GAIN = 5e-4  # least fall of the cost for which a step is taken, and the search continues
+_GAIN = 5e-4  # least fall of the cost for which a search continues, if not given
+_NEAR = 1.0  # after a smaller fall of the cost, the same columns have coefficients
 _ROUNDS = 80
 
 
-def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: BoolArray | None = None) -> SolvedModel:
+def likeliest_sizes(
+    model: MixedModel, start: FloatArray | None = None, absent: BoolArray | None = None, least_gain: float = _GAIN
+) -> SolvedModel:
     """Return the model solved with the sizes of the largest posterior density.
 
     Args:
         start: Logarithms of the sizes to begin with, (n_sizes,); by the module docstring if not given.
         absent: Families to leave out, (n_families,): the logarithms of their sizes are -inf; none if not given.
+        least_gain: Least fall of -log of the density for which a step is taken, and the search continues.
     """
     bounds = _Bounds.from_model(model)
     none = np.zeros(len(bounds.least), dtype=bool)
@@ -62,19 +66,20 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, absent: 
         bounds = replace(bounds, least=np.where(none, -np.inf, bounds.least))
     begin = np.maximum(bounds.first if start is None else start, bounds.least)
     at = model.solve(np.where(none, bounds.least, begin))
-    damping = 1e-3
+    damping, gain = 1e-3, np.inf
     for _ in range(_ROUNDS):
         gradient = at.gradient + _slope(at)
         free = ~(none | ((at.logs <= bounds.least + _AT_BOUND) & (gradient > 0.0)))
         if not np.any(free) or np.max(np.abs(gradient[free])) < _CONVERGED / 2.0:
             break
         information = at.average_information + np.diag(_curvature(at))
-        better, damping = _try_step(at, gradient, information, free, bounds, damping)
+        seen = at.seen if gain < _NEAR else None  # the cost is not smooth where these change
+        better, damping = _try_step(at, gradient, information, free, bounds, damping, least_gain, seen)
         if better is None:
             break
         gain = _cost(at) - _cost(better)
         at = better
-        if gain < _GAIN:
+        if gain < least_gain:
             break
         damping *= 0.3
     falling = (at.gradient + _slope(at) > 0.0) & (at.logs < bounds.first + np.log(_SMALL)) & ~none
@@ -113,7 +118,14 @@ def _mean_beyond(value: float, variance: float) -> float:
 
 
 def _try_step(
-    at: SolvedModel, gradient: FloatArray, information: FloatArray, free: BoolArray, bounds: _Bounds, damping: float
+    at: SolvedModel,
+    gradient: FloatArray,
+    information: FloatArray,
+    free: BoolArray,
+    bounds: _Bounds,
+    damping: float,
+    least_gain: float,
+    seen: IntArray | None,
 ) -> tuple[SolvedModel | None, float]:
     """Solved model after a step that lowers the cost, and its damping; None if no step promises enough."""
     inner = information[np.ix_(free, free)]
@@ -121,10 +133,10 @@ def _try_step(
         step = np.zeros(len(gradient))
         damped = inner + np.diag(damping * np.diag(inner) + 5e-3)
         step[free] = -np.linalg.solve(damped, gradient[free])
-        if not -gradient @ step >= 2.0 * _GAIN:  # also where it is no number
+        if not -gradient @ step >= 2.0 * least_gain:  # also where it is no number
             return None, damping
         logs = np.clip(at.logs + np.clip(step, -_STEP, _STEP), bounds.least, bounds.most)
-        tried = at.model.solve(logs)
+        tried = at.model.solve(logs, seen)
         if _cost(tried) < _cost(at):
             return tried, damping
         damping = max(6.0 * damping, 1e-2)

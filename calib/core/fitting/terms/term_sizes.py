@@ -73,6 +73,7 @@ LEAST_POSES = 16
 """Fewest different poses from which sizes are found."""
 _SMALL = 0.05  # below this part of the usual size, a family is fitted only if the rows show it
 _SHOWS = 1.0  # rise of the log likelihood by a family that the rows show
+_ROUGH = 0.05  # error of the log likelihood of kinds that are compared
 _DRAWS = 24
 _SHORTEST = 0.3  # a component of usual size is dropped if its length is below this part of the fit's noise
 _LIMITS = (0.025, 0.975)
@@ -151,10 +152,15 @@ class _TermModel:
         self._solved.setdefault(self._requested_kinds, full)
         if kinds not in self._solved:
             near = self._solved[min(self._solved, key=lambda known: self._freedom_of_kinds(known ^ kinds))].logs
-            absent = self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds))
-            solved = likeliest_sizes(full.model, np.where(np.isneginf(near), full.logs, near), absent)
+            solved = likeliest_sizes(
+                full.model, np.where(np.isneginf(near), full.logs, near), self._absent(kinds), _ROUGH
+            )
             self._solved[kinds] = replace(solved)  # without its cached values, which take memory
         return self._solved[kinds]
+
+    def _absent(self, kinds: frozenset[str]) -> BoolArray:
+        """Mask of the families of all other requested kinds, (n_families,)."""
+        return self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds))
 
     def _most_evidence(self, kind: str, kinds: frozenset[str]) -> float:
         """Upper bound of a kind's gain of log likelihood, from the sets solved so far: more kinds fit better."""
@@ -201,7 +207,7 @@ class _TermModel:
                 continue
             more = [kind for kind in sorted(every - kinds) if self._earns(kind, kinds)]
             kinds |= {min(more, key=lambda kind: self._solve_with_kinds(kinds | {kind}).cost)} if more else kinds
-        return self._solve_with_kinds(kinds)
+        return likeliest_sizes(self._solved_model.model, self._solve_with_kinds(kinds).logs, self._absent(kinds))
 
     @cached_property
     def _smallest_logs(self) -> FloatArray:

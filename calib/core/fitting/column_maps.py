@@ -43,6 +43,7 @@ USUAL_FACTORS: dict[str, dict[float, str]] = {
 }
 """Usual causes of a wrong scale, by the dimension of the joint and the factor that corrects the column."""
 _STEP = 0.06  # relative step between tried scales
+_STILL = 0.05  # a smaller factor, of no usual cause, means that the joint moves nothing that was read
 _USUAL = 2e-3  # relative difference of a factor from a usual one
 _FACTORS = tuple((1.0 + _STEP) ** k for k in range(-16, 17) if k)
 _ALL_SIGNS = 8  # with more motors, not every pattern of signs and not every two changes are tried
@@ -109,6 +110,9 @@ class ColumnMap:
             if scaled:
                 size = std[j] if std else _STEP * abs(factor) / 2
                 why = _usual(abs(factor), size, robot.mechanism.dimensions[name])
+                if abs(factor) < _STILL and not why:
+                    parts.append(f"the target does not move with {joints_named(name)}, as if on a link before it")
+                    continue
                 how.insert(0, f"was scaled by {1 / abs(factor):.4g} +- {2 * size / factor**2:.1g}")
             parts.append(f"{joints_named(name)} {' and '.join(how)} ({value} would be right{why})")
         if turned:

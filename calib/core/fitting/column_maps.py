@@ -91,9 +91,15 @@ class ColumnMap:
         """Whether a factor is not one."""
         return any(abs(factor) != 1 for factor in self.factors)
 
+    def still_joints(self, robot: Robot) -> list[int]:
+        """Return the joints with a factor near zero, which no unit has: these joints do not move the target."""
+        dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
+        small = [j for j, factor in enumerate(self.factors) if abs(factor) < _STILL]
+        return [j for j in small if not _usual(abs(self.factors[j]), 0.0, dimensions[j])]
+
     def words(self, robot: Robot, std: Sequence[float] = ()) -> str:
         """Return the mistakes in words; `std` are standard deviations of the factors, where these are known."""
-        names, turned = robot.joint_names, []
+        names, turned, still = robot.joint_names, [], self.still_joints(robot)
         moved = [k for k, column in enumerate(self.columns) if k != column]
         parts = [_order_in_words([names[k] for k in moved], [names[self.columns[k]] for k in moved])] * bool(moved)
         for j, (name, factor, quarter) in enumerate(zip(names, self.factors, self.quarters, strict=True)):
@@ -110,7 +116,7 @@ class ColumnMap:
             if scaled:
                 size = std[j] if std else _STEP * abs(factor) / 2
                 why = _usual(abs(factor), size, robot.mechanism.dimensions[name])
-                if abs(factor) < _STILL and not why:
+                if j in still:
                     parts.append(f"the target does not move with {joints_named(name)}, as if on a link before it")
                     continue
                 how.insert(0, f"was scaled by {1 / abs(factor):.4g} +- {2 * size / factor**2:.1g}")

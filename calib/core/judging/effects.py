@@ -302,7 +302,7 @@ def _frame_columns(setting: EffectSetting) -> dict[str, FloatArray]:
     """Derivative of readings by shifts along x, y, z, turns about them, and sizes of lengths, (n, n_rows, 10) each.
 
     The sizes are those of all lengths, and of lengths along x, y and z. The lengths are distances, and positions from
-    the middle of the points.
+    the middle of the points. Along one axis they are as predicted: those of a planar robot would be noise alone.
     """
     result, points = dict[str, FloatArray](), _points(setting)
     for name, readings in setting.data.readings.items():
@@ -314,7 +314,8 @@ def _frame_columns(setting: EffectSetting) -> dict[str, FloatArray]:
         if name in points:
             columns[:, rows, 3:6] = np.cross(points[name][:, None], np.eye(3)).swapaxes(1, 2)
             columns[:, rows, 6] = points[name]
-            columns[:, rows, 7:] = points[name][:, :, None] * np.eye(3)
+            predicted = points[name] + np.nan_to_num(setting.fit.identification.after[name][:, rows])
+            columns[:, rows, 7:] = predicted[:, :, None] * np.eye(3)
         elif len(instrument.parts) == 1 and instrument.parts[0].is_distance:
             columns[:, 0, 6] = readings.values[:, 0]
     return result

@@ -274,7 +274,8 @@ def main() -> None:
     print(table(outcomes))
     if options.page:
         text = PAGE.read_text(encoding="utf-8")
-        said = f"{_INTRODUCTION}\n{table(outcomes)}"
+        part = "" if options.every == 1 else f"Tried is one mistake in {options.every}.\n"
+        said = f"{_INTRODUCTION}{part}\n{table(outcomes)}"
         PAGE.write_text(_PLACE.sub(lambda place: f"{place[1]}{said}{place[2]}", text), encoding="utf-8")
 
 

@@ -46,7 +46,7 @@ _HELD_OUT = (0.0, 0.25)
 _INTRODUCTION = """\
 In simulated files of four robots (the arm above, a five-bar, a UR10e, MedRUE), each with one mistake, once with
 `--validate 0.25` and once without, this was said. *Refused* is an error before any verdict, such as poses at which the
-loops cannot close; it names the mistake, too.
+loops cannot close; most of them name the mistake, too.
 """
 
 

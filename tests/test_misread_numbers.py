@@ -102,6 +102,23 @@ def test_the_noise_of_many_poses_does_not_hide_lengths_of_another_unit(scale):
     assert ("lengths_scaled" in fit.verdict.to_dict()["codes"]) == (scale != 1.0)
 
 
+@pytest.mark.quick(1)
+@pytest.mark.parametrize(("axis", "scale"), [("x", 1.02), ("y", 0.98), ("z", 1.005)])
+def test_lengths_on_another_scale_along_one_axis_are_named_without_a_stated_noise(axis, scale, tmp_path):
+    """Joint origins take much of it up, and the rest may pass for noise where none is stated."""
+    text = (EXAMPLES / "arm.yaml").read_text().replace("arm.urdf", str(EXAMPLES / "arm.urdf"))
+    (tmp_path / "robot.yaml").write_text(text.replace("\nsigma: 0.03 mm", ""))
+    robot = calib.load(tmp_path / "robot.yaml")
+    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
+    points = data.points(robot)[:, 0] * np.where(np.array(list("xyz")) == axis, scale, 1.0)
+    verdict = calib.fit(robot, calib.as_measurements(robot, data.joints, points)).verdict
+    assert verdict.grade == "FAIL"
+    text = next(reason.text for reason in verdict.reasons if reason.code == "lengths_scaled")
+    result = re.match(rf"measured lengths along {axis} are ([\d.]+) % (longer|shorter)", text)
+    assert float(result[1]) == pytest.approx(100 * abs(scale - 1), rel=0.1)
+    assert result[2] == ("longer" if scale > 1 else "shorter")
+
+
 @pytest.mark.quick(0)
 def test_inches_read_as_millimetres_are_told_as_a_factor():
     """In percent, lengths 25.4 times too short would be 2440 % shorter, which nothing is."""

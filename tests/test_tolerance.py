@@ -5,8 +5,9 @@ import shutil
 import pytest
 from public_data import EXAMPLES
 
-from calib.core.base.errors import DataError
-from calib.core.data.tolerances import stated_tolerance
+from calib.core.base.errors import DataError, DescriptionError
+from calib.core.base.tolerances import stated_tolerance
+from calib.core.robots.description import read_description
 
 
 def test_the_smallest_tolerance_of_the_comments_counts():
@@ -30,6 +31,15 @@ def test_a_tolerance_that_is_not_understood_is_an_error(comment, says):
         stated_tolerance((comment,), "a.csv")
 
 
+def test_a_comment_of_a_description_states_the_tolerance_but_not_one_inside_an_entry(tmp_path):
+    text = (EXAMPLES / "arm.yaml").read_text()
+    (tmp_path / "robot.yaml").write_text(f"#tolerance: 0.06 mm\n{text}#   tolerance: 0.01 mm\n  # tolerance: 0.01 mm\n")
+    assert read_description(tmp_path / "robot.yaml").tolerance == pytest.approx(6e-5)
+    (tmp_path / "robot.yaml").write_text(f"# tolerance: 0.06\n{text}")
+    with pytest.raises(DescriptionError, match=r"robot\.yaml: comment 'tolerance: 0\.06': is not a length with a unit"):
+        read_description(tmp_path / "robot.yaml")
+
+
 @pytest.mark.quick(0)
 def test_a_claim_above_the_tolerance_of_file_or_description_is_no_pass(run_calib, tmp_path):
     for end in ("urdf", "yaml"):
@@ -39,6 +49,7 @@ def test_a_claim_above_the_tolerance_of_file_or_description_is_no_pass(run_calib
         (tmp_path / f"{name}.csv").write_text(comment + measured)
     text = (tmp_path / "arm.yaml").read_text()
     (tmp_path / "strict.yaml").write_text(text + "tolerance: 0.06 mm\n")
+    (tmp_path / "comment.yaml").write_text(f"# tolerance: 0.06 mm\n{text}tolerance: 0.2 mm\n")
 
     def verdict(robot, data):
         run = run_calib("fit", robot, data, "--no-pages", "--out", f"{robot}_{data}".replace(".", "_"), cwd=tmp_path)
@@ -50,6 +61,7 @@ def test_a_claim_above_the_tolerance_of_file_or_description_is_no_pass(run_calib
     for robot, data, words in (
         ("arm.yaml", "narrow.csv", "CHECK: the claim is 0.0853 mm (95 % of the time), above the tolerance of 0.05 mm"),
         ("strict.yaml", "wide.csv", "above the tolerance of 0.06 mm"),
+        ("comment.yaml", "wide.csv", "above the tolerance of 0.06 mm"),
     ):
         said = " ".join(verdict(robot, data).split())
         assert "Verdict: CHECK" in said

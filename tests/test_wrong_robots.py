@@ -190,3 +190,33 @@ def test_a_target_on_the_link_before_its_own_is_named_with_its_joint(stated):
     assert fit.verdict.grade == "CHECK"
     said = re.search(r"flange moves with joint wrist_3_joint, as .* ([\d.]+) mm from where", str(fit.verdict))
     assert float(said[1]) == pytest.approx(4.0, abs=1.2)  # the axis is off as well
+
+
+def fit_of_a_point_on(link, name, stated):
+    """The fit of a robot whose target is described at its end, and in truth sits on a link before it."""
+    (q, _), robot = measured(name), described(name, None, stated)
+    T = true_robot(name).forward(q, link)
+    points = T[:, :3, 3] + T[:, :3, :3] @ [0.02, 0.03, 0.05]
+    points += SIGMA[name] * np.random.default_rng(4).standard_normal(points.shape)
+    return calib.fit(robot, calib.as_measurements(robot, q, points[:, None]))
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("stated", [True, False])
+def test_axes_that_are_bent_through_a_target_on_a_link_before_them_are_no_pass(stated):
+    """The fit is as good as the noise, and so are poses left out: only the distance of parameters shows it."""
+    fit = fit_of_a_point_on("link_5", "ur10e", stated)
+    assert fit.sigma < 2 * SIGMA["ur10e"]
+    assert fit.verdict.grade == "CHECK", fit.verdict
+    assert "check zero positions, units and the targets' links" in str(fit.verdict)
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_joint_that_does_not_move_the_target_is_named_as_that(stated):
+    """Its scale would be nothing, which no unit is."""
+    fit = fit_of_a_point_on("link_5", "arm", stated)
+    assert fit.verdict.grade == "FAIL"
+    text = fit.verdict.reasons[0].text
+    assert "the target does not move with joint_6, as if on a link before it" in text
+    assert "In the description" not in text  # no column corrects it

@@ -3,7 +3,8 @@
     python docs/site/mistake_rates.py [--every N] [--robots NAMES] [--only WORDS] [--kept FILE] [--page]
 
 Mistakes are columns of joints in another order, rows that are shifted, a joint that is scaled, columns of the
-measurement in another order, another unit, a range that was mapped, rows that were copied, a tool that sits elsewhere.
+measurement in another order or one of them scaled, another unit, a range that was mapped, rows that were copied, a tool
+that sits elsewhere, a target on another link.
 --every N tries one in N of them; --page puts the table into docs/howto/when_it_fails.md. --kept FILE collects outcomes,
 so that a run that was ended goes on where it was.
 """
@@ -45,7 +46,7 @@ _HELD_OUT = (0.0, 0.25)
 _INTRODUCTION = """\
 In simulated files of four robots (the arm above, a five-bar, a UR10e, MedRUE), each with one mistake, once with
 `--validate 0.25` and once without, this was said. *Refused* is an error before any verdict, such as poses at which the
-loops cannot close; it names the mistake, too.
+loops cannot close; most of them name the mistake, too.
 """
 
 
@@ -67,12 +68,12 @@ class Mistake:
 
 
 @cache
-def laboratory(name: str) -> tuple[calib.Robot, Array, Array]:
-    """Return a nominal robot, joint values (n, n_actuated), and readings of the true one (n, n_targets, 3)."""
+def laboratory(name: str) -> tuple[calib.Robot, calib.Robot, Array, Array]:
+    """Return a nominal and the true robot, joint values (n, n_actuated), and readings (n, n_targets, 3)."""
     rng = np.random.default_rng(7)
     if name in ("arm", "MedRUE"):
         lab = open_lab(name, 7)
-        return lab.nominal, lab.joints[:POSES], (lab.seen() + lab.noise())[:POSES]
+        return lab.nominal, lab.truth, lab.joints[:POSES], (lab.seen() + lab.noise())[:POSES]
     if name == "five-bar":
         nominal = calib.load(EXAMPLES / "five_bar.yaml")
         q = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", nominal).joints
@@ -96,13 +97,14 @@ def laboratory(name: str) -> tuple[calib.Robot, Array, Array]:
         for p, use in zip(own, nominal.is_free, strict=False)
         if use
     }
-    seen = nominal.with_parameters(errors).positions(q)
-    return nominal, q, seen + 3e-5 * rng.standard_normal(seen.shape)
+    truth = nominal.with_parameters(errors)
+    seen = truth.positions(q)
+    return nominal, truth, q, seen + 3e-5 * rng.standard_normal(seen.shape)
 
 
 def mistakes(name: str) -> Iterator[Mistake]:
     """Yield every mistake in measurements of a robot."""
-    nominal, q, points = laboratory(name)
+    nominal, truth, q, points = laboratory(name)
     names, n = nominal.joint_names, q.shape[1]
     turning = np.array([nominal.mechanism.dimensions[joint] == "angle" for joint in names])
     yield from _orders(names, turning)
@@ -110,7 +112,9 @@ def mistakes(name: str) -> Iterator[Mistake]:
         said = f"{'1 row' if abs(rows) == 1 else f'{abs(rows)} rows'} {'below' if rows > 0 else 'above'}"
         yield Mistake("rows shifted", f"{rows} rows", _shifted(rows), said.replace("1 row ", "(1|one) row "))
     for j, factor in product(range(n), FACTORS):
-        yield Mistake("a joint scaled", f"{names[j]} x {factor:.3g}", _scaled(j, factor), rf"\b{names[j]}\b.* scaled")
+        yield Mistake(
+            "a joint scaled", f"{names[j]} x {factor:.3g}", _scaled(j, factor), rf"\b{names[j]}\b.* (scaled|as far)"
+        )
     planar = bool(np.ptp(points[..., 2] - points[..., 2].mean()) < 1e-2)  # of these, a mirrored frame is a turned one
     for order, sign in product(permutations(range(3)), product((1, -1), repeat=3)) if not planar else ():
         even = np.linalg.det(np.eye(3)[list(order)] * sign) > 0
@@ -136,6 +140,12 @@ def mistakes(name: str) -> Iterator[Mistake]:
     if section.position == "known":
         for axis in range(2 if planar else 3):
             yield Mistake("tool elsewhere", f"150 mm along {'xyz'[axis]}", _tool(nominal, axis), "xyz: ")
+    for axis, factor in product(range(2 if planar else 3), (0.98, 1.02)):
+        scaled = np.where(np.arange(3) == axis, factor, 1.0)
+        named = f"measured lengths along {'xyz'[axis]}|joints do not move|scaled"
+        yield Mistake("a measured axis scaled", f"{'xyz'[axis]} x {factor}", _measured((0, 1, 2), scaled), named)
+    for link, seen in _other_links(truth, q, section.frame):
+        yield Mistake("target on another link", link, lambda q, p, seen=seen: (q, seen), "links?\\b|moves? with")
 
 
 def _orders(names: tuple[str, ...], turning: Array) -> Iterator[Mistake]:
@@ -162,7 +172,7 @@ def _scaled(j: int, factor: float) -> Callable[[Array, Array], tuple[Array, Arra
     return lambda q, p: (q * np.where(np.arange(q.shape[1]) == j, factor, 1.0), p)
 
 
-def _measured(order: tuple[int, ...], sign: tuple[int, ...]) -> Callable[[Array, Array], tuple[Array, Array]]:
+def _measured(order: tuple[int, ...], sign: tuple[int, ...] | Array) -> Callable[[Array, Array], tuple[Array, Array]]:
     return lambda q, p: (q, p[..., list(order)] * np.array(sign))
 
 
@@ -185,6 +195,17 @@ def _tool(nominal: calib.Robot, axis: int) -> Callable[[Array, Array], tuple[Arr
     return make
 
 
+def _other_links(truth: calib.Robot, q: Array, frame: str) -> Iterator[tuple[str, Array]]:
+    """Readings of the target if it sits on each link that moves against its own, (n, n_targets, 3)."""
+    rng, own = np.random.default_rng(3), truth.forward(q, frame)
+    for link in truth.urdf.links:
+        T = truth.forward(q, link)
+        if np.ptp(np.linalg.inv(own) @ T, axis=0).max() > 1e-6:
+            seen = T[:, :3, 3] + T[:, :3, :3] @ [0.02, 0.03, 0.05]
+            each = np.repeat(seen[:, None], len(truth.target_names), axis=1)
+            yield link, each + 3e-5 * rng.standard_normal(each.shape)
+
+
 @dataclass(frozen=True)
 class Outcome:
     """Messages about one mistake."""
@@ -200,7 +221,7 @@ class Outcome:
 
 def outcome(robot: str, mistake: Mistake, held_out: float) -> Outcome:
     """Return what is said of one mistake."""
-    nominal, q, points = laboratory(robot)
+    nominal, _, q, points = laboratory(robot)
     data = as_measurements(nominal, *mistake.make(q, points))
     grade, text = "refused", ""
     try:
@@ -253,7 +274,8 @@ def main() -> None:
     print(table(outcomes))
     if options.page:
         text = PAGE.read_text(encoding="utf-8")
-        said = f"{_INTRODUCTION}\n{table(outcomes)}"
+        part = "" if options.every == 1 else f"Tried is one mistake in {options.every}.\n"
+        said = f"{_INTRODUCTION}{part}\n{table(outcomes)}"
         PAGE.write_text(_PLACE.sub(lambda place: f"{place[1]}{said}{place[2]}", text), encoding="utf-8")
 
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest
+from calib.core.base.tolerances import stated_tolerance
 from calib.core.data.instrument_cells import labels_of_rows, lacking_column, names_of_poses, setups_of
 from calib.core.data.measurement_columns import APPROACH
 from calib.core.data.measurements import Poses, states_by_order
 from calib.core.data.tables import Table
-from calib.core.data.tolerances import stated_tolerance
 from calib.core.robots.gravity import contradiction_angles, turned_joints
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.gravity import COLUMNS as GRAVITY_COLUMNS

@@ -43,6 +43,7 @@ USUAL_FACTORS: dict[str, dict[float, str]] = {
 }
 """Usual causes of a wrong scale, by the dimension of the joint and the factor that corrects the column."""
 _STEP = 0.06  # relative step between tried scales
+_STILL = 0.05  # a smaller factor, of no usual cause, means that the joint moves nothing that was read
 _USUAL = 2e-3  # relative difference of a factor from a usual one
 _FACTORS = tuple((1.0 + _STEP) ** k for k in range(-16, 17) if k)
 _ALL_SIGNS = 8  # with more motors, not every pattern of signs and not every two changes are tried
@@ -90,9 +91,15 @@ class ColumnMap:
         """Whether a factor is not one."""
         return any(abs(factor) != 1 for factor in self.factors)
 
+    def still_joints(self, robot: Robot) -> list[int]:
+        """Return the joints with a factor near zero, which no unit has: these joints do not move the target."""
+        dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
+        small = [j for j, factor in enumerate(self.factors) if abs(factor) < _STILL]
+        return [j for j in small if not _usual(abs(self.factors[j]), 0.0, dimensions[j])]
+
     def words(self, robot: Robot, std: Sequence[float] = ()) -> str:
         """Return the mistakes in words; `std` are standard deviations of the factors, where these are known."""
-        names, turned = robot.joint_names, []
+        names, turned, still = robot.joint_names, [], self.still_joints(robot)
         moved = [k for k, column in enumerate(self.columns) if k != column]
         parts = [_order_in_words([names[k] for k in moved], [names[self.columns[k]] for k in moved])] * bool(moved)
         for j, (name, factor, quarter) in enumerate(zip(names, self.factors, self.quarters, strict=True)):
@@ -109,6 +116,9 @@ class ColumnMap:
             if scaled:
                 size = std[j] if std else _STEP * abs(factor) / 2
                 why = _usual(abs(factor), size, robot.mechanism.dimensions[name])
+                if j in still:
+                    parts.append(f"the target does not move with {joints_named(name)}, as if on a link before it")
+                    continue
                 how.insert(0, f"was scaled by {1 / abs(factor):.4g} +- {2 * size / factor**2:.1g}")
             parts.append(f"{joints_named(name)} {' and '.join(how)} ({value} would be right{why})")
         if turned:

@@ -122,7 +122,7 @@ def _nominal_fits(
     sentence = (
         f"probable mistake: {', or '.join(words[:3])}. Corrected, the nominal robot fits {now / best:.0f} times better"
     )
-    if len(words) == 1 and first is not None:
+    if len(words) == 1 and first is not None and not first.still_joints(robot):
         sentence += f". In the description: {first.description_line(robot, _file_units(data))}"
     return sentence, None
 

@@ -82,7 +82,7 @@ class EffectSetting:
 
     @cached_property
     def frame_columns(self) -> FloatArray:
-        """Changes of the rows for shifts and turns of the measurement frame, and for its lengths, (n_rows, 7)."""
+        """Changes of the rows for shifts and turns of the measurement frame, and for its lengths, (n_rows, 10)."""
         return self.whiten(_frame_columns(self))
 
     def size(self, rows: FloatArray) -> FloatArray:
@@ -225,6 +225,11 @@ def effects(setting: EffectSetting) -> Iterator[Effects]:
 
 def scale(setting: EffectSetting) -> FloatArray:
     """Return the change of the rows if every length is read too long, (n_rows, 1), for a relative error of 1."""
+    return scales(setting)[:, :1]
+
+
+def scales(setting: EffectSetting) -> FloatArray:
+    """Return the change of the rows if all lengths are read too long, or those along x, y or z, (n_rows, 4)."""
     return -setting.frame_columns[:, 6:]
 
 
@@ -292,20 +297,23 @@ def _position_rows(instrument: Instrument) -> list[int]:
 
 
 def _frame_columns(setting: EffectSetting) -> dict[str, FloatArray]:
-    """Derivative of readings by shifts along x, y, z, turns about them, and the size of lengths, (n, n_rows, 7) each.
+    """Derivative of readings by shifts along x, y, z, turns about them, and sizes of lengths, (n, n_rows, 10) each.
 
-    The lengths are distances, and positions from the middle of the points.
+    The sizes are those of all lengths, and of lengths along x, y and z. The lengths are distances, and positions from
+    the middle of the points. Along one axis they are as predicted: those of a planar robot would be noise alone.
     """
     result, points = dict[str, FloatArray](), _points(setting)
     for name, readings in setting.data.readings.items():
         instrument = setting.fit.robot.instrument(name)
-        result[name] = columns = np.zeros((len(readings), instrument.n_rows, 7))
+        result[name] = columns = np.zeros((len(readings), instrument.n_rows, 10))
         rows = _position_rows(instrument)
         if len(rows) == 3:
             columns[:, rows, :3] = np.eye(3)
         if name in points:
             columns[:, rows, 3:6] = np.cross(points[name][:, None], np.eye(3)).swapaxes(1, 2)
             columns[:, rows, 6] = points[name]
+            predicted = points[name] + np.nan_to_num(setting.fit.identification.after[name][:, rows])
+            columns[:, rows, 7:] = predicted[:, :, None] * np.eye(3)
         elif len(instrument.parts) == 1 and instrument.parts[0].is_distance:
             columns[:, 0, 6] = readings.values[:, 0]
     return result

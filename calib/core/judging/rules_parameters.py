@@ -15,7 +15,7 @@ from calib.core.base.words import joints_named, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.judging import findings
-from calib.core.judging.effects import gains, scale
+from calib.core.judging.effects import gains, scales
 from calib.core.judging.reasons import Code, Reason
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, UNLIKELY
@@ -29,6 +29,10 @@ from calib.core.robots.terms.terms import TERMS
 
 PLAUSIBLE = 4.0
 """Number of its sigmas by which a parameter may differ from nominal."""
+DOUBTFUL = 10.0
+"""Expected errors (sigmas) beyond which doubt remains, also where unused poses fit: a target on an earlier link than
+described fits once axes of joints that do not move it are bent through it, by 16 sigma (UR5). Real robots stay below
+6."""
 IMPOSSIBLE = 20.0
 """Expected errors (sigmas) that a parameter cannot be away from nominal: `PLAUSIBLE` of them, if the sigma was guessed
 five times too small. Calibrated robots stay near 2; a joint counted the wrong way gives hundreds, and its prior then
@@ -43,6 +47,7 @@ degrees of freedom take more: as many as chance does not explain, by Student's t
 MOST = 0.5
 """A scale is the cause if it explains this part of the squares (of residuals and deviations) that noise leaves over:
 other errors look a bit like a scale."""
+_SCALED_LENGTHS = ("all measured lengths", *(f"measured lengths along {axis}" for axis in "xyz"))
 _NOTHING = 1e-6  # a robot scaled by less than this has shrunk to a point
 MANIFOLD = 0.3
 """Messages state a larger scale error as a ratio of lengths, a smaller one in percent."""
@@ -82,43 +87,49 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
         words = listing([f"{parameter.name} ({away:.1f} sigma)" for away, parameter in far])
         yield Code.AT_BOUNDS.says(
             f"parameters are more than {PLAUSIBLE:g} times as far from nominal as their stated sigma allows: {words};"
-            " check zero positions and units. If such an error is possible, state a larger sigma in the description"
+            " check zero positions, units and the targets' links. If such an error is possible, state a larger sigma in"
+            " the description",
+            counted=far[0][0] <= DOUBTFUL,
         )
 
 
 def lengths_scaled(fit: Fit) -> Iterator[Reason]:
-    """Report one scale of all lengths that explains why parameters are far from nominal: then the unit is off.
+    """Report one scale of lengths that explains why parameters are far from nominal: then the unit is off.
 
     In the linear model around the solution, with deviations u over the sigmas of all parameters but placements, a scale
-    s of all readings is tried together with the parameters: |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. Noise is
-    scaled as well: otherwise, if all lengths of a robot are free, lengths of zero would explain it best. Residuals are
-    divided by the found noise: without a scale, their squares add up to about the number of rows less that of places.
-    Joints that turn too far draw larger arcs, which look like longer links: if gains of all joints explain as much, the
-    scale is not the cause.
+    s of all readings, or of those along one axis, is tried together with the parameters: |r + J du + z s|^2 / (1 + s)^2
+    + |u + du|^2. With all readings, noise is scaled as well: otherwise, if all lengths of a robot are free, lengths of
+    zero would explain it best. Residuals are divided by the found noise: without a scale, their squares add up to about
+    the number of rows less that of places. Joints that turn too far draw larger arcs, which look like longer links: if
+    gains of all joints explain as much, the scale is not the cause.
     """
     if fit.computed:
         return
     left, n_measured = _residuals_of_scales(fit)
     if not np.any(left[:, 0]):
         return
-    scaled, part = _cost_with(left[:, :1], left[:, -1], n_measured, is_scale=True)
+    tried = [
+        _cost_with(left[:, k : k + 1], left[:, -1], n_measured, is_scale=k == 0) for k, _ in enumerate(_SCALED_LENGTHS)
+    ]
+    scaled, part = min(tried)
     if abs(part) <= SCALED:
         return
     alone, _ = _cost_with(left[:, :0], left[:, -1], n_measured)
-    geared, _ = _cost_with(left[:, 1:-1], left[:, -1], n_measured)
+    geared, _ = _cost_with(left[:, len(tried) : -1], left[:, -1], n_measured)
     by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
     if alone - scaled > max(_least_sigmas(fit, 1) ** 2, MOST * (alone - by_noise)) and scaled < geared:
         yield Code.LENGTHS_SCALED.says(
-            f"all measured lengths are {_scale_sentence(part)} in the description: no robot is that far off. Look at"
-            " the unit of the measurements, the scale of the instrument and the size of the artefact"
+            f"{_SCALED_LENGTHS[tried.index((scaled, part))]} are {_scale_sentence(part)} in the description: no robot"
+            " is that far off. Look at the unit of the measurements, the scale of the instrument and the size of the"
+            " artefact"
         )
 
 
 @memoize
 def _residuals_of_scales(fit: Fit) -> tuple[FloatArray, int]:
-    """`_remaining_residuals` for one scale of all lengths, and for a gain of each joint."""
+    """`_remaining_residuals` for one scale of all lengths, of those along each axis, and for a gain of each joint."""
     setting = findings.setting(fit)
-    return _remaining_residuals(fit, np.hstack([scale(setting), gains(setting)]))
+    return _remaining_residuals(fit, np.hstack([scales(setting), gains(setting)]))
 
 
 def _scale_sentence(part: float) -> str:

@@ -8,9 +8,9 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.memoize import memoize
+from calib.core.base.tolerances import stated_tolerance
 from calib.core.base.units import DISPLAY_UNIT, millimetres, quantity_text
 from calib.core.base.words import count_noun, joints_named, listing
-from calib.core.data.tolerances import stated_tolerance
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.joint_conventions import wrapped_terms
 from calib.core.fitting.pose_checks import unmoved_joints

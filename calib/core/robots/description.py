@@ -18,6 +18,7 @@ from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.files import read_text
 from calib.core.base.sections import (
     COMPONENTS,
     LENGTH_COMPONENTS,
@@ -29,8 +30,9 @@ from calib.core.base.sections import (
     PositiveLength,
     Quantity,
     Section,
-    read_yaml,
+    parse_yaml,
 )
+from calib.core.base.tolerances import stated_tolerance
 from calib.core.base.units import Dimension
 from calib.core.instruments.kinds import AnyInstrument
 from calib.core.instruments.noise import PositionSigma
@@ -96,6 +98,7 @@ class OriginSection(Section):
         return "length" if self.components[0] in LENGTH_COMPONENTS else "angle"
 
 
+_COMMENTS = re.compile(r"^# ?(\S.*)$", re.MULTILINE)  # not those inside an entry
 _FORMS = ("number", "axes", "beam")  # forms of noise (`calib.core.instruments.noise`)
 
 
@@ -224,12 +227,17 @@ def read_description(path: Path | str) -> Description:
     Raises:
         DescriptionError: Missing file, broken YAML, unknown key, wrong value; the message names the place.
     """
-    content = read_yaml(path)
+    text = read_text(path, "a robot description (YAML) or a URDF", DescriptionError)
+    content = parse_yaml(text, path)
     if not isinstance(content, dict):
         raise DescriptionError(
             f"{path}: is not a mapping of keys to values; `calib init URDF` writes one to start from"
         )
-    return validate_description(content, path)
+    description = validate_description(content, path)
+    in_comments = stated_tolerance(_COMMENTS.findall(text), str(path), DescriptionError)
+    if in_comments is None:
+        return description
+    return description.model_copy(update={"tolerance": min(in_comments, description.tolerance or in_comments)})
 
 
 def schema_text() -> str:

@@ -4,6 +4,7 @@
 "use strict";
 
 const TOUCH = window.matchMedia("(pointer: coarse)").matches;
+const PAPER = 688; // width of what is printed on A4 [px]
 
 /** An element with attributes and children. */
 function element(name, attributes, ...children) {
@@ -104,6 +105,7 @@ class Chart {
     this.grid = this.node.querySelector(".panels");
     this.small = wide < 250;
     this.grid.style.setProperty("--wide", `${wide}px`);
+    this.node.style.setProperty("--tall", `${panels[0].height}px`);
     this.grid.replaceChildren(...panels.map(({ height }) => element("div", { class: "panel", style: `min-height: ${height}px` })));
     this.node.querySelector("details").addEventListener("toggle", () => this.table(), { once: true });
     selection.followers.push(() => this.follow());
@@ -113,6 +115,7 @@ class Chart {
   async draw() {
     if (this.drawn) return;
     this.drawn = true;
+    delete this.node.dataset.drawn;
     const style = getComputedStyle(document.documentElement);
     this.ink = style.getPropertyValue("--ink").trim();
     this.line = style.getPropertyValue("--line").trim();
@@ -123,6 +126,22 @@ class Chart {
     }));
     this.follow();
     this.node.dataset.drawn = "true";
+  }
+
+  /** Keep pictures of the panels for paper, as wide as it is: a browser that prints lays no plot out anew. */
+  keep() {
+    if (!this.node.dataset.drawn) return;
+    const laidOut = (width) => {
+      this.node.style.width = width;
+      this.views.forEach((view) => view.invalidate_layout());
+    };
+    laidOut(`${PAPER}px`);
+    this.views.forEach((view, k) => {
+      const picture = element("img", { alt: "", src: view.export("png").canvas.toDataURL() });
+      this.grid.children[k].querySelectorAll("img").forEach((old) => old.remove());
+      this.grid.children[k].append(picture);
+    });
+    laidOut("");
   }
 
   /** Draw again, in the colours of the page as it is now. */
@@ -321,7 +340,6 @@ class Space {
     document.getElementById("turn").hidden = !TOUCH;
     if (this.viewer.sameScale()) page.getElementById("same-scale").click(); // what is left has colours of its own
     document.querySelectorAll("[data-press]").forEach((button) => button.dispatchEvent(new Event("shown")));
-    window.addEventListener("beforeprint", () => this.keep());
     document.body.dataset.space = "true";
   }
 
@@ -349,6 +367,7 @@ async function startReport() {
     .forEach(({ target }) => drawn.find(({ node }) => node === target).draw()), { rootMargin: "300px" });
   drawn.forEach(({ node }) => near.observe(node));
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawn.forEach((chart) => chart.again()));
+  window.addEventListener("beforeprint", () => [...(space ? [space] : []), ...drawn].forEach((part) => part.keep()));
   document.body.dataset.ready = "true";
   const rest = async () => {
     if (space) space.keep();

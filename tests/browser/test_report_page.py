@@ -355,6 +355,20 @@ def test_small_numbers_of_a_logarithmic_axis_are_not_rounded_to_zero(small_repor
     assert shown == ["0.000001", "0.0001", "0.7", "1000"]
 
 
+def test_numbers_of_an_upright_logarithmic_axis_do_not_touch(small_report):
+    """Over less than a decade too, as with errors from 0.3 to 6 mm."""
+    room, low, high = 150, 0.25, 6.5
+    ticks = small_report.page.evaluate(f"logarithmicTicks({low}, {high}, {room}, () => 9)")
+    assert len(ticks) > 3
+    assert min(np.diff(room * np.log(np.array(ticks) / low) / np.log(high / low))) > 18
+    fixed = small_report.page.evaluate("""() => {
+      const { views } = calibrationReport.charts.find(({ node }) => node.id === "order");
+      const [{ ticker }] = views[0].model.left;
+      return [views[0].model.y_range.start, views[0].model.y_range.end, ticker.ticks]; }""")
+    assert len(fixed[2]) > 1
+    assert all(fixed[0] <= tick <= fixed[1] for tick in fixed[2])
+
+
 @pytest.mark.quick(0)
 def test_plots_take_the_colours_of_a_dark_page(small_report):
     tab, inks = small_report, []

@@ -38,10 +38,12 @@ function tickDistance(start, end, room, digit) {
   }
 }
 
-/** Ticks of a logarithmic axis whose numbers do not touch: powers of ten first; room and digit as above. */
-function logarithmicTicks(start, end, room, digit) {
+/** Ticks of a logarithmic axis whose numbers do not touch: powers of ten first.
+ * @param room length of the axis [px]
+ * @param half half of the length along the axis that a number takes [px]
+ */
+function logarithmicTicks(start, end, room, half) {
   const at = (value) => room * Math.log(value / start) / Math.log(end / start);
-  const half = (value) => digit * (String(value).length + 1) / 2;
   const chosen = [];
   for (const mantissa of [1, 5, 2, 3, 7]) {
     for (let power = Math.floor(Math.log10(start)); power <= Math.log10(end); power += 1) {
@@ -167,7 +169,9 @@ class Chart {
       lod_threshold: null,
     });
     this.look(figure, x, y, height, room);
-    if (!x.names.length) this.spaceTicks(figure, x.log, Math.max(40, frame));
+    const digit = this.small ? 6 : 7;
+    if (!x.names.length) this.spaceTicks(figure, x.log, Math.max(40, frame), 0, digit, (value) => digit * (String(value).length + 1) / 2);
+    if (y.log) this.spaceTicks(figure, true, height - 90, 1, digit, () => 9);
     if (bare) [...figure.xaxes, ...figure.yaxes, ...figure.center.filter((part) => part.type === "Grid")].forEach((part) => { part.visible = false; });
     const own = []; // what a selection in this panel changes
     const hovered = layers.flatMap((layer) => this.layer(figure, layer, own, y.beyond && y.ends));
@@ -186,21 +190,23 @@ class Chart {
     return figure;
   }
 
-  /** Space the ticks of the lower axis, also after zoom, so that its numbers do not touch. */
-  spaceTicks(figure, log, room) {
+  /** Space the ticks of an axis, also after zoom, so that its numbers do not touch.
+   * @param dimension 0: the lower axis; 1: the left one
+   * @param half as of `logarithmicTicks`
+   */
+  spaceTicks(figure, log, room, dimension, digit, half) {
     const ticker = log ? new Bokeh.FixedTicker({ ticks: [], minor_ticks: [] }) : new Bokeh.SingleIntervalTicker({ interval: 1, num_minor_ticks: 0 });
-    const digit = this.small ? 6 : 7;
-    const { start, end } = figure.x_range.properties;
+    const range = [figure.x_range, figure.y_range][dimension];
     const space = () => {
-      const [low, high] = [figure.x_range.start, figure.x_range.end];
+      const [low, high] = [range.start, range.end];
       if (!(high > low)) return;
-      if (log) ticker.ticks = logarithmicTicks(low, high, room, digit);
+      if (log) ticker.ticks = logarithmicTicks(low, high, room, half);
       else ticker.interval = tickDistance(low, high, room, digit);
     };
-    [start, end].forEach((property) => property.change.connect(space));
+    [range.properties.start, range.properties.end].forEach((property) => property.change.connect(space));
     space();
-    figure.xaxes.forEach((axis) => { axis.ticker = ticker; });
-    figure.center.filter((part) => part.type === "Grid" && part.dimension === 0).forEach((grid) => { grid.ticker = ticker; });
+    [figure.xaxes, figure.yaxes][dimension].forEach((axis) => { axis.ticker = ticker; });
+    figure.center.filter((part) => part.type === "Grid" && part.dimension === dimension).forEach((grid) => { grid.ticker = ticker; });
   }
 
   look(figure, x, y, height, room) {

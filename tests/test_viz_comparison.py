@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.core.results.comparison_report import Difference, Pair, ResultComparison
-from viz.comparison_page import comparison_page
+from viz.comparison_page import comparison_page, intervals
 
 NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)
 
@@ -69,6 +69,15 @@ def test_errors_on_the_same_readings_are_drawn_where_there_are_any(comparison):
     assert "readings that it did not use" in html
     held = dataclasses.replace(comparison, differences=comparison.differences[2:])
     assert 'id="intervals"' not in comparison_page(held, created=NOON).html
+
+
+def test_a_base_put_elsewhere_does_not_hide_differences_of_the_robot(comparison):
+    moved = Difference("base.x", (row(0.0, 0.02), row(500.0, 0.03)), (1e-9,), is_place=True)
+    both = dataclasses.replace(comparison, differences=(*comparison.differences, moved))
+    alone, shown = (intervals(one, one.rank_differences()) for one in (comparison, both))
+    assert shown.panels == alone.panels
+    places = dataclasses.replace(comparison, differences=(moved,))
+    assert intervals(places, [moved]).panels[0]["y"]["names"] == ["base.x *"]
 
 
 def test_it_asks_nobody_and_escapes_names(comparison):

@@ -6,7 +6,9 @@ import hashlib
 import json
 import re
 import warnings
+from types import SimpleNamespace
 
+import camera_scenes
 import numpy as np
 import pytest
 import umsgpack
@@ -18,6 +20,7 @@ import viz
 from calib.core.base.errors import InputError
 from medrue.workspace import target_workspace
 from viz import poses
+from viz.answer_page import _image_charts
 from viz.drawing import draw
 from viz.scene import build_scene
 from viz.scene_data import certainty, point_pixels, ranges, scene_data, summary
@@ -252,3 +255,18 @@ def test_unknown_noise_is_unknown(scene):
 def test_many_points_are_drawn_smaller():
     assert point_pixels(100) == 7
     assert 4 <= point_pixels(5000) < point_pixels(1000) < 7
+
+
+@pytest.mark.parametrize(("names", "places"), [(("0", "7", "15"), [0, 7, 15]), (("a", "b", "15"), [1, 2, 3])])
+def test_images_are_drawn_at_their_numbers_and_others_in_order(names, places):
+    scene = dataclasses.replace(camera_scenes.scene(3), names=names)
+    pixels = np.zeros((len(scene.pixels), 2))
+    result = SimpleNamespace(
+        scene=scene,
+        pixels=pixels,
+        board=pixels,
+        left_out=SimpleNamespace(pixels=pixels),
+        rms_by_image=lambda _: np.ones(3),
+    )
+    by_image, *_ = _image_charts(result).by_place["images"]
+    assert by_image.panels[0]["layers"][0]["x"] == places

@@ -70,13 +70,14 @@ def _image_charts(result: HandEye) -> Charts:
         for name, u, o, b in zip(scene.names, used, left, board, strict=True)
     )
     images = np.arange(len(scene))
+    numbers = [float(name) for name in scene.names] if all(map(str.isdecimal, scene.names)) else images + 1.0
     rows = PageRows(texts, tuple(images.tolist()), ("circle",) * len(images))
     by_image = panel(
-        axis("image", names=()),
+        axis("image"),
         axis("error [px RMS]"),
         [
-            layer("points", "used", COLOURS["after"], x=images + 1.0, y=used, rows=images),
-            layer("points", "left out in turn", COLOURS["x"], x=images + 1.0, y=left, rows=images),
+            layer("points", "used", COLOURS["after"], x=numbers, y=used, rows=images),
+            layer("points", "left out in turn", COLOURS["x"], x=numbers, y=left, rows=images),
         ],
     )
     points = layer("points", "", COLOURS["after"], x=result.pixels[:, 0], y=result.pixels[:, 1], rows=scene.image)

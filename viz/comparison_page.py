@@ -86,7 +86,8 @@ def errors_on_same_rows(comparison: ResultComparison) -> Chart:
 
 def intervals(comparison: ResultComparison, ranked: list[Difference]) -> Chart | None:
     """Differences from the first result in half widths of its 95 % intervals; None without intervals."""
-    known = [d for d in ranked if all(row is not None and row["high95"] is not None for row in d.rows)][:_SHOWN]
+    known = [d for d in ranked if all(row is not None and row["high95"] is not None for row in d.rows)]
+    known = ([d for d in known if not d.is_place] or known)[:_SHOWN]  # a base put elsewhere would hide all others
     if not known:
         return None
     halves = np.array(
@@ -106,7 +107,8 @@ def intervals(comparison: ResultComparison, ranked: list[Difference]) -> Chart |
     return Chart(
         "intervals",
         "Which differences are real",
-        f"* marks a real difference to {comparison.names[0]}. Overlapping intervals alone decide nothing.",
+        f"Parameters of the robot; * marks a real difference to {comparison.names[0]}. Overlapping intervals alone"
+        " decide nothing.",
         forest(names, groups, "difference to the first result [half widths of its 95 % interval]"),
         500,
     )

@@ -46,11 +46,15 @@ def _piece(names: Sequence[str], groups: Sequence[Any], x: Any, band: tuple[str,
     """Some lines of a forest."""
     layers = [] if band is None else [layer("band", band[0], COLOURS["before"], left=[-band[1]], right=[band[1]])]
     layers.append(layer("line", x=[0.0, 0.0], y=[-0.5, len(names) - 0.5]))
+    room = max(1, (len(groups) + 1) // 2)  # of a name, in lines
+    thick = 0.12 / room
     for k, (label, colour, values, half, texts) in enumerate(groups):
         at = np.arange(len(names)) + (0.7 * ((k + 0.5) / len(groups) - 0.5) if len(groups) > 1 else 0.0)
-        layers.append(layer("bars", "", colour, y=at, left=values - half, right=values + half, thick=0.12, texts=texts))
+        layers.append(
+            layer("bars", "", colour, y=at, left=values - half, right=values + half, thick=thick, texts=texts)
+        )
         layers.append(layer("points", label, colour, x=values, y=at, texts=texts))
-    height = 90 + _LINE * max(1, (len(groups) + 1) // 2) * len(names)
+    height = 90 + _LINE * room * len(names)
     return panel(x, axis("", names=names), layers, height=height)
 
 

@@ -93,13 +93,15 @@ def take(folder: Path, views: tuple[tuple[str, str, dict[str, int], str], ...] =
 def take_one(browser: Any, page: Path, size: dict[str, int], action: str) -> bytes:
     """Return a PNG file of a page in a browser of playwright; `size` and `action` are as in `PICTURES`."""
     tab = browser.new_page(viewport=size, reduced_motion="reduce")
-    if size == PAPER:
-        tab.emulate_media(media="print")
     tab.goto(page.as_uri())
     if tab.query_selector("#pane, #charts"):
         tab.wait_for_selector("body[data-ready]")
     if tab.query_selector("#charts"):
         tab.evaluate("calibrationReport.all()")
+    if size == PAPER:
+        tab.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        tab.emulate_media(media="print")
+        tab.evaluate("Promise.all([...document.images].filter(({ src }) => src).map((image) => image.decode()))")
     if action:
         tab.evaluate(action)
     tab.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")

@@ -1,11 +1,16 @@
 """The report in a real Chromium: opens offline, asks nobody, text can be found and selected, prints."""
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from browser_tab import Tab
 from fleet_figures import ROBOT, made_up, results_of
+
+import calib
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 
 
 @pytest.fixture(scope="module")
@@ -212,45 +217,124 @@ def test_the_first_printed_page_has_the_robot_and_no_page_is_half_empty(report):
     assert max(tab.page.evaluate(blocks)) < page / 2  # what may not be broken leaves at most so much empty
 
 
+CLICKED = """() => { // a point in space that nothing covers, in the middle of the picture: [x, y, row]
+  const { stage } = document.getElementById("space").contentWindow.calibrationViewer;
+  const box = document.getElementById("space").getBoundingClientRect();
+  const { marks, pane, viewer } = stage;
+  stage.root.updateMatrixWorld(true);
+  const rows = Array.from({ length: marks.table.n }, (_, row) => {
+    const point = new stage.THREE.Vector3().fromArray(marks.table.place, 3 * row);
+    return [...stage.onScreen(marks.points.localToWorld(point)).slice(0, 2), row];
+  });
+  const [width, height] = [pane.clientWidth, pane.clientHeight];
+  const far = ([x, y]) => Math.hypot(x - width / 2, y - height / 3);
+  const isSeen = ([x, y, row]) => marks.pick(viewer.camera, x, y, width, height, 1) === row;
+  const [x, y, row] = rows.sort((a, b) => far(a) - far(b)).find(isSeen);
+  return [box.left + x, box.top + y, row]; }"""
+
+
 def test_hover_a_box_in_a_plot_a_line_of_a_table_and_a_click_in_space_mean_the_same_poses(small_report):
-    tab = small_report
-    x, y, row = place_of(tab, "order", 1, 30)
+    drive(small_report, "mm after")
+
+
+REPORTED = {"arm": "mm after", "camera": "px after", "stewart": "mm after"}
+
+
+def reported(name, folder):
+    """A fit of a robot without meshes: of an arm, of an arm that a camera sees, of a Stewart platform."""
+    import test_kind_pixel as pixel
+    from six_axis_arm import joints, write_six_axis
+
+    if name != "camera":
+        robot = calib.load(EXAMPLES / f"{name}.yaml")
+        return calib.fit(robot, EXAMPLES / f"{name}_simulated.csv", validation=0.25)
+    robot, q = calib.load(write_six_axis(folder, pixel.YAML)), joints(30, 3)
+    camera, body = pixel.places(1)
+    table = pixel.photographs(robot.with_parameters(pixel.TRUTH), q, camera, body)
+    return calib.fit(robot, pixel.data_of(robot, q, table, pixel.SIGMA, 2))
+
+
+@pytest.mark.quick(0)
+@pytest.mark.parametrize("name", REPORTED)
+def test_the_same_poses_are_meant_everywhere_for_every_robot(show, name, tmp_path):
+    import viz
+
+    tab = show(viz.report(reported(name, tmp_path)).save(tmp_path / "report.html").as_uri(), size=(1000, 900))
+    tab.page.evaluate("calibrationReport.all()")
+    drive(tab, REPORTED[name])
+
+
+def drive(tab, unit):
+    """Hover, select in a plot, in a table and in space, and find the same poses everywhere."""
+    poses = tab.page.evaluate("calibrationReport.selection.rows.poses")
+
+    def of_one_pose(row):
+        return [other for other, pose in enumerate(poses) if pose == poses[row]]
+
+    def same(rows, others):
+        return {poses[row] for row in rows} == {poses[row] for row in others}
+
+    names = tab.page.evaluate("calibrationReport.charts.map(({ node }) => node.id)")
+    order, table = (next(name for name in names if name.endswith(part)) for part in ("order", "errors"))
+    x, y, row = place_of(tab, order, 1, 20)
     tab.page.mouse.move(x, y)
     tab.page.wait_for_timeout(300)
     text = tab.page.evaluate("calibrationReport.selection.rows.texts")[row]
-    assert "mm after" in text
+    assert unit in text
     assert tab.page.get_by_text(text, exact=True).count() >= 1  # hover
-    tab.page.evaluate(DRAG, ["order", x - 14, y - 14, x + 14, y + 14])
+    tab.page.evaluate(DRAG, [order, x - 14, y - 14, x + 14, y + 14])
     tab.page.wait_for_timeout(300)
     shown = selected(tab)
-    assert row in shown["rows"]
-    assert all(rows == shown["rows"] for rows in shown["drawn"])
+    assert set(of_one_pose(row)) <= set(shown["rows"])
+    assert all(same(rows, shown["rows"]) for rows in shown["drawn"])
     assert shown["space"] == shown["rows"]
-    assert text in tab.page.locator("#selected").inner_text()
+    assert text in tab.page.locator("#selected").inner_text() or len(shown["rows"]) > 3
     tab.page.locator("#unselect").click()
     assert selected(tab)["rows"] == []
-    tab.page.locator("#errors summary").click()
-    tab.page.locator("#errors tr[data-row]").nth(5).click()
-    (row,) = selected(tab)["rows"]
-    assert tab.page.locator("#errors tr.chosen").count() == 2  # before and after
-    assert selected(tab)["space"] == [row]
-    space = tab.page.frame_locator("#space")
-    space.locator("#pane").evaluate(
-        "(pane) => pane.ownerDocument.dispatchEvent(new CustomEvent('picked', { detail: 7 }))"
-    )
+    tab.page.locator(f"#{table} summary").click()
+    line = tab.page.locator(f"#{table} tr[data-row]").nth(5)
+    chosen = of_one_pose(int(line.get_attribute("data-row")))
+    line.click()
+    assert selected(tab)["rows"] == chosen
+    assert tab.page.locator(f"#{table} tr.chosen").count() == 2 * len(chosen)  # before and after
+    assert selected(tab)["space"] == chosen
+    tab.page.locator("#space").scroll_into_view_if_needed()
+    tab.page.evaluate("document.getElementById('space').scrollIntoView({ block: 'center' })")
+    x, y, row = tab.page.evaluate(CLICKED)
+    tab.page.mouse.click(x, y)
     shown = selected(tab)
-    assert shown["rows"] == [7]
-    assert all(rows == [7] for rows in shown["drawn"])
+    assert shown["rows"] == of_one_pose(row)
+    assert shown["space"] == shown["rows"]
+    assert all(same(rows, shown["rows"]) for rows in shown["drawn"])
     tab.page.locator("#unselect").click()
-    n_rows = tab.page.evaluate("calibrationReport.selection.rows.texts.length")
-    assert selected(tab)["space"] == list(range(n_rows))  # all again
+    assert selected(tab)["space"] == list(range(len(poses)))  # all again
+
+
+def test_plots_are_laid_out_anew_for_paper(small_report):
+    """A browser that prints lays no plot out anew: one as wide as the screen would be cut."""
+    tab = small_report
+    wide = "calibrationReport.charts.flatMap(({ views }) => views.map(({ bbox }) => bbox.width))"
+    before = tab.page.evaluate(wide)
+    tab.page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    assert tab.page.evaluate(wide) == before
+    tab.page.emulate_media(media="print")
+    tab.page.set_viewport_size({"width": 688, "height": 1000})
+    pictures = tab.page.evaluate("""Promise.all([...document.querySelectorAll('.panel > img')].map(async (image) => {
+      await image.decode();
+      return [image.naturalWidth, image.clientWidth, image.parentElement.clientWidth]; }))""")
+    tab.page.emulate_media(media="screen")
+    tab.page.set_viewport_size({"width": 1000, "height": 900})
+    seen = [picture for picture in pictures if picture[1]]
+    assert len(seen) > 5
+    for natural, shown, room in seen:
+        assert natural == pytest.approx(shown, abs=2)  # letters of their size
+        assert shown <= room
 
 
 @pytest.mark.quick(0)
 def test_compared_results_fit_the_window_and_print(show, tmp_path):
     from viz_examples import medrue_fit
 
-    import calib
     from viz.comparison_page import comparison_page
 
     fits = [medrue_fit(range(start, 420, 5), range(3, 420, 9)) for start in (0, 1)]
@@ -269,6 +353,20 @@ def test_small_numbers_of_a_logarithmic_axis_are_not_rounded_to_zero(small_repor
       const { views } = calibrationReport.charts.find(({ node }) => node.id === "errors");
       return views[0].model.below[0].formatter.doFormat([1e-6, 1e-4, 0.1 * 7, 1000], {}); }""")
     assert shown == ["0.000001", "0.0001", "0.7", "1000"]
+
+
+def test_numbers_of_an_upright_logarithmic_axis_do_not_touch(small_report):
+    """Over less than a decade too, as with errors from 0.3 to 6 mm."""
+    room, low, high = 150, 0.25, 6.5
+    ticks = small_report.page.evaluate(f"logarithmicTicks({low}, {high}, {room}, () => 9)")
+    assert len(ticks) > 3
+    assert min(np.diff(room * np.log(np.array(ticks) / low) / np.log(high / low))) > 18
+    fixed = small_report.page.evaluate("""() => {
+      const { views } = calibrationReport.charts.find(({ node }) => node.id === "order");
+      const [{ ticker }] = views[0].model.left;
+      return [views[0].model.y_range.start, views[0].model.y_range.end, ticker.ticks]; }""")
+    assert len(fixed[2]) > 1
+    assert all(fixed[0] <= tick <= fixed[1] for tick in fixed[2])
 
 
 @pytest.mark.quick(0)
@@ -292,7 +390,6 @@ def test_plots_take_the_colours_of_a_dark_page(small_report):
 @pytest.mark.quick(0)
 def test_a_fleet_in_folders_far_down_fits_the_window(show, tmp_path):
     """Nothing has to be scrolled to, and folders are named by what differs."""
-    import calib
     from viz.fleet_page import fleet_page
 
     robot, rng = calib.load(ROBOT), np.random.default_rng(5)

@@ -78,6 +78,12 @@ def test_one_scale_holds_both_states_unless_own_scales_are_asked_for(tab):
     assert tab.state("v.stage.marks.uniforms.factor.value") > 10 * before
 
 
+def test_points_in_or_behind_the_robot_shine_through(tab):
+    show = "(v.stage.marks.covered.visible = {}, v.stage.redraw())"
+    assert tab.changed(tab.state, show.format("false")) > 1e-4
+    tab.state(show.format("true"))
+
+
 def test_the_pose_slider_moves_the_robot_and_the_panel(tab, scene):
     assert tab.changed(slide, tab, "pose", 70) > 0.01
     table = scene.poses

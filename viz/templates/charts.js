@@ -4,6 +4,7 @@
 "use strict";
 
 const TOUCH = window.matchMedia("(pointer: coarse)").matches;
+const PAPER = 688; // width of what is printed on A4 [px]
 
 /** An element with attributes and children. */
 function element(name, attributes, ...children) {
@@ -37,10 +38,12 @@ function tickDistance(start, end, room, digit) {
   }
 }
 
-/** Ticks of a logarithmic axis whose numbers do not touch: powers of ten first; room and digit as above. */
-function logarithmicTicks(start, end, room, digit) {
+/** Ticks of a logarithmic axis whose numbers do not touch: powers of ten first.
+ * @param room length of the axis [px]
+ * @param half half of the length along the axis that a number takes [px]
+ */
+function logarithmicTicks(start, end, room, half) {
   const at = (value) => room * Math.log(value / start) / Math.log(end / start);
-  const half = (value) => digit * (String(value).length + 1) / 2;
   const chosen = [];
   for (const mantissa of [1, 5, 2, 3, 7]) {
     for (let power = Math.floor(Math.log10(start)); power <= Math.log10(end); power += 1) {
@@ -104,6 +107,7 @@ class Chart {
     this.grid = this.node.querySelector(".panels");
     this.small = wide < 250;
     this.grid.style.setProperty("--wide", `${wide}px`);
+    this.node.style.setProperty("--tall", `${panels[0].height}px`);
     this.grid.replaceChildren(...panels.map(({ height }) => element("div", { class: "panel", style: `min-height: ${height}px` })));
     this.node.querySelector("details").addEventListener("toggle", () => this.table(), { once: true });
     selection.followers.push(() => this.follow());
@@ -113,6 +117,7 @@ class Chart {
   async draw() {
     if (this.drawn) return;
     this.drawn = true;
+    delete this.node.dataset.drawn;
     const style = getComputedStyle(document.documentElement);
     this.ink = style.getPropertyValue("--ink").trim();
     this.line = style.getPropertyValue("--line").trim();
@@ -123,6 +128,22 @@ class Chart {
     }));
     this.follow();
     this.node.dataset.drawn = "true";
+  }
+
+  /** Keep pictures of the panels for paper, as wide as it is: a browser that prints lays no plot out anew. */
+  keep() {
+    if (!this.node.dataset.drawn) return;
+    const laidOut = (width) => {
+      this.node.style.width = width;
+      this.views.forEach((view) => view.invalidate_layout());
+    };
+    laidOut(`${PAPER}px`);
+    this.views.forEach((view, k) => {
+      const picture = element("img", { alt: "", src: view.export("png").canvas.toDataURL() });
+      this.grid.children[k].querySelectorAll("img").forEach((old) => old.remove());
+      this.grid.children[k].append(picture);
+    });
+    laidOut("");
   }
 
   /** Draw again, in the colours of the page as it is now. */
@@ -148,7 +169,9 @@ class Chart {
       lod_threshold: null,
     });
     this.look(figure, x, y, height, room);
-    if (!x.names.length) this.spaceTicks(figure, x.log, Math.max(40, frame));
+    const digit = this.small ? 6 : 7;
+    if (!x.names.length) this.spaceTicks(figure, x.log, Math.max(40, frame), 0, digit, (value) => digit * (String(value).length + 1) / 2);
+    if (y.log) this.spaceTicks(figure, true, height - 90, 1, digit, () => 9);
     if (bare) [...figure.xaxes, ...figure.yaxes, ...figure.center.filter((part) => part.type === "Grid")].forEach((part) => { part.visible = false; });
     const own = []; // what a selection in this panel changes
     const hovered = layers.flatMap((layer) => this.layer(figure, layer, own, y.beyond && y.ends));
@@ -167,21 +190,23 @@ class Chart {
     return figure;
   }
 
-  /** Space the ticks of the lower axis, also after zoom, so that its numbers do not touch. */
-  spaceTicks(figure, log, room) {
+  /** Space the ticks of an axis, also after zoom, so that its numbers do not touch.
+   * @param dimension 0: the lower axis; 1: the left one
+   * @param half as of `logarithmicTicks`
+   */
+  spaceTicks(figure, log, room, dimension, digit, half) {
     const ticker = log ? new Bokeh.FixedTicker({ ticks: [], minor_ticks: [] }) : new Bokeh.SingleIntervalTicker({ interval: 1, num_minor_ticks: 0 });
-    const digit = this.small ? 6 : 7;
-    const { start, end } = figure.x_range.properties;
+    const range = [figure.x_range, figure.y_range][dimension];
     const space = () => {
-      const [low, high] = [figure.x_range.start, figure.x_range.end];
+      const [low, high] = [range.start, range.end];
       if (!(high > low)) return;
-      if (log) ticker.ticks = logarithmicTicks(low, high, room, digit);
+      if (log) ticker.ticks = logarithmicTicks(low, high, room, half);
       else ticker.interval = tickDistance(low, high, room, digit);
     };
-    [start, end].forEach((property) => property.change.connect(space));
+    [range.properties.start, range.properties.end].forEach((property) => property.change.connect(space));
     space();
-    figure.xaxes.forEach((axis) => { axis.ticker = ticker; });
-    figure.center.filter((part) => part.type === "Grid" && part.dimension === 0).forEach((grid) => { grid.ticker = ticker; });
+    [figure.xaxes, figure.yaxes][dimension].forEach((axis) => { axis.ticker = ticker; });
+    figure.center.filter((part) => part.type === "Grid" && part.dimension === dimension).forEach((grid) => { grid.ticker = ticker; });
   }
 
   look(figure, x, y, height, room) {
@@ -321,7 +346,6 @@ class Space {
     document.getElementById("turn").hidden = !TOUCH;
     if (this.viewer.sameScale()) page.getElementById("same-scale").click(); // what is left has colours of its own
     document.querySelectorAll("[data-press]").forEach((button) => button.dispatchEvent(new Event("shown")));
-    window.addEventListener("beforeprint", () => this.keep());
     document.body.dataset.space = "true";
   }
 
@@ -349,6 +373,7 @@ async function startReport() {
     .forEach(({ target }) => drawn.find(({ node }) => node === target).draw()), { rootMargin: "300px" });
   drawn.forEach(({ node }) => near.observe(node));
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawn.forEach((chart) => chart.again()));
+  window.addEventListener("beforeprint", () => [...(space ? [space] : []), ...drawn].forEach((part) => part.keep()));
   document.body.dataset.ready = "true";
   const rest = async () => {
     if (space) space.keep();

@@ -47,12 +47,12 @@ const POINT_FRAGMENT = `
     float reach = shape == DISC ? length(p) : shape == DIAMOND ? abs(p.x) + abs(p.y) : max(abs(p.x), abs(p.y)) * 1.15;
     float cross = min(abs(p.x - p.y), abs(p.x + p.y));
     if (vOutlier > 0.5 && cross < 0.28 && max(abs(p.x), abs(p.y)) < 0.98) {
-      gl_FragColor = vec4(cross < 0.13 ? vec3(0.0) : vec3(1.0), 1.0);
+      gl_FragColor = vec4(cross < 0.13 ? vec3(0.0) : vec3(1.0), OPACITY);
       return;
     }
     if (reach > 1.0) discard;
     vec3 colour = shape == ALARM ? vec3(0.85, 0.08, 0.08) : vColour;
-    gl_FragColor = vec4(reach > 0.76 ? mix(colour, edge, vEdge) : colour, 1.0);
+    gl_FragColor = vec4(reach > 0.76 ? mix(colour, edge, vEdge) : colour, OPACITY);
   }`;
 
 // A slender cone from the measured point to the exaggerated predicted point; the tip shows the direction.
@@ -121,17 +121,20 @@ class Marks {
       edge: { value: EDGES.light },
     };
     this.points = new THREE.Points(this.pointGeometry(), this.material(SHARED_SHADER + POINT_VERTEX, POINT_FRAGMENT));
+    this.covered = new THREE.Points(this.points.geometry, this.material(SHARED_SHADER + POINT_VERTEX, POINT_FRAGMENT, { OPACITY: "0.35" }));
+    Object.assign(this.covered.material, { depthFunc: THREE.GreaterDepth, depthWrite: false }); // in or behind the robot: faint
     this.vectors = new THREE.Mesh(this.cones(), this.material(SHARED_SHADER + VECTOR_VERTEX, VECTOR_FRAGMENT));
     this.ring = this.ringMark();
-    for (const object of [this.points, this.vectors, this.ring]) {
+    this.objects = [this.covered, this.points, this.vectors, this.ring];
+    for (const object of this.objects) {
       object.frustumCulled = false;
       object.material.transparent = true; // drawn last, so that a translucent workspace does not veil them
-      object.renderOrder = object === this.ring ? 10 : 3;
+      object.renderOrder = object === this.ring ? 10 : object === this.covered ? 2.5 : 3; // covered by the robot, not by points
     }
   }
 
-  material(vertexShader, fragmentShader) {
-    const defines = { CODES: 2 * this.table.nGroups };
+  material(vertexShader, fragmentShader, more = { OPACITY: "1.0" }) {
+    const defines = { CODES: 2 * this.table.nGroups, ...more };
     SHAPES.forEach((shape, number) => { defines[shape.toUpperCase()] = number; });
     return new this.THREE.ShaderMaterial({ uniforms: this.uniforms, defines, vertexShader, fragmentShader });
   }

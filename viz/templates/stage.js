@@ -134,7 +134,7 @@ class Stage {
   /** Points and vectors; they exist only when there are poses. */
   addMarks(marks) {
     this.marks = marks;
-    this.root.add(marks.points, marks.vectors, marks.ring);
+    this.root.add(...marks.objects);
     this.resize();
   }
 
@@ -150,9 +150,8 @@ class Stage {
     this.ghost = scene.ghost ? this.posed(scene.ghost) : null;
     this.live = null;
     if (this.marks) {
-      const { points, vectors, ring } = this.marks;
-      this.root.remove(points, vectors, ring);
-      for (const { geometry, material } of [points, vectors, ring]) { geometry.dispose(); material.dispose(); }
+      this.root.remove(...this.marks.objects);
+      for (const { geometry, material } of this.marks.objects) { geometry.dispose(); material.dispose(); }
     }
     this.marks = null;
     if (marks) this.addMarks(marks);

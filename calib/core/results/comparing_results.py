@@ -142,7 +142,10 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
         sizes,
         tuple(
             Difference(
-                name, tuple(by_name.get(name) for by_name in rows), tuple(map(float, corrected[: len(loaded) - 1, k]))
+                name,
+                tuple(by_name.get(name) for by_name in rows),
+                tuple(map(float, corrected[: len(loaded) - 1, k])),
+                name in places,
             )
             for k, name in enumerate(names)
         ),

@@ -24,11 +24,13 @@ class Difference:
         rows: Its row in the `result.json` of each result, in its unit; None if the result has no such parameter.
         p_values: Chance of so large a difference to the first result, for each of the others, corrected for the number
             of tests of all pairs; NaN where there is no test.
+        is_place: Whether it says where base, target or instrument stand, and not what the robot is.
     """
 
     name: str
     rows: tuple[dict[str, Any] | None, ...]
     p_values: tuple[float, ...]
+    is_place: bool = False
 
     @property
     def real(self) -> tuple[bool, ...]:

@@ -33,17 +33,9 @@ def not_covered(fit: Fit) -> tuple[str, ...]:
         return ()
     seen_in_order = any(Trait.IN_COURSE in p.kind.traits for p in findings.patterns(fit) if p.significant)
     order = () if seen_in_order else unordered(fit.identification.data)  # such a pattern says that rows are in order
-    return (*_sample(fit), *_scale(fit), *_whose_noise(fit), *order, *terms_beyond(fit))
-
-
-def _sample(fit: Fit) -> Iterator[str]:
-    """Line on patterns that only more poses would show than those that were judged."""
-    n_judged, n_poses = findings.judged_sample(fit).identification.data.n_poses, fit.identification.data.n_poses
-    if n_judged < n_poses:
-        yield (
-            f"a pattern that {n_judged} poses do not show: patterns and causes of the error were judged on {n_judged} of"
-            f" {n_poses} poses, evenly over the order of measurement"
-        )
+    judged, n_poses = (each.identification.data.n_poses for each in (findings.judged_sample(fit), fit))
+    fewer = f"a pattern that needs more poses: patterns and causes were judged on {judged} of {n_poses} poses"
+    return (*[fewer] * (judged < n_poses), *_scale(fit), *_whose_noise(fit), *order, *terms_beyond(fit))
 
 
 def _scale(fit: Fit) -> Iterator[str]:

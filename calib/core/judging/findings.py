@@ -1,8 +1,4 @@
-"""Findings about a fit, each made at first use: outliers, systematic patterns in the residuals, and an error budget.
-
-Tests of patterns and scales, and the error budget of used poses, cost more for each pose than the fit, and tell no more
-from a tenth of very many poses. So they are made with a fit of `MOST_POSES` of them (`judged_sample`).
-"""
+"""Findings about a fit, each made at first use: outliers, systematic patterns in the residuals, and an error budget."""
 
 from __future__ import annotations
 
@@ -28,7 +24,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.losses import StudentisedErrors
 
 MOST_POSES = 10_000
-"""Patterns, scales and the causes of the error are judged on at most this many poses."""
+"""Patterns, scales and causes are judged on at most this many poses: more take time, and hardly change the answer."""
 _LEAST_FACTOR = 1e-3  # least found noise over stated noise of a group, as part of this ratio for all groups
 
 

@@ -67,6 +67,32 @@ def test_backlash_is_found_with_its_joint_and_size(arm):
     assert "deg with the direction of approach" in words
 
 
+def test_patterns_of_very_many_poses_are_judged_on_some_of_them_and_the_claim_on_all(arm, monkeypatch):
+    q = joints(400)
+    q[:, 5] = np.tile([-1.0, 0.0, 1.0, 0.5], 100)  # a regular step of 4 would meet one of these values alone
+    played = q.copy()
+    played[:, 2] += 1e-4 * directions_of_motion(q)[:, 2]
+    data = measurements(arm, q, arm.positions(played) + SIGMA * np.random.default_rng(3).standard_normal((400, 1, 3)))
+    whole = calib.fit(arm, data)
+    assert findings.judged_sample(whole) is whole
+    assert whole.budget.n_poses == whole.verdict.claim.at_measured_poses.n_poses == 400
+    monkeypatch.setattr(findings, "MOST_POSES", 100)
+    fit = calib.fit(arm, data)
+    judged = findings.judged_sample(fit).identification.data
+    np.testing.assert_array_equal(judged.places // 4, np.arange(100))
+    assert len(np.unique(judged.joints[:, 5])) == 4
+    for each in (whole, fit):
+        assert (significant(each)[0].kind, significant(each)[0].name) == ("approach", "j3")
+        assert abs(significant(each)[0].amount) == pytest.approx(1e-4, rel=0.2)
+    assert fit.budget.n_poses == 100
+    assert fit.verdict.claim == whole.verdict.claim
+    assert fit.verdict.grade == whole.verdict.grade
+    assert any("judged on 100 of 400 poses" in line for line in fit.verdict.not_covered)
+    monkeypatch.setattr(findings, "MOST_POSES", 3)  # too few for a fit
+    fit = calib.fit(arm, data)
+    assert findings.judged_sample(fit) is fit
+
+
 def test_a_gear_error_is_found_at_its_joint(arm):
     q = joints(80)
     geared = q.copy()

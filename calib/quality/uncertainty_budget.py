@@ -38,7 +38,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.data.in_memory import PosesLike
 from calib.core.instruments.pixel import Pixel
-from calib.core.judging import findings
+from calib.core.judging.effects import EffectSetting
 from calib.core.judging.repeatability import doubtful_repeats, repeatability
 from calib.core.judging.verdict import JudgedFit
 from calib.core.numerics import linalg
@@ -246,7 +246,7 @@ def _systematic(fit: JudgedFit) -> FloatArray:
         elif isinstance(instrument, Pixel):
             change[:, rows, _FIRST[FOCAL_LENGTH]] = values - np.array(instrument.intrinsics[2:4])
             change[:, rows, _FIRST[PRINCIPAL_POINT] + axes] = 1.0
-    return findings.setting(fit).whiten(changes)
+    return EffectSetting(fit).whiten(changes)
 
 
 def budget(linear: ErrorPropagation, stated: TraceabilitySection, poses: PosesLike | None = None) -> Budget:

@@ -224,7 +224,7 @@ def fit_at(
     return fit
 
 
-def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements], Fit]:
+def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements | None], Fit]:
     """Return a function that fits a part of the measurements of a fit and predicts the rest, from one start."""
     nearby = replace(WarmStart.without_intervals(fit.nominal, fit), placed=None)  # a part has its own placement
     return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=nearby)

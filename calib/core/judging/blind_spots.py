@@ -33,7 +33,9 @@ def not_covered(fit: Fit) -> tuple[str, ...]:
         return ()
     seen_in_order = any(Trait.IN_COURSE in p.kind.traits for p in findings.patterns(fit) if p.significant)
     order = () if seen_in_order else unordered(fit.identification.data)  # such a pattern says that rows are in order
-    return (*_scale(fit), *_whose_noise(fit), *order, *terms_beyond(fit))
+    judged, n_poses = (each.identification.data.n_poses for each in (findings.judged_sample(fit), fit))
+    fewer = f"a pattern that needs more poses: patterns and causes were judged on {judged} of {n_poses} poses"
+    return (*[fewer] * (judged < n_poses), *_scale(fit), *_whose_noise(fit), *order, *terms_beyond(fit))
 
 
 def _scale(fit: Fit) -> Iterator[str]:
@@ -41,9 +43,10 @@ def _scale(fit: Fit) -> Iterator[str]:
     column = scale(findings.setting(fit))
     if not np.any(column):
         return
-    least = findings.linear(fit).visible(column)
-    made = least * float(np.linalg.norm(column)) / np.sqrt(fit.statistics.freedom)
-    if made > NO_MATTER * findings.linear(fit).factor:
+    linear = findings.linear(fit)
+    least = linear.visible(column)
+    made = least * float(np.linalg.norm(column)) / np.sqrt(linear.freedom)
+    if made > NO_MATTER * linear.factor:
         below = "" if least > LARGE_SCALE else f" below {float(f'{millimetres(least):.2g}'):g} mm in 1 m"
         yield f"a scale error{below}, of the instrument or from heat (no known length was measured)"
 

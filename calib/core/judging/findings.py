@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.core.base.errors import ComputationError, UnreachablePoseError
+from calib.core.base.errors import CalibrationError, ComputationError, UnreachablePoseError
 from calib.core.base.memoize import memoize
 from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.error_sets import ErrorSet
-from calib.core.fitting.fit import errors_on
+from calib.core.fitting.fit import errors_on, fit_of_a_part
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import Outlier, outliers_of, readings_of_outliers
+from calib.core.fitting.settings import Settings
 from calib.core.judging import residual_patterns
 from calib.core.judging.effect_kinds import Kind, Pattern, Trait
 from calib.core.judging.effects import EffectSetting, effects
@@ -22,6 +23,8 @@ from calib.core.judging.linear_fit import LinearFit
 from calib.core.numerics import linalg
 from calib.core.numerics.losses import StudentisedErrors
 
+MOST_POSES = 10_000
+"""Patterns, scales and causes are judged on at most this many poses: more take time, and hardly change the answer."""
 _LEAST_FACTOR = 1e-3  # least found noise over stated noise of a group, as part of this ratio for all groups
 
 
@@ -84,15 +87,40 @@ def excluded_errors(fit: Fit) -> ErrorSet | None:
         return None
 
 
+def judged_sample(fit: Fit) -> Fit:
+    """Return the fit by which patterns, scales and causes are judged: of `MOST_POSES` poses where there are more."""
+    return fit if fit.identification.data.n_poses <= MOST_POSES else _fit_of_sample(fit)
+
+
+@memoize
+def _fit_of_sample(fit: Fit) -> Fit:
+    """Return the fit of `MOST_POSES` poses; the fit itself where these alone cannot be fitted.
+
+    One pose is drawn from each of as many stretches of the measurement, which are equally long; a regular step could
+    meet the same row of a grid again and again.
+    """
+    data = fit.identification.data
+    ends = np.arange(MOST_POSES + 1) * data.n_poses // MOST_POSES
+    poses = np.random.default_rng(fit.seed).integers(ends[:-1], ends[1:])
+    try:
+        sample = fit_of_a_part(fit, Settings(fit.sigma_given, fit.loss, seed=fit.seed))(
+            data[np.isin(data.pose_numbers, poses)], None
+        )
+    except CalibrationError:
+        return fit
+    return replace(sample, terms=fit.terms)
+
+
 @memoize
 def setting(fit: Fit) -> EffectSetting:
-    """Return the data from which effects are computed."""
-    return EffectSetting(fit)
+    """Return the data from which effects are computed, of the judged poses."""
+    return EffectSetting(judged_sample(fit))
 
 
 @memoize
 def linear(fit: Fit) -> LinearFit:
-    """Return the fit as a linear model, for tests of effects."""
+    """Return the fit of the judged poses as a linear model, for tests of effects."""
+    fit = judged_sample(fit)
     factors = fit.statistics.factors
     factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
     rows = fit.weighted_rows
@@ -131,7 +159,7 @@ def changes(fit: Fit) -> tuple[Pattern, ...]:
 @memoize
 @one_blas_thread
 def budget(fit: Fit) -> ErrorBudget | None:
-    """Return the error budget of the validation readings; of all readings if there are no validation readings.
+    """Return the error budget of the validation readings; of the judged poses if there are no validation readings.
 
     None if the robot cannot be assembled at a step between before and after.
     """
@@ -147,6 +175,6 @@ def joint_budget(fit: Fit) -> ErrorBudget | None:
 
 def _budget(fit: Fit, causes: Sequence[str] | None = None) -> ErrorBudget | None:
     try:
-        return error_budget(fit, causes)
+        return error_budget(judged_sample(fit) if fit.validation is None else fit, causes)
     except UnreachablePoseError:
         return None

@@ -116,7 +116,7 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
         return
     alone, _ = _cost_with(left[:, :0], left[:, -1], n_measured)
     geared, _ = _cost_with(left[:, len(tried) : -1], left[:, -1], n_measured)
-    by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
+    by_noise = findings.linear(fit).rows.layout.n_read - int(np.sum(fit.unknowns.placement))
     if alone - scaled > max(_least_sigmas(fit, 1) ** 2, MOST * (alone - by_noise)) and scaled < geared:
         yield Code.LENGTHS_SCALED.says(
             f"{_SCALED_LENGTHS[tried.index((scaled, part))]} are {_scale_sentence(part)} in the description: no robot"

@@ -6,11 +6,11 @@ X = (R, t). There may be several points, on the same or other links, and w_i rea
     sum w_i |R m_i + t - R_i p - t_i|^2   +   sum noise^2 |p - guess|^2 / sigma^2
 
 Method. For a given R this is linear in t and all p. Once these are eliminated, the residuals are linear in the nine
-entries of R, so that all poses shrink into ten rows: a quadratic function of the rotation, for every mechanism. It may
-have several minima. Damped Newton steps descend from each of the 60 rotations of the icosahedron (every rotation is
-within 45 degrees of one of them), and the lowest end is taken. Where sigma is given, the noise is found from the
-residuals. The sum grows with the noise at every rotation. So for a larger noise, the descent is repeated only from
-those ends that were lower without noise than the lowest end is now.
+entries of R, so that all poses shrink into ten rows F vec(R) - f, for every mechanism. Damped Newton steps descend to R
+from the rotation nearest to the matrix X that minimises them. A rotation Q with a lower sum than R has |F vec(Q - X)| <
+|F vec(R - X)|, and so |F vec(Q - R)| < 2 |F vec(R - X)|. Where this does not prove that every such Q is near R, there
+may be several minima: steps descend from each of the 60 rotations of the icosahedron (every rotation is within 45
+degrees of one of them), and the lowest end is taken. Where sigma is given, the noise is found from the residuals.
 
 What the poses do not determine stays near the guess. This concerns first the points: a link that never turns does not
 determine its point, and a link that turns about one axis only does not separate the point's direction from that of X.
@@ -44,7 +44,7 @@ _RANK = 1e-9  # a link that turns less does not determine its point [rad]
 _OPEN = 1e-6  # singular values below this part of the largest leave a rotation open
 _POINT_WEIGHT, _TURN_WEIGHT = 1e-5, 1e-7  # weights of the distances to the guesses, relative to the measurements
 _STILL = 1e-11  # a descent ends with a smaller step [rad]
-_SAME = 1e-6  # rotations with a smaller difference are one minimum
+_NEAR = 0.3  # rotations that differ by less are in one basin (norm of the difference)
 _ITERATIONS, _LAST_STEPS, _NOISE_ROUNDS = 80, 8, 20
 _RELATIVE, _ABSOLUTE = 1e-2, 1e-12  # the iteration of the noise ends at a smaller change: relative, and in m
 _SMALLEST = 1e-3  # extent of the points [m]: below `_OPEN` times this, a turn about them is open
@@ -107,11 +107,12 @@ def place(
     for point in points:
         _check(point, weights)
     system = _system(points, weights, guess, frame_known)
-    noise, search = 0.0, _Search(system, guess.rotation)
+    noise = 0.0
     for _ in range(_NOISE_ROUNDS):
-        rotation = guess.rotation if frame_known else search.best_rotation(noise)
-        moved = _eliminate_translation(system, noise).translation_at(rotation)
-        squares = float(np.sum(system.errors(rotation, moved) ** 2))
+        rotation = guess.rotation if frame_known else _best_rotation(system, noise, guess.rotation)
+        moved = _eliminate_points(system, noise)[0] @ np.append(rotation, -1.0)
+        solution = np.concatenate([moved, -rotation.ravel(), [1.0]])
+        squares = float(np.sum((system.rows @ solution) ** 2))
         estimate = float(np.sqrt(squares / max(3 * len(points) * len(weights) - len(moved) - 6 * (not frame_known), 1)))
         if noise == 0.0 and squares > (rough_beyond * system.weight) ** 2:
             break
@@ -120,7 +121,7 @@ def place(
         noise = estimate
     result = np.array([point.guess for point in points], dtype=float)
     result[system.free] += moved
-    translation = guess.translation if frame_known else system.translation(rotation, moved)
+    translation = guess.translation if frame_known else system.mean @ solution
     return Placement(pin.SE3(rotation, translation), result, float(np.sqrt(squares / weights.sum() / len(points))))
 
 
@@ -158,14 +159,6 @@ class _System:
     weight: float
     extent: float
 
-    def errors(self, rotation: FloatArray, moved: FloatArray) -> FloatArray:
-        """Return the rows at R (3, 3) and dp (n_free,) [m]."""
-        return self.rows @ np.concatenate([moved, -rotation.ravel(), [1.0]])
-
-    def translation(self, rotation: FloatArray, moved: FloatArray) -> FloatArray:
-        """Return t at R (3, 3) and dp (n_free,), (3,) [m]."""
-        return self.mean @ np.concatenate([moved, -rotation.ravel(), [1.0]])
-
 
 def _system(points: Sequence[MovingPoint], weights: FloatArray, guess: pin.SE3, frame_known: bool) -> _System:
     free = np.array([point.sigma > 0 for point in points], dtype=bool)
@@ -201,24 +194,14 @@ def _plain_rows(points: Sequence[MovingPoint], free: BoolArray, part: slice) -> 
     return rows
 
 
-@dataclass(frozen=True, eq=False)
-class _Reduced:
-    """The system solved for dp: dp = D vec(R) - d, and the remaining rows, F vec(R) - f."""
-
-    D: FloatArray
-    d: FloatArray
-    F: FloatArray
-    f: FloatArray
-
-    def translation_at(self, rotation: FloatArray) -> FloatArray:
-        """Return dp at R (3, 3), (n_free,) [m]."""
-        return self.D @ rotation.ravel() - self.d
-
-
-def _eliminate_translation(system: _System, noise: float, weak: float = 0.0) -> _Reduced:
+def _eliminate_points(system: _System, noise: float, weak: float = 0.0) -> tuple[FloatArray, FloatArray]:
     """Solve for dp, the translations of the points; of equally good solutions the shortest.
 
-    `weak` is the least weight of every |dp|.
+    Args:
+        weak: The least weight of every |dp|.
+
+    Returns:
+        [D d] with dp = D vec(R) - d, (n_free, 10), and the remaining rows [F f], F vec(R) - f, (n, 10).
     """
     n_free = len(system.sigma)
     distances = np.zeros((n_free, n_free + 10))
@@ -228,55 +211,37 @@ def _eliminate_translation(system: _System, noise: float, weak: float = 0.0) -> 
     determined = values > _RANK * system.weight
     left, inverse = left[:, determined], right[determined].T / values[determined]
     coordinates = left.T @ rows[:, n_free:]
-    solution, rest = inverse @ coordinates, rows[:, n_free:] - left @ coordinates
-    return _Reduced(solution[:, :9], solution[:, 9], rest[:, :9], rest[:, 9])
+    return inverse @ coordinates, rows[:, n_free:] - left @ coordinates
 
 
-class _Search:
-    """The search for the rotation with the smallest sum of squares, for several sizes of the noise, 0 first.
+def _best_rotation(system: _System, noise: float, guess: FloatArray) -> FloatArray:
+    """Return the rotation (3, 3) with the smallest sum of squares, for a noise [m].
 
     Where the system leaves a rotation open, it stays near the `guess` (3, 3).
     """
-
-    def __init__(self, system: _System, guess: FloatArray) -> None:
-        self._system, self._guess = system, guess
-        self._ends: FloatArray | None = None  # ends of the first search, without noise, the lowest first
-        self._squares: FloatArray = np.zeros(0)
-
-    def best_rotation(self, noise: float) -> FloatArray:
-        """Return the rotation, (3, 3), for a noise [m]."""
-        rows = self._rows(noise)
-        if self._ends is None:
-            starts = np.concatenate([[self._guess], scipy.spatial.transform.Rotation.create_group("I").as_matrix()])
-            ends, squares = _descend(rows, starts)
-            order = np.argsort(squares, kind="stable")
-            self._ends, self._squares = ends[order], squares[order]
-            return _finish_descent(self._system, noise, self._ends[0])
-        ends, squares = _descend(rows, self._ends[:1])
-        others = np.max(np.abs(self._ends - self._ends[0]), axis=(1, 2)) > _SAME
-        others &= self._squares <= squares[0]
-        if np.any(others):
-            more, of_more = _descend(rows, self._ends[others])
-            ends, squares = np.concatenate([ends, more]), np.concatenate([squares, of_more])
-        return _finish_descent(self._system, noise, ends[np.argmin(squares)])
-
-    def _rows(self, noise: float) -> FloatArray:
-        """Rows to minimise, in the form of `_descend`, with small weights of the distances to all guesses."""
-        system = self._system
-        searched = _eliminate_translation(system, noise, _POINT_WEIGHT * system.weight)
-        turn = _TURN_WEIGHT * system.weight * max(system.extent, _SMALLEST)
-        near = turn * np.column_stack([np.eye(9), self._guess.ravel()])
-        return reduce_rows(np.vstack([np.column_stack([searched.F, searched.f]), near]))
+    _, searched = _eliminate_points(system, noise, _POINT_WEIGHT * system.weight)
+    turn = _TURN_WEIGHT * system.weight * max(system.extent, _SMALLEST)
+    near = turn * np.column_stack([np.eye(9), guess.ravel()])
+    rows = reduce_rows(np.vstack([searched, near]))
+    left, values, right = linalg.svd(rows[:, :9], full_matrices=False)
+    free = right.T @ (left.T @ rows[:, 9] / values)  # X of the module docstring
+    u, _, v = linalg.svd(free.reshape(3, 3))
+    u[:, 2] *= np.linalg.det(u @ v)
+    ends, squares = _descend(rows, (u @ v)[None])
+    if 2.0 * np.linalg.norm(rows[:, :9] @ (ends[0].ravel() - free)) > _NEAR * values[-1]:
+        group = scipy.spatial.transform.Rotation.create_group("I").as_matrix()
+        ends, squares = _descend(rows, np.concatenate([[guess], group]))
+    return _finish_descent(system, noise, ends[np.argmin(squares)])
 
 
 def _finish_descent(system: _System, noise: float, rotation: FloatArray) -> FloatArray:
     """Return the rotation (3, 3) at the end of a descent, refined without the small weights of guesses."""
-    exact = _eliminate_translation(system, noise)
-    least, by_turn = _OPEN * system.weight * _SMALLEST, _turned_rows(exact.F)
+    _, exact = _eliminate_points(system, noise)
+    least, by_turn = _OPEN * system.weight * _SMALLEST, _turned_rows(exact[:, :9])
     for _ in range(_LAST_STEPS):
         right, values, left = linalg.svd((rotation.ravel() @ by_turn).reshape(3, -1), full_matrices=False)
         determined = values > max(_OPEN * values[0], least)
-        error = exact.F @ rotation.ravel() - exact.f
+        error = exact @ np.append(rotation, -1.0)
         step = right[:, determined] @ ((left @ error)[determined] / values[determined])
         rotation = rotation @ pin.exp3(-step)
         if np.linalg.norm(step) < _STILL:

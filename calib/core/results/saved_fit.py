@@ -70,13 +70,15 @@ def saved_bytes(
         nominal: Files of the nominal robot, by name.
         files: The robots of the fit's files.
     """
+    undecided = fit.undecided  # to find these takes as long as all else; other fits find theirs at first use
+    shown = None if undecided is None else {**vars(undecided), "terms": _entries(undecided.terms)}
     return array_file(
         {
             "version": VERSION,
             "program": PROGRAM,
             "content": content,
             "sha256": {name: hashlib.sha256(file).hexdigest() for name, file in nominal.items()},
-            "fit": _fit_entry(fit),
+            "fit": _fit_entry(fit) | {"joint_error": fit.joint_error, "undecided": shown},
             "files": {
                 holds.name: {**vars(robot), "accuracy": asdict(robot.accuracy) | {"poses": robot.accuracy.poses.name}}
                 for holds, robot in files.items()
@@ -111,7 +113,7 @@ def require_unchanged(folder: Path | str, sha256: Mapping[str, str]) -> None:
 
 
 def _fit_entry(fit: Fit) -> dict[str, Any]:
-    robust, undecided, folds, convergence = fit.loss != "none", fit.undecided, fit.folds, asdict(fit.convergence)
+    robust, folds, convergence = fit.loss != "none", fit.folds, asdict(fit.convergence)
     return {
         "terms": _entries(fit.nominal.description.terms),
         "held": fit.nominal.description.held,
@@ -126,11 +128,9 @@ def _fit_entry(fit: Fit) -> dict[str, Any]:
         "asked": vars(fit.requested_options),
         "placed_later": fit.placed_later,
         "seconds": fit.seconds,
-        "joint_error": fit.joint_error,
         "convergence": convergence,
         "choice": None if fit.terms is None else fit.terms.requested,
         "expected": None if fit.terms is None or np.isnan(fit.terms.expected_rms) else fit.terms.expected_rms,
-        "undecided": None if undecided is None else {**vars(undecided), "terms": _entries(undecided.terms)},
         "identification": _measurements_entry(fit.identification.data),
         "validation": None if fit.validation is None else _measurements_entry(fit.validation.data),
         "folds": None if folds is None else {**vars(folds), "errors": _errors_entry(folds.errors)},
@@ -186,8 +186,8 @@ def evaluate_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedFi
         fit = JudgedFit.from_fit(_fit_of(robot, entry))
     except (CalibrationError, ValueError, KeyError, TypeError) as error:
         raise ComputationError(f"{where}: this version cannot evaluate the fit ({error}); run the fit again") from None
-    shown = _undecided_of(entry)
-    vars(fit)["unexplained"] = UnexplainedErrors(entry["joint_error"], shown)  # to find them takes as long as the rest
+    if "joint_error" in entry:
+        vars(fit)["unexplained"] = UnexplainedErrors(entry["joint_error"], _undecided_of(entry))
     return fit
 
 
@@ -233,7 +233,7 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
 
 
 def _undecided_of(entry: Mapping[str, Any]) -> UndecidedTerms | None:
-    own = entry["undecided"]
+    own = entry.get("undecided")
     return None if own is None else UndecidedTerms(stored_terms(own["terms"]), tuple(own["names"]), own["spread"])
 
 

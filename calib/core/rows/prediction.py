@@ -177,7 +177,8 @@ def order_of_joints(q: FloatArray) -> tuple[IntArray, FloatArray]:
     """
     off = q - q.mean(axis=0)
     first = off[np.argmax(off != 0, axis=0), np.arange(off.shape[1])]
-    return np.argsort(np.lexsort(np.abs(off)[::-1])), np.where(first < 0, -1.0, 1.0)
+    order = sorted(range(off.shape[1]), key=np.abs(off).T.tolist().__getitem__)
+    return np.argsort(order), np.where(first < 0, -1.0, 1.0)
 
 
 def recombined_joints(q: FloatArray, most: int) -> FloatArray:

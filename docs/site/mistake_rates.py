@@ -274,7 +274,7 @@ def main() -> None:
     print(table(outcomes))
     if options.page:
         text = PAGE.read_text(encoding="utf-8")
-        part = "" if options.every == 1 else f"Tried is one mistake in {options.every}.\n"
+        part = "" if options.every == 1 else f"Of these mistakes, one in {options.every} was tried.\n"
         said = f"{_INTRODUCTION}{part}\n{table(outcomes)}"
         PAGE.write_text(_PLACE.sub(lambda place: f"{place[1]}{said}{place[2]}", text), encoding="utf-8")
 

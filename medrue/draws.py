@@ -26,8 +26,8 @@ from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.numerics import linalg
 from calib.core.robots.configurations import Configurations
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import linearise
 
 CHUNK = 10
 """Draws that are done together."""

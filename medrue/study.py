@@ -24,8 +24,8 @@ import numpy as np
 from calib import Fit, fit
 from calib.core.base.arrays import FloatArray
 from calib.core.base.workers import results_in_order
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import linearise
 from calib.planning.selection import Selection, select
 from medrue.closed_form import forward
 from medrue.draws import DrawOutcome, DrawTask, PoseSet, measurements, run

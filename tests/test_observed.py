@@ -9,7 +9,7 @@ from small_robots import ARM_YAML, write_arm, write_pose_loop
 
 import calib
 from calib.core.instruments.kind import Readings
-from calib.core.rows.jacobian import linearise
+from calib.core.robots.jacobian import linearise
 from calib.core.rows.observed import observe, predict_readings
 from medrue.workspace import target_workspace
 

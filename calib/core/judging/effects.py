@@ -38,9 +38,9 @@ from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.instruments.kind import FrameInstrument, Instrument
 from calib.core.judging.effect_kinds import Kind
 from calib.core.numerics.variance_components import SharedError
+from calib.core.robots.jacobian import relative_poses
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.periodic import TURN
-from calib.core.rows.jacobian import relative_poses
 
 ORDERS = range(1, 121)
 """Cycles of a wave in a turn of the joint, or over the range that a joint slides."""

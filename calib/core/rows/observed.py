@@ -1,7 +1,7 @@
 """Predicted readings of a robot, compared with the readings, and their derivatives by parameters.
 
 For a reading of kind g at a visit, with x the motion [dp; dw] of the observed frame, seen from the observing frame
-(`calib.core.rows.jacobian`):
+(`calib.core.robots.jacobian`):
 
     d(residual)/d(parameters) = d(residual)/dx  .  dx/d(parameters)
 
@@ -22,8 +22,7 @@ from calib.core.data.measurements import Measurements, Poses, readings_of_visits
 from calib.core.instruments.kind import Comparison, Instrument, JointComparison, JointInstrument, Readings, View
 from calib.core.robots import kinematics
 from calib.core.robots.configurations import Configurations
-from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import (
+from calib.core.robots.jacobian import (
     derivative_by_parameters,
     joint_twists,
     parameter_twists,
@@ -31,6 +30,7 @@ from calib.core.rows.jacobian import (
     relative_motion,
     sweeps,
 )
+from calib.core.robots.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)

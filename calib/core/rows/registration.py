@@ -22,9 +22,9 @@ from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import FrameInstrument, Guess, JointInstrument, Scene
 from calib.core.numerics.placement import MovingPoint, Placement, place
 from calib.core.robots.described_instruments import MEASUREMENT_FRAME, pair_names
+from calib.core.robots.jacobian import relative_poses
 from calib.core.robots.mechanism import RelativeFrame
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import relative_poses
 from calib.core.rows.observed import observe, views_of_instruments
 
 _SQUARED_ROUNDING = 1e-30  # squares below are rounding

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray, NamedRows, ReadOnlyArrays, hold, read_only
 from calib.core.base.errors import DescriptionError, ParameterError, nearest
-from calib.core.base.parameter import Parameters, index_of
-from calib.core.base.units import in_si
+from calib.core.base.parameter import Parameters
+from calib.core.base.units import quantity
 from calib.core.instruments.kind import Instrument
 from calib.core.robots.accuracy_of_files import FileRobot, Holds
 from calib.core.robots.closure import AssemblyMode
@@ -160,7 +160,7 @@ class RobotData(ReadOnlyArrays):
         n = len(self.parameters)
         return slice(n - sum(len(term.parameters) for term in self.terms), n)
 
-    @property
+    @cached_property
     def turns_gravity(self) -> bool:
         """Whether the last two coefficients are gravity's direction, with which all `term_columns` vary."""
         return any(not term.adds for term in self.terms)
@@ -208,9 +208,9 @@ class RobotData(ReadOnlyArrays):
         """
         if isinstance(values, Mapping):
             vector = self.values.copy()
-            for name, value in values.items():
-                place = index_of(self.parameters, name)
-                vector[place] = in_si(value, self.parameters[place].dimension, name)
+            for place, (name, value) in zip(self.parameters.places(values), values.items(), strict=True):
+                is_text = isinstance(value, str)
+                vector[place] = quantity(value, self.parameters[place].dimension, name) if is_text else value
         else:
             vector = np.array(values, dtype=float)
         if vector.shape != self.values.shape:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, ValuesView
 from dataclasses import dataclass
 from typing import Any, SupportsFloat
 
@@ -136,6 +136,10 @@ class Estimates(Mapping[str, Estimate]):
     def __repr__(self) -> str:
         return f"<{len(self)} estimates: {', '.join(list(self)[:5])}{', ...' if len(self) > 5 else ''}>"
 
+    def values(self) -> ValuesView[Estimate]:
+        """Return the parameters in their order."""
+        return self._by_name.values()
+
     def rows(self) -> list[dict[str, object]]:
         """Return one row for each, in the units of tables."""
         return [estimate.row() for estimate in self.values()]
@@ -201,23 +205,22 @@ def estimates(
         free: Mask of the free parameters, (n_parameters,).
         statistics: Uncertainty of the free parameters.
     """
-    uncertainty = enumerate(zip(statistics.std, statistics.data_share, strict=True))
+    found = [parameter for parameter, use in zip(parameters, free, strict=True) if use]
+    sigma = np.array([parameter.sigma_si for parameter in found])
+    kinds = np.array([(parameter.prior, parameter.placement) for parameter in found], dtype=bool).reshape(-1, 2)
+    sources = status(statistics.data_share, statistics.std / sigma, *kinds.T)
+    uncertainty = zip(statistics.std.tolist(), enumerate(sources.tolist()), strict=True)
     result = {}
-    for parameter, value, use in zip(parameters, values, free, strict=True):
-        place, (std, share) = next(uncertainty) if use else (-1, (np.nan, np.nan))
-        kind = (
-            status(share, std / parameter.sigma_si, prior=parameter.prior, placement=parameter.placement)
-            if use
-            else "held"
-        )
+    for parameter, value, use in zip(parameters, values.tolist(), free, strict=True):
+        std, (place, source) = next(uncertainty) if use else (np.nan, (-1, "held"))
         result[parameter.name] = Estimate(
             parameter.name,
             parameter.unit,
             parameter.nominal_si,
-            float(value),
-            float(std),
+            value,
+            std,
             HalfWidth(statistics, place) if use else np.nan,
-            kind,
+            source,
             parameter.family,
             parameter.per_si,
         )

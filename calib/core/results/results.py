@@ -203,7 +203,7 @@ def _covariance_table(fit: Fit) -> str:
 
     The hundreds of coefficients of curves are left out, as in the report.
     """
-    free = [fit.parameters[name] for name in fit.free_names]
+    free = [estimate for estimate, use in zip(fit.parameters.values(), fit.free, strict=True) if use]
     places = [k for k, estimate in enumerate(free) if not estimate.family]
     free = [free[k] for k in places]
     scale = np.array([estimate.per_si for estimate in free])

@@ -29,6 +29,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, UnreachablePoseError
+from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Steps
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.error_sets import ErrorSet
@@ -118,6 +119,7 @@ class Minimum:
     solved: RobustSolution
 
 
+@one_blas_thread
 def fit_data(
     robot: Robot,
     settings: Settings,

@@ -31,7 +31,7 @@ from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.linear_point import RowStack
 from calib.core.numerics.prior_sizes import SeenColumns
 from calib.core.numerics.variance_components import SharedError
-from calib.core.robots.configurations import Configurations, close, describe_open, solve_configurations
+from calib.core.robots.configurations import Configurations, close, configurations_if_closed, describe_open
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed, observe
@@ -200,11 +200,8 @@ class Problem(ReadOnlyArrays):
 
     def _try_evaluate(self, robot: Robot, seed: FloatArray | None) -> Evaluation | None:
         columns = self._columns_of(robot)
-        closed = close(robot, self.data.joints, seed, columns, limits=self.limits)
-        if not np.all(closed.ok):
-            return None
-        configurations = solve_configurations(robot, self.data.joints, closed, columns)
-        return Evaluation(robot, configurations, self.data.readings)
+        configurations = configurations_if_closed(robot, self.data.joints, seed, columns, limits=self.limits)
+        return None if configurations is None else Evaluation(robot, configurations, self.data.readings)
 
     def _columns_of(self, robot: Robot) -> tuple[FloatArray, ...]:
         """Phi of the joint terms, which changes with the parameters only where gravity's direction is fitted."""
@@ -219,9 +216,11 @@ class Problem(ReadOnlyArrays):
         """
         chosen = self.unknowns if unknowns is None else unknowns
         rows = self.whitening.rows(evaluation.observed, groups, chosen, evaluation.robot.values)
-        if self.weighing is None and any(known.has(chosen) for known, _ in evaluation.factors):
+        if self.weighing is not None:
+            return rows.whiten_shared(self.weighing)
+        if any(known.has(chosen) for known, _ in evaluation.factors):
             rows.remember(self.compressed(evaluation, groups, chosen).factor)
-        return rows.whiten_shared(self.weighing)
+        return rows
 
     def residuals(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
         """Return the residuals of all rows, without whitening for shared errors, (n_rows,); arguments as in `rows`."""
@@ -259,7 +258,7 @@ class Problem(ReadOnlyArrays):
         if not any(known.has(unknowns) for known, _ in evaluation.factors):
             evaluation.factors[:] = [(unknowns, self._factors(evaluation, groups, unknowns, rows))]
         known, factors = evaluation.factors[0]
-        chosen = np.append(np.searchsorted(known.index, unknowns.index), len(known))
+        chosen = np.append(np.searchsorted(known.index, unknowns.index), -1)  # residuals are the last column
         sizes = np.append(unknowns.scales / known.scales[chosen[:-1]], 1.0)
         rows = np.vstack([factor[:, chosen] * (sizes / scale) for factor, scale in zip(factors, groups, strict=True)])
         few = RowGroups(
@@ -267,7 +266,7 @@ class Problem(ReadOnlyArrays):
         )
         deviations = unknowns.deviations(evaluation.robot.values)
         model = LinearModel(rows[:, -1], rows[:, :-1], unknowns.prior, deviations, few)
-        if len(groups) == 1 and len(unknowns) == len(known):  # the rows are that factor already
+        if len(groups) == 1 and rows.shape == factors[0].shape:  # the rows are that factor already
             model.remember(rows)
         return model
 

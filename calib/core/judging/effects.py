@@ -108,12 +108,12 @@ class EffectSetting:
         """Standard deviation of the noise of a position row [m]; without positions, of the first kind of rows."""
         return float(self.fit.scales.groups[self._first] * self.fit.whitening.groups[self._first].typical)
 
-    @property
+    @cached_property
     def dimension(self) -> Dimension:
         """Dimension of `metre`."""
         return self.fit.whitening.groups[self._first].part.dimension
 
-    @property
+    @cached_property
     def _first(self) -> int:
         return next((g for g, group in enumerate(self.fit.whitening.groups) if group.part.is_position), 0)
 

@@ -1,6 +1,6 @@
 """Kinematics compiled with numba: closing loops, and derivatives through them, without Python.
 
-The same formulas as in `calib.core.robots.continuation`, `calib.core.robots.kinematics` and `calib.core.robots.jacobian`,
+The same formulas as in `continuation`, `kinematics` and `jacobian` of this room,
 which stay the reference and work without numba; tests hold both together to 1e-12 on every robot. One pose comes after
 the other, joint by joint. Loops whose directions are constrained (type 6d) are left to the reference.
 

@@ -32,6 +32,10 @@ class Whitening:
         robot: Robot whose instruments state their noise.
         data: The readings.
         sigma: Noise of positions per axis that replaces the stated one [m].
+
+    Attributes:
+        groups: Groups of rows whose noise has one scale.
+        layout: Order of the rows.
     """
 
     def __init__(self, robot: Robot, data: Measurements, sigma: float | None = None) -> None:
@@ -54,7 +58,8 @@ class Whitening:
             numbers.append(np.where(absent, -1, number[list(instrument.part_of_row)]).ravel())
             widths.append(np.sum(~absent, axis=1))
             self._inverse[name] = _inverse_roots(covariance, absent)
-        self.layout = _layout(robot, data, self._names, numbers, widths, tuple(groups.values()))
+        self.groups = tuple(groups.values())
+        self.layout = _layout(robot, data, self._names, numbers, widths, self.groups)
         noises = [stated_noise(robot.instrument(name), sigma) for name in self._names]
         alike = not any(part.beam is not None for noise in noises for part in noise.parts)
         self._of_all = {name: data.readings[name] for name in self._names} if alike and _are_whole(data) else None
@@ -65,11 +70,6 @@ class Whitening:
         if known is None or not _are_whole(data) or {name for name in readings if len(readings[name])} != known.keys():
             return False
         return all(np.array_equal(each.visits, readings[name].visits) for name, each in known.items())
-
-    @property
-    def groups(self) -> tuple[Group, ...]:
-        """Groups of rows whose noise has one scale."""
-        return self.layout.groups
 
     def flatten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
         """Whiten arrays by instrument, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.

@@ -95,6 +95,16 @@ class Parameters(tuple[Parameter, ...]):
         """Value of each that is expected before measuring, (n,) [m or rad]."""
         return read_only(np.array([parameter.expected_si for parameter in self]))
 
+    @cached_property
+    def sigma_si(self) -> FloatArray:
+        """Expected deviation of each from nominal, one standard deviation, (n,) [m or rad]."""
+        return read_only(np.array([parameter.sigma_si for parameter in self]))
+
+    @cached_property
+    def per_si(self) -> FloatArray:
+        """Number of the unit of each in one SI unit, (n,)."""
+        return read_only(np.array([parameter.per_si for parameter in self]))
+
     def places(self, names: Iterable[str], where: str = "parameters") -> list[int]:
         """Return the positions of these parameters; an unknown name is a `ParameterError`."""
         known = {parameter.name: place for place, parameter in enumerate(self)}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.contributions import Contributions
 from calib.core.base.errors import InputError, nearest
-from calib.core.base.parameter import Parameter
+from calib.core.base.parameter import Parameters
 from calib.core.base.words import data_frame, pandas, table_html
 from calib.core.numerics.statistics import Statistics, status
 
@@ -195,9 +195,7 @@ class Correlation(Covariance):
     """Correlation of the free parameters, by name: numbers between -1 and 1 instead of the products."""
 
 
-def estimates(
-    parameters: tuple[Parameter, ...], values: FloatArray, free: BoolArray, statistics: Statistics
-) -> Estimates:
+def estimates(parameters: Parameters, values: FloatArray, free: BoolArray, statistics: Statistics) -> Estimates:
     """Return the estimates of all parameters.
 
     Args:
@@ -205,23 +203,17 @@ def estimates(
         free: Mask of the free parameters, (n_parameters,).
         statistics: Uncertainty of the free parameters.
     """
-    found = [parameter for parameter, use in zip(parameters, free, strict=True) if use]
-    sigma = np.array([parameter.sigma_si for parameter in found])
-    kinds = np.array([(parameter.prior, parameter.placement) for parameter in found], dtype=bool).reshape(-1, 2)
-    sources = status(statistics.data_share, statistics.std / sigma, *kinds.T)
-    uncertainty = zip(statistics.std.tolist(), enumerate(sources.tolist()), strict=True)
-    result = {}
-    for parameter, value, use in zip(parameters, values.tolist(), free, strict=True):
-        std, (place, source) = next(uncertainty) if use else (np.nan, (-1, "held"))
-        result[parameter.name] = Estimate(
-            parameter.name,
-            parameter.unit,
-            parameter.nominal_si,
-            value,
-            std,
-            HalfWidth(statistics, place) if use else np.nan,
-            source,
-            parameter.family,
-            parameter.per_si,
-        )
-    return Estimates(result)
+    kinds = np.array([(parameter.prior, parameter.placement) for parameter in parameters], dtype=bool).reshape(-1, 2)
+    std, sources, places = np.full(len(free), np.nan), np.full(len(free), "held", dtype=object), np.cumsum(free) - 1
+    std[free] = statistics.std
+    sources[free] = status(statistics.data_share, statistics.std / parameters.sigma_si[free], *kinds[free].T)
+    half_widths = [HalfWidth(statistics, place) if use else np.nan for place, use in zip(places, free, strict=True)]
+    numbers = np.stack([values, std, parameters.per_si], axis=1).tolist()
+    return Estimates(
+        {
+            p.name: Estimate(p.name, p.unit, p.nominal_si, value, deviation, half, source, p.family, per_si)
+            for p, (value, deviation, per_si), half, source in zip(
+                parameters, numbers, half_widths, sources, strict=True
+            )
+        }
+    )

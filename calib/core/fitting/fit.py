@@ -284,7 +284,7 @@ def reading_origins(robot: Robot, data: Measurements) -> set[tuple[str, str]]:
     """Return the names of the origins at both ends of all readings: where they are read from, and what they show."""
     names, origins = ("", *robot.mechanism.origin_names), set[tuple[str, str]]()
     for name, readings in data.readings.items():
-        pairs = robot.pairs(robot.instrument(name))  # none for readings of joints
+        pairs = robot.pairs[name]  # none for readings of joints
         origins |= {(names[pairs[k].a], names[pairs[k].b]) for k in set(readings.pairs.tolist()) if pairs}
     return origins
 

@@ -149,11 +149,6 @@ class Problem(ReadOnlyArrays):
         """Return the problem for offsets with these ratios to the scales of their groups, (n_offsets,)."""
         return replace(self, offset_ratios=ratios, weighing=self.whitening.weighing(ratios))
 
-    @property
-    def has_unstated_noise(self) -> BoolArray:
-        """Mask of the groups whose noise is not stated, (n_groups,)."""
-        return _has_unstated_noise(self.whitening)
-
     def contradicted_groups(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
         """Return a mask of the groups whose found scale contradicts their stated noise, (n_groups,).
 
@@ -165,13 +160,15 @@ class Problem(ReadOnlyArrays):
         left = max(1.0 - len(self.unknowns) / max(int(np.sum(counts)), 1), _LEAST_FREEDOM)
         freedom = np.maximum(efficiency * left * counts, 1e-3)
         chance = scipy.special.chdtrc(freedom, freedom * scales**2)
-        return np.asarray(~self.has_unstated_noise & (scales > 1.0) & (chance < UNLIKELY))
+        return np.asarray(~self.whitening.is_unstated & (scales > 1.0) & (chance < UNLIKELY))
 
     @property
     def confirmed_freedom(self) -> FloatArray:
         """Degrees of freedom with which a fleet confirmed the stated noise, (n_groups,); 0 where noise is found."""
         fleet = self.robot.description.fleet
-        return np.where(self.noise_found | self.has_unstated_noise, 0.0, 0.0 if fleet is None else fleet.noise_freedom)
+        return np.where(
+            self.noise_found | self.whitening.is_unstated, 0.0, 0.0 if fleet is None else fleet.noise_freedom
+        )
 
     @property
     def noise_weighs(self) -> bool:
@@ -224,7 +221,7 @@ class Problem(ReadOnlyArrays):
 
     def residuals(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
         """Return the residuals of all rows, without whitening for shared errors, (n_rows,); arguments as in `rows`."""
-        return self.whitening.flatten(evaluation.residuals) / self.whitening.row_scale(groups)
+        return self.whitening.whiten(evaluation.residuals, groups)
 
     def derivative(
         self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, weights: FloatArray | None = None
@@ -369,8 +366,4 @@ class _SolverRows:
 
 def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:
     """Whitening, unknowns, groups whose noise is to be found, and ratios of offsets, before the first fit."""
-    return whitening, Unknowns.from_robot(robot), _has_unstated_noise(whitening), np.zeros(whitening.n_offsets)
-
-
-def _has_unstated_noise(whitening: Whitening) -> BoolArray:
-    return np.array([not group.stated for group in whitening.groups])
+    return whitening, Unknowns.from_robot(robot), whitening.is_unstated, np.zeros(whitening.n_offsets)

@@ -64,9 +64,7 @@ class EffectSetting:
 
     def whiten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
         """Return effects on the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
-        rows: FloatArray = (
-            self.fit.whitening.flatten(arrays) / self.fit.whitening.row_scale(self.fit.scales.groups)[:, None]
-        )
+        rows = self.fit.whitening.whiten(arrays, self.fit.scales.groups)
         if self._weighing is not None:
             rows = self._weighing.whiten(rows)
         return np.sqrt(self.fit.weights)[self.fit.whitening.layout.reading][:, None] * rows
@@ -355,9 +353,7 @@ def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, Flo
     The first link is the target's own; the others are those behind each joint that does not move the target.
     """
     robot, all_readings = setting.fit.robot, setting.data.readings
-    seen = [
-        (name, rows, robot.pairs(robot.instrument(name))) for name, own, rows in _seen_targets(setting) if own == target
-    ]
+    seen = [(name, rows, robot.pairs[name]) for name, own, rows in _seen_targets(setting) if own == target]
     links = [None, *_other_joints(robot, target)]
     frame_pairs = [
         pair if link is None else replace(pair, b=link) for link in links for _, _, pairs in seen for pair in pairs

@@ -235,7 +235,8 @@ def build(description: Description, urdf: UrdfText, where: str) -> Robot:
     places = places_of(description, instruments, where)
     nominal = build_mechanism(urdf, description, instruments, where)
     check_inclinometers(description, nominal, where)
-    _check_columns(description, nominal, instruments, where)
+    if description.columns:
+        _check_columns(description, nominal, instruments, where)
     _check_joints(nominal, instruments, where)
     home = home_values(urdf, description, where)
     mode = check_home(nominal, home, description.singularity_limit, where)

@@ -70,7 +70,7 @@ class UnknownPlaces:
             pair
             for instrument in robot.instruments
             if any(part.dimension != "angle" for part in instrument.parts)
-            for pair in robot.pairs(instrument)
+            for pair in robot.pairs[instrument.name]
         ]
         moved = mechanism.support @ np.any(mechanism.select_moving, axis=1) > 0
 

@@ -141,7 +141,7 @@ def _common(motion: CommonMotion, following: FloatArray, linear: UncertaintyJaco
 def as_described(robot: Robot) -> Robot:
     """Return the robot of the description, without joint terms."""
     bare = robot.with_terms(())
-    return bare.with_parameters([parameter.nominal_si for parameter in bare.parameters])
+    return bare.with_nominal_values()
 
 
 @one_blas_thread

@@ -91,7 +91,8 @@ def observe(
     if n_driven:
         twists = np.hstack([twists, joint_twists(mechanism)])
     width = robot.coefficients.start + n_driven if derivatives else 0
-    works = [_Work(robot, robot.instrument(name), own, width) for name, own in readings.items()]
+    own = [instrument for instrument in robot.instruments if instrument.name in readings]
+    works = [_Work(robot, instrument, readings[instrument.name], width) for instrument in own]
     pairs = tuple(dict.fromkeys(pair for work in works for pair in work.pairs))
     for part, swept in sweeps(mechanism, configurations, pairs):
         for work in works:
@@ -104,7 +105,7 @@ class _Work:
 
     def __init__(self, robot: Robot, instrument: Instrument, readings: Readings, width: int) -> None:
         self.robot, self.instrument, self.readings = robot, instrument, readings
-        self.all_pairs, self._unknowns = robot.pairs(instrument), robot.unknowns(instrument.name)
+        self.all_pairs, self._unknowns = robot.pairs[instrument.name], robot.unknowns[instrument.name]
         self._numbers: list[int] = np.unique(readings.pairs).tolist()
         self.pairs = tuple(self.all_pairs[k] for k in self._numbers) if self.all_pairs else ()
         self._by_joint, shape = robot.coefficients.start, (len(readings.visits), instrument.n_rows)  # columns by joints
@@ -187,7 +188,8 @@ class _Work:
 
     def result(self, configurations: Configurations) -> Observed:
         """Return the filled arrays."""
-        phi = tuple(columns[as_slice(self.readings.visits)] for columns in configurations.term_columns)
+        visits = as_slice(self.readings.visits)
+        phi = tuple(columns[visits] for columns in configurations.term_columns)
         return Observed(self.robot, self._residuals, self._columns, phi)
 
 
@@ -224,7 +226,7 @@ def predict_readings(
     result = {}
     for name, seen in views_of_instruments(robot, configurations, looks).items():
         readings = looks[name]
-        values = robot.instrument(name).predict(seen, robot.values[robot.unknowns(name)], readings.details)
+        values = robot.instrument(name).predict(seen, robot.values[robot.unknowns[name]], readings.details)
         result[name] = Readings(readings.visits, readings.pairs, values, None, readings.details)
     return result
 
@@ -241,7 +243,7 @@ def views_of_instruments(
     """
     mechanism = robot.mechanism
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
-    pairs = tuple(pair for name in looks for pair in robot.pairs(robot.instrument(name)))
+    pairs = tuple(pair for name in looks for pair in robot.pairs[name])
     swept = kinematics.sweep(mechanism, joints, pairs)
     result: dict[str, View | FloatArray] = {}
     for name, readings in looks.items():
@@ -250,7 +252,7 @@ def views_of_instruments(
             result[name] = joints[readings.visits, mechanism.origin_names.index(instrument.joint)]
             continue
         poses = np.tile(np.eye(4), (len(readings), 1, 1))
-        for number, pair in enumerate(robot.pairs(instrument)):
+        for number, pair in enumerate(robot.pairs[instrument.name]):
             chosen = np.flatnonzero(readings.pairs == number)
             poses[chosen] = kinematics.relative_pose(swept, pair)[readings.visits[chosen]]
         result[name] = View(poses[:, :3, :3], poses[:, :3, 3])

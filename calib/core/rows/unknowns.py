@@ -53,7 +53,7 @@ class Unknowns(ReadOnlyArrays):
         return Unknowns(
             tuple(p.name for p in kept),
             np.flatnonzero(chosen),
-            np.array([p.sigma_si for p in kept]),
+            robot.parameters.sigma_si[chosen],
             robot.parameters.expected_si[chosen],
             _prior(robot, kept),
             np.array([p.placement for p in kept], dtype=bool),

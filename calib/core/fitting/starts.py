@@ -131,7 +131,7 @@ def _add(
 ) -> None:
     """Count an end for the minimum that it belongs to, or add a new minimum."""
     reached, solution = end
-    whitened = problem.residuals(reached, groups)
+    whitened = problem.whitening.whiten(reached.residuals, groups)
     smallest = _ROUNDING / float(np.min(groups * [group.typical for group in problem.whitening.groups]))
     size = _size(whitened)
     for k, (minimum, known) in enumerate(distinct):

@@ -92,8 +92,8 @@ def pose_count_table(both_sides: BothSides) -> ResultTable:
 def extended_parameter_table(both_sides: BothSides) -> ResultTable:
     """Parameters that the extended model has and the paper's lacks, if the readings determine them."""
     draw, parameters, terms = both_sides.draws[0], both_sides.extended.parameters, both_sides.extended.coefficients
-    scale = np.array([parameter.per_si for parameter in parameters])
-    expected = np.array([parameter.sigma_si for parameter in parameters])
+    scale = parameters.per_si
+    expected = parameters.sigma_si
     tilts = tuple(f"{joint.name}.{tilt}" for joint in both_sides.extended.urdf.joints for tilt in ("ry", "rz"))
     lacking = [k >= terms.start or (p.name in tilts and p.name[:-3] != "base_origin") for k, p in enumerate(parameters)]
     shown = np.flatnonzero(lacking & (draw.std < _DECIDED * expected))

@@ -26,8 +26,8 @@ from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.numerics import linalg
 from calib.core.robots.configurations import Configurations
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import linearise
 
 CHUNK = 10
 """Draws that are done together."""
@@ -165,7 +165,7 @@ class Calibrator:
 
     def __init__(self, task: DrawTask, pose_set: PoseSet, start: Robot, nearby: FloatArray) -> None:
         self._chosen, self._joints, self._free = pose_set.chosen, task.joints, task.robot.is_free
-        self._scales = np.array([parameter.sigma_si for parameter in task.robot.parameters])[self._free]
+        self._scales = task.robot.parameters.sigma_si[self._free]
         self._start, self._passive = start, nearby
         self._first = linearise(start, self._assemble(start, self._chosen))
 

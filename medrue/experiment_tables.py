@@ -42,7 +42,7 @@ def experiment_tables(experiment: Experiment) -> tuple[ResultTable, ...]:
 def parameter_table(experiment: Experiment) -> ResultTable:
     """Table III: the parameters that the 84 poses of O1 identify."""
     parameters = experiment.robot.parameters
-    scale = np.array([parameter.per_si for parameter in parameters])
+    scale = parameters.per_si
     draw, free = experiment.draws[0], experiment.robot.is_free
 
     def column(header: str, values: FloatArray) -> TableColumn:

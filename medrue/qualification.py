@@ -21,7 +21,7 @@ def checks() -> Iterator[Check]:
     robot = calib.load(robot_file())
     joints = robot.sample(_POSES, seed=1)
     generator = np.random.default_rng(2)
-    sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
+    sigma = robot.parameters.sigma_si
     for name, values in (
         ("nominal", robot.values),
         ("with drawn errors", robot.values + 0.3 * sigma * generator.standard_normal(len(sigma))),

@@ -24,8 +24,8 @@ import numpy as np
 from calib import Fit, fit
 from calib.core.base.arrays import FloatArray
 from calib.core.base.workers import results_in_order
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import linearise
 from calib.planning.selection import Selection, select
 from medrue.closed_form import forward
 from medrue.draws import DrawOutcome, DrawTask, PoseSet, measurements, run
@@ -198,7 +198,7 @@ def summary(distances: FloatArray) -> FloatArray:
 def error_floors(robot: Robot, joints: FloatArray, sets: tuple[PoseSet, ...], sigma: float) -> FloatArray:
     """Root-mean-square position error over each set's validation poses that theory allows, (n_sets,) [m]."""
     jacobian = linearise(robot, robot.assemble(joints)).jacobian[:, 0][..., robot.is_free]
-    jacobian = jacobian * np.array([parameter.sigma_si for parameter in robot.parameters])[robot.is_free]
+    jacobian = jacobian * robot.parameters.sigma_si[robot.is_free]
     floors = []
     for pose_set in sets:
         used = jacobian[pose_set.chosen].reshape(-1, jacobian.shape[2])

@@ -28,7 +28,7 @@ def parameter_table(study: PaperStudy) -> ResultTable:
     """Table I: the parameters that the 84 poses of O1 identify."""
     paper = table1()
     units = [parameter.unit for parameter in study.robot.parameters]
-    scale = np.array([parameter.per_si for parameter in study.robot.parameters])
+    scale = study.robot.parameters.per_si
     free = study.robot.is_free
     std = np.full(len(scale), np.nan)
     std[free] = _predicted_std(study)
@@ -163,7 +163,7 @@ def study_findings(study: PaperStudy) -> tuple[str, ...]:
 
 
 def _exact_finding(study: PaperStudy) -> str:
-    units = np.array([parameter.per_si for parameter in study.robot.parameters])
+    units = study.robot.parameters.per_si
     exact = float(np.max(np.abs((study.exact.robot.values - table1().actual) * units)))
     return (
         f"Without noise, {study.robot.is_free.sum()} parameters come back to within {exact:.1e} (mm or deg); in the"

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
 from calib.core.instruments.position import Position
-from calib.core.rows.jacobian import linearise
+from calib.core.robots.jacobian import linearise
 from calib.core.rows.observed import observe, predict_readings
 
 _STEP = 1e-4

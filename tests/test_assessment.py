@@ -12,7 +12,7 @@ import calib
 from calib.core.data.in_memory import as_poses
 from calib.core.numerics.null_space import describe_group
 from calib.core.numerics.observability import raw_columns
-from calib.core.rows.jacobian import linearise
+from calib.core.robots.jacobian import linearise
 from calib.core.rows.prediction import without_common_motion
 from calib.planning.assessment import accuracy_by_count, check
 from calib.planning.assessment_text import text_report

@@ -8,8 +8,8 @@ import pytest
 from test_compliance import ARM, ARM_YAML, arm, poses, upright_five_bar
 
 import calib
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.terms.term import Context
-from calib.core.rows.jacobian import linearise
 
 G = 9.81
 ORIGINS = np.array([[0, 0, 0.3], [0.1, 0, 0.2], [0.5, 0, 0]])

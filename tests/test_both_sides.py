@@ -5,9 +5,9 @@ import pinocchio as pin
 import pytest
 
 from calib import load
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
-from calib.core.rows.jacobian import linearise
 from medrue import robot_file
 from medrue.both_sides import EXTENDED, PAPER, WAYS, BothSides, run_both_sides
 from medrue.both_sides_tables import (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.core.numerics.identifiability import TIE, eliminate, numerical_rank
-from calib.core.rows.jacobian import linearise
+from calib.core.robots.jacobian import linearise
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
 

@@ -8,7 +8,7 @@ from small_robots import ARM_YAML, write_arm
 
 import calib
 from calib.core.instruments.kind import Readings
-from calib.core.rows.jacobian import linearise
+from calib.core.robots.jacobian import linearise
 from calib.core.rows.observed import predict_readings
 
 FREE = """\

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 import calib
-from calib.core.rows.jacobian import linearise, origin_jacobian
+from calib.core.robots.jacobian import linearise, origin_jacobian
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1

@@ -10,9 +10,9 @@ from six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
 import calib
 from calib.core.fitting.terms.candidate_terms import candidates
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.core.robots.terms.term import Context
-from calib.core.rows.jacobian import linearise
 from calib.core.rows.observed import observe, predict_readings
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

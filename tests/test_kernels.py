@@ -17,7 +17,7 @@ from test_kind_joint_reading import five_bar as five_bar_with_encoder
 import calib
 from calib.core.robots.acceleration import compile_for, compile_kinematics, kernels
 from calib.core.robots.continuation import newton
-from calib.core.rows.jacobian import linearise, origin_jacobian
+from calib.core.robots.jacobian import linearise, origin_jacobian
 from calib.core.rows.observed import observe
 from medrue import robot_file
 from medrue.workspace import target_workspace

@@ -9,8 +9,8 @@ from urdf_trees import described, random_tree
 
 import calib
 from calib.core.robots import kinematics
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.mechanism import flat_poses
-from calib.core.rows.jacobian import linearise
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

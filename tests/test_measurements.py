@@ -357,7 +357,7 @@ def test_the_setup_of_a_row_says_from_which_place_it_was_read(tmp_path, read):
     robot = calib.load(write_arm(tmp_path, SETUPS))
     header = "turn,slide,wrist,tip_x,tip_y,tip_z,setup\n"
     data = read(header + "0,0,0,1,2,3,moved\n0.5,0,0,1,2,3,first\n", robot)
-    pairs = robot.pairs(robot.instrument("tip"))
+    pairs = robot.pairs["tip"]
     assert len(pairs) == 2
     assert data.readings["tip"].pairs.tolist() == [1, 0]
     text = complaint(read, header + "0,0,0,1,2,3,move\n", robot)

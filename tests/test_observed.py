@@ -9,7 +9,7 @@ from small_robots import ARM_YAML, write_arm, write_pose_loop
 
 import calib
 from calib.core.instruments.kind import Readings
-from calib.core.rows.jacobian import linearise
+from calib.core.robots.jacobian import linearise
 from calib.core.rows.observed import observe, predict_readings
 from medrue.workspace import target_workspace
 
@@ -53,7 +53,7 @@ def case(request, tmp_path):
     readings = {}
     for instrument in robot.instruments:
         visits = rng.permutation(np.r_[1 : len(q), 2, 2])
-        pairs = rng.integers(0, len(robot.pairs(instrument)), len(visits))
+        pairs = rng.integers(0, len(robot.pairs[instrument.name]), len(visits))
         values = rng.standard_normal((len(visits), instrument.n_rows))
         readings[instrument.name] = Readings(visits, pairs, values, None, np.zeros((len(visits), 0)))
     return robot, q, readings

@@ -13,8 +13,8 @@ import calib
 import calib.core.robots.parametrisation
 from calib.core.base.errors import DescriptionError, ParameterError
 from calib.core.base.parameter import Parameter, index_of
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.parameters import Origin, twist_of_edit
-from calib.core.rows.jacobian import linearise
 
 EVERYTHING = ARM_YAML.replace(
     "{frame: ground}", "{frame: ground, xyz: [1, -2, 0.5], rpy: [0.3, -0.7, 2], pose: unknown}"

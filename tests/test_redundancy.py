@@ -28,9 +28,9 @@ from calib.core.judging.verdict import judge
 from calib.core.results.sections.determination import position_uncertainty_table
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import formats_that_hold
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.terms.term import Context, Joint
 from calib.core.robots.terms.terms import TERMS
-from calib.core.rows.jacobian import linearise
 from calib.exporting.joint_tables import joint_tables, lost_by_tables
 from calib.extend import check_kind, check_term
 from calib.planning.assessment_text import text_report, to_dict

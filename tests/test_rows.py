@@ -7,7 +7,7 @@ import pytest
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.core.rows.jacobian import linearise
+from calib.core.robots.jacobian import linearise
 from calib.core.rows.observed import observe
 from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import ASSUMED, Whitening

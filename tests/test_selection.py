@@ -10,8 +10,8 @@ import calib
 from calib.core.base.errors import InputError
 from calib.core.data.measurements import Poses
 from calib.core.numerics.observability import observability, raw_columns
+from calib.core.robots.jacobian import linearise
 from calib.core.rows.candidates import build_candidates
-from calib.core.rows.jacobian import linearise
 from calib.planning import screening
 from calib.planning.instrument_choice import groups_of, pairs_of
 from calib.planning.selection import select

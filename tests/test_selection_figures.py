@@ -8,7 +8,7 @@ import pytest
 
 import calib
 from calib import fit
-from calib.core.rows.jacobian import linearise
+from calib.core.robots.jacobian import linearise
 from calib.planning.selection import select
 from medrue.closed_form import forward
 from medrue.paper_tables import table1

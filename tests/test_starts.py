@@ -35,11 +35,8 @@ class Rows:
 
     groups = (Group("rows", Part("position", ("x",), "length"), stated=True, typical=1.0),)
 
-    def flatten(self, residuals):
-        return residuals["rows"].ravel()
-
-    def row_scale(self, groups):
-        return np.full(2, groups[0])
+    def whiten(self, residuals, groups):
+        return residuals["rows"].ravel() / groups[0]
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,8 @@ def test_a_parameter_that_the_data_do_not_see_keeps_its_prior():
     ],
 )
 def test_a_status_says_what_a_value_rests_on(share, relative_std, kind, word):
-    assert status(share, relative_std, **({"prior": False, "placement": False} | kind)) == word
+    prior, placement = np.array(["prior" in kind]), np.array(["placement" in kind])
+    assert status(np.array([share]), np.array([relative_std]), prior, placement).tolist() == [word]
 
 
 @pytest.mark.quick(0)

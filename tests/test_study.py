@@ -8,8 +8,8 @@ from scipy.stats import ttest_rel
 
 from calib import fit, load
 from calib.core.base.workers import Workers
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import linearise
 from calib.planning.selection import select
 from medrue import robot_file
 from medrue.draws import Calibrator, DrawOutcome, DrawTask, PoseSet, measurements, run

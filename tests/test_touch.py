@@ -11,8 +11,8 @@ from scipy.stats import chi2
 
 from calib import fit, load
 from calib.core.base.errors import ComputationError
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import linearise
 from calib.core.rows.observed import observe
 from calib.planning.assessment import check
 from medrue import robot_file

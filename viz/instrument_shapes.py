@@ -40,7 +40,7 @@ def wires(robot: Robot, bodies: Bodies, solid: PosedRobot) -> tuple[Shape, ...]:
     poses = np.unique(np.linspace(0, len(solid.values) - 1, _WIRES).astype(int))
     placed = bodies.poses(solid, poses)
     for instrument in robot.instruments:
-        pairs = robot.pairs(instrument) if _tells_distances(instrument) else ()
+        pairs = robot.pairs[instrument.name] if _tells_distances(instrument) else ()
         of_first_setup = pairs[: len(pairs) // max(1, len(robot.description.setups))]
         for k, (pair, T) in enumerate(itertools.product(of_first_setup, placed)):
             rod = T[pair.a, :3, 3], T[pair.b, :3, 3], 0.001 * robot.mechanism.length

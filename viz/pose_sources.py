@@ -293,7 +293,7 @@ def _rows_of(source: _Set, instrument: Instrument) -> tuple[PoseTable, IntArray]
 
 def _transform_to_first_setup(robot: Robot, instrument: Instrument, setup: int) -> tuple[FloatArray, FloatArray]:
     """Rotation (3, 3) and origin (3,) [m] of the measurement frame of a setup, in the frame of the first setup."""
-    first, later = robot.pairs(instrument)[0], robot.pairs(instrument)[setup]
+    first, later = robot.pairs[instrument.name][0], robot.pairs[instrument.name][setup]
     names = robot.mechanism.origin_names
     T = robot.mechanism.placement(names[first.a - 1]).inverse() * robot.mechanism.placement(names[later.a - 1])
     return T.rotation.copy(), T.translation.copy()

@@ -231,11 +231,11 @@ def _seen_readings(robot: Robot, data: Measurements) -> dict[str, _SeenReadings]
         instrument, seen = robot.instrument(name), views[name]
         poses: FloatArray = np.tile(np.eye(4), (len(readings), 1, 1))  # of the observing frame, or of the joint
         points: FloatArray = np.zeros((len(readings), 3))
-        compared = instrument.compare(seen, robot.values[robot.unknowns(name)], readings)
+        compared = instrument.compare(seen, robot.values[robot.unknowns[name]], readings)
         if isinstance(compared, Comparison):
             assert isinstance(instrument, FrameInstrument)
             assert isinstance(seen, View)
-            for number, pair in enumerate(robot.pairs(instrument)):
+            for number, pair in enumerate(robot.pairs[instrument.name]):
                 chosen = np.flatnonzero(readings.pairs == number)
                 if pair.a != base and len(chosen):
                     poses[chosen] = _poses(robot, joints, base, pair.a)[readings.visits[chosen]]

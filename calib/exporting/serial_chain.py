@@ -61,8 +61,8 @@ def serial_chain(robot: Robot, mechanism: Mechanism) -> SerialChain:
     links = [pin.SE3.Identity()]
     for joint in _joint_path(robot.urdf, base, tip):
         index = mechanism.origin_names.index(joint.name)
-        links[-1] = links[-1] * mechanism.placement(joint.name)
-        if joint.name in robot.joint_names:
+        links[-1] = links[-1] * mechanism.model.jointPlacements[index + 1]
+        if joint.name in mechanism.actuated:
             joints.append(joint)
             links.append(pin.SE3.Identity())
         elif np.any(mechanism.select_passive[index]) or np.any(mechanism.select_actuated[index]):

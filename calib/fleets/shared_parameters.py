@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.parameter import Parameter, index_of
+from calib.core.base.parameter import Parameter
 from calib.core.numerics import linalg
 from calib.core.robots.fleet_prior import FleetParameter, FleetSection
 from calib.core.robots.robot import Robot
@@ -61,7 +61,7 @@ def evidence_of_fit(
     prior, mean = unknowns.prior.select(index), (unknowns.expected[index] - nominal) / scales
     factor = scales / unknowns.scales[index]
     precision = factor[:, None] * prior.add_to(np.zeros((len(index), len(index)))) * factor
-    values = robot.values[[index_of(robot.parameters, p.name) for p in shared]]
+    values = robot.values[robot.parameters.places(p.name for p in shared)]
     block = covariance[np.ix_(index, index)] / scales[:, None] / scales
     return evidence_of_data(block, (values - nominal) / scales, precision, mean, freedom)
 

@@ -25,9 +25,9 @@ from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import CalibrationError
 from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import linearise
 
 _DRAWS = 600
 _BEYOND = 1.1  # residuals are not rounding if they are more than this many times the largest draw

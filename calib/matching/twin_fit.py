@@ -18,10 +18,10 @@ from calib.core.fitting.settings import Settings
 from calib.core.instruments.kind import Readings
 from calib.core.judging.verdict import JudgedFit
 from calib.core.robots.description import validate_description
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.loading import build
 from calib.core.robots.parametrisation import default_sections
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import linearise
 from calib.matching.agreement import Agreement, agreement
 from calib.matching.pairs import Pairs
 from calib.matching.readings import PlacedInterpretation

@@ -26,8 +26,8 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.words import count_noun, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import linearise
 from calib.matching.agreement import Agreement, agreement
 
 _MOST = 4  # largest number of hypotheses

@@ -175,7 +175,7 @@ def photographs(robot: Robot, camera: Pixel, data: Measurements, rng: np.random.
     configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
     view = views_of_instruments(robot, configurations, {camera.name: looks})[camera.name]
     assert isinstance(view, View)
-    intrinsics = camera.numbers(robot.values[robot.unknowns(camera.name)])
+    intrinsics = camera.numbers(robot.values[robot.unknowns[camera.name]])
     photographer = Photographer(camera.board, intrinsics, (int(camera.image[0]), int(camera.image[1])))
     poses = np.tile(np.eye(4), (len(data), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = view.rotation, view.translation

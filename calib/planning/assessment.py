@@ -20,7 +20,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, NotIdentifiableError
-from calib.core.base.parameter import Parameter, index_of
+from calib.core.base.parameter import Parameter
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import in_si, millimetres
 from calib.core.base.words import count_noun, data_frame, html_with_title, listing
@@ -229,7 +229,7 @@ def check(
     priors = unknowns.prior.rows / lengths[free]
     unit = columns[:, free] / lengths[free]
     known = information(unit, priors)
-    order = [index_of(parameters, name) for name in robot.description.elimination_order]
+    order = robot.parameters.places(robot.description.elimination_order)
     elimination, held = eliminate(determined.columns, order), tuple(map(int, np.flatnonzero(~free)))
     if task is None:
         positions, task_rows = positions_at(robot, configurations)

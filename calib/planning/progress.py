@@ -269,7 +269,7 @@ def _shown_squares(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArra
     configurations = robot.assemble(new.joints, labels=new.labels, context=new.conditions)
     for name, seen in views_of_instruments(robot, configurations, new.readings).items():
         readings, instrument = new.readings[name], robot.instrument(name)
-        compared = instrument.compare(seen, robot.values[robot.unknowns(name)], readings)
+        compared = instrument.compare(seen, robot.values[robot.unknowns[name]], readings)
         if not isinstance(compared, Comparison):
             continue
         read = np.isfinite(compared.residuals).all(axis=1)

@@ -36,12 +36,12 @@ from calib.core.data.measurement_files import read_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.settings import Settings
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.rows.candidates import configurations_at, require_free
 from calib.core.rows.free_poses import free_poses
-from calib.core.rows.jacobian import linearise
 from calib.core.rows.prediction import RootMeanSquare, predicted_rms
 from calib.planning.next_pose import NextPose, next_pose
 from calib.planning.pose_sampling import sample

@@ -119,7 +119,7 @@ def _robot(name: str, robot: Robot, seed: int) -> Iterator[Check]:
 
 def draw_robot(robot: Robot, seed: int, part: float = 1.0) -> Robot:
     """Return the robot with random errors of its free parameters, with `part` of the expected sigmas."""
-    expected = np.array([parameter.sigma_si for parameter in robot.parameters])
+    expected = robot.parameters.sigma_si
     draws = np.random.default_rng(seed).standard_normal(len(expected))
     return robot.with_parameters(robot.values + robot.is_free * part * expected * draws)
 

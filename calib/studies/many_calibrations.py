@@ -100,12 +100,12 @@ class RepeatedCalibration(ReadOnlyArrays):
         first, robot, rows = self.first, self.first.robot, self.first.rows
         residuals = {
             name: robot.instrument(name)
-            .compare(seen, robot.values[robot.unknowns(name)], data.readings[name])
+            .compare(seen, robot.values[robot.unknowns[name]], data.readings[name])
             .residuals
             for name, seen in self.views.items()
         }
         weighing = whitening.weighing(first.scales.ratios)
-        whitened: FloatArray = whitening.flatten(residuals) / whitening.row_scale(first.scales.groups)
+        whitened = whitening.whiten(residuals, first.scales.groups)
         whitened = whitened if weighing is None else weighing.whiten(whitened)
         return first.unknowns.robot_at(robot, rows.deviations + rows.step(whitened))
 

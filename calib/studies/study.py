@@ -45,9 +45,9 @@ from calib.core.fitting.settings import Settings
 from calib.core.numerics.losses import find_loss
 from calib.core.robots.acceleration import compilation_requested, compile_kinematics, pays
 from calib.core.robots.configurations import joint_vector
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import linearise
 from calib.core.rows.prediction import propagate_covariance
 from calib.studies.many_calibrations import DrawEstimate, RepeatedCalibration
 from calib.studies.study_data import Noise, ResampledDraws, SimulatedDraws, simulated_draws

@@ -19,9 +19,9 @@ from matplotlib.figure import Figure
 import calib
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics.identifiability import numerical_rank
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.kinematics import sweep
 from calib.core.robots.mechanism import RelativeFrame
-from calib.core.rows.jacobian import linearise
 from viz.svg import BLUE, GREY, ORANGE, plain_ticks, svg_file, with_style
 
 ROOT = Path(__file__).resolve().parents[2]

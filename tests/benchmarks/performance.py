@@ -23,7 +23,7 @@ from hand_written import Arm, fit
 from timing import fast, least
 
 import calib
-from calib.core.rows.jacobian import linearise
+from calib.core.robots.jacobian import linearise
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

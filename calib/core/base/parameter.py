@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, SupportsIndex, overload
 
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, read_only
 from calib.core.base.errors import ParameterError, nearest
 from calib.core.base.other_words import hint_for
 from calib.core.base.units import PER_SI, Dimension
@@ -85,6 +89,26 @@ class Parameters(tuple[Parameter, ...]):
 
     def __contains__(self, which: object) -> bool:
         return super().__contains__(which) or any(parameter.name == which for parameter in self)
+
+    @cached_property
+    def expected_si(self) -> FloatArray:
+        """Value of each that is expected before measuring, (n,) [m or rad]."""
+        return read_only(np.array([parameter.expected_si for parameter in self]))
+
+    @cached_property
+    def sigma_si(self) -> FloatArray:
+        """Expected deviation of each from nominal, one standard deviation, (n,) [m or rad]."""
+        return read_only(np.array([parameter.sigma_si for parameter in self]))
+
+    @cached_property
+    def per_si(self) -> FloatArray:
+        """Number of the unit of each in one SI unit, (n,)."""
+        return read_only(np.array([parameter.per_si for parameter in self]))
+
+    def places(self, names: Iterable[str], where: str = "parameters") -> list[int]:
+        """Return the positions of these parameters; an unknown name is a `ParameterError`."""
+        known = {parameter.name: place for place, parameter in enumerate(self)}
+        return [known[name] if name in known else index_of(self, name, where) for name in names]
 
     def to_dataframe(self) -> Any:
         """Return nominal values and sigmas in units of tables; see `calib.core.base.words.pandas`."""

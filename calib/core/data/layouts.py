@@ -84,9 +84,12 @@ def units_below(names: Sequence[str], cells: Sequence[str]) -> tuple[str | None,
     """
     if len(cells) != len(names) or any(split_column(name)[1] for name in names):
         return None
-    units = [_unit(cell.strip()) if cell.strip() else None for cell in cells]
-    unknown = any(cell.strip() and unit is None for cell, unit in zip(cells, units, strict=True))
-    return tuple(units) if any(units) and not unknown else None
+    units: list[str | None] = []
+    for cell in map(str.strip, cells):
+        units.append(_unit(cell) if cell else None)
+        if cell and units[-1] is None:
+            return None
+    return tuple(units) if any(units) else None
 
 
 def _unit(cell: str) -> str | None:

@@ -276,14 +276,14 @@ class Measurements(Poses):
             robot: Names targets and instruments; that of the visits if not given.
         """
         robot = self._robot(robot)
-        total = np.zeros((len(self), len(robot.target_names), 3))
-        count = np.zeros((len(self), len(robot.target_names), 1))
+        names = robot.target_names
+        total, count = np.zeros((len(self), len(names), 3)), np.zeros((len(self), len(names), 1))
         for instrument in robot.instruments:
             readings = self.readings.get(instrument.name)
             points = None if readings is None else instrument.points(readings.values)
             if readings is None or points is None or not isinstance(instrument, FrameInstrument):
                 continue
-            t = robot.target_names.index(instrument.target)
+            t = names.index(instrument.target)
             np.add.at(total[:, t], readings.visits, points)
             np.add.at(count[:, t], readings.visits, 1.0)
         with np.errstate(invalid="ignore"):
@@ -322,7 +322,7 @@ def readings_of_visits(readings: Readings, index: IntArray) -> Readings:
 
 def setup_pairs(robot: Robot, instrument: Instrument, setups: IntArray) -> IntArray:
     """Return the number to add to the pair numbers of an instrument at each visit (n,), for its setup (n,)."""
-    return setups * (len(robot.pairs(instrument)) // max(1, len(robot.description.setups)))
+    return setups * (len(robot.pairs[instrument.name]) // max(1, len(robot.description.setups)))
 
 
 def states_by_order(robot: Robot, joints: FloatArray) -> dict[str, FloatArray]:

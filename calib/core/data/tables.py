@@ -150,12 +150,11 @@ class Table:
         if name not in self.names:
             raise DataError(self.lacks(name))
         index = self.names.index(name)
-        return [self._name(text_of(cells[index].strip()), row, index) for row, cells in enumerate(self.rows)]
-
-    def _name(self, text: str, row: int, index: int) -> str:
-        if problem := unseen(text):
+        texts = [text_of(cells[index].strip()) for cells in self.rows]
+        if unseen("".join(texts)):
+            row, problem = next((row, problem) for row, text in enumerate(texts) if (problem := unseen(text)))
             raise DataError(f"{self._where(row, index)}: {problem}")
-        return text
+        return texts
 
     def _numbers(self, index: int, *, gaps: bool) -> FloatArray:
         if self.separator != ",":

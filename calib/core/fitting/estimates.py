@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, ValuesView
 from dataclasses import dataclass
 from typing import Any, SupportsFloat
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.contributions import Contributions
 from calib.core.base.errors import InputError, nearest
-from calib.core.base.parameter import Parameter
+from calib.core.base.parameter import Parameters
 from calib.core.base.words import data_frame, pandas, table_html
 from calib.core.numerics.statistics import Statistics, status
 
@@ -136,6 +136,10 @@ class Estimates(Mapping[str, Estimate]):
     def __repr__(self) -> str:
         return f"<{len(self)} estimates: {', '.join(list(self)[:5])}{', ...' if len(self) > 5 else ''}>"
 
+    def values(self) -> ValuesView[Estimate]:
+        """Return the parameters in their order."""
+        return self._by_name.values()
+
     def rows(self) -> list[dict[str, object]]:
         """Return one row for each, in the units of tables."""
         return [estimate.row() for estimate in self.values()]
@@ -191,9 +195,7 @@ class Correlation(Covariance):
     """Correlation of the free parameters, by name: numbers between -1 and 1 instead of the products."""
 
 
-def estimates(
-    parameters: tuple[Parameter, ...], values: FloatArray, free: BoolArray, statistics: Statistics
-) -> Estimates:
+def estimates(parameters: Parameters, values: FloatArray, free: BoolArray, statistics: Statistics) -> Estimates:
     """Return the estimates of all parameters.
 
     Args:
@@ -201,24 +203,17 @@ def estimates(
         free: Mask of the free parameters, (n_parameters,).
         statistics: Uncertainty of the free parameters.
     """
-    uncertainty = enumerate(zip(statistics.std, statistics.data_share, strict=True))
-    result = {}
-    for parameter, value, use in zip(parameters, values, free, strict=True):
-        place, (std, share) = next(uncertainty) if use else (-1, (np.nan, np.nan))
-        kind = (
-            status(share, std / parameter.sigma_si, prior=parameter.prior, placement=parameter.placement)
-            if use
-            else "held"
-        )
-        result[parameter.name] = Estimate(
-            parameter.name,
-            parameter.unit,
-            parameter.nominal_si,
-            float(value),
-            float(std),
-            HalfWidth(statistics, place) if use else np.nan,
-            kind,
-            parameter.family,
-            parameter.per_si,
-        )
-    return Estimates(result)
+    kinds = np.array([(parameter.prior, parameter.placement) for parameter in parameters], dtype=bool).reshape(-1, 2)
+    std, sources, places = np.full(len(free), np.nan), np.full(len(free), "held", dtype=object), np.cumsum(free) - 1
+    std[free] = statistics.std
+    sources[free] = status(statistics.data_share, statistics.std / parameters.sigma_si[free], *kinds[free].T)
+    half_widths = [HalfWidth(statistics, place) if use else np.nan for place, use in zip(places, free, strict=True)]
+    numbers = np.stack([values, std, parameters.per_si], axis=1).tolist()
+    return Estimates(
+        {
+            p.name: Estimate(p.name, p.unit, p.nominal_si, value, deviation, half, source, p.family, per_si)
+            for p, (value, deviation, per_si), half, source in zip(
+                parameters, numbers, half_widths, sources, strict=True
+            )
+        }
+    )

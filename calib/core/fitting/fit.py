@@ -29,6 +29,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, UnreachablePoseError
+from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Steps
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.error_sets import ErrorSet
@@ -118,6 +119,7 @@ class Minimum:
     solved: RobustSolution
 
 
+@one_blas_thread
 def fit_data(
     robot: Robot,
     settings: Settings,
@@ -282,7 +284,7 @@ def reading_origins(robot: Robot, data: Measurements) -> set[tuple[str, str]]:
     """Return the names of the origins at both ends of all readings: where they are read from, and what they show."""
     names, origins = ("", *robot.mechanism.origin_names), set[tuple[str, str]]()
     for name, readings in data.readings.items():
-        pairs = robot.pairs(robot.instrument(name))  # none for readings of joints
+        pairs = robot.pairs[name]  # none for readings of joints
         origins |= {(names[pairs[k].a], names[pairs[k].b]) for k in set(readings.pairs.tolist()) if pairs}
     return origins
 

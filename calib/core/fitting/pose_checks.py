@@ -61,8 +61,9 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
         missing = next((column for column in term.reads() if column not in data.context), None)
         if missing is not None:
             raise DataError(f"{data.path}: no column '{missing}', which '{term.parameters[0].name}' depends on")
-    unknown = int(sum(use and not p.prior for p, use in zip(robot.parameters, robot.is_free, strict=True)))
-    if not np.any(robot.is_free):
+    free = robot.is_free
+    unknown = int(sum(use and not p.prior for p, use in zip(robot.parameters, free, strict=True)))
+    if not np.any(free):
         raise DataError(f"{robot.path}: every parameter is held; there is nothing to identify")
     rows = sum(len(readings) * robot.instrument(name).n_rows for name, readings in data.readings.items())
     if rows <= unknown or len(data) < 3:
@@ -73,10 +74,8 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
             f" {unknown} unknowns without a prior; measure at least {needed} poses (several times that for a useful"
             " result)"
         )
-    held = any(
-        p.placement and p.dimension == "angle" and not use
-        for p, use in zip(robot.parameters, robot.is_free, strict=True)
-    )
+    places = zip(robot.parameters, free, strict=True)
+    held = any(p.placement and p.dimension == "angle" and not use for p, use in places)
     if robot.description.base.pose == "unknown" and not held:
         _refuse_one_line(robot, data)
 

@@ -31,7 +31,7 @@ from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.linear_point import RowStack
 from calib.core.numerics.prior_sizes import SeenColumns
 from calib.core.numerics.variance_components import SharedError
-from calib.core.robots.configurations import Configurations, close, describe_open, solve_configurations
+from calib.core.robots.configurations import Configurations, close, configurations_if_closed, describe_open
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed, observe
@@ -149,11 +149,6 @@ class Problem(ReadOnlyArrays):
         """Return the problem for offsets with these ratios to the scales of their groups, (n_offsets,)."""
         return replace(self, offset_ratios=ratios, weighing=self.whitening.weighing(ratios))
 
-    @property
-    def has_unstated_noise(self) -> BoolArray:
-        """Mask of the groups whose noise is not stated, (n_groups,)."""
-        return _has_unstated_noise(self.whitening)
-
     def contradicted_groups(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
         """Return a mask of the groups whose found scale contradicts their stated noise, (n_groups,).
 
@@ -165,13 +160,15 @@ class Problem(ReadOnlyArrays):
         left = max(1.0 - len(self.unknowns) / max(int(np.sum(counts)), 1), _LEAST_FREEDOM)
         freedom = np.maximum(efficiency * left * counts, 1e-3)
         chance = scipy.special.chdtrc(freedom, freedom * scales**2)
-        return np.asarray(~self.has_unstated_noise & (scales > 1.0) & (chance < UNLIKELY))
+        return np.asarray(~self.whitening.is_unstated & (scales > 1.0) & (chance < UNLIKELY))
 
     @property
     def confirmed_freedom(self) -> FloatArray:
         """Degrees of freedom with which a fleet confirmed the stated noise, (n_groups,); 0 where noise is found."""
         fleet = self.robot.description.fleet
-        return np.where(self.noise_found | self.has_unstated_noise, 0.0, 0.0 if fleet is None else fleet.noise_freedom)
+        return np.where(
+            self.noise_found | self.whitening.is_unstated, 0.0, 0.0 if fleet is None else fleet.noise_freedom
+        )
 
     @property
     def noise_weighs(self) -> bool:
@@ -200,11 +197,8 @@ class Problem(ReadOnlyArrays):
 
     def _try_evaluate(self, robot: Robot, seed: FloatArray | None) -> Evaluation | None:
         columns = self._columns_of(robot)
-        closed = close(robot, self.data.joints, seed, columns, limits=self.limits)
-        if not np.all(closed.ok):
-            return None
-        configurations = solve_configurations(robot, self.data.joints, closed, columns)
-        return Evaluation(robot, configurations, self.data.readings)
+        configurations = configurations_if_closed(robot, self.data.joints, seed, columns, limits=self.limits)
+        return None if configurations is None else Evaluation(robot, configurations, self.data.readings)
 
     def _columns_of(self, robot: Robot) -> tuple[FloatArray, ...]:
         """Phi of the joint terms, which changes with the parameters only where gravity's direction is fitted."""
@@ -219,13 +213,15 @@ class Problem(ReadOnlyArrays):
         """
         chosen = self.unknowns if unknowns is None else unknowns
         rows = self.whitening.rows(evaluation.observed, groups, chosen, evaluation.robot.values)
-        if self.weighing is None and any(known.has(chosen) for known, _ in evaluation.factors):
+        if self.weighing is not None:
+            return rows.whiten_shared(self.weighing)
+        if any(known.has(chosen) for known, _ in evaluation.factors):
             rows.remember(self.compressed(evaluation, groups, chosen).factor)
-        return rows.whiten_shared(self.weighing)
+        return rows
 
     def residuals(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
         """Return the residuals of all rows, without whitening for shared errors, (n_rows,); arguments as in `rows`."""
-        return self.whitening.flatten(evaluation.residuals) / self.whitening.row_scale(groups)
+        return self.whitening.whiten(evaluation.residuals, groups)
 
     def derivative(
         self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, weights: FloatArray | None = None
@@ -259,7 +255,7 @@ class Problem(ReadOnlyArrays):
         if not any(known.has(unknowns) for known, _ in evaluation.factors):
             evaluation.factors[:] = [(unknowns, self._factors(evaluation, groups, unknowns, rows))]
         known, factors = evaluation.factors[0]
-        chosen = np.append(np.searchsorted(known.index, unknowns.index), len(known))
+        chosen = np.append(np.searchsorted(known.index, unknowns.index), -1)  # residuals are the last column
         sizes = np.append(unknowns.scales / known.scales[chosen[:-1]], 1.0)
         rows = np.vstack([factor[:, chosen] * (sizes / scale) for factor, scale in zip(factors, groups, strict=True)])
         few = RowGroups(
@@ -267,7 +263,7 @@ class Problem(ReadOnlyArrays):
         )
         deviations = unknowns.deviations(evaluation.robot.values)
         model = LinearModel(rows[:, -1], rows[:, :-1], unknowns.prior, deviations, few)
-        if len(groups) == 1 and len(unknowns) == len(known):  # the rows are that factor already
+        if len(groups) == 1 and rows.shape == factors[0].shape:  # the rows are that factor already
             model.remember(rows)
         return model
 
@@ -370,8 +366,4 @@ class _SolverRows:
 
 def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:
     """Whitening, unknowns, groups whose noise is to be found, and ratios of offsets, before the first fit."""
-    return whitening, Unknowns.from_robot(robot), _has_unstated_noise(whitening), np.zeros(whitening.n_offsets)
-
-
-def _has_unstated_noise(whitening: Whitening) -> BoolArray:
-    return np.array([not group.stated for group in whitening.groups])
+    return whitening, Unknowns.from_robot(robot), whitening.is_unstated, np.zeros(whitening.n_offsets)

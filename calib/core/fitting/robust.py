@@ -120,7 +120,7 @@ def _initial_scales(problem: Problem, rows: Rows, groups: FloatArray) -> tuple[F
 
     The second result is a mask of the groups whose noise is found, (n_groups,).
     """
-    unstated = problem.has_unstated_noise
+    unstated = problem.whitening.is_unstated
     if not problem.noise_weighs or np.all(unstated):
         return groups, unstated
     step = _linear_solution(rows, "huber", None, True)[2]

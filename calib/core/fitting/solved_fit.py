@@ -244,9 +244,7 @@ class SolvedFit(ReadOnlyArrays):
             estimate = known.get((group.name, group.part.name, group.stated))
             if estimate is not None:
                 factors[g] = max(estimate.sigma, 1e-30) / estimate.group.typical
-        divisor = whitening.row_scale(factors)
-        before, after = (whitening.flatten(state) / divisor for state in (errors.before, errors.after))
-        return before, after, whitening, factors
+        return whitening.whiten(errors.before, factors), whitening.whiten(errors.after, factors), whitening, factors
 
     @cached_property
     def validation_rows(self) -> Rows | None:

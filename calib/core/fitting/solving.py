@@ -230,7 +230,7 @@ def _solve_with_noise(problem: Problem, start: Evaluation, exact: float) -> Robu
     try:
         return _solve_finding_noise(problem, start, exact)
     except NotIdentifiableError:
-        problem = replace(problem, noise_found=problem.has_unstated_noise)
+        problem = replace(problem, noise_found=problem.whitening.is_unstated)
         if not np.any(problem.confirmed_freedom):
             raise
     groups = problem.whitening.start(start.residuals)
@@ -239,7 +239,7 @@ def _solve_with_noise(problem: Problem, start: Evaluation, exact: float) -> Robu
 
 
 def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> RobustSolution:
-    groups, unstated = problem.whitening.start(start.residuals), problem.has_unstated_noise
+    groups, unstated = problem.whitening.start(start.residuals), problem.whitening.is_unstated
     problem = replace(problem, noise_found=unstated)
     if problem.noise_weighs and not np.all(unstated):
         problem, groups = release_contradicted_noise(problem, start, groups)
@@ -280,7 +280,7 @@ def release_contradicted_noise(
     all_found = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
     scales, _ = scales_found(all_found, evaluation, groups)
     contradicted = problem.contradicted_groups(scales)
-    return replace(problem, noise_found=problem.has_unstated_noise | contradicted), np.where(
+    return replace(problem, noise_found=problem.whitening.is_unstated | contradicted), np.where(
         contradicted, scales, groups
     )
 

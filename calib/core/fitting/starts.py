@@ -131,15 +131,14 @@ def _add(
 ) -> None:
     """Count an end for the minimum that it belongs to, or add a new minimum."""
     reached, solution = end
-    residuals = reached.residuals
-    whitened = problem.whitening.flatten(residuals) / problem.whitening.row_scale(groups)
+    whitened = problem.whitening.whiten(reached.residuals, groups)
     smallest = _ROUNDING / float(np.min(groups * [group.typical for group in problem.whitening.groups]))
     size = _size(whitened)
     for k, (minimum, known) in enumerate(distinct):
         if _size(whitened - known) <= _SAME * max(min(size, _size(known)), smallest):
             distinct[k] = replace(minimum, count=minimum.count + 1), known
             return
-    lengths = [np.sqrt(np.nansum(errors**2, axis=1)) for errors in residuals.values()]
+    lengths = [np.sqrt(np.nansum(errors**2, axis=1)) for errors in reached.residuals.values()]
     rms = float(np.sqrt(np.mean(np.concatenate(lengths) ** 2)))
     distinct.append((StartMinimum(reached.robot, solution, solution.cost, rms, 1), whitened))
 

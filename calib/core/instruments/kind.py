@@ -17,6 +17,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -270,12 +271,12 @@ class Instrument(ABC):
         """Group that shares the scale of its noise; its own name unless a kind overrides this."""
         return self.name
 
-    @property
+    @cached_property
     def n_rows(self) -> int:
         """Rows of one reading."""
         return sum(len(part.axes) for part in self.parts)
 
-    @property
+    @cached_property
     def part_of_row(self) -> tuple[int, ...]:
         """Index of the part of each row."""
         return tuple(k for k, part in enumerate(self.parts) for _ in part.axes)

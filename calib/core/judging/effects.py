@@ -38,9 +38,9 @@ from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.instruments.kind import FrameInstrument, Instrument
 from calib.core.judging.effect_kinds import Kind
 from calib.core.numerics.variance_components import SharedError
+from calib.core.robots.jacobian import relative_poses
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.periodic import TURN
-from calib.core.rows.jacobian import relative_poses
 
 ORDERS = range(1, 121)
 """Cycles of a wave in a turn of the joint, or over the range that a joint slides."""
@@ -64,9 +64,7 @@ class EffectSetting:
 
     def whiten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
         """Return effects on the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
-        rows: FloatArray = (
-            self.fit.whitening.flatten(arrays) / self.fit.whitening.row_scale(self.fit.scales.groups)[:, None]
-        )
+        rows = self.fit.whitening.whiten(arrays, self.fit.scales.groups)
         if self._weighing is not None:
             rows = self._weighing.whiten(rows)
         return np.sqrt(self.fit.weights)[self.fit.whitening.layout.reading][:, None] * rows
@@ -108,12 +106,12 @@ class EffectSetting:
         """Standard deviation of the noise of a position row [m]; without positions, of the first kind of rows."""
         return float(self.fit.scales.groups[self._first] * self.fit.whitening.groups[self._first].typical)
 
-    @property
+    @cached_property
     def dimension(self) -> Dimension:
         """Dimension of `metre`."""
         return self.fit.whitening.groups[self._first].part.dimension
 
-    @property
+    @cached_property
     def _first(self) -> int:
         return next((g for g, group in enumerate(self.fit.whitening.groups) if group.part.is_position), 0)
 
@@ -355,9 +353,7 @@ def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, Flo
     The first link is the target's own; the others are those behind each joint that does not move the target.
     """
     robot, all_readings = setting.fit.robot, setting.data.readings
-    seen = [
-        (name, rows, robot.pairs(robot.instrument(name))) for name, own, rows in _seen_targets(setting) if own == target
-    ]
+    seen = [(name, rows, robot.pairs[name]) for name, own, rows in _seen_targets(setting) if own == target]
     links = [None, *_other_joints(robot, target)]
     frame_pairs = [
         pair if link is None else replace(pair, b=link) for link in links for _, _, pairs in seen for pair in pairs

@@ -218,7 +218,7 @@ class System:
             if (group.name, group.part.name) in promise.sigma:
                 scales[g] = max(promise.sigma[group.name, group.part.name], 1e-30) / group.typical
         rows = whitening.rows(observed, scales, unknowns, robot.values)
-        joints = whitening.joint_columns(observed) / whitening.row_scale(scales)[:, None]
+        joints = whitening.joint_columns(observed, scales)
         kept = np.ones(len(unknowns), dtype=bool) if same_setup else ~unknowns.placement
         covariance = promise.covariance / np.outer(unknowns.scales, unknowns.scales)
         values, vectors = linalg.eigh(covariance[np.ix_(kept, kept)])

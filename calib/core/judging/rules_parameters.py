@@ -266,14 +266,15 @@ def unlike_fleet(fit: Fit) -> Iterator[Reason]:
 
 def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
     """Yield each free parameter with an expected error, and its deviation over the allowed one."""
-    known = iter(zip(fit.statistics.std, fit.statistics.data_share, strict=True))
-    for parameter, value, free in zip(fit.nominal.parameters, fit.robot.values, fit.free, strict=True):
+    known, parameters = iter(zip(fit.statistics.std, fit.statistics.data_share, strict=True)), fit.nominal.parameters
+    distances = np.abs(fit.robot.values - parameters.expected_si)
+    for parameter, distance, free in zip(parameters, distances, fit.free, strict=True):
         if not free:
             continue
         std, share = next(known)
         if (parameter.placement and not parameter.prior) or parameter.family:  # a family's size is found
             continue
-        away = abs(float(value) - parameter.expected_si) / parameter.sigma_si
+        away = float(distance) / parameter.sigma_si
         if parameter.prior:
             yield parameter, away / float(np.sqrt(max(share, SMALLEST_SHARE)))
         else:

@@ -19,8 +19,8 @@ from calib.core.judging.claim import Claim
 from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.numerics.halton import halton
 from calib.core.robots.configurations import Configurations, solve_configurations
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import linearise
 from calib.core.rows.prediction import order_of_joints, recombined_joints, without_common_motion
 
 BEYOND_LIMIT = 0.01

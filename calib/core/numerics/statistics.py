@@ -41,12 +41,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
-from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays, hold
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.base.threads import one_blas_thread
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import UNLIKELY
@@ -58,7 +59,6 @@ from calib.core.numerics.variance_components import require_freedom
 
 DECIDED_BY_DATA = 0.9
 """`identified`: the data remove at least this share of a parameter's expected variance; `prior`: at most 1 - this."""
-Status = Literal["identified", "partly", "prior", "weak", "placed", "held"]
 """The source of a parameter's value; see `status`."""
 _BY_PRIOR = 1.0 - DECIDED_BY_DATA
 _ENOUGH = 0.5  # with fewer degrees of freedom, the rows of a group say nothing about its noise
@@ -178,24 +178,24 @@ def _scatter_beyond_chance(poses: Scatter | None) -> Scatter | None:
     return poses if poses is not None and poses.ratio > 1.0 and poses.chance < UNLIKELY else None
 
 
-def status(data_share: float, relative_std: float, *, prior: bool, placement: bool) -> Status:
-    """Return the source of a free parameter's value.
+def status(
+    data_share: FloatArray, relative_std: FloatArray, prior: BoolArray, placement: BoolArray
+) -> NDArray[np.str_]:
+    """Return the source of each free parameter's value, (n,).
 
     With a prior: `identified`, `partly` or `prior`, by the share of the prior's variance that the data removed. Without
     a prior: `identified` if the same share of the expected error's variance is gone, otherwise `weak`. A parameter of
     an unknown place of base or target has no expected error either: `placed`.
 
     Args:
-        data_share: The attribute of `Statistics`.
-        relative_std: Standard deviation over the sigma of the description.
-        prior: Whether the parameter has a prior.
-        placement: Whether it belongs to an unknown place of base or target.
+        data_share: The attribute of `Statistics`, (n,).
+        relative_std: Standard deviations over the sigmas of the description, (n,).
+        prior: Mask of the parameters with a prior, (n,).
+        placement: Mask of those that belong to an unknown place of base or target, (n,).
     """
-    if prior:
-        return "identified" if data_share >= DECIDED_BY_DATA else "prior" if data_share <= _BY_PRIOR else "partly"
-    if placement:
-        return "placed"
-    return "identified" if 1.0 - relative_std**2 >= DECIDED_BY_DATA else "weak"
+    by_data = np.where(prior, data_share, 1.0 - relative_std**2) >= DECIDED_BY_DATA
+    sources = {"placed": ~prior & placement, "identified": by_data, "weak": ~prior, "prior": data_share <= _BY_PRIOR}
+    return np.select(list(sources.values()), list(sources), "partly")
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
-from calib.core.base.parameter import Parameter, index_of
+from calib.core.base.parameter import Parameter
 from calib.core.base.words import count_noun, distinct_names, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
@@ -82,7 +82,7 @@ class _Result:
     def parameters(self, names: Sequence[str]) -> list[Parameter]:
         """Return the parameters of these names."""
         every = self.loaded.robot.parameters
-        return [every[index_of(every, name)] for name in names]
+        return [every[place] for place in every.places(names)]
 
 
 def compare(*results: Fit | Path | str) -> ResultComparison:
@@ -242,7 +242,7 @@ def _p_values(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
 def _common_parameters(result: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values, covariance, and known sigmas of priors (NaN: none) of these free parameters [SI]."""
     place = [result.free.index(name) for name in common]
-    values = result.loaded.robot.values[[index_of(result.loaded.robot.parameters, name) for name in common]]
+    values = result.loaded.robot.values[result.loaded.robot.parameters.places(common)]
     sigma = np.array(
         [p.sigma_si if p.prior and not p.family and p.mean_si is None else np.nan for p in result.parameters(common)]
     )

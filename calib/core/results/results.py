@@ -164,17 +164,15 @@ def _residual_columns(
         "pose": [error_set.data.names[k] for k in visits],
         "target": [name] * n,
     }
-    setups, n_pairs = list(fit.nominal.description.setups), len(fit.nominal.pairs(instrument))
+    setups, n_pairs = list(fit.nominal.description.setups), len(fit.nominal.pairs[instrument.name])
     if setups and n_pairs:  # errors are in the measurement frame of their setup
         columns["setup"] = [setups[pair * len(setups) // n_pairs] for pair in readings.pairs]
     columns |= {f"looked_at_{key}": words for key, words in instrument.texts(readings.pairs, readings.details).items()}
     columns |= joint_columns(fit.robot, error_set.data.joints[visits])
+    axes = [(axis, part.dimension) for part in instrument.parts for axis in part.axes]
     for state in STATES:
-        for row, number in enumerate(instrument.part_of_row):
-            part = instrument.parts[number]
-            axis = part.axes[row - instrument.part_of_row.index(number)]
-            errors = error_scale(part.dimension) * getattr(error_set, state)[name][:, row]
-            columns[f"error_{state}_{axis} [{ERROR_UNIT[part.dimension]}]"] = errors
+        for (axis, dimension), errors in zip(axes, getattr(error_set, state)[name].T, strict=True):
+            columns[f"error_{state}_{axis} [{ERROR_UNIT[dimension]}]"] = error_scale(dimension) * errors
     dimensions = {column.name: column.dimension for column in instrument.columns()}
     for column, numbers in instrument.cells(readings.values).items():
         head = header(f"measured_{column.removeprefix(f'{name}_')}", dimensions[column])
@@ -203,7 +201,7 @@ def _covariance_table(fit: Fit) -> str:
 
     The hundreds of coefficients of curves are left out, as in the report.
     """
-    free = [fit.parameters[name] for name in fit.free_names]
+    free = [estimate for estimate, use in zip(fit.parameters.values(), fit.free, strict=True) if use]
     places = [k for k, estimate in enumerate(free) if not estimate.family]
     free = [free[k] for k in places]
     scale = np.array([estimate.per_si for estimate in free])

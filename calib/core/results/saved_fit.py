@@ -197,7 +197,7 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
     seen, data = nominal.fix(*later) if later else nominal, _measurements_of(entry["identification"], nominal)
     problem = Problem.from_data(seen, data, settings.sigma, entry["passive"])
     groups, unknowns = entry["noise"]["groups"], replace(problem.unknowns, scales=entry["scales"])
-    problem = replace(problem, unknowns=unknowns, noise_found=problem.has_unstated_noise | (groups != 1.0))
+    problem = replace(problem, unknowns=unknowns, noise_found=problem.whitening.is_unstated | (groups != 1.0))
     if np.any(entry["noise"]["ratios"]):
         problem = problem.with_offset_ratios(entry["noise"]["ratios"])
     start, end = (problem.evaluate(seen.with_parameters(entry[state])) for state in ("placed", "values"))

@@ -87,6 +87,15 @@ def close(
     return loops.close(robot.mechanism, robot.mode, actual, seed, thorough=thorough, limits=limits)
 
 
+def configurations_if_closed(
+    robot: RobotData, q: FloatArray, seed: FloatArray | None, columns: tuple[FloatArray, ...], *, limits: bool = True
+) -> Configurations | None:
+    """Return the configurations of checked commands q (n, n_actuated), as `close` finds them; None if one is open."""
+    actual = actual_joints(robot, q, columns)
+    closed = loops.close(robot.mechanism, robot.mode, actual, seed, limits=limits)
+    return Configurations(actual, closed.passive, closed.slope, columns) if np.all(closed.ok) else None
+
+
 def solve_configurations(
     robot: RobotData, q: FloatArray, closed: loops.LoopSolution, columns: tuple[FloatArray, ...] | None = None
 ) -> Configurations:
@@ -105,10 +114,10 @@ def assemble(
     """Solve the loops of each pose in the assembly mode of home; see `Robot.assemble`."""
     values = joint_vector(robot, q)
     columns = term_columns(robot, values, context)
-    closed = close(robot, values, seed, columns)
-    if not np.all(closed.ok):
-        raise UnreachablePoseError(describe_open(robot, values, closed, labels))
-    return solve_configurations(robot, values, closed, columns)
+    configurations = configurations_if_closed(robot, values, seed, columns)
+    if configurations is None:
+        raise UnreachablePoseError(describe_open(robot, values, close(robot, values, seed, columns), labels))
+    return configurations
 
 
 def distances(robot: RobotData, configurations: Configurations) -> FloatArray:

@@ -28,6 +28,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.threads import one_blas_thread
 from calib.core.robots import kinematics
 from calib.core.robots.acceleration import kernels
 from calib.core.robots.closure import AssemblyMode, LoopRows
@@ -60,6 +61,7 @@ def closing_tolerance(mechanism: Mechanism) -> float:
     return max(TOLERANCE, 10 * _ROUNDINGS * _EPS * mechanism.length)
 
 
+@one_blas_thread
 def newton(
     mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray, *, slopes: bool = True
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
@@ -150,6 +152,7 @@ def solve_each(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return solution
 
 
+@one_blas_thread
 def follow(
     mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, *, thorough: bool = True
 ) -> tuple[FloatArray, FloatArray, BoolArray]:

@@ -1,6 +1,6 @@
 """Kinematics compiled with numba: closing loops, and derivatives through them, without Python.
 
-The same formulas as in `calib.core.robots.continuation`, `calib.core.robots.kinematics` and `calib.core.rows.jacobian`,
+The same formulas as in `continuation`, `kinematics` and `jacobian` of this room,
 which stay the reference and work without numba; tests hold both together to 1e-12 on every robot. One pose comes after
 the other, joint by joint. Loops whose directions are constrained (type 6d) are left to the reference.
 
@@ -319,7 +319,7 @@ def motion(
     entries: tuple[IntArray, IntArray, FloatArray],
     result: FloatArray,
 ) -> None:
-    """Derivative through the loops, as `calib.core.rows.jacobian` says.
+    """Derivative through the loops, as `calib.core.robots.jacobian` says.
 
     Args:
         T: Result of `poses`.

@@ -11,7 +11,6 @@ import numpy as np
 
 from calib.core.base.errors import DescriptionError, InputError, nearest, require_known
 from calib.core.base.mapped_columns import mapped_column
-from calib.core.base.parameter import index_of
 from calib.core.base.registry import list_entry_points
 from calib.core.base.sections import read_yaml
 from calib.core.base.units import Dimension, per_si
@@ -236,7 +235,8 @@ def build(description: Description, urdf: UrdfText, where: str) -> Robot:
     places = places_of(description, instruments, where)
     nominal = build_mechanism(urdf, description, instruments, where)
     check_inclinometers(description, nominal, where)
-    _check_columns(description, nominal, instruments, where)
+    if description.columns:
+        _check_columns(description, nominal, instruments, where)
     _check_joints(nominal, instruments, where)
     home = home_values(urdf, description, where)
     mode = check_home(nominal, home, description.singularity_limit, where)
@@ -245,10 +245,8 @@ def build(description: Description, urdf: UrdfText, where: str) -> Robot:
     robot = Robot(where, description, urdf, nominal, nominal, parametrisation, instruments, terms, np.zeros(0), mode)
     if description.fleet is not None:
         description.fleet.check(robot.parameters, where)
-    for held in description.held:
-        index_of(robot.parameters, held, f"{where}: held")
-    for name in description.elimination_order:
-        index_of(robot.parameters, name, f"{where}: elimination_order")
+    robot.parameters.places(description.held, f"{where}: held")  # all are known
+    robot.parameters.places(description.elimination_order, f"{where}: elimination_order")
     if description.model is not None and description.fleet is None:
         return with_model(robot, description.model)
     return replace(robot, values=np.array([parameter.nominal_si for parameter in robot.parameters]))

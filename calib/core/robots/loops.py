@@ -23,7 +23,6 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, hold
 from calib.core.base.errors import DescriptionError
-from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale, millimetres
 from calib.core.base.words import joints_named
 from calib.core.numerics import linalg
@@ -66,7 +65,6 @@ class LoopSolution:
         return LoopSolution(self.passive[index], self.ok[index], None if self.slope is None else self.slope[index])
 
 
-@one_blas_thread
 def close(
     mechanism: Mechanism,
     mode: AssemblyMode,

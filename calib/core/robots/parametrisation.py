@@ -14,7 +14,7 @@ import numpy as np
 from calib.core.base.errors import DescriptionError, InputError, ParameterError, nearest, require_known
 from calib.core.base.parameter import Parameter, index_of
 from calib.core.base.registry import list_entry_points, load_entry
-from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
+from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS
 from calib.core.base.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
 from calib.core.instruments.kind import Place
 from calib.core.robots.described_instruments import places_of
@@ -110,19 +110,22 @@ def _components(
     components: list[tuple[str, int]] = []
     from_all: set[str] = set()
     for section, prior, placement in entries:
-        for origin in _origins_of(section, mechanism, where):
-            for component in section.components:
-                parameter = _component_parameter(section, origin, component, origins, where)
-                parameter = replace(parameter, prior=prior, placement=placement)
-                if parameter.name in parameters:
-                    if section.origin == "all" and parameter.name not in from_all:
-                        continue
-                    why = "; an unknown pose of the base or place of a target is free already" if placement else ""
-                    raise DescriptionError(f"{where}: parametrisation: '{parameter.name}' is listed twice{why}")
-                parameters[parameter.name] = parameter
-                if section.origin == "all":
-                    from_all.add(parameter.name)
-                components.append((origin, COMPONENTS.index(component)))
+        moved = [(origin, each) for origin in _origins_of(section, mechanism, where) for each in section.components]
+        if not moved:
+            continue
+        sigma, unit = _sigma_and_unit(section, f"{where}: parametrisation: {'.'.join(moved[0])}")
+        for origin, component in moved:
+            name, k = f"{origin}.{component}", COMPONENTS.index(component)
+            if name in parameters:
+                if section.origin == "all" and name not in from_all:
+                    continue
+                why = "; an unknown pose of the base or place of a target is free already" if placement else ""
+                raise DescriptionError(f"{where}: parametrisation: '{name}' is listed twice{why}")
+            start = float(origins[origin].xyz[k]) if section.dimension == "length" else 0.0
+            parameters[name] = Parameter(name, section.dimension, start, sigma, unit, prior, placement)
+            if section.origin == "all":
+                from_all.add(name)
+            components.append((origin, k))
     nominal = {name: origins[name].placement for name in dict.fromkeys(origin for origin, _ in components)}
     return OriginComponents(tuple(parameters.values()), tuple(components), nominal, inverted)
 
@@ -168,19 +171,14 @@ def _origins_of(section: OriginSection, mechanism: Mechanism, where: str) -> lis
     return [name for name, index in known.items() if index not in virtual and mechanism.is_seen[index - 1]]
 
 
-def _component_parameter(
-    section: OriginSection, origin: str, component: Component, origins: Mapping[str, Origin], where: str
-) -> Parameter:
-    dimension = section.dimension
-    name = f"{origin}.{component}"
-    place = f"{where}: parametrisation: {name}"
-    sigma = quantity(section.sigma, dimension, f"{place}, sigma", DescriptionError)
-    unit = section.unit or DISPLAY_UNIT[dimension]
-    per_si(unit, dimension, f"{place}, unit", DescriptionError)
+def _sigma_and_unit(section: OriginSection, place: str) -> tuple[float, str]:
+    """Sigma [SI] and unit of the parameters of an entry, of which the first is at `place`."""
+    sigma = quantity(section.sigma, section.dimension, f"{place}, sigma", DescriptionError)
+    unit = section.unit or DISPLAY_UNIT[section.dimension]
+    per_si(unit, section.dimension, f"{place}, unit", DescriptionError)
     if sigma <= 0:
         raise DescriptionError(f"{place}: sigma must be positive; leave a component out to keep it at nominal")
-    nominal = float(origins[origin].xyz[COMPONENTS.index(component)]) if dimension == "length" else 0.0
-    return Parameter(name, dimension, nominal, sigma, unit)
+    return sigma, unit
 
 
 def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism, where: str) -> Parametrisation:

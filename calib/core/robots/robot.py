@@ -13,7 +13,6 @@ from calib.core.base.arrays import FloatArray, IntArray, random_numbers
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.memory import require_memory
 from calib.core.base.other_words import HintedObject
-from calib.core.base.parameter import index_of
 from calib.core.base.words import html_with_title
 from calib.core.robots import kinematics, loops
 from calib.core.robots.acceleration import compile_for, many
@@ -82,8 +81,7 @@ class Robot(RobotData, HintedObject):
         return self._with_held(tuple(name for name in self.description.held if name not in named), named)
 
     def _with_held(self, held: tuple[str, ...], named: tuple[str, ...]) -> Robot:
-        for name in named:
-            index_of(self.parameters, name)
+        self.parameters.places(named)  # all are known
         changed = self.description.model_copy(update={"held": tuple(dict.fromkeys(held))})
         return replace(self, description=changed)
 

@@ -16,10 +16,10 @@ from typing import Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.core.base.arrays import BoolArray, FloatArray, NamedRows, ReadOnlyArrays, hold, read_only
+from calib.core.base.arrays import BoolArray, FloatArray, NamedRows, ReadOnlyArrays, read_only
 from calib.core.base.errors import DescriptionError, ParameterError, nearest
-from calib.core.base.parameter import Parameters, index_of
-from calib.core.base.units import in_si
+from calib.core.base.parameter import Parameters
+from calib.core.base.units import quantity
 from calib.core.instruments.kind import Instrument
 from calib.core.robots.accuracy_of_files import FileRobot, Holds
 from calib.core.robots.closure import AssemblyMode
@@ -160,7 +160,7 @@ class RobotData(ReadOnlyArrays):
         n = len(self.parameters)
         return slice(n - sum(len(term.parameters) for term in self.terms), n)
 
-    @property
+    @cached_property
     def turns_gravity(self) -> bool:
         """Whether the last two coefficients are gravity's direction, with which all `term_columns` vary."""
         return any(not term.adds for term in self.terms)
@@ -174,22 +174,15 @@ class RobotData(ReadOnlyArrays):
             f"no instrument '{name}'{nearest(name, [instrument.name for instrument in self.instruments])}"
         )
 
-    def unknowns(self, name: str) -> slice:
-        """Return which parameters are the unknown numbers of an instrument."""
-        start = self.n_origin_parameters
-        for instrument in self.instruments:
-            if instrument.name == name:
-                break
-            start += len(instrument.unknowns)
-        return slice(start, start + len(self.instrument(name).unknowns))
-
-    def pairs(self, instrument: Instrument) -> tuple[RelativeFrame, ...]:
-        """Return the pairs of frames that an instrument measures between, in the order of `Readings.pairs`."""
-        return self._pairs[instrument.name]
+    @cached_property
+    def unknowns(self) -> dict[str, slice]:
+        """Which parameters are the unknown numbers of each instrument, by its name."""
+        ends = np.cumsum([self.n_origin_parameters, *(len(instrument.unknowns) for instrument in self.instruments)])
+        return {each.name: slice(*ends[k : k + 2].tolist()) for k, each in enumerate(self.instruments)}
 
     @cached_property
-    def _pairs(self) -> dict[str, tuple[RelativeFrame, ...]]:
-        """Pairs of frames that each instrument measures between, by its name."""
+    def pairs(self) -> dict[str, tuple[RelativeFrame, ...]]:
+        """Pairs of frames that each instrument measures between, by its name, in the order of `Readings.pairs`."""
         places, description = self.mechanism.places, self.description
         return {
             instrument.name: tuple(view(places, a, b) for a, b in pair_names(description, instrument))
@@ -208,9 +201,9 @@ class RobotData(ReadOnlyArrays):
         """
         if isinstance(values, Mapping):
             vector = self.values.copy()
-            for name, value in values.items():
-                place = index_of(self.parameters, name)
-                vector[place] = in_si(value, self.parameters[place].dimension, name)
+            for place, (name, value) in zip(self.parameters.places(values), values.items(), strict=True):
+                is_text = isinstance(value, str)
+                vector[place] = quantity(value, self.parameters[place].dimension, name) if is_text else value
         else:
             vector = np.array(values, dtype=float)
         if vector.shape != self.values.shape:
@@ -219,7 +212,6 @@ class RobotData(ReadOnlyArrays):
             bad = self.parameters[int(np.argmin(np.isfinite(vector)))].name
             raise ParameterError(f"parameter '{bad}': value is not finite")
         mechanism = self.nominal.with_placements(self.parametrisation.placements(vector[: self.n_origin_parameters]))
-        hold(vector)
         return self._with(values=vector, mechanism=mechanism, files={})
 
     def with_nominal_values(self) -> Self:

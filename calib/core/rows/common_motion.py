@@ -31,9 +31,9 @@ from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.rigid import cross_matrices
 from calib.core.robots.configurations import Configurations
+from calib.core.robots.jacobian import relative_poses
 from calib.core.robots.mechanism import RelativeFrame
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import relative_poses
 
 _HARDLY_MOVES = 0.03  # a motion is left out if positions move less per unit of it [m per m]
 _ROUNDS = 50
@@ -70,7 +70,7 @@ class UnknownPlaces:
             pair
             for instrument in robot.instruments
             if any(part.dimension != "angle" for part in instrument.parts)
-            for pair in robot.pairs(instrument)
+            for pair in robot.pairs[instrument.name]
         ]
         moved = mechanism.support @ np.any(mechanism.select_moving, axis=1) > 0
 

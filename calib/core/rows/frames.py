@@ -31,11 +31,11 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.words import count_noun
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from calib.core.rows.common_motion import CommonMotion, UnknownPlaces, target_poses
 from calib.core.rows.gauge import nearest_to_nominal, poses_around_home
-from calib.core.rows.jacobian import linearise
 from calib.core.rows.known_robot import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UncertaintyJacobian
 
@@ -141,7 +141,7 @@ def _common(motion: CommonMotion, following: FloatArray, linear: UncertaintyJaco
 def as_described(robot: Robot) -> Robot:
     """Return the robot of the description, without joint terms."""
     bare = robot.with_terms(())
-    return bare.with_parameters([parameter.nominal_si for parameter in bare.parameters])
+    return bare.with_nominal_values()
 
 
 @one_blas_thread

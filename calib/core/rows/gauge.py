@@ -47,8 +47,8 @@ def nearest_to_nominal(robot: Robot) -> Robot:
     of_robot = np.array([not parameters[k].placement for k in free], dtype=bool)
     if np.all(of_robot):
         return robot
-    sigma = np.array([parameters[k].sigma_si for k in free])
-    expected = np.array([parameters[k].expected_si for k in free])
+    sigma = robot.parameters.sigma_si[free]
+    expected = robot.parameters.expected_si[free]
     q = poses_around_home(robot)
     predicted = predict_readings(robot, robot.assemble(q))  # NaN outside of an image; set to 0 below
     readings = {name: replace(reading, values=np.nan_to_num(reading.values)) for name, reading in predicted.items()}

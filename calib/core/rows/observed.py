@@ -1,7 +1,7 @@
 """Predicted readings of a robot, compared with the readings, and their derivatives by parameters.
 
 For a reading of kind g at a visit, with x the motion [dp; dw] of the observed frame, seen from the observing frame
-(`calib.core.rows.jacobian`):
+(`calib.core.robots.jacobian`):
 
     d(residual)/d(parameters) = d(residual)/dx  .  dx/d(parameters)
 
@@ -17,13 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray, as_slice
-from calib.core.base.threads import one_blas_thread
 from calib.core.data.measurements import Measurements, Poses, readings_of_visits, setup_pairs
 from calib.core.instruments.kind import Comparison, Instrument, JointComparison, JointInstrument, Readings, View
 from calib.core.robots import kinematics
 from calib.core.robots.configurations import Configurations
-from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import (
+from calib.core.robots.jacobian import (
     derivative_by_parameters,
     joint_twists,
     parameter_twists,
@@ -31,6 +29,7 @@ from calib.core.rows.jacobian import (
     relative_motion,
     sweeps,
 )
+from calib.core.robots.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +64,6 @@ class Observed:
         return self.derivative[:, :, k : k + len(self.robot.joint_names)]
 
 
-@one_blas_thread
 def observe(
     robot: Robot,
     configurations: Configurations,
@@ -93,7 +91,8 @@ def observe(
     if n_driven:
         twists = np.hstack([twists, joint_twists(mechanism)])
     width = robot.coefficients.start + n_driven if derivatives else 0
-    works = [_Work(robot, robot.instrument(name), own, width) for name, own in readings.items()]
+    own = [instrument for instrument in robot.instruments if instrument.name in readings]
+    works = [_Work(robot, instrument, readings[instrument.name], width) for instrument in own]
     pairs = tuple(dict.fromkeys(pair for work in works for pair in work.pairs))
     for part, swept in sweeps(mechanism, configurations, pairs):
         for work in works:
@@ -106,12 +105,11 @@ class _Work:
 
     def __init__(self, robot: Robot, instrument: Instrument, readings: Readings, width: int) -> None:
         self.robot, self.instrument, self.readings = robot, instrument, readings
-        self.all_pairs = robot.pairs(instrument)
+        self.all_pairs, self._unknowns = robot.pairs[instrument.name], robot.unknowns[instrument.name]
         self._numbers: list[int] = np.unique(readings.pairs).tolist()
         self.pairs = tuple(self.all_pairs[k] for k in self._numbers) if self.all_pairs else ()
-        self._by_joint, n = robot.coefficients.start, len(readings)  # where columns by joints begin
-        self._residuals = np.empty((n, instrument.n_rows))
-        self._columns = np.empty((n, instrument.n_rows, width))  # each is filled once
+        self._by_joint, shape = robot.coefficients.start, (len(readings.visits), instrument.n_rows)  # columns by joints
+        self._residuals, self._columns = np.empty(shape), np.empty((*shape, width))  # each is filled once
         self._order = np.argsort(readings.visits, kind="stable")
         self._sorted = readings.visits[self._order]
 
@@ -122,19 +120,19 @@ class _Work:
         if len(index) == 0:
             return
         if isinstance(self.instrument, JointInstrument):
-            self._fill_joint(self.instrument, index, part, swept, configurations, twists)
+            self._fill_joint(self.instrument, as_slice(index), part, swept, configurations, twists)
             return
         self._fill_pairs(self._readings_of_pairs(index), part, swept, twists)
 
-    def _readings_of_pairs(self, index: IntArray) -> dict[int, IntArray]:
+    def _readings_of_pairs(self, index: IntArray) -> dict[int, IntArray | slice]:
         """Readings (n,) of each pair of frames."""
         if len(self._numbers) == 1:
-            return {self._numbers[0]: index}
+            return {self._numbers[0]: as_slice(index)}
         number = self.readings.pairs[index]
-        return {k: chosen for k in self._numbers if len(chosen := index[number == k])}
+        return {k: as_slice(chosen) for k in self._numbers if len(chosen := index[number == k])}
 
     def _fill_pairs(
-        self, chosen: dict[int, IntArray], part: slice, swept: kinematics.Sweep, twists: FloatArray
+        self, chosen: dict[int, IntArray | slice], part: slice, swept: kinematics.Sweep, twists: FloatArray
     ) -> None:
         """Compare the readings of each pair."""
         pairs, visits = tuple(self.all_pairs[k] for k in chosen), self.readings.visits - part.start
@@ -152,13 +150,13 @@ class _Work:
             motion, by_twist, at = motions[:, k], comparison.by_twist[:, :, : motions.shape[2]], visits[own]
             if len(at) != len(motion) or np.any(at != np.arange(len(at))):
                 motion = motion[at]
-            self._columns[as_slice(own)] = motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
-            self._add_unknowns(own, comparison)
+            self._columns[own] = motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
+            self._columns[own, :, self._unknowns] += comparison.by_unknown
 
     def _fill_joint(
         self,
         instrument: JointInstrument,
-        chosen: IntArray,
+        chosen: IntArray | slice,
         part: slice,
         swept: kinematics.Sweep,
         configurations: Configurations,
@@ -173,37 +171,26 @@ class _Work:
         if not self._columns.shape[2]:
             return
         motion = passive_motion(mechanism, swept, mechanism.select_passive[index], twists)
-        self._columns[as_slice(chosen)] = comparison.by_joint[:, :, None] * motion[at]
-        self._add_unknowns(chosen, comparison)
+        self._columns[chosen] = comparison.by_joint[:, :, None] * motion[at]
+        self._columns[chosen, :, self._unknowns] += comparison.by_unknown
         if self._columns.shape[2] > self._by_joint:
             self._columns[chosen, :, self._by_joint :] += (
                 comparison.by_joint[:, :, None] * mechanism.select_actuated[index]
             )
 
-    def _compare(self, chosen: IntArray, seen: View | FloatArray) -> Comparison | JointComparison:
+    def _compare(self, chosen: IntArray | slice, seen: View | FloatArray) -> Comparison | JointComparison:
         """Compare by the kind, and store the residuals."""
-        unknowns = self.robot.unknowns(self.instrument.name)
-        comparison = self.instrument.compare(seen, self.robot.values[unknowns], _select_readings(self.readings, chosen))
-        self._residuals[as_slice(chosen)] = comparison.residuals
+        every = isinstance(chosen, slice) and chosen == slice(0, len(self._sorted))
+        readings = self.readings if every else select_readings(self.readings, chosen)
+        comparison = self.instrument.compare(seen, self.robot.values[self._unknowns], readings)
+        self._residuals[chosen] = comparison.residuals
         return comparison
-
-    def _add_unknowns(self, chosen: IntArray, comparison: Comparison | JointComparison) -> None:
-        """Add the columns of the kind's own unknowns."""
-        unknowns = self.robot.unknowns(self.instrument.name)
-        if unknowns.stop > unknowns.start:
-            self._columns[chosen, :, unknowns] += comparison.by_unknown
 
     def result(self, configurations: Configurations) -> Observed:
         """Return the filled arrays."""
         visits = as_slice(self.readings.visits)
         phi = tuple(columns[visits] for columns in configurations.term_columns)
         return Observed(self.robot, self._residuals, self._columns, phi)
-
-
-def _select_readings(readings: Readings, chosen: IntArray) -> Readings:
-    if len(chosen) == len(readings) and np.array_equal(chosen, np.arange(len(chosen))):
-        return readings
-    return select_readings(readings, chosen)
 
 
 def select_readings(readings: Readings, chosen: IntArray | slice, first: int = 0) -> Readings:
@@ -239,7 +226,7 @@ def predict_readings(
     result = {}
     for name, seen in views_of_instruments(robot, configurations, looks).items():
         readings = looks[name]
-        values = robot.instrument(name).predict(seen, robot.values[robot.unknowns(name)], readings.details)
+        values = robot.instrument(name).predict(seen, robot.values[robot.unknowns[name]], readings.details)
         result[name] = Readings(readings.visits, readings.pairs, values, None, readings.details)
     return result
 
@@ -256,7 +243,7 @@ def views_of_instruments(
     """
     mechanism = robot.mechanism
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
-    pairs = tuple(pair for name in looks for pair in robot.pairs(robot.instrument(name)))
+    pairs = tuple(pair for name in looks for pair in robot.pairs[name])
     swept = kinematics.sweep(mechanism, joints, pairs)
     result: dict[str, View | FloatArray] = {}
     for name, readings in looks.items():
@@ -265,7 +252,7 @@ def views_of_instruments(
             result[name] = joints[readings.visits, mechanism.origin_names.index(instrument.joint)]
             continue
         poses = np.tile(np.eye(4), (len(readings), 1, 1))
-        for number, pair in enumerate(robot.pairs(instrument)):
+        for number, pair in enumerate(robot.pairs[instrument.name]):
             chosen = np.flatnonzero(readings.pairs == number)
             poses[chosen] = kinematics.relative_pose(swept, pair)[readings.visits[chosen]]
         result[name] = View(poses[:, :3, :3], poses[:, :3, 3])

@@ -35,9 +35,9 @@ from calib.core.base.words import count_noun, listing
 from calib.core.numerics import linalg
 from calib.core.robots.acceleration import compile_for, many
 from calib.core.robots.configurations import Configurations
+from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context, TermSection
-from calib.core.rows.jacobian import linearise
 
 CHUNK = 1024
 """Number of poses computed at once."""

@@ -22,9 +22,9 @@ from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import FrameInstrument, Guess, JointInstrument, Scene
 from calib.core.numerics.placement import MovingPoint, Placement, place
 from calib.core.robots.described_instruments import MEASUREMENT_FRAME, pair_names
+from calib.core.robots.jacobian import relative_poses
 from calib.core.robots.mechanism import RelativeFrame
 from calib.core.robots.robot import Robot
-from calib.core.rows.jacobian import relative_poses
 from calib.core.rows.observed import observe, views_of_instruments
 
 _SQUARED_ROUNDING = 1e-30  # squares below are rounding
@@ -85,7 +85,7 @@ class _Frames:
         self.setup = setup
         self.pairs: dict[str, RelativeFrame] = {}
         for instrument in robot.instruments:
-            pairs = robot.pairs(instrument)
+            pairs = robot.pairs[instrument.name]
             if isinstance(instrument, FrameInstrument) and pairs[0].a == robot.mechanism.targets[0].a:
                 later = pairs[setup * len(pairs) // max(len(robot.description.setups), 1)]
                 self.pairs.setdefault(instrument.target, later)
@@ -107,7 +107,7 @@ def _common_visits(robot: Robot, data: Measurements, setup: int) -> list[tuple[B
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)
         if instrument.points(readings.values[:1]) is not None:
-            in_setup[readings.visits[readings.pairs * n_setups // len(robot.pairs(instrument)) == setup]] = True
+            in_setup[readings.visits[readings.pairs * n_setups // len(robot.pairs[instrument.name]) == setup]] = True
     seen = np.isfinite(points).all(axis=2) & in_setup[:, None]
     if not np.any(seen):
         return []
@@ -179,7 +179,7 @@ def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed
         return robot
     readings = data.readings[instrument.name]
     names = pair_names(robot.description, instrument)
-    mechanism, pairs = robot.mechanism, robot.pairs(instrument)
+    mechanism, pairs = robot.mechanism, robot.pairs[instrument.name]
     places = {name: mechanism.placement(mechanism.origin(name)) for pair in names for name in pair}
     known = {name: pose.homogeneous for name, pose in places.items()}
     unknown = {name: _open_components(robot, name) for name in places}
@@ -188,7 +188,7 @@ def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed
         chosen = np.flatnonzero(readings.pairs == number)
         if len(chosen):
             links[chosen] = _carriers(robot, data, readings.visits[chosen], [pair])[0]
-    values = robot.values[robot.unknowns(instrument.name)]
+    values = robot.values[robot.unknowns[instrument.name]]
     guesses = instrument.first_values(Scene(readings, links, names, known, unknown, values))
     tried = [_with_guess(robot, instrument, guess, unknown) for guess in guesses]
     if len(tried) < 2:
@@ -212,7 +212,7 @@ def _guess_joint_numbers(robot: Robot, data: Measurements, instrument: JointInst
         robot.assemble(data.joints, labels=data.labels, context=data.conditions),
     )
     seen = np.asarray(views_of_instruments(robot, configurations, {instrument.name: readings})[instrument.name])
-    first = instrument.first_unknowns(seen, robot.values[robot.unknowns(instrument.name)], readings)
+    first = instrument.first_unknowns(seen, robot.values[robot.unknowns[instrument.name]], readings)
     return _with_values(robot, {p.name: float(value) for p, value in zip(instrument.unknowns, first, strict=True)})
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, random_numbers
 from calib.core.base.errors import DataError, UnreachablePoseError
+from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import in_si, millimetres
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Measurements, Poses, directions_of_motion, measurements, readings_of_visits
@@ -46,6 +47,7 @@ MET = 1e-10
 _FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
 
 
+@one_blas_thread
 def simulate(
     robot: RobotLike,
     poses: PosesLike,

@@ -53,8 +53,8 @@ class Unknowns(ReadOnlyArrays):
         return Unknowns(
             tuple(p.name for p in kept),
             np.flatnonzero(chosen),
-            np.array([p.sigma_si for p in kept]),
-            np.array([p.expected_si for p in kept]),
+            robot.parameters.sigma_si[chosen],
+            robot.parameters.expected_si[chosen],
             _prior(robot, kept),
             np.array([p.placement for p in kept], dtype=bool),
             np.array([families.index(p.family) if p.family else -1 for p in kept], dtype=np.intp),

@@ -32,6 +32,11 @@ class Whitening:
         robot: Robot whose instruments state their noise.
         data: The readings.
         sigma: Noise of positions per axis that replaces the stated one [m].
+
+    Attributes:
+        groups: Groups of rows whose noise has one scale.
+        is_unstated: Mask of the groups whose noise is not stated, (n_groups,).
+        layout: Order of the rows.
     """
 
     def __init__(self, robot: Robot, data: Measurements, sigma: float | None = None) -> None:
@@ -54,7 +59,9 @@ class Whitening:
             numbers.append(np.where(absent, -1, number[list(instrument.part_of_row)]).ravel())
             widths.append(np.sum(~absent, axis=1))
             self._inverse[name] = _inverse_roots(covariance, absent)
-        self.layout = _layout(robot, data, self._names, numbers, widths, tuple(groups.values()))
+        self.groups = tuple(groups.values())
+        self.is_unstated = np.array([not group.stated for group in self.groups], dtype=bool)
+        self.layout = _layout(robot, data, self._names, numbers, widths, self.groups)
         noises = [stated_noise(robot.instrument(name), sigma) for name in self._names]
         alike = not any(part.beam is not None for noise in noises for part in noise.parts)
         self._of_all = {name: data.readings[name] for name in self._names} if alike and _are_whole(data) else None
@@ -65,11 +72,6 @@ class Whitening:
         if known is None or not _are_whole(data) or {name for name in readings if len(readings[name])} != known.keys():
             return False
         return all(np.array_equal(each.visits, readings[name].visits) for name, each in known.items())
-
-    @property
-    def groups(self) -> tuple[Group, ...]:
-        """Groups of rows whose noise has one scale."""
-        return self.layout.groups
 
     def flatten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
         """Whiten arrays by instrument, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
@@ -87,6 +89,13 @@ class Whitening:
                 whitened = np.matmul(inverse, array if array.ndim == 3 else array[:, :, None])
             parts.append(whitened.reshape(-1, *array.shape[2:]))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def whiten(self, arrays: Mapping[str, FloatArray], groups: FloatArray) -> FloatArray:
+        """Whiten arrays as `flatten` does, and divide them by the scales of the groups, (n_groups,)."""
+        rows = self.flatten(arrays)
+        if np.any(groups != 1.0):
+            rows /= self.row_scale(groups).reshape(-1, *[1] * (rows.ndim - 1))
+        return rows
 
     def unwhiten_rows(self, whitened: FloatArray, scales: Scales) -> dict[str, FloatArray]:
         """Undo whitening by `scales`, from all rows (n_all_rows,) to readings, (n, n_rows) [SI] by instrument."""
@@ -123,16 +132,14 @@ class Whitening:
             unknowns: The parameters of the columns.
             values: Values of all parameters at which they were observed, (n_parameters,) [m or rad].
         """
-        residuals = self.flatten({name: observed[name].residuals for name in self._names}) / self.row_scale(groups)
+        residuals = self.whiten({name: observed[name].residuals for name in self._names}, groups)
         deviations = unknowns.deviations(values)
         return Rows(residuals, self.columns(observed, groups, unknowns), unknowns.prior, deviations, self.layout)
 
     def columns(self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns) -> FloatArray:
         """Return the whitened derivative of the rows by the scaled unknowns, (n_rows, n_free), as in `rows`."""
-        columns = self.flatten({name: observed[name].derivative_by(unknowns.index) for name in self._names})
+        columns = self.whiten({name: observed[name].derivative_by(unknowns.index) for name in self._names}, groups)
         columns *= unknowns.scales
-        if np.any(groups != 1.0):
-            columns /= self.row_scale(groups)[:, None]
         return columns
 
     def weighing(self, ratios: FloatArray) -> SharedError | None:
@@ -193,18 +200,17 @@ class Whitening:
         free = ~np.isin(np.arange(len(self.groups)), np.concatenate([np.zeros(0, dtype=np.intp), *weighed]))
         return free if np.any(free) else ~free
 
-    def joint_columns(self, observed: Mapping[str, Observed]) -> FloatArray:
-        """Return the derivative of the rows by the joints, whitened by the stated noise, (n_rows, n_actuated)."""
-        return self.flatten({name: observed[name].joint_derivative for name in self._names})
+    def joint_columns(self, observed: Mapping[str, Observed], groups: FloatArray) -> FloatArray:
+        """Return the whitened derivative of the rows by the joints, (n_rows, n_actuated), as in `rows`."""
+        return self.whiten({name: observed[name].joint_derivative for name in self._names}, groups)
 
     def start(self, residuals: Mapping[str, FloatArray] | None = None) -> FloatArray:
         """Return starting scales: 1 where noise is stated, else the size of `residuals`, (n, n_rows), or `ASSUMED`."""
         result = np.array([1.0 if group.stated else ASSUMED[group.part.dimension] for group in self.groups])
         if residuals is not None:
             flat, number = self.flatten(residuals), self.layout.group
-            for g, group in enumerate(self.groups):
-                if not group.stated:
-                    result[g] = np.sqrt(np.mean(flat[number == g] ** 2)) + 1e-9
+            for g in np.flatnonzero(self.is_unstated):
+                result[g] = np.sqrt(np.mean(flat[number == g] ** 2)) + 1e-9
         return result
 
 

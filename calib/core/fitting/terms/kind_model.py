@@ -108,7 +108,7 @@ class KindModel:
             .with_weights(fit.weights)
             .whiten_shared(weighing)
         )
-        by_joint = fit.whitening.joint_columns(observed) / fit.whitening.row_scale(groups)[:, None]
+        by_joint = fit.whitening.joint_columns(observed, groups)
         levers: FloatArray = np.sqrt(fit.weights)[layout.reading, None] * by_joint * fit.robot.mechanism.joint_scale
         levers = levers if weighing is None else weighing.whiten(levers)
         return MixedRows.from_linear_problem(

@@ -14,7 +14,8 @@ _MOST_CHANGES = 5
 
 def parameter_rows(fit: Fit) -> list[dict[str, object]]:
     """Return one row per parameter, in its display unit; uncertainties of held parameters are NaN."""
-    return [estimate.row() | {"family": estimate.family} for estimate in fit.parameters.values()]
+    estimates = fit.parameters
+    return [row | {"family": each.family} for row, each in zip(estimates.rows(), estimates.values(), strict=True)]
 
 
 def parameter_grid(fit: Fit) -> Grid:
@@ -55,8 +56,8 @@ def most_changed_lines(fit: Fit) -> list[str | Table]:
     changed = [
         estimate
         for estimate in fit.parameters.values()
-        if estimate.std > 0 and not estimate.family and estimate.name not in places
-        if estimate.value != estimate.nominal
+        if estimate.std_si > 0 and not estimate.family and estimate.name not in places
+        if estimate.value_si != estimate.nominal_si
     ]
     most = sorted(changed, key=_significance, reverse=True)[:_MOST_CHANGES]
     if not most:
@@ -72,4 +73,4 @@ def most_changed_lines(fit: Fit) -> list[str | Table]:
 
 
 def _significance(estimate: Estimate) -> float:
-    return abs(estimate.value - estimate.nominal) / estimate.std
+    return abs(estimate.value_si - estimate.nominal_si) / estimate.std_si

@@ -251,7 +251,7 @@ class UrdfReader:
     def _require(self, attributes: dict[str, str], key: str, where: str) -> str:
         if not attributes.get(key):
             raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {where} has no '{key}'")
-        if problem := unseen(attributes[key]):
+        if key == "name" and (problem := unseen(attributes[key])):  # other texts must be known ones
             raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {problem}")
         return attributes[key]
 

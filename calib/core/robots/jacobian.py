@@ -117,7 +117,6 @@ def sweeps(
             yield part, kinematics.compiled_sweep(shared, joints[part])
 
 
-@one_blas_thread
 def relative_poses(
     mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
 ) -> FloatArray:

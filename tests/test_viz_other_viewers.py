@@ -7,8 +7,10 @@ import pytest
 from viz_examples import five_bar_fit, medrue_fit
 
 from calib.core.base.errors import InputError
+from calib.planning.watch import Watch
 from viz.drag import DraggedView
 from viz.inputs import gather
+from viz.pictures import live
 from viz.recording import recording
 from viz.scene import scene_of_fit
 
@@ -46,6 +48,22 @@ def test_a_target_that_is_dragged_brings_the_robot_there():
         view.reach(start + 50.0)  # out of reach: it stays
         np.testing.assert_array_equal(view.joints, held)
         assert "not reached" in view.note.content
+
+
+def test_while_measuring_the_robot_stands_at_the_next_pose_beside_the_words_of_the_terminal(capsys):
+    pytest.importorskip("viser", reason="extra 'viser'")
+    fit = five_bar_fit()
+    progress = Watch(fit.nominal, 1e-6).update(fit.identification.data)
+    view = live(fit.nominal, dragged=True)
+    try:
+        assert view.words.content == ""
+        view.show(progress)
+        np.testing.assert_array_equal(view.joints, progress.next_pose.joints)
+        for line in progress.report().splitlines():
+            assert line.strip() in view.words.content
+    finally:
+        view.close()
+    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize(

@@ -59,16 +59,18 @@ docs: $(VENV)/.ready
 data: $(VENV)/.ready
 	$(BIN)/python -m medrue.simulated_measurements docs/examples/medrue_simulated.csv
 
-# New pins from pyproject.toml.
+# New pins from pyproject.toml. Of viser, only what nothing else brings is pinned below: it bounds others' releases.
+EXTRAS = $(filter-out viser,$(shell $(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"])'))
 pins: $(VENV)/.ready-dev
 	$(COMPILE) --output-file requirements.txt pyproject.toml
 	$(COMPILE) --extra dev --constraint requirements.txt --output-file requirements-dev.txt pyproject.toml
-	$(COMPILE) --all-extras --constraint requirements-dev.txt --output-file requirements-ci.txt pyproject.toml
+	$(COMPILE) $(addprefix --extra ,$(EXTRAS)) --constraint requirements-dev.txt --output-file requirements-ci.txt pyproject.toml
 
 ci-packages: $(VENV)/.ready-dev
 	@echo "Installing every optional tool into $(VENV): several minutes."
 	@$(PIP) -r requirements-ci.txt
 	@$(PIP) --no-deps robosuite==1.5.2  # its robots alone; what it imports would replace packages above
+	@$(PIP) --no-deps viser==1.1.1 imageio==2.38.1 msgspec==0.23.0 tqdm==4.70.1 zstandard==0.25.0  # asks for rich < 15 and websockets < 17, and works with those above
 
 $(VENV)/.ready: pyproject.toml requirements.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..." >&2; exit 1; }

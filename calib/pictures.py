@@ -91,8 +91,8 @@ class Pictures(Protocol):
     def plots(self, fit: Fit) -> Plots:
         """Return the figures of a fit."""
 
-    def live(self, robot: Robot) -> Live:
-        """Return a live page."""
+    def live(self, robot: Robot, dragged: bool) -> Live:
+        """Return a live page; `dragged`: one with a slider for each joint and a target to drag."""
 
 
 def commands() -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from itertools import combinations
 from math import factorial
 
@@ -188,6 +189,19 @@ def test_what_no_parameter_can_explain_is_found_as_such(tmp_path):
     assert parts.mean_square > 5 * parts.std
     assert parts.mean_square > 5 * shares(fit.budget)[NOISE].mean_square
     assert "more modelling may help" in fit.budget.advice
+
+
+def test_a_few_large_errors_are_more_than_noise_however_uncertain_their_mean_is(tmp_path):
+    robot = arm(tmp_path, terms="", sigma="20 um")
+    data = measured(robot, 30, 31)
+    errors = np.zeros((30, 3))
+    errors[0] = 0.02
+    readings = data.readings["tip"]
+    wrong = replace(data, readings={"tip": replace(readings, values=readings.values + errors)})
+    budget = calib.fit(robot, data, validation=wrong).budget
+    beyond = {share.cause: share for share in budget.shares}[UNEXPLAINED]
+    assert beyond.mean_square < 2 * beyond.std  # one pose has all of it
+    assert budget.advice.startswith("The rest is larger than the stated noise")
 
 
 def test_a_base_that_was_placed_before_explains_nothing_more(tmp_path):

@@ -1,6 +1,7 @@
 """What robots of one model say of the next: the statistics against dense formulas, then results, files and fits."""
 
 import json
+import re
 from dataclasses import replace
 
 import fleet_figures
@@ -12,6 +13,7 @@ import calib
 from calib.cli import group
 from calib.core.numerics.prior import Prior
 from calib.fleets.hierarchy import FleetEvidence, compare_with_fleet, evidence_of_data, learn, learn_without_odd
+from viz.fleet_page import side_by_side
 
 N, R = 6, 7
 NOISE = 3e-5  # of docs/examples/arm.yaml [m]
@@ -281,3 +283,21 @@ def test_a_description_with_a_fleet_of_other_parameters_is_refused(results, tmp_
         (tmp_path / "bad.yaml").write_text(text.replace(old, new, 1))
         with pytest.raises(calib.DescriptionError, match=said):
             calib.load(tmp_path / "bad.yaml")
+
+
+def test_the_page_draws_the_interval_of_every_robot_in_spreads_of_the_fleet(results):
+    folders = results[2]
+    fleet = calib.fleet(*folders)
+    drawn = {}  # of each robot and parameter: left end, mark, right end
+    for panel in side_by_side(fleet).panels:
+        layers = [layer for layer in panel["layers"] if layer["kind"] in ("bars", "points")]
+        for bars, points in zip(layers[::2], layers[1::2], strict=True):
+            for text, *ends in zip(points["texts"], bars["left"], points["x"], bars["right"], strict=True):
+                drawn[tuple(re.split(r"(?: \(unlike\))?, |: ", text)[:2])] = ends
+    assert len(drawn) == len(folders) * len(fleet.parameters)
+    for member, values, stds in zip(fleet.members, fleet.values, fleet.stds, strict=True):
+        for k, parameter in enumerate(fleet.parameters):
+            left, mark, right = drawn[member.name, parameter.name]
+            assert mark == pytest.approx((values[k] - fleet.mean[k]) / fleet.spread[k], rel=1e-4, abs=1e-9)
+            assert mark - left == pytest.approx(1.96 * stds[k] / fleet.spread[k], rel=1e-3)
+            assert right - mark == pytest.approx(1.96 * stds[k] / fleet.spread[k], rel=1e-3)

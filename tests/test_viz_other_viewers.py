@@ -7,29 +7,46 @@ import pytest
 from viz_examples import five_bar_fit, medrue_fit
 
 from calib.core.base.errors import InputError
+from calib.planning.watch import Watch
 from viz.drag import DraggedView
 from viz.inputs import gather
+from viz.pictures import live
 from viz.recording import recording
 from viz.scene import scene_of_fit
 
 
-@pytest.mark.quick(0)
-def test_a_recording_holds_every_row_and_the_errors_of_each(monkeypatch):
-    rerun = pytest.importorskip("rerun", reason="extra 'rerun'")
-    logged, log = [], rerun.RecordingStream.log
-
-    def noted(stream, path, *content, **options):
-        logged.append(path)
-        log(stream, path, *content, **options)
-
-    monkeypatch.setattr(rerun.RecordingStream, "log", noted)
-    scene = scene_of_fit(five_bar_fit())
-    content = recording(scene)
-    assert content.startswith(b"RRF2")
-    assert len(content) < 3e6
-    for path in ("errors/position/before", "errors/position/after", "scene/robot/0"):
-        assert logged.count(path) == scene.n_rows
-    assert {"scene/position/read", "scene/position/before", "scene/position/after"} <= set(logged)
+def test_a_recording_holds_the_robot_and_the_errors_of_every_row(tmp_path):
+    """Read by rerun itself: links as `forward` has them, stretched to their calibrated lengths, and the residuals."""
+    pytest.importorskip("rerun", reason="extra 'rerun'")
+    chunks = pytest.importorskip("rerun.chunk", reason="a rerun that reads recordings")
+    fit = five_bar_fit()
+    scene, path = scene_of_fit(fit), tmp_path / "fit.rrd"
+    path.write_bytes(recording(scene))
+    assert path.stat().st_size < 3e6
+    read: dict[str, dict[str, list]] = {}
+    for chunk in chunks.RrdReader(str(path)).stream():
+        table, columns = chunk.to_record_batch(), read.setdefault(chunk.entity_path, {})
+        for name in set(table.schema.names) - {"log_time"}:
+            columns.setdefault(name, []).extend(table[name].to_pylist())
+    rows = scene.poses.subset(scene.shown)
+    predicted = fit.robot.forward(rows.joints)[:, :3, 3]
+    for number, name in enumerate(scene.bodies.names):
+        drawn = read[f"/scene/robot/{number}"]
+        assert drawn["row"] == list(range(scene.n_rows))
+        if name in fit.robot.urdf.links:
+            M = np.tile(np.eye(4), (scene.n_rows, 1, 1))
+            M[:, :3, :3] = np.reshape(drawn["Transform3D:mat3x3"], (-1, 3, 3)).swapaxes(1, 2)  # column by column
+            M[:, :3, 3] = np.reshape(drawn["Transform3D:translation"], (-1, 3))
+            np.testing.assert_allclose(
+                M, fit.robot.forward(rows.joints, name) @ scene.solid.stretches[number], atol=2e-6
+            )  # of single precision
+    arrows, factor = read["/scene/position/after"], scene.vector_factors[0]["after"]
+    np.testing.assert_allclose(np.array(arrows["Arrows3D:origins"][0]), rows.measured, atol=1e-6)
+    np.testing.assert_allclose(np.array(arrows["Arrows3D:vectors"][0]) / factor, predicted - rows.measured, atol=1e-9)
+    errors = read["/errors/position/after"]
+    assert errors["row"] == list(range(scene.n_rows))
+    sizes = 1e3 * np.linalg.norm(predicted - rows.measured, axis=1)
+    np.testing.assert_allclose(np.ravel(errors["Scalars:scalars"]), sizes, atol=1e-7)  # [mm]
 
 
 def test_a_target_that_is_dragged_brings_the_robot_there():
@@ -46,6 +63,22 @@ def test_a_target_that_is_dragged_brings_the_robot_there():
         view.reach(start + 50.0)  # out of reach: it stays
         np.testing.assert_array_equal(view.joints, held)
         assert "not reached" in view.note.content
+
+
+def test_while_measuring_the_robot_stands_at_the_next_pose_beside_the_words_of_the_terminal(capsys):
+    pytest.importorskip("viser", reason="extra 'viser'")
+    fit = five_bar_fit()
+    progress = Watch(fit.nominal, 1e-6).update(fit.identification.data)
+    view = live(fit.nominal, dragged=True)
+    try:
+        assert view.words.content == ""
+        view.show(progress)
+        np.testing.assert_array_equal(view.joints, progress.next_pose.joints)
+        for line in progress.report().splitlines():
+            assert line.strip() in view.words.content
+    finally:
+        view.close()
+    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ MAP_POSES = 1000
 @click.option("--html", metavar="FILE", help="Write one self-contained page instead, and end.")
 @click.option("--rrd", metavar="FILE", help="Write a recording for rerun instead, and end (extra `rerun`).")
 @click.option(
-    "--drag", is_flag=True, help="Show it with viser: sliders, and a target to drag through space (pip install viser)."
+    "--drag", is_flag=True, help="Show it with viser: sliders, and a target to drag through space (extra `viser`)."
 )
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=0, help="Port on this computer; any free one if not given."

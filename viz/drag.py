@@ -1,11 +1,13 @@
 """A scene in viser, in a browser: sliders for joints and poses, and a target to drag.
 
-`calib view ROBOT --drag` opens it in place of meshcat's page. Links have their poses of `viz.bodies`, but are not
-stretched, because viser only moves rigid bodies.
+`calib view ROBOT --drag` opens it in place of meshcat's page, and `calib watch ROBOT FILE --drag` while the robot is
+measured. Links have their poses of `viz.bodies`, but are not stretched, because viser only moves rigid bodies.
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
 from types import TracebackType
 from typing import Any
 
@@ -13,13 +15,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib import Progress
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError, InputError
+from calib.core.base.version import DISTRIBUTION
 from viz.bodies import posed_robot
-from viz.inputs import ShownScene
+from viz.inputs import ShownScene, gather
 from viz.scene_data import colours, ranges, rows_of
 
 ADDRESS = "127.0.0.1"
+_FIELD_OF_VIEW = np.radians(40.0)  # of the first camera, upright
+_DIGITS = 1  # of mm and degrees in the boxes beside sliders, which are narrow
 
 
 class DraggedView:
@@ -37,10 +43,31 @@ class DraggedView:
         try:
             import viser
         except ImportError:
-            raise InputError("--drag shows the robot with viser, which is not installed: pip install viser") from None
-        self._shown, scene = shown, shown.scene
-        self.server = viser.ViserServer(ADDRESS, port, label=scene.title, verbose=False)
-        space = self.server.scene
+            raise InputError(
+                "--drag shows the robot with viser, which is not installed: pip install viser"
+                f" (or {DISTRIBUTION}[viser])"
+            ) from None
+        with _silence():
+            self.server = viser.ViserServer(ADDRESS, port, label=shown.scene.title, verbose=False)
+        self._draw(shown)
+        self.move(shown.solid.home)
+
+    def show(self, progress: Progress) -> None:
+        """Show the progress after the poses measured so far: its words, the new fit, and the robot at the next pose."""
+        if progress.fit is not None:
+            self._draw(gather(progress.fit.nominal, progress.fit))
+        self.words.content = "\n\n".join(line.strip() for line in progress.report().splitlines())
+        if progress.next_pose is not None and not progress.stop:
+            self.move(progress.next_pose.joints)
+
+    def remember(self, progress: Progress) -> None:
+        """Take note of the progress after some poses, of which this page shows none but the last."""
+
+    def _draw(self, shown: ShownScene) -> None:
+        """Fill the page with a scene, in place of what it shows."""
+        self._shown, scene, space, gui = shown, shown.scene, self.server.scene, self.server.gui
+        space.reset()
+        gui.reset()
         space.add_frame("/scene", show_axes=False, wxyz=_wxyz(scene.view.upright))
         names = [f"/scene/{number}" for number in range(len(scene.bodies.names))]
         self._frames = [space.add_frame(name, show_axes=False) for name in names]
@@ -50,21 +77,29 @@ class DraggedView:
             space.add_mesh_simple(f"{place}/shape{k}", *shape.triangles(), color=colour, opacity=opacity, side="double",
                                   flat_shading=shape.kind == "mesh")  # fmt: skip
         self._draw_errors()
-        self.joints = shown.solid.home.copy()
+        self._place_camera()
         self._moving = False
+        self.words = gui.add_markdown("")
         self._sliders = [self._slider(k) for k in range(len(scene.joints))]
         target = shown.solid.target_names[0]
         self._target = space.add_transform_controls(
-            f"/scene/{target}", scale=0.2 * float(np.linalg.norm(scene.view.high - scene.view.low)),
+            f"/scene/{target}", scale=0.15 * float(np.linalg.norm(scene.view.high - scene.view.low)),
             disable_rotations=True,
         )  # fmt: skip
         self._target.on_update(lambda _: self.reach(np.array(self._target.position)))
         if scene.n_rows:
-            poses = self.server.gui.add_slider("row", 0, scene.n_rows - 1, 1, 0)
+            poses = gui.add_slider("row", 0, scene.n_rows - 1, 1, 0)
             every = np.concatenate([rows.joints for rows in rows_of(scene)])
             poses.on_update(lambda _: self.move(every[int(poses.value)]))
-        self.note = self.server.gui.add_markdown("")
-        self.move(self.joints)
+        self.note = gui.add_markdown("")
+
+    def _place_camera(self) -> None:
+        """Let the first view hold everything: a sphere around it touches the edges of the picture."""
+        view, camera = self._shown.scene.view, self.server.initial_camera
+        middle = (view.low + view.high) / 2
+        radius = float(np.max(np.linalg.norm(view.outline - middle, axis=1)))
+        camera.look_at, camera.fov = middle, _FIELD_OF_VIEW
+        camera.position = middle + radius / np.sin(_FIELD_OF_VIEW / 2) * view.direction
 
     @property
     def url(self) -> str:
@@ -84,7 +119,7 @@ class DraggedView:
         for frame, T in zip(self._frames, scene.bodies.poses(posed, 0), strict=True):
             frame.position, frame.wxyz = T[:3, 3], _wxyz(T[:3, :3])
         for slider, joint, value in zip(self._sliders, scene.joints, joints, strict=True):
-            slider.value = float(joint.per_si * value)
+            slider.value = round(float(joint.per_si * value), _DIGITS)
         self._target.position = point
         self._moving = False
         shown = ", ".join(f"{axis} {1e3 * value:.3f}" for axis, value in zip("xyz", point, strict=True))
@@ -107,9 +142,10 @@ class DraggedView:
         ends = [
             end if np.isfinite(end) else side * np.pi for end, side in zip(limits[joint.name], (-1, 1), strict=True)
         ]
-        low, high = (joint.per_si * end for end in ends)
+        step = 10.0**-_DIGITS
+        low, high = step * np.ceil(joint.per_si * ends[0] / step), step * np.floor(joint.per_si * ends[1] / step)
         home = float(np.clip(joint.per_si * solid.home[k], low, high))
-        slider = self.server.gui.add_slider(f"{joint.name} [{joint.unit}]", low, high, (high - low) / 1000, home)
+        slider = self.server.gui.add_slider(f"{joint.name} [{joint.unit}]", low, high, step, home)
 
         def follow(_: object) -> None:
             if not self._moving:
@@ -134,11 +170,17 @@ class DraggedView:
             highest = ranges({state: rows.sizes(state)}, rows.outlier)[state][1] or 1.0
             paint = (colours()[(255 * np.clip(sizes / highest, 0, 1)).astype(int), :3]).astype(np.uint8)
             name = rows.part.name.replace(" ", "_")
-            self.server.scene.add_point_cloud(f"/scene/{name}", begin, paint, point_size=0.008 * size)
+            self.server.scene.add_point_cloud(f"/scene/{name}", begin, paint, point_size=0.008 * size,
+                                              point_shape="circle")  # fmt: skip
             ends = np.stack([begin, begin + np.nan_to_num(factor[state] * rows.arrows(state)[known])], axis=1)
             self.server.scene.add_line_segments(
                 f"/scene/{name}_errors", ends, np.repeat(paint[:, None], 2, axis=1), thickness=0.003 * size
             )
+
+    def close(self) -> None:
+        """Stop the server; the page then says that it has lost its program."""
+        with _silence():
+            self.server.stop()
 
     def __enter__(self) -> DraggedView:
         return self
@@ -146,7 +188,12 @@ class DraggedView:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.server.stop()
+        self.close()
+
+
+def _silence() -> contextlib.redirect_stdout[io.StringIO]:
+    """Keep viser's own lines off standard output, where an address or JSON is expected."""
+    return contextlib.redirect_stdout(io.StringIO())
 
 
 def _wxyz(rotation: FloatArray) -> tuple[float, float, float, float]:

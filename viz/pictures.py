@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from calib import Fit, Fleet, ResultComparison, Robot
     from viz.command import view as command
+    from viz.drag import DraggedView
     from viz.fit_plots import FitPlots
     from viz.live import LiveViewer
 
@@ -82,12 +83,17 @@ def plots(fit: Fit) -> FitPlots:
     return FitPlots(fit)
 
 
-def live(robot: Robot) -> LiveViewer:
-    """Return a live page that shows a robot until its first update."""
+def live(robot: Robot, dragged: bool = False) -> LiveViewer | DraggedView:
+    """Return a live page that shows a robot until its first update; `dragged`: by viser.
+
+    Raises:
+        InputError: `dragged`, and viser is not installed.
+    """
+    from viz.drag import DraggedView
     from viz.inputs import gather
     from viz.live import LiveViewer
 
-    return LiveViewer(gather(robot))
+    return DraggedView(gather(robot)) if dragged else LiveViewer(gather(robot))
 
 
 def __getattr__(name: str) -> Any:

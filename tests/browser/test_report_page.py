@@ -1,5 +1,6 @@
 """The report in a real Chromium: opens offline, asks nobody, text can be found and selected, prints."""
 
+import json
 from itertools import pairwise
 from pathlib import Path
 
@@ -316,14 +317,20 @@ def test_plots_are_laid_out_anew_for_paper(small_report):
     wide = "calibrationReport.charts.flatMap(({ views }) => views.map(({ bbox }) => bbox.width))"
     before = tab.page.evaluate(wide)
     tab.page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
-    assert tab.page.evaluate(wide) == before
     tab.page.emulate_media(media="print")
     tab.page.set_viewport_size({"width": 688, "height": 1000})
     pictures = tab.page.evaluate("""Promise.all([...document.querySelectorAll('.panel > img')].map(async (image) => {
       await image.decode();
       return [image.naturalWidth, image.clientWidth, image.parentElement.clientWidth]; }))""")
+    beside = "[...document.querySelectorAll('{} > .chart')].map((chart) => chart.checkVisibility() && chart.id)"
+    of_paper = tab.page.evaluate(beside.format("#on-paper"))
+    assert len(of_paper) == 2  # errors before and after, and in the order of measurement
+    assert all(of_paper)
     tab.page.emulate_media(media="screen")
+    tab.page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert tab.page.evaluate(beside.format(".halves")) == of_paper  # beside the robot again
     tab.page.set_viewport_size({"width": 1000, "height": 900})
+    tab.page.wait_for_function(f"JSON.stringify({wide}) == '{json.dumps(before, separators=(',', ':'))}'")
     seen = [picture for picture in pictures if picture[1]]
     assert len(seen) > 5
     for natural, shown, room in seen:

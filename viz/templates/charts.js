@@ -373,7 +373,12 @@ async function startReport() {
     .forEach(({ target }) => drawn.find(({ node }) => node === target).draw()), { rootMargin: "300px" });
   drawn.forEach(({ node }) => near.observe(node));
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawn.forEach((chart) => chart.again()));
-  window.addEventListener("beforeprint", () => [...(space ? [space] : []), ...drawn].forEach((part) => part.keep()));
+  const beside = [...document.querySelectorAll(".halves > .chart")]; // the robot, which paper has as a picture elsewhere
+  window.addEventListener("beforeprint", () => {
+    [...(space ? [space] : []), ...drawn].forEach((part) => part.keep());
+    document.getElementById("on-paper")?.append(...beside);
+  });
+  window.addEventListener("afterprint", () => beside.forEach((node) => document.querySelector(".halves").append(node)));
   document.body.dataset.ready = "true";
   const rest = async () => {
     if (space) space.keep();

@@ -161,7 +161,9 @@ def error_budget(fit: Fit, causes_by_parameter: Sequence[str] | None = None) -> 
         left,
         tuple(shares),
         source,
-        _advice(left, noise, shares[-1], source),
+        _advice(
+            left, noise, shares[-1], source, float(np.hypot(noise_std, noise * np.sqrt(2.0 / len(np.unique(pose)))))
+        ),
     )
 
 
@@ -261,8 +263,12 @@ def _noise(errors: ErrorSet, stated: float, width: float) -> tuple[float, float,
     return (stated, 0.0, "stated") if np.isfinite(stated) else (float("nan"), float("nan"), "")
 
 
-def _advice(left: float, noise: float, beyond: CauseShare, source: str) -> str:
-    """One sentence on whether to go on modelling."""
+def _advice(left: float, noise: float, beyond: CauseShare, source: str, by_chance: float) -> str:
+    """One sentence on whether to go on modelling; `by_chance`: standard deviation of `beyond` if all of it is noise.
+
+    A few large errors make the mean square uncertain, but noise alone does not leave them: so the smaller of both
+    standard deviations counts. Readings of a pose count as one there, since they may share their noise.
+    """
     if not source:
         return (
             "Without the noise, it is unknown whether more modelling would help: state it (--sigma-mm), or read some"
@@ -271,6 +277,6 @@ def _advice(left: float, noise: float, beyond: CauseShare, source: str) -> str:
     known = "repeatability (the scatter of repeats)" if source == "repeats" else "the stated noise"
     if left <= _AS_LARGE**2 * noise and beyond.mean_square + 2.0 * beyond.std <= _SURE * noise:
         return f"The rest is no larger than {known}; more modelling will not help"
-    if beyond.mean_square > 2.0 * beyond.std and left > _AS_LARGE**2 * noise:
+    if beyond.mean_square > 2.0 * np.fmin(beyond.std, by_chance) and left > _AS_LARGE**2 * noise:
         return f"The rest is larger than {known}: more modelling may help, or the noise is larger than that"
     return f"Too few poses to tell whether the rest is larger than {known}"

@@ -51,6 +51,7 @@ _BEGINNINGS = 8  # earlier states of an existing file, before the present one
     is_flag=True,
     help="Show it in a browser on this computer, too: prints the address to open, and stays until Ctrl-C.",
 )
+@click.option("--drag", is_flag=True, help="Like --view, with sliders and a target to drag (extra `viser`).")
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of sampled poses.")
 @shared_options(json_output=True)
@@ -62,6 +63,7 @@ def command(
     once: bool,
     every: float,
     view: bool,
+    drag: bool,
     sigma_mm: float | None,
     seed: int,
     output: Output,
@@ -72,8 +74,11 @@ def command(
     corrected; with --once it is an error. The command ends when the goal is reached with 95 % confidence, or with
     Ctrl-C. With --json FILE, the file always holds the present state; with --json -, every state is one line.
     """
-    if once and view:
-        raise InputError("--once prints one answer and ends, so --view has nothing to follow; leave one of them out")
+    if view and drag:
+        raise InputError("--view and --drag each show a page of their own; leave one of them out")
+    page = "--drag" if drag else "--view"
+    if once and (view or drag):
+        raise InputError(f"--once prints one answer and ends, so {page} has nothing to follow; leave one of them out")
     if goal.strip()[-1:].isdigit():
         raise InputError(f"--goal {goal}: write its unit, such as {goal.strip()}mm")
     length = quantity(goal, "length", "--goal")
@@ -90,7 +95,7 @@ def command(
         output.remarks(watch.notes)
         return
     output.remarks(watch.notes)
-    viewer = installed("--view").live(model) if view else None
+    viewer = installed(page).live(model, drag) if view or drag else None
     try:
         _follow(watch, GrowingFile(file, model), every, viewer, output)
     except KeyboardInterrupt:

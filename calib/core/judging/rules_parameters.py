@@ -42,6 +42,8 @@ SMALLEST_SHARE = 0.05
 """Share of a parameter's variance that the data must remove before its deviation counts."""
 SCALED = 2e-3
 """Relative error of all lengths that is too large for any robot or instrument: heat makes a tenth of it."""
+SCALED_IN_PART = 4e-3
+"""The same of lengths along one axis or of one instrument: photogrammetry of a real robot (Motoman) has 0.0029."""
 SCALED_SIGMAS = 6.0
 """A scale further from 1 than this many of its standard deviations is not explained by errors of the parameters. Few
 degrees of freedom take more: as many as chance does not explain, by Student's t (`_least_sigmas`)."""
@@ -120,7 +122,7 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     names = [*_SCALED_LENGTHS, *(f"readings of {name}" for name in own_scales(findings.setting(fit)))]
     tried = [_cost_with(left[:, k : k + 1], left[:, -1], n_measured, is_scale=k == 0) for k, _ in enumerate(names)]
     scaled, part = min(tried)
-    if abs(part) <= SCALED:
+    if abs(part) <= (SCALED if (scaled, part) == tried[0] else SCALED_IN_PART):
         return
     alone, _ = _cost_with(left[:, :0], left[:, -1], n_measured)
     n_gains = len(fit.nominal.joint_names)

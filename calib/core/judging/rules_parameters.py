@@ -111,8 +111,9 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. With all readings, noise is scaled as well: otherwise, if all lengths
     of a robot are free, lengths of zero would explain it best. Residuals are divided by the found noise: without a
     scale, their squares add up to about the number of rows less that of places. Joints that turn too far draw larger
-    arcs, which look like longer links: if gains of all joints explain as much, or constants in the readings, the scale
-    is not the cause. Where a scale is not sure, but a parameter is far from nominal, doubt remains.
+    arcs, which look like longer links: if gains of all joints explain as much, the scale is not the cause; that of one
+    instrument is not if constants in the readings explain as much. Where a scale is not sure, but a parameter is far
+    from nominal, doubt remains.
     """
     if fit.computed:
         return
@@ -127,6 +128,7 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     alone, _ = _cost_with(left[:, :0], left[:, -1], n_measured)
     n_gains = len(fit.nominal.joint_names)
     others = [left[:, len(tried) : len(tried) + n_gains], left[:, len(tried) + n_gains : -1]]
+    others = others if tried.index((scaled, part)) >= len(_SCALED_LENGTHS) else others[:1]
     likelier = min(_cost_with(columns, left[:, -1], n_measured)[0] for columns in others)
     by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
     sure = alone - scaled > _least_sigmas(fit, 1) ** 2

@@ -119,6 +119,48 @@ def test_lengths_on_another_scale_along_one_axis_are_named_without_a_stated_nois
     assert result[2] == ("longer" if scale > 1 else "shorter")
 
 
+BARS = """\
+base: {frame: base_link}
+targets: {reflector: {frame: flange, xyz: [20 mm, 0 mm, 50 mm], position: unknown, sigma: 5 mm}}
+instruments:
+  left: {kind: distance, target: reflector, end: {frame: base_link, position: unknown, xyz: [1, 0.8, 0.2]}}
+  right: {kind: distance, target: reflector, end: {frame: base_link, position: unknown, xyz: [1, -0.9, 0.3]}}
+  above: {kind: distance, target: reflector, end: {frame: base_link, position: unknown, xyz: [0.3, 0.1, 1.6]}}
+parametrisation:
+"""
+ALL_BARS = ("left", "right", "above")
+
+
+@pytest.mark.quick(2)
+@pytest.mark.parametrize(
+    ("wrong", "scale", "offset", "grade", "words"),
+    [
+        (("right",), 1.02, 0.0, "FAIL", r"readings of right are 2 % longer"),
+        (("left",), 1.0, 10e-3, "CHECK", r"readings of left are off by \+(9.[5-9]|10.[0-4])\d* mm"),
+        ((), 1.0, 0.0, "PASS", r"^"),
+        (("left",), 1.001, 0.0, "CHECK", r"readings of left are \+(99\d|100\d) ppm too large"),
+        (ALL_BARS, 1.01, 0.0, "CHECK", r"all measured lengths are (1|0.9\d) % longer"),
+        (ALL_BARS, 1.0, 10e-3, "CHECK", r"readings of (left|right|above) are off by"),
+    ],
+)
+def test_a_ballbar_that_reads_wrong_is_no_noise(tmp_path, wrong, scale, offset, grade, words):
+    """No noise is stated: a wrong bar would be weighed down, by the noise that is found of it."""
+    text = (EXAMPLES / "arm.yaml").read_text().replace("arm.urdf", str(EXAMPLES / "arm.urdf"))
+    head, rest = text.split("base: ")[0], text.split("parametrisation:\n")[1]
+    (tmp_path / "robot.yaml").write_text(head + BARS + rest.replace("sigma: 0.03 mm", ""))
+    robot, rng = calib.load(tmp_path / "robot.yaml"), np.random.default_rng(7)
+    values = {p.name: p.nominal_si + 0.7 * p.sigma_si * rng.normal() for p in robot.parameters if not p.placement}
+    q = rng.uniform(*np.radians([[-80, -40, -10, -120, -90, -170], [80, 80, 100, 120, 90, 170]]), (80, 6))
+    true = robot.with_parameters({name: values[name] for name in values if name.startswith("joint")})
+    points = true.positions(q)[:, 0]
+    ends = {"left": [1, 0.8, 0.2], "right": [1, -0.9, 0.3], "above": [0.3, 0.1, 1.6]}
+    bars = {name: np.linalg.norm(points - end, axis=1) + 1e-5 * rng.standard_normal(80) for name, end in ends.items()}
+    read = {name: (scale * bar + offset if name in wrong else bar)[:, None] for name, bar in bars.items()}
+    verdict = calib.fit(robot, calib.as_measurements(robot, q, read)).verdict
+    assert verdict.grade == grade, verdict
+    assert re.search(words, "; ".join(reason.text for reason in verdict.reasons if reason.grade == grade))
+
+
 @pytest.mark.quick(0)
 def test_inches_read_as_millimetres_are_told_as_a_factor():
     """In percent, lengths 25.4 times too short would be 2440 % shorter, which nothing is."""

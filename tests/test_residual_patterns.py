@@ -336,6 +336,8 @@ def test_every_kind_says_its_own_sentence():
         Kind.AXIS: "a constant shift of +0.3 mm along turn",
         Kind.TURN: "a turn of the measurement frame (0.02 mm RMS)",
         Kind.SCALE: "lengths that are all read +300 ppm too long (0.02 mm RMS)",
+        Kind.OFFSET: "readings of turn are off by +0.3 mm (0.02 mm RMS)",
+        Kind.FACTOR: "readings of turn are +300 ppm too large (0.02 mm RMS)",
         Kind.DRIFT: "a shift in the course of the measurement, as if a tracker or base had moved (0.02 mm RMS)",
         Kind.TURNING: "a turn in the course of the measurement, as if a tracker or base had turned (0.02 mm RMS)",
         Kind.GROWTH: "lengths that change in the course of the measurement, as if robot or instrument warmed up"

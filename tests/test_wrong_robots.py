@@ -179,6 +179,30 @@ def test_a_scaled_joint_is_named_with_its_factor_where_origins_hide_it():
     assert factor == pytest.approx(1 / 1.03, abs=5e-3)
 
 
+LAST_JOINTS = {
+    "of the row before": lambda q: np.roll(q, 1),
+    "of half a row before": lambda q: (q + np.roll(q, 1)) / 2,
+    "degrees for radians": np.degrees,
+    "without sign": np.abs,
+}
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("what", LAST_JOINTS)
+def test_a_last_joint_whose_values_are_wrong_is_named_where_it_hardly_moves_the_target(what):
+    """The target is 4 mm from its axis, and no noise is stated: a fit moves it onto the axis, and leaves a circle."""
+    nominal, rng = described("ur10e", None, False), np.random.default_rng(7)
+    q = rng.uniform(-1.0, 1.0, (70, 6)) * np.radians([150, 80, 120, 150, 150, 170])
+    true = true_robot("ur10e").with_parameters({f"{nominal.target_names[0]}.{axis}": 3e-3 for axis in "xy"})
+    points = true.positions(q) + 3e-5 * rng.standard_normal((70, 1, 3))
+    wrong = q.copy()
+    wrong[:, 5] = LAST_JOINTS[what](q[:, 5])
+    for joints, grade in ((q, "PASS"), (wrong, "CHECK")):
+        verdict = calib.fit(nominal, calib.as_measurements(nominal, joints, points)).verdict
+        assert verdict.grade == grade, verdict
+    assert f"joint {nominal.joint_names[5]} does not move as its values say" in str(verdict)
+
+
 @pytest.mark.quick(1)
 @pytest.mark.parametrize("stated", [True, False])
 def test_a_target_on_the_link_before_its_own_is_named_with_its_joint(stated):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, StrEnum
+from math import isnan
 from typing import Self
 
 from calib.core.base.units import DISPLAY_UNIT, Dimension, millimetres, quantity_text
@@ -19,6 +20,7 @@ class Trait(Enum):
     IN_COURSE = "changes in the course of the measurement, and goes on changing after it"
     MOVED = "comes from a motion of something other than the robot: its base, an instrument or a target"
     MISPLACED = "is of a target that sits elsewhere than the description says"
+    MISREAD = "is of one instrument, which reads something else than the description says"
     FOLLOWS_JOINTS = "follows the values of joints: at poses like those measured it stays as it is"
     BY_THE_DOZEN = "has dozens of candidates for each joint or target; only the best one is kept"
 
@@ -47,6 +49,8 @@ class Kind(StrEnum):
     AXIS = "axis", Family.SHIFTS, "a constant shift of {shift:+.3g} mm along {name}"
     TURN = "turn", Family.TURNS, "a turn of the measurement frame ({size})"
     SCALE = "scale", Family.TURNS, "lengths that are all read {ppm:+.0f} ppm too long ({size})"
+    OFFSET = "offset", Family.SHIFTS, "readings of {name} are off by {constant} ({size})", Trait.MISREAD
+    FACTOR = "factor", Family.TURNS, "readings of {name} are {ppm:+.0f} ppm too large ({size})", Trait.MISREAD
     DRIFT = (
         "drift",
         Family.SHIFTS,
@@ -123,9 +127,11 @@ class Pattern:
         kind: Kind of the effect.
         name: The axis, joint or target; `xyz` for all axes.
         p_value: Chance of such a pattern from noise, over all tests.
-        size: Root mean square of its contribution to positions [m], or if there are none, to other readings [SI].
-        amount: The shift or slip [m], half the backlash or the height of a wave [m or rad], the relative error of
-            lengths, the error for each unit of the other joint; NaN if the effect has several coefficients.
+        size: Root mean square of its contribution to positions [m], or if there are none, to other readings [SI]; of an
+            effect in one instrument, to its readings.
+        amount: The shift or slip [m], the constant of an instrument [SI], half the backlash or the height of a wave
+            [m or rad], the relative error of lengths, the error for each unit of the other joint; NaN if the effect has
+            several coefficients.
         significant: Whether it counts as a finding.
         dimension: Dimension of `size`.
         detail: In words, the cycles of a wave or the first visit of a slip; the other joint of a coupling or a link.
@@ -151,6 +157,7 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
         joint=joints_named(pattern.name),
         other=joints_named(pattern.detail),
         shift=millimetres(amount),
+        constant="a constant" if isnan(amount) else quantity_text(amount, pattern.dimension, "+.3g"),
         ppm=PARTS_PER_MILLION * amount,
         height=quantity_text(abs(amount), joint, ".2g", DISPLAY_UNIT),
         play=quantity_text(2.0 * abs(amount), joint, ".2g", DISPLAY_UNIT),

@@ -4,6 +4,7 @@ All are displacements of the targets through the robot, d(position)/d(joint) wit
 frames that positions are measured in:
 
     axis, turn, scale      a constant shift, a constant turn of the measurement frame, lengths that are all too long
+    offset, factor         a constant in the readings of one instrument, readings that are too large by a factor
     drift, turning, growth the same, changing smoothly in the course of the measurement: a tracker or a base that moved,
                            a robot or an instrument that warms up
     slip                   a target that sits elsewhere on its link from one visit on
@@ -31,7 +32,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.units import Dimension
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.pose_checks import unmoved_joints
@@ -83,12 +83,16 @@ class EffectSetting:
         """Changes of the rows for shifts and turns of the measurement frame, and for its lengths, (n_rows, 10)."""
         return self.whiten(_frame_columns(self))
 
-    def size(self, rows: FloatArray) -> FloatArray:
-        """Return the root mean square of whitened rows (n_rows, k) over the readings of `dimension`, (k,) [SI]."""
+    def sizes(self, rows: FloatArray) -> FloatArray:
+        """Return the root mean square of whitened rows (n_rows, k) over readings of each group, (n_groups, k) [SI]."""
         layout, whole = self.fit.whitening.layout, rows if self._weighing is None else self._weighing.unwhiten(rows)
-        of_first = layout.group == self._first
-        squares = np.sum((whole[of_first] * self.metre) ** 2, axis=0)
-        return np.asarray(np.sqrt(squares / len(np.unique(layout.reading[of_first]))))
+        each = [layout.group == g for g in range(len(layout.groups))]
+        means = [np.sum(whole[of] ** 2, axis=0) / max(len(np.unique(layout.reading[of])), 1) for of in each]
+        return np.stack([self.noise_of(g) * np.sqrt(mean) for g, mean in enumerate(means)])
+
+    def noise_of(self, group: int) -> float:
+        """Return the standard deviation of the noise of a row of a group [SI]."""
+        return float(self.fit.scales.groups[group] * self.fit.whitening.groups[group].typical)
 
     @cached_property
     def visit(self) -> IntArray:
@@ -101,18 +105,9 @@ class EffectSetting:
         """Time of each visit, (n_visits,): its time [s], where all have it, else the order of the rows."""
         return np.asarray(self.data.context["time"] if has_time(self.data) else self.data.places, dtype=float)
 
-    @property
-    def metre(self) -> float:
-        """Standard deviation of the noise of a position row [m]; without positions, of the first kind of rows."""
-        return float(self.fit.scales.groups[self._first] * self.fit.whitening.groups[self._first].typical)
-
     @cached_property
-    def dimension(self) -> Dimension:
-        """Dimension of `metre`."""
-        return self.fit.whitening.groups[self._first].part.dimension
-
-    @cached_property
-    def _first(self) -> int:
+    def first(self) -> int:
+        """Group of the positions; without positions, the first group."""
         return next((g for g, group in enumerate(self.fit.whitening.groups) if group.part.is_position), 0)
 
 
@@ -133,6 +128,7 @@ class Effects:
         visit: Visit of each row, (n_rows,).
         details: Detail of each effect, as in `Pattern`.
         by_visit: F of each effect at each visit, (n_visits, n_effects, f); None: one effect, and F is 1.
+        group: The group whose readings it changes; None: that of the positions.
     """
 
     kind: Kind
@@ -141,6 +137,7 @@ class Effects:
     visit: IntArray
     details: Sequence[str] = ("",)
     by_visit: FloatArray | None = None
+    group: int | None = None
 
     def factors(self, visits: IntArray) -> FloatArray:
         """Return F of every effect at visits (n,), (n, n_effects, f)."""
@@ -217,6 +214,7 @@ def wave_orders(phase: FloatArray) -> range:
 def effects(setting: EffectSetting) -> Iterator[Effects]:
     """Yield every effect."""
     yield from _frame_effects(setting)
+    yield from _instrument_effects(setting)
     yield from _target_effects(setting)
     yield from _joint_effects(setting)
 
@@ -229,6 +227,60 @@ def scale(setting: EffectSetting) -> FloatArray:
 def scales(setting: EffectSetting) -> FloatArray:
     """Return the change of the rows if all lengths are read too long, or those along x, y or z, (n_rows, 4)."""
     return -setting.frame_columns[:, 6:]
+
+
+def constants(setting: EffectSetting) -> Iterator[tuple[str, int, FloatArray]]:
+    """Yield instrument, group, and the changes of the rows if readings are too large by a constant, (n_rows, k).
+
+    Positions that only one instrument reads are left out: that is a shift of the frame.
+    """
+    robot, groups, readings = setting.fit.robot, setting.fit.whitening.groups, setting.data.readings
+    for name in readings:
+        instrument = robot.instrument(name)
+        for number, part in enumerate(instrument.parts):
+            if part.is_position and len(readings) == 1:
+                continue
+            rows = [k for k, of in enumerate(instrument.part_of_row) if of == number]
+            group = next(g for g, known in enumerate(groups) if (known.name, known.part) == (instrument.group, part))
+            own = -np.eye(instrument.n_rows)[:, rows]
+            arrays = {
+                other: np.tile(own, (len(read), 1, 1))
+                if other == name
+                else np.zeros((len(read), robot.instrument(other).n_rows, len(rows)))
+                for other, read in readings.items()
+            }
+            yield name, group, setting.whiten(arrays)
+
+
+def own_scales(setting: EffectSetting) -> dict[str, FloatArray]:
+    """Return the change of the rows if one of several instruments reads lengths too long, (n_rows, 1), by its name.
+
+    Other readings than lengths are too large from their middle: pixels of a lens with another focal length.
+    """
+    changes = {name: -columns[:, :, 6:7] for name, columns in _frame_columns(setting).items()}
+    for name, readings in setting.data.readings.items():
+        if not np.any(changes[name]) and readings.values.shape == changes[name].shape[:2]:
+            changes[name] = np.nan_to_num(np.nanmean(readings.values, axis=0) - readings.values)[:, :, None]
+    shown = [name for name, columns in changes.items() if len(changes) > 1 and np.any(columns)]
+    return {name: setting.whiten({other: (other == name) * changes[other] for other in changes}) for name in shown}
+
+
+def errors_in_links(setting: EffectSetting, residuals: FloatArray) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
+    """Yield rows of the positions of each instrument, the axes of the target's link there, and errors along these.
+
+    Args:
+        residuals: Whitened residuals, (n_rows,).
+
+    Returns:
+        Rows, (n, 3); axes in the measurement frame, (n, 3, 3); errors over the standard deviation of a row, (n, 3).
+    """
+    for name, target, of_position in _seen_targets(setting):
+        own = setting.fit.whitening.layout.rows_of(name)
+        rows = np.arange(own.start, own.stop).reshape(-1, setting.fit.robot.instrument(name).n_rows)[:, of_position]
+        moved = setting.whiten(next(_moved_target(setting, target)))
+        rows = rows[np.all(np.linalg.norm(moved[rows], axis=2) > 0, axis=1)]
+        axes = -moved[rows] / np.linalg.norm(moved[rows], axis=2)[:, :, None]
+        yield rows, axes, np.einsum("nij,ni->nj", axes, residuals[rows])
 
 
 def gains(setting: EffectSetting) -> FloatArray:
@@ -247,6 +299,15 @@ def _frame_effects(setting: EffectSetting) -> Iterator[Effects]:
     yield Effects(Kind.TURNING, "xyz", turns, visit, by_visit=in_course)
     yield Effects(Kind.SCALE, "xyz", lengths, visit)
     yield Effects(Kind.GROWTH, "xyz", lengths, visit, by_visit=in_course)
+
+
+def _instrument_effects(setting: EffectSetting) -> Iterator[Effects]:
+    """Constants in the readings of each instrument, and what one of several reads too large by a factor."""
+    scaled = own_scales(setting)
+    for name, group, columns in constants(setting):
+        yield Effects(Kind.OFFSET, name, columns, setting.visit, group=group)
+        if name in scaled and np.any(scaled[name][setting.fit.whitening.layout.group == group]):
+            yield Effects(Kind.FACTOR, name, scaled[name], setting.visit, group=group)
 
 
 def _target_effects(setting: EffectSetting) -> Iterator[Effects]:

@@ -120,25 +120,27 @@ class _EffectTests:
 
 def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind] = tuple(Kind)) -> tuple[Pattern, ...]:
     """Return the results of testing effects of some kinds, most significant first."""
-    if residuals.factor * setting.metre < EXACT:
+    if residuals.factor * setting.noise_of(setting.first) < EXACT:
         return ()
     tested = _tests(residuals, [effect for effect in effects(setting) if effect.kind in kinds])
     times = dict.fromkeys(Family, 0)
     for tests in tested:
         times[tests.effects.kind.family] += len(Family) * len(tests.numbers)
     kept = _kept(tested)
-    noise = float(setting.size(np.full((len(residuals.span), 1), residuals.factor))[0])
+    noise = setting.sizes(np.full((len(residuals.span), 1), residuals.factor))[:, 0]
     result = []
     for part in slices(len(kept), max(_NUMBERS_AT_ONCE // len(residuals.span), 1)):
         explained = _effects_with_residuals(residuals, kept[part])
-        for (tests, row), column, size in zip(kept[part], explained.T, setting.size(explained).tolist(), strict=True):
+        for (tests, row), column, sizes in zip(kept[part], explained.T, setting.sizes(explained).T, strict=True):
+            group = setting.first if tests.effects.group is None else tests.effects.group
+            size, dimension = float(sizes[group]), setting.fit.whitening.groups[group].part.dimension
             kind, c = tests.effects.kind, tests.coefficients[row]
             p = min(1.0, _chance(residuals, tests, row, column, FALSE_ALARM / times[kind.family]) * times[kind.family])
             dozen = Trait.BY_THE_DOZEN in kind.traits
             amount = float(np.linalg.norm(c)) if dozen else float(c[0]) if len(c) == 1 else float("nan")
-            surely = p < FALSE_ALARM and size > SMALLEST_EFFECT * noise
+            surely = p < FALSE_ALARM and size > SMALLEST_EFFECT * noise[group]
             detail = tests.detail(row, _ALIKE * residuals.factor**2)
-            result.append(Pattern(kind, tests.effects.name, p, size, amount, surely, setting.dimension, detail))
+            result.append(Pattern(kind, tests.effects.name, p, size, amount, surely, dimension, detail))
     return tuple(sorted(result, key=lambda pattern: (pattern.p_value, -pattern.size)))
 
 

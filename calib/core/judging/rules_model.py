@@ -17,7 +17,7 @@ from calib.core.fitting.moved_frame import moved_frame
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import HARM, comparisons
 from calib.core.judging.claim import Benefit, Claim, is_elsewhere, unlike_measured
-from calib.core.judging.effect_kinds import Trait, describe
+from calib.core.judging.effect_kinds import Pattern, Trait, describe
 from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.judging.rules_noise import LEFT_OUT, impossible, measured_space, noise_in_words
 from calib.core.numerics.chances import EXACT, UNLIKELY
@@ -326,26 +326,41 @@ def systematic(fit: Fit) -> Iterator[Reason]:
         return
     patterns = [pattern for pattern in findings.patterns(fit) if pattern.significant]
     changing = [pattern for pattern in patterns if Trait.IN_COURSE in pattern.kind.traits]
+    misread = [pattern for pattern in patterns if Trait.MISREAD in pattern.kind.traits]
     misplaced = [pattern for pattern in patterns if Trait.MISPLACED in pattern.kind.traits]
-    staying = [pattern for pattern in patterns if pattern not in changing and pattern not in misplaced]
+    staying = [pattern for pattern in patterns if pattern not in (*changing, *misread, *misplaced)]
     left = fit.identification.rms("after")
     grows = max((change.size for change in findings.changes(fit)), default=0.0)
-    for kinds in (changing, misplaced, staying):
+    for kinds in (changing, misread, misplaced, staying):
         if kinds:
             worst = max(kinds, key=lambda pattern: pattern.size)
             moved = Trait.MOVED in worst.kind.traits
             words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in kinds]
             advice = "; if something moved, use the rows before or after that, or describe setups" if moved else ""
             advice = "; correct the target's frame in the description" if kinds is misplaced else advice
+            if kinds is misread:
+                wrong = listing(list(dict.fromkeys(pattern.name for pattern in misread)))
+                advice = f"; correct {wrong}, or the entry in the description (such as `offset` of a distance)"
             in_claim = worst.dimension != "length" or worst.size < LEFT_OUT * measured_space(fit)
-            if kinds is not staying:
+            if kinds is misread:
+                in_claim = all(pattern.size < AT_END * _left_of_instrument(fit, pattern) for pattern in misread)
+            elif kinds is not staying:
                 in_claim &= worst.size < AT_END * left and (kinds is misplaced or grows < AFTER * left)
             yield Code.SYSTEMATIC.says(
                 f"a systematic error remains: {listing(words, '; ', _MOST_PATTERNS)}. Intervals of parameters do not"
                 f" include it{advice}",
-                answer=Answer.CORRECT if moved or kinds is misplaced else None,
+                answer=Answer.CORRECT if moved or kinds is misplaced or kinds is misread else None,
                 counted=in_claim,
             )
+
+
+def _left_of_instrument(fit: Fit, pattern: Pattern) -> float:
+    """Root mean square of the residuals of the instrument of a pattern, of the pattern's dimension [SI]."""
+    return next(
+        float(np.sqrt(np.nanmean(np.sum(fit.identification.after[instrument.name][:, of_part] ** 2, axis=1))))
+        for instrument, part, of_part in fit.identification.parts()
+        if instrument.name == pattern.name and part.dimension == pattern.dimension
+    )
 
 
 def check_minima(fit: Fit) -> Iterator[Reason]:

@@ -15,8 +15,9 @@ from calib.core.base.words import joints_named, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.judging import findings
-from calib.core.judging.effects import gains, scales
+from calib.core.judging.effects import constants, errors_in_links, gains, own_scales, scales
 from calib.core.judging.reasons import Code, Reason
+from calib.core.judging.rules_noise import impossible
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.identifiability import extend_reduced, unit_columns
@@ -41,6 +42,8 @@ SMALLEST_SHARE = 0.05
 """Share of a parameter's variance that the data must remove before its deviation counts."""
 SCALED = 2e-3
 """Relative error of all lengths that is too large for any robot or instrument: heat makes a tenth of it."""
+SCALED_IN_PART = 4e-3
+"""The same of lengths along one axis or of one instrument: photogrammetry of a real robot (Motoman) has 0.0029."""
 SCALED_SIGMAS = 6.0
 """A scale further from 1 than this many of its standard deviations is not explained by errors of the parameters. Few
 degrees of freedom take more: as many as chance does not explain, by Student's t (`_least_sigmas`)."""
@@ -49,6 +52,13 @@ MOST = 0.5
 other errors look a bit like a scale."""
 _SCALED_LENGTHS = ("all measured lengths", *(f"measured lengths along {axis}" for axis in "xyz"))
 _NOTHING = 1e-6  # a robot scaled by less than this has shrunk to a point
+FLAT = 0.4
+"""Mean square of directions of errors along one axis of a link over that along the others, below which these have a
+cause of their own."""
+_IN_PLANE = 0.2  # largest part of an error along the normal of a plane in which it lies
+JOINT_OFF = 0.01
+"""Usual error of a joint that is no gear's [rad]: half a degree."""
+_ALIKE = 0.9  # mean of unit vectors that hardly turn
 MANIFOLD = 0.3
 """Messages state a larger scale error as a ratio of lengths, a smaller one in percent."""
 UNUSUAL = 10.0
@@ -97,39 +107,47 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     """Report one scale of lengths that explains why parameters are far from nominal: then the unit is off.
 
     In the linear model around the solution, with deviations u over the sigmas of all parameters but placements, a scale
-    s of all readings, or of those along one axis, is tried together with the parameters: |r + J du + z s|^2 / (1 + s)^2
-    + |u + du|^2. With all readings, noise is scaled as well: otherwise, if all lengths of a robot are free, lengths of
-    zero would explain it best. Residuals are divided by the found noise: without a scale, their squares add up to about
-    the number of rows less that of places. Joints that turn too far draw larger arcs, which look like longer links: if
-    gains of all joints explain as much, the scale is not the cause.
+    s of all readings, of those along one axis or of one instrument is tried together with the parameters:
+    |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. With all readings, noise is scaled as well: otherwise, if all lengths
+    of a robot are free, lengths of zero would explain it best. Residuals are divided by the found noise: without a
+    scale, their squares add up to about the number of rows less that of places. Joints that turn too far draw larger
+    arcs, which look like longer links: if gains of all joints explain as much, the scale is not the cause; that of one
+    instrument is not if constants in the readings explain as much. Where a scale is not sure, but a parameter is far
+    from nominal, doubt remains.
     """
     if fit.computed:
         return
     left, n_measured = _residuals_of_scales(fit)
     if not np.any(left[:, 0]):
         return
-    tried = [
-        _cost_with(left[:, k : k + 1], left[:, -1], n_measured, is_scale=k == 0) for k, _ in enumerate(_SCALED_LENGTHS)
-    ]
+    names = [*_SCALED_LENGTHS, *(f"readings of {name}" for name in own_scales(findings.setting(fit)))]
+    tried = [_cost_with(left[:, k : k + 1], left[:, -1], n_measured, is_scale=k == 0) for k, _ in enumerate(names)]
     scaled, part = min(tried)
-    if abs(part) <= SCALED:
+    if abs(part) <= (SCALED if (scaled, part) == tried[0] else SCALED_IN_PART):
         return
     alone, _ = _cost_with(left[:, :0], left[:, -1], n_measured)
-    geared, _ = _cost_with(left[:, len(tried) : -1], left[:, -1], n_measured)
+    n_gains = len(fit.nominal.joint_names)
+    others = [left[:, len(tried) : len(tried) + n_gains], left[:, len(tried) + n_gains : -1]]
+    others = others if tried.index((scaled, part)) >= len(_SCALED_LENGTHS) else others[:1]
+    likelier = min(_cost_with(columns, left[:, -1], n_measured)[0] for columns in others)
     by_noise = findings.linear(fit).rows.layout.n_read - int(np.sum(fit.unknowns.placement))
-    if alone - scaled > max(_least_sigmas(fit, 1) ** 2, MOST * (alone - by_noise)) and scaled < geared:
+    sure = alone - scaled > _least_sigmas(fit, 1) ** 2
+    doubtful = alone - scaled > PLAUSIBLE**2 and any(away > PLAUSIBLE for _, away in _deviations(fit))
+    if (sure or doubtful) and alone - scaled > MOST * (alone - by_noise) and scaled < likelier:
         yield Code.LENGTHS_SCALED.says(
-            f"{_SCALED_LENGTHS[tried.index((scaled, part))]} are {_scale_sentence(part)} in the description: no robot"
+            f"{names[tried.index((scaled, part))]} are {_scale_sentence(part)} in the description: no robot"
             " is that far off. Look at the unit of the measurements, the scale of the instrument and the size of the"
-            " artefact"
+            " artefact",
+            grade="FAIL" if sure else "CHECK",
         )
 
 
 @memoize
 def _residuals_of_scales(fit: Fit) -> tuple[FloatArray, int]:
-    """`_remaining_residuals` for one scale of all lengths, of those along each axis, and for a gain of each joint."""
+    """`_remaining_residuals` for scales (all lengths, each axis, each instrument), gains of joints, and constants."""
     setting = findings.setting(fit)
-    return _remaining_residuals(fit, np.hstack([scales(setting), gains(setting)]))
+    others = [gains(setting), *(columns for _, _, columns in constants(setting))]
+    return _remaining_residuals(fit, np.hstack([scales(setting), *own_scales(setting).values(), *others]))
 
 
 def _scale_sentence(part: float) -> str:
@@ -205,6 +223,39 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
             f" {100 * JOINT_SCALED:g} %: look at the unit and the range of these columns, and at the gear ratios of the"
             " controller and of the description"
         )
+
+
+def joint_moves_otherwise(fit: Fit) -> Iterator[Reason]:
+    """Look for a last joint that moves otherwise than its values say: of other rows, in another unit, without sign.
+
+    It moves a target in a plane of the target's link, across its own axis. If what the fit leaves lies in such a plane,
+    which turns with the link, this joint makes it, or another one whose errors lie there. An error that none of them
+    can have is a mistake. A target far from the axis shows it by its noise, too; one near the axis, by this alone.
+    """
+    if fit.computed or fit.robot.mechanism.loops or impossible(fit):
+        return
+    setting = findings.setting(fit)
+    for rows, axes, errors in errors_in_links(setting, findings.linear(fit).rows.residuals):
+        sizes = np.linalg.norm(errors, axis=1)
+        directions = errors / np.maximum(sizes, EXACT)[:, None]  # a few wrong readings do not decide
+        squares, vectors = linalg.eigh(directions.T @ directions)
+        normals = axes @ vectors[:, 0]
+        columns = setting.joint_columns[rows]
+        levers = np.linalg.norm(columns, axis=(0, 1))
+        along = np.linalg.norm(np.einsum("ni,nij->nj", normals, columns), axis=0)
+        causes = levers[(levers > 0) & (along <= _IN_PLANE * levers)]
+        if not len(causes) or np.linalg.norm(np.mean(normals, axis=0)) > _ALIKE:
+            continue
+        last = fit.nominal.joint_names[np.flatnonzero(levers)[-1]]
+        freedom = fit.statistics.freedom * len(errors) / fit.rows.layout.n_read
+        ratio = 2.0 * float(squares[0]) / max(float(squares[1] + squares[2]), EXACT)
+        off = float(np.median(sizes) * np.sqrt(len(sizes)) / np.max(causes))
+        flat = ratio < FLAT and scipy.special.fdtr(freedom, 2.0 * freedom, ratio) < UNLIKELY**2
+        if flat and off > JOINT_OFF and fit.nominal.mechanism.dimensions[last] == "angle":
+            yield Code.JOINT_SCALED.says(
+                f"{joints_named(last)} does not move as its values say: what the fit leaves is in a plane that turns"
+                " with the link behind it. Look at the rows, the unit, the sign and the counted turns of its column"
+            )
 
 
 def _expected_gains(fit: Fit) -> FloatArray:

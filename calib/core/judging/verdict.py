@@ -55,6 +55,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.frame_moved,
     rules_parameters.lengths_scaled,
     rules_parameters.joints_scaled,
+    rules_parameters.joint_moves_otherwise,
     rules_parameters.far_from_nominal,
     rules_data.poses_that_say_little,
     rules_reach.one_corner,

@@ -112,8 +112,8 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     of a robot are free, lengths of zero would explain it best. Residuals are divided by the found noise: without a
     scale, their squares add up to about the number of rows less that of places. Joints that turn too far draw larger
     arcs, which look like longer links: if gains of all joints explain as much, the scale is not the cause; that of one
-    instrument is not if constants in the readings explain as much. Where a scale is not sure, but a parameter is far
-    from nominal, doubt remains.
+    instrument is not if constants in the readings explain as much. Doubt remains where these explain nearly as much, and
+    where a scale is less sure, but a parameter is far from nominal.
     """
     if fit.computed:
         return
@@ -131,14 +131,14 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     others = others if tried.index((scaled, part)) >= len(_SCALED_LENGTHS) else others[:1]
     likelier = min(_cost_with(columns, left[:, -1], n_measured)[0] for columns in others)
     by_noise = findings.linear(fit).rows.layout.n_read - int(np.sum(fit.unknowns.placement))
-    sure = alone - scaled > _least_sigmas(fit, 1) ** 2
+    shown = alone - scaled > _least_sigmas(fit, 1) ** 2
     doubtful = alone - scaled > PLAUSIBLE**2 and any(away > PLAUSIBLE for _, away in _deviations(fit))
-    if (sure or doubtful) and alone - scaled > MOST * (alone - by_noise) and scaled < likelier:
+    if (shown or doubtful) and alone - scaled > MOST * (alone - by_noise) and scaled < likelier:
         yield Code.LENGTHS_SCALED.says(
             f"{names[tried.index((scaled, part))]} are {_scale_sentence(part)} in the description: no robot"
             " is that far off. Look at the unit of the measurements, the scale of the instrument and the size of the"
             " artefact",
-            grade="FAIL" if sure else "CHECK",
+            grade="FAIL" if shown and likelier - scaled > PLAUSIBLE**2 else "CHECK",
         )
 
 

@@ -73,9 +73,9 @@ class DraggedView:
         self._frames = [space.add_frame(name, show_axes=False) for name in names]
         for k, shape in enumerate((*scene.shapes, *scene.decorations)):
             place = "/scene/around" if shape.body is None else names[scene.bodies.names.index(shape.body)]
-            colour, opacity = tuple(round(255 * part) for part in shape.colour[:3]), shape.colour[3]
-            space.add_mesh_simple(f"{place}/shape{k}", *shape.triangles(), color=colour, opacity=opacity, side="double",
-                                  flat_shading=shape.kind == "mesh")  # fmt: skip
+            red, green, blue = (round(255 * part) for part in shape.colour[:3])
+            space.add_mesh_simple(f"{place}/shape{k}", *shape.triangles(), color=(red, green, blue),
+                                  opacity=shape.colour[3], side="double", flat_shading=shape.kind == "mesh")  # fmt: skip
         self._draw_errors()
         self._place_camera()
         self._moving = False

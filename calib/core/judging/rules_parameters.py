@@ -112,8 +112,8 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     of a robot are free, lengths of zero would explain it best. Residuals are divided by the found noise: without a
     scale, their squares add up to about the number of rows less that of places. Joints that turn too far draw larger
     arcs, which look like longer links: if gains of all joints explain as much, the scale is not the cause; that of one
-    instrument is not if constants in the readings explain as much. Doubt remains where these explain nearly as much, and
-    where a scale is less sure, but a parameter is far from nominal.
+    instrument is not if constants in the readings explain as much. Doubt remains where these explain nearly as much,
+    and where a scale is less sure, but a parameter is far from nominal.
     """
     if fit.computed:
         return

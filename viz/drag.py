@@ -74,8 +74,14 @@ class DraggedView:
         for k, shape in enumerate((*scene.shapes, *scene.decorations)):
             place = "/scene/around" if shape.body is None else names[scene.bodies.names.index(shape.body)]
             red, green, blue = (round(255 * part) for part in shape.colour[:3])
-            space.add_mesh_simple(f"{place}/shape{k}", *shape.triangles(), color=(red, green, blue),
-                                  opacity=shape.colour[3], side="double", flat_shading=shape.kind == "mesh")  # fmt: skip
+            space.add_mesh_simple(
+                f"{place}/shape{k}",
+                *shape.triangles(),
+                color=(red, green, blue),
+                opacity=shape.colour[3],
+                side="double",
+                flat_shading=shape.kind == "mesh",
+            )
         self._draw_errors()
         self._place_camera()
         self._moving = False
@@ -83,9 +89,10 @@ class DraggedView:
         self._sliders = [self._slider(k) for k in range(len(scene.joints))]
         target = shown.solid.target_names[0]
         self._target = space.add_transform_controls(
-            f"/scene/{target}", scale=0.15 * float(np.linalg.norm(scene.view.high - scene.view.low)),
+            f"/scene/{target}",
+            scale=0.15 * float(np.linalg.norm(scene.view.high - scene.view.low)),
             disable_rotations=True,
-        )  # fmt: skip
+        )
         self._target.on_update(lambda _: self.reach(np.array(self._target.position)))
         if scene.n_rows:
             poses = gui.add_slider("row", 0, scene.n_rows - 1, 1, 0)
@@ -170,8 +177,9 @@ class DraggedView:
             highest = ranges({state: rows.sizes(state)}, rows.outlier)[state][1] or 1.0
             paint = (colours()[(255 * np.clip(sizes / highest, 0, 1)).astype(int), :3]).astype(np.uint8)
             name = rows.part.name.replace(" ", "_")
-            self.server.scene.add_point_cloud(f"/scene/{name}", begin, paint, point_size=0.008 * size,
-                                              point_shape="circle")  # fmt: skip
+            self.server.scene.add_point_cloud(
+                f"/scene/{name}", begin, paint, point_size=0.008 * size, point_shape="circle"
+            )
             ends = np.stack([begin, begin + np.nan_to_num(factor[state] * rows.arrows(state)[known])], axis=1)
             self.server.scene.add_line_segments(
                 f"/scene/{name}_errors", ends, np.repeat(paint[:, None], 2, axis=1), thickness=0.003 * size

@@ -4,8 +4,11 @@ import sys
 
 import numpy as np
 import pytest
+import test_kind_pixel as pixel
+from six_axis_arm import joints, write_six_axis
 from viz_examples import five_bar_fit, medrue_fit
 
+import calib
 from calib.core.base.errors import InputError
 from calib.planning.watch import Watch
 from viz.drag import DraggedView
@@ -13,6 +16,43 @@ from viz.inputs import gather
 from viz.pictures import live
 from viz.recording import recording
 from viz.scene import scene_of_fit
+
+
+def entries(chunks, path):
+    """The columns of each entity of a recording, as rerun itself reads them."""
+    read: dict[str, dict[str, list]] = {}
+    for chunk in chunks.RrdReader(str(path)).stream():
+        table, columns = chunk.to_record_batch(), read.setdefault(chunk.entity_path, {})
+        for name in set(table.schema.names) - {"log_time"}:
+            columns.setdefault(name, []).extend(table[name].to_pylist())
+    return read
+
+
+def test_a_recording_holds_the_points_of_every_image_and_arrows_to_where_they_are_predicted(tmp_path):
+    pytest.importorskip("rerun", reason="extra 'rerun'")
+    chunks = pytest.importorskip("rerun.chunk", reason="a rerun that reads recordings")
+    robot, q = calib.load(write_six_axis(tmp_path, pixel.YAML)), joints(12, 3)
+    fit = calib.fit(
+        robot,
+        pixel.data_of(
+            robot, q, pixel.photographs(robot.with_parameters(pixel.TRUTH), q, *pixel.places(1)), pixel.SIGMA, 2
+        ),
+    )
+    path = tmp_path / "images.rrd"
+    path.write_bytes(recording(scene_of_fit(fit)))
+    read = entries(chunks, path)
+    for name, readings in fit.identification.data.readings.items():
+        points = [np.array(image) for image in read[f"/images/{name}"]["Points2D:positions"]]
+        visits = [readings.visits == visit for visit in np.unique(readings.visits)]
+        assert len(points) == len(visits)
+        for image, own in zip(points, visits, strict=True):
+            np.testing.assert_allclose(image, readings.values[own], atol=1e-3)
+        for state, residuals in (("before", fit.identification.before), ("after", fit.identification.after)):
+            arrows = np.concatenate(read[f"/images/{name}/{state}"]["Arrows2D:vectors"])
+            off = np.concatenate([residuals[name][own] for own in visits])
+            factor = np.sum(arrows * off) / np.sum(off**2)
+            assert factor >= 1
+            np.testing.assert_allclose(arrows, factor * off, atol=1e-3)
 
 
 def test_a_recording_holds_the_robot_and_the_errors_of_every_row(tmp_path):
@@ -23,11 +63,7 @@ def test_a_recording_holds_the_robot_and_the_errors_of_every_row(tmp_path):
     scene, path = scene_of_fit(fit), tmp_path / "fit.rrd"
     path.write_bytes(recording(scene))
     assert path.stat().st_size < 3e6
-    read: dict[str, dict[str, list]] = {}
-    for chunk in chunks.RrdReader(str(path)).stream():
-        table, columns = chunk.to_record_batch(), read.setdefault(chunk.entity_path, {})
-        for name in set(table.schema.names) - {"log_time"}:
-            columns.setdefault(name, []).extend(table[name].to_pylist())
+    read = entries(chunks, path)
     rows = scene.poses.subset(scene.shown)
     predicted = fit.robot.forward(rows.joints)[:, :3, 3]
     for number, name in enumerate(scene.bodies.names):

@@ -45,10 +45,12 @@ class ReadingErrors(RowTable):
         anchors: Beginnings of the arrows, (n, 3) [m].
         before, after: Arrows, (n, 3) [m or rad]; NaN where unknown.
         residuals_before, residuals_after: Predicted minus read, (n, n_axes) [SI]; NaN where unknown.
+        pixels: Places in images as read, (n, 2) [px]; (n, 0) for other readings.
         group: Group of each row, as in `PoseTable`.
         outlier: Mask of outliers, (n,).
         labels: Name of each pose.
         targets: Instrument of each row, with its target.
+        instruments: Instrument of each row.
     """
 
     part: Part
@@ -59,10 +61,12 @@ class ReadingErrors(RowTable):
     after: FloatArray
     residuals_before: FloatArray
     residuals_after: FloatArray
+    pixels: FloatArray
     group: tuple[str, ...]
     outlier: BoolArray
     labels: tuple[str, ...]
     targets: tuple[str, ...]
+    instruments: tuple[str, ...]
 
     def arrows(self, state: str) -> FloatArray:
         """Return the arrows `before` or `after` calibration, (n, 3) [m or rad]."""
@@ -190,12 +194,14 @@ def _tables_of_set(
             after=arrows["after"],
             residuals_before=residuals["before"],
             residuals_after=residuals["after"],
+            pixels=readings.values[:, rows] if part.dimension == "pixel" else np.zeros((len(readings), 0)),
             group=(group,) * len(readings),
             outlier=outlier,
             labels=tuple(data.names[visit] for visit in readings.visits),
             targets=tuple(" ".join((instrument.name, *words)) for words in zip(*texts.values(), strict=True))
             if texts
             else (instrument.name,) * len(readings),
+            instruments=(instrument.name,) * len(readings),
         )
         tables.append(table.subset(np.argsort(data.pose_numbers[readings.visits], kind="stable")))
     return tables

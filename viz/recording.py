@@ -1,20 +1,25 @@
 """A scene as a recording for rerun, `.rrd`: the robot pose by pose, readings with error arrows, and errors over poses.
 
 The only timeline of the recording is `row`: the rows of the page, part by part. Errors are drawn in their place and
-enlarged as on the page; `errors/PART/before` and `after` are their sizes in the unit of the part.
+enlarged as on the page; `errors/PART/before` and `after` are their sizes in the unit of the part. `images/CAMERA` has
+the points of each image as they were read, and arrows to where they were predicted, enlarged as well.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
+from calib.core.base.arrays import IntArray
 from calib.core.base.errors import InputError
 from calib.core.base.units import error_scale
 from calib.core.base.version import DISTRIBUTION
 from calib.core.fitting.error_sets import STATES
 from viz.charts import COLOURS
 from viz.poses import EXCLUDED
-from viz.scene import ViewerScene
+from viz.reading_errors import ReadingErrors
+from viz.scene import ViewerScene, nice_factor
 from viz.scene_data import rows_of
 
 
@@ -61,9 +66,33 @@ def recording(scene: ViewerScene) -> bytes:
             for state in STATES:
                 if np.isfinite(size := rows.sizes(state)[row]):
                     stream.log(f"errors/{name}/{state}", rr.Scalars(scale * size))
+        for row, instrument, image in _images(rows):
+            stream.set_time("row", sequence=first + row)
+            stream.log(f"images/{instrument}", rr.Points2D(rows.pixels[image]))
+            for state, factor in _image_factors(rows).items():
+                off, colour = factor * rows.residuals(state)[image], _rgb(COLOURS[state])
+                flat = rr.Arrows2D(origins=rows.pixels[image], vectors=off, colors=colour)
+                stream.log(f"images/{instrument}/{state}", flat)
         first += len(rows)
     content: bytes = kept.drain_as_bytes()
     return content
+
+
+def _images(rows: ReadingErrors) -> Iterator[tuple[int, str, IntArray]]:
+    """Yield each image of readings in pixels: its first row, its camera, and its rows."""
+    if not rows.pixels.shape[1]:
+        return
+    names = list(zip(rows.labels, rows.instruments, strict=True))
+    for name in dict.fromkeys(names):
+        image = np.flatnonzero([other == name for other in names])
+        yield int(image[0]), name[1], image
+
+
+def _image_factors(rows: ReadingErrors) -> dict[str, float]:
+    """Enlargement of the arrows of each state in images: most are at most a twentieth of the points' spread."""
+    longest = 0.05 * float(np.max(np.ptp(rows.pixels, axis=0)))
+    sizes = {state: rows.sizes(state) for state in STATES}
+    return {state: nice_factor(float(np.nanmedian(of)), longest) for state, of in sizes.items() if np.any(of > 0)}
 
 
 def _rgb(colour: str) -> list[int]:

@@ -216,8 +216,8 @@ def rows_of(scene: ViewerScene) -> list[ReadingErrors]:
     table, places = scene.poses.subset(scene.shown), _places(scene)[scene.shown]
     before, after = table.error("before"), table.error("after")
     points = ReadingErrors(
-        POSITION, False, table.joints, places, before, after, before, after, table.group, table.outlier, table.labels,
-        table.targets,
+        POSITION, False, table.joints, places, before, after, before, after, np.zeros((len(table), 0)), table.group,
+        table.outlier, table.labels, table.targets, table.targets,
     )  # fmt: skip
     return [points, *scene.readings]
 

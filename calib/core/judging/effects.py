@@ -391,7 +391,7 @@ def length_derivative(
     described too small looks like a robot that is too large. With the derivative J of a reading by p_ab, it is J p_ab;
     of readings that are lengths it is as read: a distance itself, the touched point of an artefact.
     """
-    result = {}
+    result = dict[str, FloatArray]()
     for name, seen in views_of_instruments(robot, configurations, readings).items():
         instrument = robot.instrument(name)
         result[name] = np.zeros((len(readings[name]), instrument.n_rows))

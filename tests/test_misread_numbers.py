@@ -10,6 +10,8 @@ from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, write_six_
 from test_kind_pose import YAML as POSES
 
 import calib
+from calib.core.judging.effects import length_derivative
+from calib.core.rows.observed import observe, predict_readings
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ORDERS = {
@@ -214,3 +216,86 @@ def test_a_robot_whose_only_length_is_free_is_not_scaled(tmp_path):
     fit = calib.fit(robot, measurements(robot, q, points))
     assert "lengths_scaled" not in [reason.code for reason in fit.verdict.reasons]
     assert fit.verdict.grade == "PASS"
+
+
+BOARD = """\
+  ahead: {kind: pixel, target: reflector, points: {a: [0, 0, 0], b: [B mm, 0, 0], c: [0, C mm, 0]}, CAMERA,
+    intrinsics: {fx: 3000, fy: 3000, cx: 2000, cy: 1500}, NOISE: 0.05}
+""".replace("CAMERA", "camera: {frame: base_link, xyz: [3, 0, 0.5], rpy: [-90 deg, 0, 90 deg], pose: unknown}")
+ARTEFACT = """\
+  probe: {kind: touch, target: reflector, NOISE: 0.03 mm, artefact: {frame: base_link, xyz: [0.5, 0, 0.3],
+    pose: unknown, sigma: 5 mm, sigma_angle: 20 mrad, points: {a: [0, 0, 0], b: [B mm, 0, 0], c: [0, C mm, 0]}}}
+"""
+
+
+def described(folder, entries, base="base_link", noise=True, size=1.0):
+    """The example's arm with other instruments, whose artefact is this many times as large."""
+    text = (EXAMPLES / "arm.yaml").read_text().replace("arm.urdf", str(EXAMPLES / "arm.urdf"))
+    head, rest = text.split("base: ")[0], text.split("parametrisation:\n")[1].replace("sigma: 0.03 mm", "")
+    entries = entries.replace(" B mm", f" {200 * size} mm").replace("[B mm", f"[{200 * size} mm")
+    entries = entries.replace("C mm", f"{150 * size} mm")
+    entries = entries.replace("NOISE", "sigma") if noise else re.sub(r", NOISE: [.0-9]+( mm)?", "", entries)
+    target = "targets: {reflector: {frame: flange, xyz: [20 mm, 30 mm, 50 mm], position: unknown, sigma: 5 mm"
+    turned = "" if "touch" in entries else ", orientation: unknown, sigma_angle: 50 mrad"
+    (folder / "robot.yaml").write_text(
+        f"{head}base: {{frame: {base}}}\n{target}{turned}}}}}\ninstruments:\n{entries}parametrisation:\n{rest}"
+    )
+    return calib.load(folder / "robot.yaml")
+
+
+@pytest.mark.quick(2)
+@pytest.mark.parametrize("noise", [True, False])
+@pytest.mark.parametrize(
+    ("entries", "size", "words"),
+    [
+        (BOARD, 1.02, "shorter"),
+        (ARTEFACT, 0.98, "longer"),
+        (BOARD, 0.98, "longer"),
+        (ARTEFACT, 1.02, "shorter"),
+        (BOARD, 1.001, None),
+        (ARTEFACT, 1.001, None),
+        (BOARD, 1.0, None),
+        (ARTEFACT, 1.0, None),
+    ],
+)
+def test_a_board_or_an_artefact_of_another_size_is_named(tmp_path, entries, size, words, noise):
+    """Joint origins, all of which are free, take nearly all of it up, and no noise shows it."""
+    robot, rng = described(tmp_path, entries, noise=noise), np.random.default_rng(7)
+    own = robot.parameters[: robot.n_origin_parameters]
+    errors = {p.name: p.nominal_si + 0.7 * p.sigma_si * rng.normal() for p in own if p.name.startswith("joint")}
+    true = described(tmp_path, entries, size=size).with_parameters(errors)
+    poses = joints(60) if entries is BOARD else calib.sample(true, 60, np.random.default_rng(2))
+    verdict = calib.fit(robot, calib.simulate(true, poses, seed=np.random.default_rng(3))).verdict
+    assert verdict.grade == ("PASS" if words is None else "FAIL"), verdict
+    if words is not None:
+        result = re.match(r"all measured lengths are ([\d.]+) % (longer|shorter)", verdict.reasons[0].text)
+        assert float(result[1]) == pytest.approx(2.0, abs=0.4)
+        assert result[2] == words
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        BOARD,
+        ARTEFACT,
+        ARTEFACT.replace("NOISE", "surface: sphere, radius: 10 mm, NOISE").replace("points:", "radius: 30 mm, points:"),
+        "  table: {kind: touch, target: reflector, surface: plane, radius: 10 mm, places: {flat: {frame: base_link,"
+        " xyz: [0, 0, 0.3], rpy: [0.1, 0.2, 0], position: unknown}}}\n",
+        "  tracker: {kind: pose, target: reflector}\n",
+        "  tracker: {kind: position, target: reflector}\n",
+        "  bar: {kind: distance, target: reflector, end: {frame: base_link, xyz: [1, 0.8, 0.2], position: unknown}}\n",
+    ],
+)
+def test_readings_of_a_robot_of_another_size_change_as_said(tmp_path, entry):
+    """All lengths of the robot, its places and targets grow; the artefact stays."""
+    robot, q, step = described(tmp_path, entry), joints(5), 1e-6
+    readings = predict_readings(robot, robot.assemble(q))
+    own = [robot.unknowns[name] for name in readings]
+    numbers = {k for of in own for k in np.arange(len(robot.values))[of].tolist()}
+    grows = [p.dimension == "length" and k not in numbers for k, p in enumerate(robot.parameters)]
+    larger, smaller = (robot.with_parameters(robot.values * (1 + sign * step * np.array(grows))) for sign in (1, -1))
+    more, less = (observe(of, of.assemble(q), readings) for of in (larger, smaller))
+    for name, columns in length_derivative(robot, robot.assemble(q), readings).items():
+        expected = (more[name].residuals - less[name].residuals) / (2 * step)
+        assert np.any(expected)
+        np.testing.assert_allclose(columns, expected, atol=1e-7 * np.abs(expected).max())

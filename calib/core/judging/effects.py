@@ -35,17 +35,20 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.pose_checks import unmoved_joints
-from calib.core.instruments.kind import FrameInstrument, Instrument
+from calib.core.instruments.kind import Comparison, FrameInstrument, Instrument, Readings, View
 from calib.core.judging.effect_kinds import Kind
 from calib.core.numerics.variance_components import SharedError
+from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import relative_poses
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.periodic import TURN
+from calib.core.rows.observed import views_of_instruments
 
 ORDERS = range(1, 121)
 """Cycles of a wave in a turn of the joint, or over the range that a joint slides."""
 SLIPS = 15
 """Number of places in the course of the measurement at which a slip of a target is tested."""
+_ROUNDING = 1e-9  # part of its terms below which a sum is 0
 _SAME = 1e-6  # cycles that rounding may add
 _ON_GRID = 0.99  # a wave of length 1 is the same at all visits if its mean is longer than this
 _VISITS_LOOKED_AT = 256
@@ -259,7 +262,8 @@ def own_scales(setting: EffectSetting) -> dict[str, FloatArray]:
     """
     changes = {name: -columns[:, :, 6:7] for name, columns in _frame_columns(setting).items()}
     for name, readings in setting.data.readings.items():
-        if not np.any(changes[name]) and readings.values.shape == changes[name].shape[:2]:
+        lengths = setting.fit.robot.instrument(name).parts[0].dimension == "length" and np.any(changes[name])
+        if not lengths and readings.values.shape == changes[name].shape[:2]:
             changes[name] = np.nan_to_num(np.nanmean(readings.values, axis=0) - readings.values)[:, :, None]
     shown = [name for name, columns in changes.items() if len(changes) > 1 and np.any(columns)]
     return {name: setting.whiten({other: (other == name) * changes[other] for other in changes}) for name in shown}
@@ -358,14 +362,16 @@ def _position_rows(instrument: Instrument) -> list[int]:
 def _frame_columns(setting: EffectSetting) -> dict[str, FloatArray]:
     """Derivative of readings by shifts along x, y, z, turns about them, and sizes of lengths, (n, n_rows, 10) each.
 
-    The sizes are those of all lengths, and of lengths along x, y and z. The lengths are distances, and positions from
-    the middle of the points. Along one axis they are as predicted: those of a planar robot would be noise alone.
+    The sizes are those of all lengths (`length_derivative`), positions from the middle of the points, and of positions
+    along x, y and z. Along one axis they are as predicted: those of a planar robot would be noise alone.
     """
-    result, points = dict[str, FloatArray](), _points(setting)
+    result, points, fit = dict[str, FloatArray](), _points(setting), setting.fit
+    lengths = length_derivative(fit.robot, fit.configurations, setting.data.readings)
     for name, readings in setting.data.readings.items():
         instrument = setting.fit.robot.instrument(name)
         result[name] = columns = np.zeros((len(readings), instrument.n_rows, 10))
         rows = _position_rows(instrument)
+        columns[:, :, 6] = lengths[name]
         if len(rows) == 3:
             columns[:, rows, :3] = np.eye(3)
         if name in points:
@@ -373,8 +379,32 @@ def _frame_columns(setting: EffectSetting) -> dict[str, FloatArray]:
             columns[:, rows, 6] = points[name]
             predicted = points[name] + np.nan_to_num(setting.fit.identification.after[name][:, rows])
             columns[:, rows, 7:] = predicted[:, :, None] * np.eye(3)
-        elif len(instrument.parts) == 1 and instrument.parts[0].is_distance:
-            columns[:, 0, 6] = readings.values[:, 0]
+    return result
+
+
+def length_derivative(
+    robot: Robot, configurations: Configurations, readings: Mapping[str, Readings]
+) -> dict[str, FloatArray]:
+    """Return the derivative of readings by the size of all lengths of the robot, (n, n_rows) of each instrument.
+
+    Every translation p_ab grows in proportion. A board, or an artefact that is touched, keeps its size: one that is
+    described too small looks like a robot that is too large. With the derivative J of a reading by p_ab, it is J p_ab;
+    of readings that are lengths it is as read: a distance itself, the touched point of an artefact.
+    """
+    result = dict[str, FloatArray]()
+    for name, seen in views_of_instruments(robot, configurations, readings).items():
+        instrument = robot.instrument(name)
+        result[name] = np.zeros((len(readings[name]), instrument.n_rows))
+        if not isinstance(seen, View):
+            continue
+        compared = instrument.compare(seen, robot.values[robot.unknowns[name]], readings[name])
+        assert isinstance(compared, Comparison)  # the kind looks at frames
+        terms = np.nan_to_num(compared.by_twist[:, :, :3] * seen.translation[:, None])
+        is_length = np.array([instrument.parts[part].dimension == "length" for part in instrument.part_of_row])
+        errors = np.where(is_length & np.any(terms, axis=(0, 2)), np.nan_to_num(compared.residuals), 0.0)
+        lengths = np.sum(terms, axis=2) - errors
+        within = _ROUNDING * (np.sum(np.abs(terms), axis=2) + np.abs(errors))
+        result[name] = np.where(np.abs(lengths) > within, lengths, 0.0)
     return result
 
 

@@ -20,7 +20,7 @@ from calib.core.judging.reasons import Code, Reason
 from calib.core.judging.rules_noise import impossible
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, UNLIKELY
-from calib.core.numerics.identifiability import extend_reduced, unit_columns
+from calib.core.numerics.identifiability import NO_EFFECT, extend_reduced, unit_columns
 from calib.core.numerics.observability import information
 from calib.core.numerics.tall import slices
 from calib.core.robots.joint_errors import columns_of_terms, driven_by
@@ -104,16 +104,16 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
 
 
 def lengths_scaled(fit: Fit) -> Iterator[Reason]:
-    """Report one scale of lengths that explains why parameters are far from nominal: then the unit is off.
+    """Report one scale of lengths that explains why parameters are far from nominal: a unit, or an artefact's size.
 
     In the linear model around the solution, with deviations u over the sigmas of all parameters but placements, a scale
     s of all readings, of those along one axis or of one instrument is tried together with the parameters:
-    |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. With all readings, noise is scaled as well: otherwise, if all lengths
-    of a robot are free, lengths of zero would explain it best. Residuals are divided by the found noise: without a
-    scale, their squares add up to about the number of rows less that of places. Joints that turn too far draw larger
-    arcs, which look like longer links: if gains of all joints explain as much, the scale is not the cause; that of one
-    instrument is not if constants in the readings explain as much. Doubt remains where these explain nearly as much,
-    and where a scale is less sure, but a parameter is far from nominal.
+    |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. With all readings, noise is scaled as well if lengths are read:
+    otherwise, if all lengths of a robot are free, lengths of zero would explain it best. Residuals are divided by the
+    found noise: without a scale, their squares add up to about the number of rows less that of places. Joints that turn
+    too far draw larger arcs, which look like longer links: if gains of all joints explain as much, the scale is not the
+    cause; that of one instrument is not if constants in the readings explain as much. Doubt remains where these explain
+    nearly as much, and where a scale is less sure, but a parameter is far from nominal.
     """
     if fit.computed:
         return
@@ -121,7 +121,11 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     if not np.any(left[:, 0]):
         return
     names = [*_SCALED_LENGTHS, *(f"readings of {name}" for name in own_scales(findings.setting(fit)))]
-    tried = [_cost_with(left[:, k : k + 1], left[:, -1], n_measured, is_scale=k == 0) for k, _ in enumerate(names)]
+    scales_noise = any(group.part.dimension == "length" for group in fit.whitening.groups)
+    tried = [
+        _cost_with(left[:, k : k + 1], left[:, -1], n_measured, is_scale=scales_noise and k == 0)
+        for k, _ in enumerate(names)
+    ]
     scaled, part = min(tried)
     if abs(part) <= (SCALED if (scaled, part) == tried[0] else SCALED_IN_PART):
         return
@@ -166,6 +170,8 @@ def _least_sigmas(fit: Fit, n_scales: int) -> float:
 def _remaining_residuals(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int]:
     """Return what parameters leave of further columns (n_rows, k), and of the residuals, divided by the found noise.
 
+    Of a column that parameters explain, rounding errors remain; it becomes zero.
+
     Returns:
         Remainders, (n, k + 1), those of the residuals last: a few rows with the same J^T J as all measured rows,
         then a row for each deviation of a parameter; and the number of these measured rows.
@@ -179,7 +185,10 @@ def _remaining_residuals(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int
     measured: FloatArray = np.zeros((0, tried.shape[1]))
     for part in slices(len(tried)):
         measured = extend_reduced(measured, (tried[part] + rows.jacobian[part] @ step) / linear.factor)
-    return np.vstack([measured, (left + step)[inside]]), len(measured)
+    remainders = np.vstack([measured, (left + step)[inside]])
+    whole = np.linalg.norm(columns, axis=0) / linear.factor
+    remainders[:, :-1] *= np.linalg.norm(remainders[:, :-1], axis=0) > NO_EFFECT * whole
+    return remainders, len(measured)
 
 
 def _cost_with(

@@ -294,7 +294,9 @@ def gains(setting: EffectSetting) -> FloatArray:
 
 def _frame_effects(setting: EffectSetting) -> Iterator[Effects]:
     shifts, turns = setting.frame_columns[:, :3], setting.frame_columns[:, 3:6]
-    lengths, visit = scale(setting), setting.visit
+    groups, visit = setting.fit.whitening.groups, setting.visit
+    read = np.array([group.part.is_position or group.part.is_distance for group in groups])  # lengths themselves
+    lengths = scale(setting) * read[setting.fit.whitening.layout.group][:, None]
     for axis, name in enumerate("xyz"):
         yield Effects(Kind.AXIS, name, shifts[:, axis : axis + 1], visit)
     in_course = _curves(setting.course)

@@ -74,11 +74,11 @@ def test_patterns_of_very_many_poses_are_judged_on_some_of_them_and_the_claim_on
     played[:, 2] += 1e-4 * directions_of_motion(q)[:, 2]
     data = measurements(arm, q, arm.positions(played) + SIGMA * np.random.default_rng(3).standard_normal((400, 1, 3)))
     whole = calib.fit(arm, data)
-    assert findings.judged_sample(whole) is whole
+    assert findings.sample_of_poses(whole) is whole
     assert whole.budget.n_poses == whole.verdict.claim.at_measured_poses.n_poses == 400
     monkeypatch.setattr(findings, "MOST_POSES", 100)
     fit = calib.fit(arm, data)
-    judged = findings.judged_sample(fit).identification.data
+    judged = findings.sample_of_poses(fit).identification.data
     np.testing.assert_array_equal(judged.places // 4, np.arange(100))
     assert len(np.unique(judged.joints[:, 5])) == 4
     for each in (whole, fit):
@@ -90,7 +90,7 @@ def test_patterns_of_very_many_poses_are_judged_on_some_of_them_and_the_claim_on
     assert any("judged on 100 of 400 poses" in line for line in fit.verdict.not_covered)
     monkeypatch.setattr(findings, "MOST_POSES", 3)  # too few for a fit
     fit = calib.fit(arm, data)
-    assert findings.judged_sample(fit) is fit
+    assert findings.sample_of_poses(fit) is fit
 
 
 def test_a_gear_error_is_found_at_its_joint(arm):

@@ -33,9 +33,9 @@ def not_covered(fit: Fit) -> tuple[str, ...]:
         return ()
     seen_in_order = any(Trait.IN_COURSE in p.kind.traits for p in findings.patterns(fit) if p.significant)
     order = () if seen_in_order else unordered(fit.identification.data)  # such a pattern says that rows are in order
-    judged, n_poses = (each.identification.data.n_poses for each in (findings.judged_sample(fit), fit))
-    fewer = f"a pattern that needs more poses: patterns and causes were judged on {judged} of {n_poses} poses"
-    return (*[fewer] * (judged < n_poses), *_scale(fit), *_whose_noise(fit), *order, *terms_beyond(fit))
+    n_sample, n_poses = (each.identification.data.n_poses for each in (findings.sample_of_poses(fit), fit))
+    fewer = f"a pattern that needs more poses: patterns and causes were judged on {n_sample} of {n_poses} poses"
+    return (*[fewer] * (n_sample < n_poses), *_scale(fit), *_whose_noise(fit), *order, *terms_beyond(fit))
 
 
 def _scale(fit: Fit) -> Iterator[str]:

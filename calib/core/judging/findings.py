@@ -87,7 +87,7 @@ def excluded_errors(fit: Fit) -> ErrorSet | None:
         return None
 
 
-def judged_sample(fit: Fit) -> Fit:
+def sample_of_poses(fit: Fit) -> Fit:
     """Return the fit by which patterns, scales and causes are judged: of `MOST_POSES` poses where there are more."""
     return fit if fit.identification.data.n_poses <= MOST_POSES else _fit_of_sample(fit)
 
@@ -114,13 +114,13 @@ def _fit_of_sample(fit: Fit) -> Fit:
 @memoize
 def setting(fit: Fit) -> EffectSetting:
     """Return the data from which effects are computed, of the judged poses."""
-    return EffectSetting(judged_sample(fit))
+    return EffectSetting(sample_of_poses(fit))
 
 
 @memoize
 def linear(fit: Fit) -> LinearFit:
     """Return the fit of the judged poses as a linear model, for tests of effects."""
-    fit = judged_sample(fit)
+    fit = sample_of_poses(fit)
     factors = fit.statistics.factors
     factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
     rows = fit.weighted_rows
@@ -175,6 +175,6 @@ def joint_budget(fit: Fit) -> ErrorBudget | None:
 
 def _budget(fit: Fit, causes: Sequence[str] | None = None) -> ErrorBudget | None:
     try:
-        return error_budget(judged_sample(fit) if fit.validation is None else fit, causes)
+        return error_budget(sample_of_poses(fit) if fit.validation is None else fit, causes)
     except UnreachablePoseError:
         return None

@@ -303,6 +303,7 @@ def test_any_spelling_of_the_file_gives_the_same_model(tmp_path: Path, variant: 
 
 
 def test_shapes_of_size_zero_are_left_out_and_said(tmp_path):
+    pytest.importorskip("mujoco", reason="extra 'mujoco'")
     joint = "<joint name='j' type='revolute'><parent link='a'/><child link='b'/><limit lower='-1' upper='1'/></joint>"
     for shape in ('<box size="0 0 0"/>', '<sphere radius="0.0"/>', '<cylinder radius="0.1" length="0"/>'):
         geometry = f"<visual><geometry>{shape}</geometry></visual><collision><geometry>{shape}</geometry></collision>"

@@ -20,6 +20,8 @@ from calib.photographs.other_readings import other_readings
 from calib.photographs.scene import HandEyePlacement, plane_errors_on_board, residuals, rows
 from calib.photographs.shared_errors import ErrorSizes
 
+pytest.importorskip("cv2", reason="extra 'camera'")
+
 
 def codes(result):
     return [mistake.code for mistake in result.mistakes]

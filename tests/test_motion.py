@@ -8,7 +8,6 @@ import re
 from importlib.util import find_spec
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -24,6 +23,8 @@ from calib.motion.programs import LANGUAGES, Motion, write_program
 from calib.motion.route import plan_route
 from calib.programs.languages.languages import read_program
 from tests.six_axis_arm import FREE, URDF, YAML
+
+mujoco = pytest.importorskip("mujoco", reason="extra 'mujoco'")
 
 needs_ompl = pytest.mark.skipif(find_spec("ompl") is None, reason="ways around things need OMPL")
 

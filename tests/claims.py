@@ -246,12 +246,12 @@ def main() -> None:
         print(lines[-1], flush=True)
     seen = np.array(ratios)
     words = (
-        f"Of {n_splits[True]} fits that are as accurate as claimed (up to 1.25 times) and better than before,"
-        f" {right[True]} are PASS. Of the {n_splits[False]} others, {right[False]} are CHECK or FAIL. Errors of poses"
-        f" that were not used, over those claimed: median {np.median(seen):.2f}. They are 0.75 to 1.33 times those"
-        f" claimed in {_within(seen[alike])} fits whose validation poses are like those measured, as the claim says,"
-        f" and in {_within(seen)} fits in all. Of positions, they are 0.75 to 1.33 times those that `claim_at` expects"
-        f" at the validation poses in {_within(np.array(there))} fits."
+        f"Of {n_splits[True]} fits whose error is at most 1.25 times the claimed one and smaller than before,"
+        f" {right[True]} are PASS. Of the {n_splits[False]} others, {right[False]} are CHECK or FAIL. The error of"
+        f" poses that were not used is {np.median(seen):.2f} times the claimed one (median). This ratio is 0.75 to 1.33"
+        f" in {_within(seen[alike])} fits whose validation poses are like those measured, which the claim is about, and"
+        f" in {_within(seen)} fits in all. `claim_at` expects the error of positions at the validation poses: the ratio"
+        f" to it is 0.75 to 1.33 in {_within(np.array(there))} fits."
     )
     print(words)
     if options.page:

@@ -270,7 +270,7 @@ def test_repeated_poses_bring_repeatability_and_the_figures_of_iso_9283(arm, mea
     assert run_calib("certificate", tmp_path / "fit", "--out", out, "--draws", 0).code == 0
     content = json.loads(out.read_text())
     assert {figure["name"] for figure in content["iso9283"]} == {"AP", "RP"}
-    assert "if the robot did not leave the pose between them" in content["iso9283_doubt"]  # four rows in a row
+    assert "if the robot did not leave the pose between two repeats" in content["iso9283_doubt"]  # four rows in a row
     assert any("nothing else if the robot did not move" in str(row) for row in content["budget"]["rows"])
     turned = np.arange(96).reshape(24, 4).T.ravel()
     apart = calib.fit(arm, as_measurements(arm, q[turned], y[turned], [names[k] for k in turned]))

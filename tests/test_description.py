@@ -185,7 +185,7 @@ def test_a_place_that_is_unknown_is_not_listed_as_well(tmp_path):
     yaml = ARM_YAML.replace("{frame: ground}", "{frame: ground, pose: unknown}")
     yaml += "  - {origin: base, components: [x], sigma: 1 mm}\n"
     assert complaint(write_arm(tmp_path, yaml)) == (
-        "parametrisation: 'base.x' is listed twice; an unknown pose of the base or place of a target is free already"
+        "parametrisation: 'base.x' is listed twice; leave it out: an unknown base or target is free anyway"
     )
 
 

@@ -229,7 +229,7 @@ def test_less_than_the_noise_is_left_where_too_much_was_stated(tmp_path):
     truth = nominal.with_parameters({"turn.z": 3e-3, "slide.y": 1e-3})
     fit = calib.fit(nominal, measured(truth, 60, 5))
     left = next(row for row in budget_table(fit)["causes"] if row["cause"] == UNEXPLAINED)
-    assert left["remark"] == "none: less is left than the noise"
+    assert left["remark"] == "none: the rest is below the noise"
     assert not re.search(r"not explained.*-0\.\d", fit.report(verbose=True))
 
 

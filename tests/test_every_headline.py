@@ -128,7 +128,7 @@ def test_millimetres_do_not_count_what_was_left_out(commands):
 def test_the_ratio_is_said_to_count_where_uncertain_directions_hide_a_change(commands):
     """The same readings; the calibration from a corner expects more millimetres than there are."""
     hidden, seen = (commands.verified[name] for name in ("hidden", "seen"))
-    assert "Judge by the ratio: most of these millimetres" in commands.verify_texts["hidden"]
+    assert "Judge by the ratio: most of this error" in commands.verify_texts["hidden"]
     assert hidden.calibration_rms > 0.9 * hidden.expected_rms
     assert hidden.errors.table()["after"]["rms"] < 1e3 * hidden.expected_rms
     assert "Judge by the ratio" not in commands.verify_texts["seen"]

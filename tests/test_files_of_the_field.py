@@ -143,7 +143,7 @@ def test_exports_of_instruments_are_read_row_by_row(tmp_path, arm, content, capl
     assert "joined row by row with" in caplog.text
     short = "\n".join(content.splitlines()[: -3 if content is POLYWORKS else -1])
     (tmp_path / "fewer.txt").write_text(short)
-    with pytest.raises(calib.DataError, match=r"has 2 rows, and .* has 3; join: rows needs the same number"):
+    with pytest.raises(calib.DataError, match=r"has 2 rows, and .* has 3; 'join: rows' needs the same number"):
         calib.read_measurements([tmp_path / "joints.csv", tmp_path / "fewer.txt"], robot)
     with pytest.raises(calib.DataError, match=r"fewer.txt.*(no file with joint values has a pose 'p1'|join: rows, or)"):
         calib.read_measurements([tmp_path / "joints.csv", tmp_path / "fewer.txt"], arm())
@@ -178,7 +178,7 @@ def test_times_are_joined_by_the_nearest_within_a_lag(tmp_path, arm):
     (tmp_path / "points.csv").write_text("t,tool_x,tool_y,tool_z\n" + text_of(np.column_stack([times, seen])))
     check(calib.read_measurements([tmp_path / "joints.csv", tmp_path / "points.csv"], robot), robot)
     (tmp_path / "late.csv").write_text("t,tool_x,tool_y,tool_z\n" + text_of([[9.0, *POINTS[0]]]))
-    with pytest.raises(calib.DataError, match=r"its times are 6 s or more from those in .*'lag' allows 0.03 s"):
+    with pytest.raises(calib.DataError, match=r"its times differ by 6 s or more from those in .*'lag' allows 0.03 s"):
         calib.read_measurements([tmp_path / "joints.csv", tmp_path / "late.csv"], robot)
 
 

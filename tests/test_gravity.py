@@ -536,7 +536,7 @@ UP = ",".join(f"low_accelerometer_{axis}" for axis in "xyz")
             "none of inclinometer 'low'",
         ),
         ("", "", "no column 'tip_x', and none of inclinometer 'low' for this joint: expected low_accelerometer_x"),
-        (",tip_x,low_gravity_tilt_x", ",0,0", "column 'tip_x' and inclinometer 'low' share a joint"),
+        (",tip_x,low_gravity_tilt_x", ",0,0", "column 'tip_x' and inclinometer 'low' give the same joint"),
         (",tip_x,tip_y,high_gravity_tilt_x", ",0,0,0", "no column 'high_gravity_tilt_y'"),
         (",tip_x,tip_y,high_gravity_tilt_x,high_gravity_tilt_y", ",0,0,0,", "line 2: a cell of high_gravity_t"),
         (",tip_x,tip_y,high_gravity_tilt_x,high_gravity_tilt_y", ",0,0,0,1.54", "high_gravity_tilt is a tilt beyond"),

@@ -327,12 +327,12 @@ def test_standard_deviations_and_correlations_are_the_covariance_of_a_row(read):
 @pytest.mark.parametrize(
     ("columns", "cells", "message"),
     [
-        ("tip_std_x,tip_std_y", "1e-3,1e-3", "no column 'tip_std_z', but 'tip_std_x'; give all standard deviations"),
-        ("tip_corr_x_y", "0.5", "no column 'tip_std_x', but 'tip_corr_x_y'; give all standard deviations"),
+        ("tip_std_x,tip_std_y", "1e-3,1e-3", "no column 'tip_std_z' beside 'tip_std_x'; give all standard deviations"),
+        ("tip_corr_x_y", "0.5", "no column 'tip_std_x' beside 'tip_corr_x_y'; give all standard deviations"),
         (
             "tip_std_x,tip_std_y,tip_std_z",
             "1e-3,,1e-3",
-            "line 2, column 'tip_std_y': is empty; fill it in, as 'tip' read something there",
+            "line 2, column 'tip_std_y': is empty; fill it in, because this row has a reading of 'tip'",
         ),
         (
             "tip_std_x,tip_std_y,tip_std_z",

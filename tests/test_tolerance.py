@@ -19,8 +19,8 @@ def test_the_smallest_tolerance_of_the_comments_counts():
 @pytest.mark.parametrize(
     ("comment", "says"),
     [
-        ("tolerance: 0.1", "is not a length with a unit; write '# tolerance: 0.1 mm'"),
-        ("tolerance: -1 mm", "is not a length with a unit"),
+        ("tolerance: 0.1", "is not a positive length with a unit; write '# tolerance: 0.1 mm'"),
+        ("tolerance: -1 mm", "is not a positive length with a unit"),
         ("tolerance: 1 deg", "unit 'deg' is for an angle"),
         ("tolerance: fine", "is not a finite number with a unit"),
         ("tolerence: 0.1 mm", "did you mean 'tolerance'"),
@@ -36,7 +36,9 @@ def test_a_comment_of_a_description_states_the_tolerance_but_not_one_inside_an_e
     (tmp_path / "robot.yaml").write_text(f"#tolerance: 0.06 mm\n{text}#   tolerance: 0.01 mm\n  # tolerance: 0.01 mm\n")
     assert read_description(tmp_path / "robot.yaml").tolerance == pytest.approx(6e-5)
     (tmp_path / "robot.yaml").write_text(f"# tolerance: 0.06\n{text}")
-    with pytest.raises(DescriptionError, match=r"robot\.yaml: comment 'tolerance: 0\.06': is not a length with a unit"):
+    with pytest.raises(
+        DescriptionError, match=r"robot\.yaml: comment 'tolerance: 0\.06': is not a positive length with a unit"
+    ):
         read_description(tmp_path / "robot.yaml")
 
 

@@ -418,7 +418,7 @@ def test_a_cause_that_makes_the_error_larger_has_a_bar_back(fit, monkeypatch):
     assert np.square(bars["right"]) - np.square(bars["left"]) == pytest.approx([2.0, 1.5, 1.0, 1.5], abs=1e-3)
     assert len(set(bars["colours"])) == 2
     assert bars["colours"][0] == bars["colours"][1] != bars["colours"][2]
-    assert "makes it larger" in chart.text
+    assert "makes the error larger" in chart.text
 
 
 @pytest.mark.parametrize(

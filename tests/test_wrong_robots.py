@@ -242,5 +242,5 @@ def test_a_joint_that_does_not_move_the_target_is_named_as_that(stated):
     fit = fit_of_a_point_on("link_5", "arm", stated)
     assert fit.verdict.grade == "FAIL"
     text = fit.verdict.reasons[0].text
-    assert "the target does not move with joint_6, as if on a link before it" in text
+    assert "the target does not move with joint_6, as if it sat on a link before it" in text
     assert "In the description" not in text  # no column corrects it

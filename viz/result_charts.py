@@ -109,7 +109,7 @@ def waterfall(fit: Fit) -> Chart | None:
     names = [row["cause"] for row in causes]
     sides = {"left": np.minimum(starts, ends), "right": np.maximum(starts, ends)}
     bars = layer("bars", y=np.arange(len(names)), **sides, thick=0.7, texts=texts, colours=colours)
-    larger = " A cause with a bar in orange makes it larger." if np.any(starts > ends) else ""
+    larger = " A cause with an orange bar makes the error larger." if np.any(starts > ends) else ""
     return Chart(
         "waterfall",
         "Causes of the error before calibration",

@@ -136,7 +136,7 @@ def _origin_of_values(parameters: str | None, result: str | None) -> list[str]:
     noise = "unknown" if sigma is None else f"{millimetres(cast(float, sigma)):.4g} mm"
     return [
         f"values: {result}, made by {content.get('program', 'an unknown version')}",
-        f"fitted to {content['n_poses']} poses, {content['n_rows']} measured values; noise found {noise}",
+        f"fitted to {content['n_poses']} poses, {content['n_rows']} measured values; noise found: {noise}",
     ]
 
 

@@ -59,8 +59,8 @@ def _saved_errors(printer: PrinterFile) -> str:
         if of_kind.size:
             parts.append(f"{noun} {millimetres(float(np.sqrt(np.mean(of_kind**2)))):.4f} mm RMS")
     return (
-        f"errors of the settings in {Path(printer.path).name}: {', '.join(parts)}; the firmware computed them from"
-        " these rows, so a fit is judged against the printer as designed"
+        f"errors of the settings in {Path(printer.path).name}: {', '.join(parts)}; the firmware computed these"
+        " settings from the same rows, so the verdict compares a fit with the printer as designed"
     )
 
 

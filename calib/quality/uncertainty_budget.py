@@ -309,7 +309,7 @@ def _robot_rows(fit: JudgedFit, included: float, poses: PosesLike | None) -> lis
     if freedom:
         note = "repeated poses; contains the noise of a reading"
         if doubtful_repeats(fit.identification):
-            note += ", and nothing else if the robot did not move between them"
+            note += ", and nothing else if the robot did not move between repeats"
         rows.append(BudgetRow.direct(REPEATABILITY, scatter, float(freedom), note))
         included += scatter**2
     if claim is not None and claim.at_measured_poses.is_position:

@@ -44,9 +44,9 @@ UNITS = {"inches": 25.4, "feet": 304.8, "tenths of an inch": 2.54, "cm": 10.0, "
 _PLACE = re.compile(r"(<!-- begin mistakes -->\n).*?(<!-- end mistakes -->)", re.DOTALL)
 _HELD_OUT = (0.0, 0.25)
 _INTRODUCTION = """\
-In simulated files of four robots (the arm above, a five-bar, a UR10e, MedRUE), each with one mistake, once with
-`--validate 0.25` and once without, this was said. *Refused* is an error before any verdict, such as poses at which the
-loops cannot close; most of them name the mistake, too.
+The table counts the verdicts on simulated files of four robots (the arm above, a five-bar, a UR10e, MedRUE). Each file
+has one mistake, and is fitted with `--validate 0.25` and without. *Refused* is an error before any verdict, such as
+poses at which the loops cannot close; most of these errors name the mistake, too.
 """
 
 
@@ -240,7 +240,7 @@ def _said(nominal: calib.Robot, data: Measurements, held_out: float) -> tuple[st
 
 def table(outcomes: list[Outcome]) -> str:
     """Return the Markdown table: of each kind, how many, how they ended, and how many were named."""
-    lines = ["| mistake | tried | PASS | CHECK | FAIL | refused | named rightly |", "|---|" + "---:|" * 6]
+    lines = ["| mistake | tried | PASS | CHECK | FAIL | refused | named correctly |", "|---|" + "---:|" * 6]
     for kind in dict.fromkeys(outcome.kind for outcome in outcomes):
         these = [outcome for outcome in outcomes if outcome.kind == kind]
         grades = Counter(outcome.grade for outcome in these)
@@ -274,7 +274,7 @@ def main() -> None:
     print(table(outcomes))
     if options.page:
         text = PAGE.read_text(encoding="utf-8")
-        part = "" if options.every == 1 else f"Of these mistakes, one in {options.every} was tried.\n"
+        part = "" if options.every == 1 else f"One in {options.every} of these mistakes was tried.\n"
         said = f"{_INTRODUCTION}{part}\n{table(outcomes)}"
         PAGE.write_text(_PLACE.sub(lambda place: f"{place[1]}{said}{place[2]}", text), encoding="utf-8")
 

@@ -34,6 +34,8 @@ def stated_tolerance(comments: Iterable[str], path: str, error: type[Calibration
         where = f"{path}: comment '{key}: {text}'"
         size = quantity(text, "length", where, error) if re.search(r"[^\d.eE+-]", text) else 0.0
         if size <= 0:
-            raise error(f"{where}: is not a length with a unit; write '# {_KEY}: 0.1 mm', or leave the line out")
+            raise error(
+                f"{where}: is not a positive length with a unit; write '# {_KEY}: 0.1 mm', or leave the line out"
+            )
         found.append(size)
     return min(found, default=None)

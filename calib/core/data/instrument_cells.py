@@ -54,8 +54,8 @@ def readings_in(
         if hint is not None:
             raise DataError(f"{table.path}, {hint}")
         raise DataError(
-            f"{lacking_column(lacking, robot, table)} (the robot description has '{instrument.name}': change this name"
-            " there, or the column; 'calib init URDF --out robot.yaml' writes a description)"
+            f"{lacking_column(lacking, robot, table)} (the robot description has '{instrument.name}': rename it there,"
+            " or rename the column; 'calib init URDF --out robot.yaml' writes a description)"
         )
     columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
     numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
@@ -145,13 +145,14 @@ def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatAr
     missing = next((name for name, _ in names if name not in table.names), None)
     if missing is not None:
         raise DataError(
-            f"{table.path}: no column '{missing}', but '{table.header(present[0])}'; give all standard deviations"
+            f"{table.path}: no column '{missing}' beside '{table.header(present[0])}'; give all standard deviations, or"
+            " none"
         )
     std = np.stack([_column_of_readings(instrument, table, kept, name, dimension) for name, dimension in names], axis=1)
     if np.any(std <= 0):
         k, c = np.argwhere(std <= 0)[0]
         where = f"{table.path}, line {table.lines[kept[k]]}, column '{table.header(names[c][0])}'"
-        raise DataError(f"{where}: a standard deviation must be positive")
+        raise DataError(f"{where}: a standard deviation must be positive; correct it")
     correlation = np.tile(np.eye(len(names)), (len(kept), 1, 1))
     for name in correlated:
         i, j = correlation_columns(instrument)[name]
@@ -174,7 +175,7 @@ def _column_of_readings(
     if np.any(np.isnan(values)):
         line = table.lines[kept[int(np.argmax(np.isnan(values)))]]
         raise DataError(
-            f"{table.path}, line {line}, column '{table.header(name)}': is empty; fill it in, as '{instrument.name}'"
-            " read something there"
+            f"{table.path}, line {line}, column '{table.header(name)}': is empty; fill it in, because this row has a"
+            f" reading of '{instrument.name}'"
         )
     return values

@@ -210,7 +210,7 @@ def join_by_pose_column(tables: Sequence[Table], robot: Robot) -> list[Table]:
         return list(tables)
     leaders = [table for table in tables if joints <= set(table.names)]
     if len(leaders) != 1:
-        raise DataError(f"{tables[0].path}: join: {how} needs one file with joint values, not {len(leaders)}")
+        raise DataError(f"{tables[0].path}: 'join: {how}' needs joint values in one file, not in {len(leaders)}")
     every, leader = np.arange(len(leaders[0].rows)), leaders[0]
     return [
         _with_poses(table, every, every) if table is leader else _follower(table, leader, robot) for table in tables
@@ -222,8 +222,8 @@ def _follower(table: Table, leader: Table, robot: Robot) -> Table:
     if robot.description.join == "rows":
         if len(table.rows) != len(leader.rows):
             raise DataError(
-                f"{table.path}: has {len(table.rows)} rows, and {leader.path} has {len(leader.rows)}; join: rows needs"
-                " the same number"
+                f"{table.path}: has {len(table.rows)} rows, and {leader.path} has {len(leader.rows)}; 'join: rows'"
+                " needs the same number in both"
             )
         warn_once(f"{table.path}: joined row by row with {leader.path}, as the description asks")
         return _with_poses(table, np.arange(len(table.rows)), np.arange(len(table.rows)))
@@ -236,8 +236,8 @@ def _follower(table: Table, leader: Table, robot: Robot) -> Table:
     near = np.flatnonzero(apart <= lag)
     if len(near) == 0:
         raise DataError(
-            f"{table.path}: its times are {np.min(apart):.3g} s or more from those in {leader.path}, and 'lag' allows"
-            f" {lag:g} s; make their clocks agree, or give a larger 'lag' in the robot description"
+            f"{table.path}: its times differ by {np.min(apart):.3g} s or more from those in {leader.path}, but 'lag'"
+            f" allows {lag:g} s; make their clocks agree, or give a larger 'lag' in the robot description"
         )
     warn_once(f"{table.path}: joined to {len(near)} of {len(given)} rows of {leader.path} by time, within {lag:g} s")
     return _with_poses(table, nearest[near], near)
@@ -245,7 +245,10 @@ def _follower(table: Table, leader: Table, robot: Robot) -> Table:
 
 def _times(table: Table) -> FloatArray:
     if _TIME not in table.names:
-        raise DataError(f"{table.path}: no column 'time' to join by; name it so, or under 'columns' in the description")
+        raise DataError(
+            f"{table.path}: no column 'time' to join by; rename the column of times, or map it under 'columns' in the"
+            " description"
+        )
     return table.column(_TIME, condition_columns()[_TIME])
 
 

@@ -111,7 +111,8 @@ def _joints_of_table(
         sensor = sensed.get(name)
         if sensor in reading and name in table.names:
             raise DataError(
-                f"{table.path}: column '{table.header(name)}' and inclinometer '{sensor}' share a joint; leave one out"
+                f"{table.path}: column '{table.header(name)}' and inclinometer '{sensor}' give the same joint; leave"
+                " one out"
             )
         if name not in table.names and sensor is None:
             raise DataError(

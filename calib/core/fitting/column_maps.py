@@ -117,7 +117,9 @@ class ColumnMap:
                 size = std[j] if std else _STEP * abs(factor) / 2
                 why = _usual(abs(factor), size, robot.mechanism.dimensions[name])
                 if j in still:
-                    parts.append(f"the target does not move with {joints_named(name)}, as if on a link before it")
+                    parts.append(
+                        f"the target does not move with {joints_named(name)}, as if it sat on a link before it"
+                    )
                     continue
                 how.insert(0, f"was scaled by {1 / abs(factor):.4g} +- {2 * size / factor**2:.1g}")
             parts.append(f"{joints_named(name)} {' and '.join(how)} ({value} would be right{why})")

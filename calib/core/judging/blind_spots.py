@@ -34,7 +34,7 @@ def not_covered(fit: Fit) -> tuple[str, ...]:
     seen_in_order = any(Trait.IN_COURSE in p.kind.traits for p in findings.patterns(fit) if p.significant)
     order = () if seen_in_order else unordered(fit.identification.data)  # such a pattern says that rows are in order
     n_sample, n_poses = (each.identification.data.n_poses for each in (findings.sample_of_poses(fit), fit))
-    fewer = f"a pattern that needs more poses: patterns and causes were judged on {n_sample} of {n_poses} poses"
+    fewer = f"a pattern that only more poses show: patterns and causes were judged on {n_sample} of {n_poses} poses"
     return (*[fewer] * (n_sample < n_poses), *_scale(fit), *_whose_noise(fit), *order, *terms_beyond(fit))
 
 

@@ -130,8 +130,8 @@ def doubtful_repeats(errors: ErrorSet) -> str:
     if not several or any(np.ptp(places[scatter.visits]) >= len(scatter.visits) for scatter in several):
         return ""
     return (
-        "readings of a pose follow each other: if the robot did not leave the pose between them, RP is the scatter of"
-        " the instrument alone"
+        "repeats of a pose follow each other in the file: if the robot did not leave the pose between two repeats, RP"
+        " is only the scatter of the instrument"
     )
 
 

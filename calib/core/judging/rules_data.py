@@ -91,7 +91,7 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
     rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
     if fit.statistics.freedom < FEW or rows < 2 * used - 1e-6:
         yield Code.TOO_FEW_POSES.says(
-            f"too few poses: {rows} measured values for {used:.0f} parameters. Measure several times as many",
+            f"too few poses: {rows} measured values for {used:.0f} parameters. Measure several times as many poses",
             counted=fit.statistics.freedom >= FEW and fit.validation is not None,
         )
 

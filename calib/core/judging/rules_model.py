@@ -236,7 +236,8 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
     shift, angle = significant(millimetres(moved.shift)), significant(float(np.degrees(moved.angle)), 2)
     yield Code.FRAME_MOVED.says(
         f"the tracker, the base or its frame probably moved between the two files, by {shift} mm and {angle} deg: this"
-        f" explains all but {significant(millimetres(moved.rms_after))} mm RMS{placed}. Measure both from one place, or"
+        f" leaves {significant(millimetres(moved.rms_after))} mm RMS unexplained{placed}. Measure both files from one"
+        " place, or"
         " hold out poses of one file (--validate 0.25)"
     )
 
@@ -253,8 +254,8 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
     if chance > UNLIKELY:
         evidence += f"{'; ' if evidence else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
         yield Code.NOTHING_TO_CORRECT.says(
-            f"nothing to correct: {evidence}. No error of the parameters shows beside the"
-            f" {noise_in_words(fit.first_noise, fit.sigma)} that are left"
+            f"nothing to correct: {evidence}. No error of the parameters is visible beside"
+            f" the noise of {noise_in_words(fit.first_noise, fit.sigma)}"
         )
     elif entries and all(entry.after >= entry.before for entry in entries):
         yield Code.NO_GAIN.says(
@@ -340,7 +341,7 @@ def systematic(fit: Fit) -> Iterator[Reason]:
             advice = "; correct the target's frame in the description" if kinds is misplaced else advice
             if kinds is misread:
                 wrong = listing(list(dict.fromkeys(pattern.name for pattern in misread)))
-                advice = f"; correct {wrong}, or the entry in the description (such as `offset` of a distance)"
+                advice = f"; correct the readings of {wrong}, or the description (such as the `offset` of a distance)"
             in_claim = worst.dimension != "length" or worst.size < LEFT_OUT * measured_space(fit)
             if kinds is misread:
                 in_claim = all(pattern.size < AT_END * _left_of_instrument(fit, pattern) for pattern in misread)

@@ -228,7 +228,7 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
     if len(scaled):
         factors = [f"{joints_named(names[j])} {1.0 + scales[j]:.4g} times as far" for j in scaled]
         yield Code.JOINT_SCALED.says(
-            f"joints do not move as far as their values say: {listing(factors)}. No gear is off by more than"
+            f"joints do not move as their values say: {listing(factors)}. No gear is off by more than"
             f" {100 * JOINT_SCALED:g} %: look at the unit and the range of these columns, and at the gear ratios of the"
             " controller and of the description"
         )
@@ -262,8 +262,8 @@ def joint_moves_otherwise(fit: Fit) -> Iterator[Reason]:
         flat = ratio < FLAT and scipy.special.fdtr(freedom, 2.0 * freedom, ratio) < UNLIKELY**2
         if flat and off > JOINT_OFF and fit.nominal.mechanism.dimensions[last] == "angle":
             yield Code.JOINT_SCALED.says(
-                f"{joints_named(last)} does not move as its values say: what the fit leaves is in a plane that turns"
-                " with the link behind it. Look at the rows, the unit, the sign and the counted turns of its column"
+                f"{joints_named(last)} does not move as its values say: residuals lie in a plane that turns with the"
+                " link that it moves. Check the rows, the unit, the sign and the counted turns of its column"
             )
 
 

@@ -13,7 +13,7 @@ from calib.core.fitting.error_sets import error_table
 from calib.core.judging.acceptance import Acceptance
 from calib.core.judging.promise import POWER, Change
 from calib.core.judging.repeatability import CONDITIONS, IsoFigure, conditions
-from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 
 _SHOWN, _WIDTH = 5, 120  # changes; characters of a line
 _APART = 0.1  # a ratio and a ratio of millimetres that are nearer, on both sides of 1, do not contradict each other
@@ -158,14 +158,14 @@ def _errors(acceptance: Acceptance) -> list[str]:
         lines.append(
             f"Position errors over {count_noun(data.n_poses, 'pose')}: {rms:.4f} mm RMS,"
             f" {table['max']:.4f} mm at worst; expected{with_it}: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
-            f" uncertainty of the calibration {left_open:.4f} mm); by chance at most"
-            f" {millimetres(acceptance.limit):.4f} mm RMS"
+            f" uncertainty of the calibration {left_open:.4f} mm); an unchanged robot"
+            f" exceeds {millimetres(acceptance.limit):.4f} mm RMS in 1 of {1 / UNLIKELY:.0f} cases"
         )
         times = rms / promised
         if (times > 1.0) != (acceptance.ratio > 1.0) and abs(times - acceptance.ratio) > _APART:
             lines.append(
-                "Judge by the ratio: most of these millimetres lie in the few directions that the calibration leaves"
-                " uncertain, where chance makes them many or few. They hide errors in the others"
+                "Judge by the ratio: most of this error lies in the few directions that the calibration leaves"
+                " uncertain. There its size is chance, and it hides errors in the other directions"
             )
     return lines
 

@@ -119,8 +119,8 @@ def _components(
             if name in parameters:
                 if section.origin == "all" and name not in from_all:
                     continue
-                why = "; an unknown pose of the base or place of a target is free already" if placement else ""
-                raise DescriptionError(f"{where}: parametrisation: '{name}' is listed twice{why}")
+                advice = "leave it out: an unknown base or target is free anyway" if placement else "leave one out"
+                raise DescriptionError(f"{where}: parametrisation: '{name}' is listed twice; {advice}")
             start = float(origins[origin].xyz[k]) if section.dimension == "length" else 0.0
             parameters[name] = Parameter(name, section.dimension, start, sigma, unit, prior, placement)
             if section.origin == "all":

@@ -15,7 +15,7 @@ from calib.core.judging.error_budget import NOISE, PLACES, REST, UNEXPLAINED, Ca
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 
 _FINEST = 1e-3  # a page shows digits down to this part of the whole mean square
-_NOT_SEEN, _LESS = "none to be seen", "none: less is left than the noise"
+_NOT_SEEN, _LESS = "none visible", "none: the rest is below the noise"
 """Remarks in place of a mean square that is negative, by chance, or because the stated noise is too large."""
 
 
@@ -31,7 +31,7 @@ def budget_table(fit: Fit) -> dict[str, Any] | None:
 
     def row(cause: str, mean_square: float, std: float) -> dict[str, object]:
         positive = mean_square >= 0.0
-        surely = _LESS if cause == UNEXPLAINED else "makes it larger"
+        surely = _LESS if cause == UNEXPLAINED else "makes the error larger"
         return {
             "cause": cause,
             "mean_square": scale**2 * mean_square,

@@ -172,7 +172,8 @@ class Measurements(Poses):
     approach_assumed: bool = False
 
     def __post_init__(self) -> None:
-        vars(self)["readings"] = {name: own for name, own in self.readings.items() if len(own)}
+        kept = {name: own for name, own in self.readings.items() if len(own) or not own.values.shape[1]}
+        vars(self)["readings"] = kept  # planned readings have no numbers yet
         super().__post_init__()
 
     @property

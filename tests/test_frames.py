@@ -259,7 +259,8 @@ def test_commands_leave_a_good_robot_alone_and_say_so(nominal_delta, tmp_path, r
     assert np.all(np.array(table, dtype=float)[:, 3:] == 0)
     rows = json.loads((tmp_path / "rows.json").read_text())
     assert rows["nothing_to_correct"]
-    assert "include measurement noise, the priors, and what the model leaves out" in rows["counted"]
+    assert "Expected errors count noise and priors, " in done["moves"].out
+    assert {"noise and priors", "frame"} <= set(rows["contains"])
     assert [row["joints"]["arm_2 [deg]"] for row in rows["rows"]] == pytest.approx(np.degrees([0.2, 0.125]), abs=1e-12)
 
 

@@ -257,3 +257,21 @@ def test_an_error_of_the_joints_that_a_visit_shares_is_found_and_widens_interval
     z = np.array(errors) / np.array(claimed)
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.25)  # 12 draws of 9 parameters
     assert np.mean(np.array(claimed) / np.array(narrow)) > 1.1
+
+
+def test_a_column_of_empty_cells_counts_as_no_instrument(tmp_path):
+    """One wire is read nowhere, or at three visits, which folds may leave out: the fit and its verdict stand."""
+    far = "end: {frame: ground, xyz: [3, 1, 0]}, sigma: 0.05 mm"
+    yaml = with_noise_of(YAML, ", sigma: 0.02 mm") + f"  wire: {{kind: distance, target: tip, {far}}}\n"
+    robot = calib.load(write_arm(tmp_path, yaml))
+    truth = robot.with_parameters(OFF)
+    whole = calib.simulate(truth, joints(30), seed=1)
+    some = replace(whole, readings={**whole.readings, "wire": whole.readings["wire"].subset(np.array([4, 5, 20]))})
+    none = replace(whole, readings={**whole.readings, "wire": whole.readings["wire"].subset(np.arange(0))})
+    alone = replace(whole, readings={"tip": whole.readings["tip"]})
+    values = [calib.fit(robot, data).robot.values for data in (none, alone)]
+    assert np.array_equal(*values)
+    for data in (none, some):
+        fit = calib.fit(robot, data, folds=5)
+        assert "Verdict" in str(fit)
+        assert {*fit.identification.after} == {*data.readings}

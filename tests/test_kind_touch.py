@@ -317,6 +317,19 @@ def test_one_socket_does_not_see_the_scale_of_the_robot_and_a_bar_of_known_lengt
     assert any({"j3.z", "j4.x", "ball.z"} <= set(group) for group in open_groups) != seen
 
 
+def test_a_plan_keeps_the_column_of_a_probe_that_touches_nothing_in_it(tmp_path, run_calib):
+    """A single pose for two probes: without the column, what the second one touches would not be said."""
+    arm_with(
+        tmp_path,
+        SOCKETS.replace("{left", "{l").replace("right", "r") + "}\n  other: {kind: touch, target: ball, " + PLATE,
+    )
+    run = run_calib("sample", "arm.yaml", "--count", "1", "--out", "poses.csv", cwd=tmp_path)
+    assert run.code == 0, run.err
+    header = next(line for line in (tmp_path / "poses.csv").read_text().splitlines() if line.startswith("pose"))
+    assert header.split(",")[-2:] == ["probe", "other"]
+    assert run_calib("check", "arm.yaml", "poses.csv", cwd=tmp_path).err.count("touches") == 0
+
+
 def test_poses_that_do_not_say_what_they_touch_tell_more_than_touches_can_and_check_says_so(tmp_path, run_calib):
     arm_with(tmp_path, ONE, LENGTHS)
     data = written(tmp_path, joints(30), [""] * 30, ("probe", "remark"))

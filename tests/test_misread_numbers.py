@@ -10,7 +10,7 @@ from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, write_six_
 from test_kind_pose import YAML as POSES
 
 import calib
-from calib.core.judging.effects import length_derivative
+from calib.core.judging.row_derivatives import length_derivative
 from calib.core.rows.observed import observe, predict_readings
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

@@ -1,4 +1,4 @@
-"""The package of docs/own_package, installed beside calib: its theodolite and its hysteresis in every command."""
+"""The package of docs/own_package, installed beside calib: its kinds and its joint terms in every command."""
 
 import importlib
 import json
@@ -41,18 +41,29 @@ THEODOLITES = "\n".join(
     " sigma_station: 20 mm, sigma: 0.01 mrad}"
     for name, (xyz, _) in STATIONS.items()
 )
+BEAMS = {"low": ("0.45 m, -0.5 m, 0.3 m", "-90 deg, 0, 0"), "high": ("-0.2 m, 0.3 m, 0.55 m", "0, 90 deg, 0")}
+"""Of each laser line where it begins, and its direction."""
+LASER_LINES = "\n".join(
+    f"  {name}: {{kind: laser_line, target: chip, beam: {{frame: base_link, xyz: [{xyz}], rpy: [{rpy}]}},"
+    " sigma_beam: 2 mm, reach: [0.2 m, 0.8 m], sigma: 0.01 mm}"
+    for name, (xyz, rpy) in BEAMS.items()
+)
+ON_THE_FLANGE = "frame: flange, xyz: [20 mm, 0 mm, 50 mm], position: unknown, sigma: 1 mm"
 YAML = f"""\
 urdf: arm.urdf
 name_mot: [joint_1, joint_2, joint_3, joint_4, joint_5, joint_6]
 base: {{frame: base_link}}
 targets:
-  prism: {{frame: flange, xyz: [20 mm, 0 mm, 50 mm], position: unknown, sigma: 1 mm}}
+  prism: {{{ON_THE_FLANGE}}}
 instruments:
 {THEODOLITES}
 parametrisation:
   - {{origin: all, components: [x, y, z], sigma: 0.3 mm}}
   - {{origin: all, components: [rx, ry, rz], sigma: 1 mrad}}
 """
+LASER_YAML = YAML.replace(THEODOLITES, LASER_LINES).replace(
+    f"prism: {{{ON_THE_FLANGE}", f"chip: {{{ON_THE_FLANGE}, orientation: unknown, sigma_angle: 5 mrad"
+)
 GROUPS = tomllib.loads((PACKAGE / "pyproject.toml").read_text())["project"]["entry-points"]
 
 
@@ -78,25 +89,35 @@ def _installed(tmp_path_factory):
         yield
 
 
-@pytest.fixture(scope="module")
-def lab(tmp_path_factory, run_calib):
-    """A folder with an arm that two theodolites look at, its true parameters, simulated measurements and their fit."""
-    folder = tmp_path_factory.mktemp("lab")
+def measured(folder, run_calib, text, known, validate):
+    """A robot with this description, and the true one, beside the files of its simulated measurements and their fit."""
     (folder / "arm.urdf").write_bytes((ROOT / "docs" / "examples" / "arm.urdf").read_bytes())
-    (folder / "arm.yaml").write_text(YAML)
+    (folder / "arm.yaml").write_text(text)
     robot, rng = calib.load(folder / "arm.yaml"), np.random.default_rng(0)
-    truth = {p.name: p.nominal_si + 0.5 * p.sigma_si * rng.standard_normal() for p in robot.parameters}
-    truth |= {f"{name}_station.rz": heading for name, (_, heading) in STATIONS.items()}
+    truth = {p.name: p.nominal_si + 0.5 * p.sigma_si * rng.standard_normal() for p in robot.parameters} | known
     lines = [f"{p.name},{truth[p.name]!r},{'m' if p.dimension == 'length' else 'rad'}" for p in robot.parameters]
     (folder / "truth.csv").write_text("\n".join(["parameter,value,unit", *lines]) + "\n")
     for words in (
         "sample arm.yaml --count 60 --seed 1 --out poses.csv",
         "simulate arm.yaml poses.csv --parameters truth.csv --seed 2 --out data.csv",
-        "fit arm.yaml data.csv --validate 0.8 --out fit",
+        f"fit arm.yaml data.csv --validate {validate} --out fit",
     ):
         run = run_calib(*words.split(), cwd=folder)
         assert run.code == 0, run.err
     return folder, robot, robot.with_parameters(truth)
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, run_calib):
+    """An arm that two theodolites look at."""
+    headings = {f"{name}_station.rz": heading for name, (_, heading) in STATIONS.items()}
+    return measured(tmp_path_factory.mktemp("lab"), run_calib, YAML, headings, 0.8)
+
+
+@pytest.fixture(scope="module")
+def lines(tmp_path_factory, run_calib):
+    """An arm with a chip that meets two laser lines."""
+    return measured(tmp_path_factory.mktemp("lines"), run_calib, LASER_YAML, {}, 0.2)
 
 
 SEEN = View(np.tile(np.eye(3), (3, 1, 1)), np.array([[2.0, 1.0, 0.5], [-1.0, 0.3, -2.0], [-3.0, -1e-3, 0.1]]))
@@ -190,23 +211,55 @@ def test_its_reason_is_one_of_the_verdict_where_it_is_true():
     assert codes[8.0]["warmed_up"] == "the temperature changed by 8.0 K; measure at an even one"
 
 
+COMMANDS = {
+    "check arm.yaml data.csv": "60 poses",
+    "select arm.yaml poses.csv --count 25 --out chosen.csv": "Written to chosen.csv",
+    "predict fit poses.csv --out predicted.csv": "60 poses written",
+    "verify fit data.csv": "",
+    "export fit --format urdf --out calibrated.urdf": "written to calibrated.urdf",
+    "view fit --html view.html": "Written to view.html",
+    "watch arm.yaml data.csv --once --goal 5mm": "as far as readings show positions",
+}
+
+
 @pytest.mark.quick(1)
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("check arm.yaml data.csv", "60 poses"),
-        ("select arm.yaml poses.csv --count 25 --out chosen.csv", "Written to chosen.csv"),
-        ("predict fit poses.csv --out predicted.csv", "60 poses written"),
-        ("verify fit data.csv", ""),
-        ("export fit --format urdf --out calibrated.urdf", "written to calibrated.urdf"),
-        ("view fit --html view.html", "Written to view.html"),
-        ("watch arm.yaml data.csv --once --goal 5mm", "as far as readings show positions"),
-    ],
-)
-def test_a_theodolite_works_in_every_command(lab, run_calib, words, said):
-    run = run_calib(*words.split(), cwd=lab[0])
+@pytest.mark.parametrize("words", COMMANDS)
+@pytest.mark.parametrize("kind", ["lab", "lines"])
+def test_a_kind_works_in_every_command(request, run_calib, kind, words):
+    run = run_calib(*words.split(), cwd=request.getfixturevalue(kind)[0])
     assert run.code == 0, run.err
-    assert said in run.out
+    assert COMMANDS[words] in run.out
+
+
+@pytest.mark.quick(0)
+def test_poses_are_shared_out_among_laser_lines_and_both_are_found(lines, run_calib, with_pages):
+    folder, robot, true = lines
+    data = calib.read_measurements(folder / "data.csv", robot)
+    assert min(map(len, data.readings.values())) > 18  # of 30 each; not every place on a line is within reach
+    run = run_calib("fit", "arm.yaml", "data.csv", "--out", "pages", cwd=folder)
+    assert run.out.splitlines()[1] == "Verdict: PASS"
+    q = calib.sample(robot, 30, 5).joints
+    off, before = (
+        np.abs(turn.positions(q) - true.positions(q)).max() for turn in (calib.load(folder / "pages"), robot)
+    )
+    assert off < 0.4 * before
+    assert "Spots are within" in viz.report(calib.load_result(folder / "pages").fit).html
+    assert (folder / "pages" / "viewer.html").is_file()
+
+
+def test_a_laser_line_reads_where_a_tilted_chip_cuts_it():
+    entry = {"kind": "laser_line", "target": "chip", "beam": {"frame": "base"}, "sigma_beam": "2 mm"}
+    kind = KINDS["laser_line"].from_section(
+        "low", KINDS["laser_line"].section.model_validate(entry | {"reach": ["0.2 m", "0.8 m"]})
+    )
+    slope = np.radians(30)  # about the chip's x axis, which faces the beam: lengths along y grow by 1 / cos
+    tilted = np.array([[1, 0, 0], [0, -np.cos(slope), np.sin(slope)], [0, -np.sin(slope), -np.cos(slope)]])
+    view = View(np.tile(tilted, (3, 1, 1)), np.array([[1e-3, 2e-3, 0.5], [-3e-3, 0.0, 0.3], [0.02, 0.0, 0.4]]))
+    read = kind.predict(view, np.zeros(0), np.zeros((3, 0)))
+    assert np.allclose(read[:2], [[-1e-3, 2e-3 / np.cos(slope)], [3e-3, 0.0]], rtol=0, atol=1e-15)
+    assert np.isnan(read[2]).all()  # beside the chip
+    check_kind(kind, kind.sights(5, np.random.default_rng(1)))
+    assert len((PACKAGE / "lab_calib" / "laser_line.py").read_text().splitlines()) <= 80
 
 
 def test_a_robot_read_by_directions_is_watched_until_its_positions_are_that_good(lab):

@@ -245,6 +245,9 @@ def test_of_a_bag_one_photograph_of_each_stop_comes_with_the_joints_of_that_mome
     write_bag(tmp_path / "bag", photographs(q, shown, generator))
     write_bag(tmp_path / "none", photographs(q, shown, generator, joints=False))
     write_bag(tmp_path / "other", photographs(q, shown, generator, names=tuple("abcdef")))
+    twice = photographs(q, shown, generator)
+    again = ("/goals", "sensor_msgs/msg/JointState", START, joint_state(START, q[1], JOINTS))
+    write_bag(tmp_path / "twice", [*twice, again])
 
     def detect(*sources):
         return run_calib("detect", *sources, "--board", board, "--out", "pixels.csv", "--force", cwd=tmp_path)
@@ -267,3 +270,6 @@ def test_of_a_bag_one_photograph_of_each_stop_comes_with_the_joints_of_that_mome
     done = detect("bag", "other")
     assert done.code == 2
     assert "other: has the joints a, b, c, d, e, and 1 more, and bag has joint_1" in done.err
+    done = detect("twice")
+    assert done.code == 2
+    assert "joint 'joint_1' is in " in done.err

@@ -15,9 +15,9 @@ from calib.core.fitting.solved_fit import Convergence
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import _margin_above_mean
 from calib.core.judging.blind_spots import unordered
-from calib.core.judging.effects import scale
 from calib.core.judging.next_step import next_step
 from calib.core.judging.rounded_joint_values import joint_steps, rounding
+from calib.core.judging.row_derivatives import scale
 from calib.core.judging.rules_reach import _covariance_given
 
 

@@ -25,7 +25,7 @@ from calib.core.base.errors import DataError
 from calib.core.base.memory import require_memory
 from calib.core.base.words import count_noun, listing
 from calib.core.data.measurements import Poses, readings_of_visits
-from calib.core.instruments.kind import Comparison, FrameInstrument, Readings, View
+from calib.core.instruments.kind import Comparison, FrameInstrument, Instrument, Readings, View
 from calib.core.instruments.pose import Pose
 from calib.core.instruments.rotations import rotation_vectors
 from calib.core.robots.described_instruments import MEASUREMENT_FRAME
@@ -211,25 +211,26 @@ class _MutualPose(Pose):
 
 
 def _brought_into_sight(robot: Robot, first: Poses, generator: np.random.Generator) -> FloatArray:
-    """Joint values (n, n_actuated) near those of `first`, moved to where instruments can read if they define where."""
-    joints, n = first.joints, len(first)
-    for instrument in robot.instruments:
-        if not isinstance(instrument, FrameInstrument) or (sights := instrument.sights(n, generator)) is None:
-            continue
-        frames = instrument.pairs(MEASUREMENT_FRAME)
-        stand_in = _MutualPose(
-            instrument.name, instrument.target, frames=frames, noise=instrument.noise, unknowns=instrument.unknowns
-        )
-        others = tuple(stand_in if other is instrument else other for other in robot.instruments)
+    """Joint values (n, n_actuated) near those of `first`, moved to where instruments can read if they define where.
+
+    Several such instruments share the poses evenly.
+    """
+    frame_instruments = [own for own in robot.instruments if isinstance(own, FrameInstrument)]
+    drawn = [(own, own.sights(len(first), generator)) for own in frame_instruments]
+    seeing = [(own, sights) for own, sights in drawn if sights is not None]
+    stand_ins, wanted = dict[str, Instrument](), dict[str, Readings]()
+    for k, (own, sights) in enumerate(seeing):
+        frames, visits = own.pairs(MEASUREMENT_FRAME), np.arange(k, len(first), len(seeing))
+        stand_ins[own.name] = _MutualPose(own.name, own.target, frames=frames, noise=own.noise, unknowns=own.unknowns)
         turned = np.isfinite(sights.rotation).all(axis=(1, 2))
-        goals = np.hstack([sights.translation, np.full((n, 3), np.nan)])
+        goals = np.hstack([sights.translation, np.full((len(first), 3), np.nan)])
         goals[turned, 3:] = rotation_vectors(sights.rotation[turned])
-        pairs = generator.integers(len(frames), size=n)
-        wanted = Readings(np.arange(n), pairs, goals, None, np.zeros((n, 0)))
-        joints, _ = touching_configurations(
-            replace(robot, instruments=others), _poses(robot, joints), {instrument.name: wanted}
-        )
-    return joints
+        pairs = generator.integers(len(frames), size=len(first))
+        wanted[own.name] = Readings(visits, pairs[visits], goals[visits], None, np.zeros((len(visits), 0)))
+    instruments = tuple(stand_ins.get(own.name, own) for own in robot.instruments)
+    return (
+        touching_configurations(replace(robot, instruments=instruments), first, wanted)[0] if wanted else first.joints
+    )
 
 
 def _poses(robot: Robot, joints: FloatArray) -> Poses:

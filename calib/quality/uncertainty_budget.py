@@ -38,8 +38,8 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.data.in_memory import PosesLike
 from calib.core.instruments.pixel import Pixel
-from calib.core.judging.effects import EffectSetting
 from calib.core.judging.repeatability import doubtful_repeats, repeatability
+from calib.core.judging.row_derivatives import EffectSetting
 from calib.core.judging.verdict import JudgedFit
 from calib.core.numerics import linalg
 from calib.core.numerics.prior_sizes import variance_by_sizes

@@ -129,7 +129,7 @@ class RepeatedCalibration(ReadOnlyArrays):
 
 def _same_looks(data: Measurements, other: Measurements) -> bool:
     """Whether the instruments had the same targets at the same visits."""
-    return all(
+    return data.readings.keys() == other.readings.keys() and all(
         np.array_equal(getattr(data.readings[name], key), getattr(readings, key))
         for name, readings in other.readings.items()
         for key in ("visits", "pairs", "details")

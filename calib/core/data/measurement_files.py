@@ -109,8 +109,7 @@ def read_measurements(
         where = f"{tables[0].path}{f' and {len(paths) - 1} more' if len(paths) > 1 else ''}"
         raise DataError(f"{where}: all cells of the measured columns are empty; there is nothing to read")
     check_repeats(data, robot)
-    kept = np.unique(np.concatenate([readings.visits for readings in data.readings.values()]))
-    return data.subset(kept) if len(kept) < len(data) else data
+    return data.read_visits() if data.n_readings else data.subset(np.arange(0))
 
 
 def sources(given: Source | Sequence[Source]) -> list[Source]:

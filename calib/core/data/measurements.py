@@ -162,7 +162,7 @@ class Measurements(Poses):
     """Visits with their readings.
 
     Attributes:
-        readings: Readings of each instrument, by its name; visits are indices into the rows.
+        readings: Readings of each instrument that read something, by its name; visits are indices into the rows.
         approach_assumed: Whether `approach` was taken from the order of the rows of a larger file.
         order: Place of each visit in the order of measurement, from 0, (n,). If not given: the order of the rows.
     """
@@ -170,6 +170,11 @@ class Measurements(Poses):
     readings: Mapping[str, Readings]
     order: IntArray | None = None
     approach_assumed: bool = False
+
+    def __post_init__(self) -> None:
+        kept = {name: own for name, own in self.readings.items() if len(own) or not own.values.shape[1]}
+        vars(self)["readings"] = kept  # planned readings have no numbers yet
+        super().__post_init__()
 
     @property
     def n_readings(self) -> int:

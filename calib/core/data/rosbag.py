@@ -155,18 +155,11 @@ def joints_of_bag(path: Path | str, times: FloatArray) -> tuple[list[str], Float
     """Return names of joints, their values at times (n,) [s], (n, n_joints), and whether the robot stood still, (n,).
 
     Raises:
-        DataError: The package rosbags is missing, or the bag cannot be read.
+        DataError: The package rosbags is missing, the bag cannot be read, or a joint is in two topics.
     """
-    joints: dict[str, tuple[list[float], list[float]]] = {}
-    for _, _, at, message in messages_of_bag(path, (_JOINTS,)):
-        for name, value in zip(message.name, message.position, strict=False):
-            joints.setdefault(name, ([], []))[0].append(at)
-            joints[name][1].append(float(value))
-    series = []
-    for stamps, values in joints.values():
-        order = np.argsort(stamps, kind="stable")
-        series.append((np.array(stamps)[order], np.array(values)[order][:, None]))
-    q, spread = _joints_at(times, series)
+    joints, _ = _series(path)
+    stamped = all(stamp > 0 for series in joints.values() for stamp in series.stamps)
+    q, spread = _joints_at(times, [series.sorted_by_time(stamped) for series in joints.values()])
     return list(joints), q, (spread <= _STILL) & bool(joints)
 
 

@@ -103,7 +103,7 @@ def placed(name: str, section: PlaceSection | PosedSection, unknown: tuple[Compo
 
 
 @dataclass(frozen=True, eq=False)
-class View(ReadOnlyArrays):
+class View:
     """Poses of frame b seen from frame a, for n readings.
 
     Attributes:
@@ -152,7 +152,7 @@ class Readings(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison(ReadOnlyArrays):
+class Comparison:
     """Predicted minus read, of an instrument that looks at frames.
 
     Attributes:
@@ -167,7 +167,7 @@ class Comparison(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class JointComparison(ReadOnlyArrays):
+class JointComparison:
     """Predicted minus read, of an instrument that reads a joint.
 
     Attributes:

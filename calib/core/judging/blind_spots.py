@@ -12,9 +12,9 @@ from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
 from calib.core.judging.effect_kinds import Trait
-from calib.core.judging.effects import has_time, scale
 from calib.core.judging.error_budget import ENOUGH_REPEATS
 from calib.core.judging.repeatability import repeatability
+from calib.core.judging.row_derivatives import has_time, scale
 from calib.core.judging.rules_reach import terms_beyond
 from calib.core.rows.reported_uncertainty import ReportedUncertainty
 

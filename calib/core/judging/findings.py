@@ -17,9 +17,10 @@ from calib.core.fitting.outliers import Outlier, outliers_of, readings_of_outlie
 from calib.core.fitting.settings import Settings
 from calib.core.judging import residual_patterns
 from calib.core.judging.effect_kinds import Kind, Pattern, Trait
-from calib.core.judging.effects import EffectSetting, effects
+from calib.core.judging.effects import effects
 from calib.core.judging.error_budget import ErrorBudget, error_budget, joint_causes
 from calib.core.judging.linear_fit import LinearFit
+from calib.core.judging.row_derivatives import EffectSetting
 from calib.core.numerics import linalg
 from calib.core.numerics.losses import StudentisedErrors
 

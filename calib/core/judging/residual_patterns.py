@@ -41,8 +41,9 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.judging.effect_kinds import Family, Kind, Pattern, Trait
-from calib.core.judging.effects import Effects, EffectSetting, effects
+from calib.core.judging.effects import Effects, effects
 from calib.core.judging.linear_fit import ABSORBED, LinearFit
+from calib.core.judging.row_derivatives import EffectSetting
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, FALSE_ALARM
 from calib.core.numerics.tall import KEPT, slices

@@ -15,8 +15,8 @@ from calib.core.base.words import joints_named, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.judging import findings
-from calib.core.judging.effects import constants, errors_in_links, gains, own_scales, scales
 from calib.core.judging.reasons import Code, Reason
+from calib.core.judging.row_derivatives import constants, errors_in_links, gains, own_scales, scales
 from calib.core.judging.rules_noise import impossible
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, UNLIKELY

@@ -247,7 +247,7 @@ def _squared_errors(errors: ErrorSet) -> dict[bytes, float]:
     rows_of = {instrument.name: rows for instrument, _, rows in same}
     for name, readings in data.readings.items():
         squares = np.full(len(readings), np.nan)
-        if name in rows_of and len(readings):
+        if name in rows_of:
             squares = np.nansum((scale * errors.after[name][:, rows_of[name]]) ** 2, axis=1)
         keys = reading_keys(name, data.joints[readings.visits], readings.values)
         result |= dict(zip(keys, squares.tolist(), strict=True))

@@ -29,6 +29,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.contributions import Contribution, Contributions
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.words import count_noun
 from calib.core.robots.jacobian import linearise
@@ -69,6 +70,14 @@ class CorrectionFrame(ReadOnlyArrays):
         """Whether the verdict keeps the commands of the nominal robot."""
         return self.known.nothing_to_correct
 
+    @property
+    def contains(self) -> Contributions:
+        """Contributions to errors in this frame; none where they are not known."""
+        known = self.known.uncertainty
+        if known is None:
+            return frozenset()
+        return known.contains if self.motion is None else known.contains | {Contribution.FRAME}
+
     def predict(self, q: FloatArray, context: Context | None = None) -> PositionUncertainty:
         """Predict positions of all targets in this frame, with their covariance; NaN where it is not known.
 
@@ -92,6 +101,7 @@ class CorrectionFrame(ReadOnlyArrays):
             predicted.coverage_factor,
             predicted.turn_covariance,
             self.robot.unreported_targets,
+            contains=self.contains,
         )
 
     def uncorrected_errors(self, q: FloatArray, context: Context) -> FloatArray:

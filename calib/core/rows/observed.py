@@ -188,8 +188,10 @@ class _Work:
 
     def result(self, configurations: Configurations) -> Observed:
         """Return the filled arrays."""
-        visits = as_slice(self.readings.visits)
-        phi = tuple(columns[visits] for columns in configurations.term_columns)
+        phi = configurations.term_columns
+        if phi:
+            visits = as_slice(self.readings.visits)
+            phi = tuple(columns[visits] for columns in phi)
         return Observed(self.robot, self._residuals, self._columns, phi)
 
 

@@ -48,7 +48,7 @@ def register(robot: Robot, data: Measurements, *, rough_beyond: float = np.inf) 
             robot = _place(robot, data, seen, setup, rough_beyond)
     placed: list[str] = []
     for instrument in robot.instruments:
-        if len(data.readings.get(instrument.name, ())):
+        if instrument.name in data.readings:
             placed.append(instrument.name)
             if isinstance(instrument, FrameInstrument):
                 robot = _guess(robot, data, instrument, placed)

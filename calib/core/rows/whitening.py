@@ -40,9 +40,7 @@ class Whitening:
     """
 
     def __init__(self, robot: Robot, data: Measurements, sigma: float | None = None) -> None:
-        self._names = tuple(
-            instrument.name for instrument in robot.instruments if len(data.readings.get(instrument.name, ()))
-        )
+        self._names = tuple(instrument.name for instrument in robot.instruments if instrument.name in data.readings)
         self._n_rows = {instrument.name: instrument.n_rows for instrument in robot.instruments}
         self._inverse: dict[str, FloatArray] = {}
         groups: dict[tuple[str, str, bool], Group] = {}
@@ -69,7 +67,7 @@ class Whitening:
     def applies_to(self, data: Measurements) -> bool:
         """Whether the same whitening serves these readings: complete, at the same visits, with the same noise."""
         known, readings = self._of_all, data.readings
-        if known is None or not _are_whole(data) or {name for name in readings if len(readings[name])} != known.keys():
+        if known is None or not _are_whole(data) or readings.keys() != known.keys():
             return False
         return all(np.array_equal(each.visits, readings[name].visits) for name, each in known.items())
 

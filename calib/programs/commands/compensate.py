@@ -31,7 +31,7 @@ from calib.core.robots.robot import Robot
 from calib.programs.commands.compensate_gcode import compensate_gcode
 from calib.programs.commands.compensate_grid import compensate_grid
 from calib.programs.commands.compensate_program import compensate_controller
-from calib.programs.commands.report import COUNTED, Job, figures_of, no_correction_sentence
+from calib.programs.commands.report import Job, figures_of, frame_words, no_correction_sentence
 from calib.programs.languages import languages
 from calib.programs.languages.controller_program import COUPLED
 from calib.programs.languages.gcode import SUFFIXES
@@ -153,7 +153,7 @@ def _compensate_table(job: Job, *, keep: str | None, grid: str | None, skip_unre
     done = f"compensated with {job.result}"
     if compensation.nothing_to_correct:
         done = f"left as it is: {no_correction_sentence(job.result)}"
-    kept = f"kept: {compensation.kept_components}; errors are {compensation.frame}; {COUNTED}"
+    kept = f"kept: {compensation.kept_components}; {frame_words(compensation)}"
     comments = job.comments(f"{job.program} for {nominal.name}, {done}; {kept}")
     output.write(job.out, format_table(_columns(nominal, rows, compensation), comments))
     n_reached, held_out = int(np.sum(compensation.ok)), _held_out_error(job.result)

@@ -8,7 +8,7 @@ from calib.core.base.words import count_noun
 from calib.core.data.measurement_columns import cells_of
 from calib.core.data.measurements import Poses
 from calib.core.data.table_writing import format_table
-from calib.programs.commands.report import COUNTED, Job, no_correction_sentence, summary
+from calib.programs.commands.report import Job, frame_words, no_correction_sentence, summary
 from calib.programs.languages.correction_grid import correction_grid
 from calib.programs.reaching.goals import Goals
 
@@ -42,7 +42,7 @@ def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
     )
     kept = compensation.nothing_to_correct
     done = f"all zero: {no_correction_sentence(job.result)}" if kept else wrong
-    comments = job.comments(f"corrections from {job.result}; {done}; errors are {compensation.frame}; {COUNTED}")
+    comments = job.comments(f"corrections from {job.result}; {done}; {frame_words(compensation)}")
     job.output.write(job.out, format_table(columns, comments))
     figures = {
         "before_mm": summary(millimetres(corrections.error_before)),

@@ -12,21 +12,31 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
+from calib.core.base.contributions import names_of
 from calib.core.commands.common import Output, failure_lines
 from calib.core.robots.robot import Robot
 from calib.core.rows.known_robot import KnownRobot
 from calib.programs.languages.straight_moves import CompensatedMoves
 from calib.programs.reaching.compensation import Compensation
+from calib.programs.reaching.expected_errors import ExpectedError
 
-COUNTED = "expected errors include measurement noise, the priors, and what the model leaves out"
-"""The contributions to an expected error, as every report states them."""
 Figures = Mapping[str, Mapping[str, float]]
 """Summaries (`rms` and `max`) by name with unit, such as `before_mm`."""
 
 
-def frame_sentences(frame: str) -> str:
-    """Return two sentences: the frame in which errors count, and their contributions."""
-    return f"Errors are {frame}.\n{COUNTED[0].upper()}{COUNTED[1:]}."
+def frame_words(errors: ExpectedError | Compensation | CompensatedMoves) -> str:
+    """Return the frame in which errors count, and their contributions."""
+    return f"errors are {errors.frame}; expected errors count {_contributions(errors)}"
+
+
+def frame_sentences(errors: ExpectedError | Compensation | CompensatedMoves) -> str:
+    """Return `frame_words` as two sentences."""
+    return f"Errors are {errors.frame}.\nExpected errors count {_contributions(errors)}."
+
+
+def _contributions(errors: ExpectedError | Compensation | CompensatedMoves) -> str:
+    """The contributions by name; results of format version 1 do not say them."""
+    return ", ".join(names_of(errors.contains)) or "what the calibration counted"
 
 
 def no_correction_sentence(result: str) -> str:
@@ -107,7 +117,7 @@ class Job:
             subjects: Subjects of the sentences on the error of length and of angle.
         """
         kept = compensated.nothing_to_correct
-        common = {"frame": compensated.frame, "counted": COUNTED, "nothing_to_correct": kept}
+        common = {"frame": compensated.frame, "contains": names_of(compensated.contains), "nothing_to_correct": kept}
         self.output.json({**content, **common, **figures})
         parts, done, left = what
         line = f"{parts} {left}: {no_correction_sentence(self.result)}; " if kept else f"{parts} {done}, "
@@ -116,4 +126,4 @@ class Job:
             if f"expected{ending}" in figures:
                 before = None if kept else figures[f"before{ending}"]
                 lines.append(expected_error_sentence(subject, figures[f"expected{ending}"], unit, before))
-        self.output.say("\n".join([*lines, *more, frame_sentences(compensated.frame)]))
+        self.output.say("\n".join([*lines, *more, frame_sentences(compensated)]))

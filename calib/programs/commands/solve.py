@@ -6,6 +6,7 @@ import click
 import numpy as np
 
 from calib.core.base.arrays import IntArray
+from calib.core.base.contributions import names_of
 from calib.core.base.units import micrometres, millimetres
 from calib.core.commands.common import (
     Output,
@@ -22,9 +23,9 @@ from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
 from calib.core.robots.robot import Robot
 from calib.programs.commands.report import (
-    COUNTED,
     expected_error_sentence,
     frame_sentences,
+    frame_words,
     no_correction_sentence,
     summary,
 )
@@ -72,7 +73,7 @@ def command(
     output.check(out)
     with output.working(f"solving {len(goals)} goals"):
         solution = solve(load_result(folder, nominal).known_robot if folder else model, goals)
-    misses = solution.unreached_goals()
+    misses, expected = solution.unreached_goals(), solution.expected
     reached = np.flatnonzero(solution.ok)
     if not skip_unreachable or not np.any(solution.ok):
         solution.require_all()
@@ -83,7 +84,7 @@ def command(
     if solution.expected.nothing_to_correct:
         comment += f"; those of the nominal robot: {no_correction_sentence(source)}"
     if folder:
-        comment += f"; errors are {solution.expected.frame}; {COUNTED}"
+        comment += f"; {frame_words(solution.expected)}"
     comments = (comment, *failure_lines(output, folder, out))
     output.write(out, _table(model, goals, solution, comments))
     labels = [solution.labels[k] for k in reached]
@@ -93,7 +94,7 @@ def command(
         {
             "robot": model.path,
             "asked_for": goals.asks_for,
-            **({"frame": solution.expected.frame, "counted": COUNTED} if folder else {}),
+            **({"frame": expected.frame, "contains": names_of(expected.contains)} if folder else {}),
             "nothing_to_correct": solution.expected.nothing_to_correct,
             "targets": _rows(model, goals, solution),
             "near_singular": remarks,
@@ -122,7 +123,7 @@ def _expected_error_lines(solution: Solution, reached: IntArray, source: str) ->
             for (key, unit), values in shown.items()
             if key == name
         ]
-    return [*lines, frame_sentences(expected.frame)]
+    return [*lines, frame_sentences(expected)]
 
 
 def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, ...]) -> str:

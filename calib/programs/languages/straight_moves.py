@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.contributions import Contributions
 from calib.core.base.errors import ComputationError, DataError, InputError, UnreachablePoseError
 from calib.core.base.units import millimetres
 from calib.core.base.words import count_noun, listing
@@ -79,6 +80,7 @@ class CompensatedMoves:
         n_measured: Number of points at which `deviations` was computed.
         frame: The frame of the goals and errors, in words.
         nothing_to_correct: Whether the moves stay unchanged because the verdict finds nothing to correct.
+        contains: Contributions to `expected`; none where they are not known.
     """
 
     waypoints: tuple[FloatArray, ...]
@@ -88,6 +90,7 @@ class CompensatedMoves:
     n_measured: int
     frame: str
     nothing_to_correct: bool
+    contains: Contributions
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +161,7 @@ def compensate_moves(
         n_measured,
         frame.words,
         frame.nothing_to_correct,
+        frame.contains,
     )
 
 

@@ -37,6 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.contributions import Contributions
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.units import DISPLAY_UNIT, millimetres, quantity_text
 from calib.core.data.in_memory import as_poses
@@ -84,6 +85,7 @@ class Compensation(ReadOnlyArrays):
         scale: Scale of each joint: 1 rad, or its length, (n_actuated,).
         frame: The frame of the goals and errors, in words.
         nothing_to_correct: Whether the program stays unchanged because the verdict finds nothing to correct.
+        contains: Contributions to the expected errors; none where they are not known.
     """
 
     names: tuple[str, ...]
@@ -105,6 +107,7 @@ class Compensation(ReadOnlyArrays):
     scale: FloatArray
     frame: str
     nothing_to_correct: bool
+    contains: Contributions
 
     @cached_property
     def ok(self) -> BoolArray:
@@ -234,6 +237,7 @@ def _compensate(frame: CorrectionFrame, task: ProgramTask) -> Compensation:
         scale=robot.mechanism.joint_scale,
         frame=frame.words,
         nothing_to_correct=frame.nothing_to_correct,
+        contains=frame.contains,
     )
 
 

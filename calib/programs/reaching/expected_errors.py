@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.contributions import Contributions
 from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.core.robots.terms.term import Context
 from calib.core.rows.common_motion import target_poses
@@ -32,6 +33,7 @@ class ExpectedError(ReadOnlyArrays):
         angle95: Limits of the angle in 95 of 100 cases, (2, n) [rad].
         frame: Frame of the goals, in words.
         nothing_to_correct: Whether commands are the nominal robot's, because the verdict finds nothing to correct.
+        contains: Contributions to the errors; none where they are not known.
     """
 
     distance: FloatArray
@@ -40,6 +42,7 @@ class ExpectedError(ReadOnlyArrays):
     angle95: FloatArray
     frame: str
     nothing_to_correct: bool
+    contains: Contributions
 
     def __repr__(self) -> str:
         return f"<expected errors of {len(self.distance)} goals>"
@@ -66,7 +69,8 @@ class ExpectedError(ReadOnlyArrays):
         errors = np.full((6, len(goals)), np.nan)
         if frame.known.uncertainty is not None and len(rows):
             errors[:, rows] = _errors(frame, goals.subset(rows), commands, context)
-        return ExpectedError(errors[0], errors[1:3], errors[3], errors[4:], frame.words, frame.nothing_to_correct)
+        of_frame = frame.words, frame.nothing_to_correct, frame.contains
+        return ExpectedError(errors[0], errors[1:3], errors[3], errors[4:], *of_frame)
 
 
 def shown_errors(names: Sequence[str], parts: Sequence[Sequence[FloatArray]]) -> dict[tuple[str, str], FloatArray]:

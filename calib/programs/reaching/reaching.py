@@ -144,11 +144,6 @@ class Reach:
         passive = np.where(closed.ok[:, None], closed.passive, at.passive)
         return GoalConfigurations.unknown(actuated, passive)
 
-    @cached_property
-    def passive_scale(self) -> FloatArray:
-        """Scale of each passive joint: 1 [rad], or the characteristic length [m], (n_passive,)."""
-        return np.where(self.mechanism.is_metre_column, self.mechanism.length, 1.0)
-
     def linearise(
         self, index: IntArray, actuated: FloatArray, passive: FloatArray, closures: FloatArray | None = None
     ) -> LinearisedGoals:
@@ -176,7 +171,7 @@ class Reach:
         return LinearisedGoals(
             np.concatenate(error, axis=1),
             np.concatenate(slope, axis=1),
-            by_joint * self.scale / self.passive_scale[:, None],
+            by_joint * self.scale / self.mechanism.passive_scale[:, None],
         )
 
     def deviations(self, actuated: FloatArray, passive: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -211,7 +206,7 @@ class Reach:
         if not self.mechanism.loops:
             return at.passive, np.zeros((len(trial), 0, trial.shape[1])), np.ones(len(trial), dtype=bool)
         change = np.einsum("nij,nj->ni", linear.passive_slope, (trial - at.actuated) / self.scale)
-        guess = at.passive + self.passive_scale * change
+        guess = at.passive + self.mechanism.passive_scale * change
         passive, by_passive, by_actuated, ok = newton(self.mechanism, self.mode, trial, guess)
         passive = loops.wrap_turns(self.mechanism, self.mode, passive)
         closures = np.concatenate([by_passive, by_actuated], axis=2)
@@ -220,7 +215,7 @@ class Reach:
     def room(self, passive: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return scaled distances of passive joints (n, n_passive) from their lower and upper limits."""
         below, above = passive - self.mechanism.lower, self.mechanism.upper - passive
-        return below / self.passive_scale, above / self.passive_scale
+        return below / self.mechanism.passive_scale, above / self.mechanism.passive_scale
 
 
 def descend(

@@ -1,0 +1,269 @@
+"""Derivatives of the whitened rows of a fit, by errors that its model may leave out.
+
+All are displacements of the targets through the robot, d(position)/d(joint) with loops closed, or motions of the
+frames that positions are measured in, sizes of lengths, and constants and factors in the readings of instruments.
+`effects` multiplies them by their course over the visits. Turns and scales are taken about the middle of the points, so
+that they contain no shifts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.data.measurements import Measurements, Poses
+from calib.core.fitting.fitted import Fit
+from calib.core.instruments.kind import Comparison, FrameInstrument, Instrument, Readings, View
+from calib.core.numerics.variance_components import SharedError
+from calib.core.robots.configurations import Configurations
+from calib.core.robots.jacobian import relative_poses
+from calib.core.robots.robot import Robot
+from calib.core.rows.observed import views_of_instruments
+
+_ROUNDING = 1e-9  # part of its terms below which a sum is 0
+
+
+@dataclass(frozen=True, eq=False)
+class EffectSetting:
+    """The data of a fit from which effects are computed."""
+
+    fit: Fit
+
+    @property
+    def data(self) -> Measurements:
+        """Measurements that the fit has used."""
+        return self.fit.identification.data
+
+    def whiten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
+        """Return effects on the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
+        rows = self.fit.whitening.whiten(arrays, self.fit.scales.groups)
+        if self._weighing is not None:
+            rows = self._weighing.whiten(rows)
+        return np.sqrt(self.fit.weights)[self.fit.whitening.layout.reading][:, None] * rows
+
+    @cached_property
+    def _weighing(self) -> SharedError | None:
+        return self.fit.whitening.weighing(self.fit.scales.ratios)
+
+    @cached_property
+    def joint_columns(self) -> FloatArray:
+        """Changes of the rows for an error of 1 of each joint, (n_rows, n_actuated)."""
+        return self.whiten(self.fit.joint_derivative)
+
+    @cached_property
+    def frame_columns(self) -> FloatArray:
+        """Changes of the rows for shifts and turns of the measurement frame, and for its lengths, (n_rows, 10)."""
+        return self.whiten(_frame_columns(self))
+
+    def sizes(self, rows: FloatArray) -> FloatArray:
+        """Return the root mean square of whitened rows (n_rows, k) over readings of each group, (n_groups, k) [SI]."""
+        layout, whole = self.fit.whitening.layout, rows if self._weighing is None else self._weighing.unwhiten(rows)
+        each = [layout.group == g for g in range(len(layout.groups))]
+        means = [np.sum(whole[of] ** 2, axis=0) / max(len(np.unique(layout.reading[of])), 1) for of in each]
+        return np.stack([self.noise_of(g) * np.sqrt(mean) for g, mean in enumerate(means)])
+
+    def noise_of(self, group: int) -> float:
+        """Return the standard deviation of the noise of a row of a group [SI]."""
+        return float(self.fit.scales.groups[group] * self.fit.whitening.groups[group].typical)
+
+    @cached_property
+    def visit(self) -> IntArray:
+        """Visit of each row, (n_rows,)."""
+        layout = self.fit.whitening.layout
+        return layout.visit[layout.reading]
+
+    @cached_property
+    def course(self) -> FloatArray:
+        """Time of each visit, (n_visits,): its time [s], where all have it, else the order of the rows."""
+        return np.asarray(self.data.context["time"] if has_time(self.data) else self.data.places, dtype=float)
+
+    @cached_property
+    def first(self) -> int:
+        """Group of the positions; without positions, the first group."""
+        return next((g for g, group in enumerate(self.fit.whitening.groups) if group.part.is_position), 0)
+
+
+def has_time(data: Poses) -> bool:
+    """Return whether the data say when each visit was made."""
+    time = data.context.get("time")
+    return time is not None and bool(np.all(np.isfinite(time))) and float(np.ptp(time)) > 0
+
+
+def scale(setting: EffectSetting) -> FloatArray:
+    """Return the change of the rows if every length is read too long, (n_rows, 1), for a relative error of 1."""
+    return scales(setting)[:, :1]
+
+
+def scales(setting: EffectSetting) -> FloatArray:
+    """Return the change of the rows if all lengths are read too long, or those along x, y or z, (n_rows, 4)."""
+    return -setting.frame_columns[:, 6:]
+
+
+def constants(setting: EffectSetting) -> Iterator[tuple[str, int, FloatArray]]:
+    """Yield instrument, group, and the changes of the rows if readings are too large by a constant, (n_rows, k).
+
+    Positions that only one instrument reads are left out: that is a shift of the frame.
+    """
+    robot, groups, readings = setting.fit.robot, setting.fit.whitening.groups, setting.data.readings
+    for name in readings:
+        instrument = robot.instrument(name)
+        for number, part in enumerate(instrument.parts):
+            if part.is_position and len(readings) == 1:
+                continue
+            rows = [k for k, of in enumerate(instrument.part_of_row) if of == number]
+            group = next(g for g, known in enumerate(groups) if (known.name, known.part) == (instrument.group, part))
+            own = -np.eye(instrument.n_rows)[:, rows]
+            arrays = {
+                other: np.tile(own, (len(read), 1, 1))
+                if other == name
+                else np.zeros((len(read), robot.instrument(other).n_rows, len(rows)))
+                for other, read in readings.items()
+            }
+            yield name, group, setting.whiten(arrays)
+
+
+def own_scales(setting: EffectSetting) -> dict[str, FloatArray]:
+    """Return the change of the rows if one of several instruments reads lengths too long, (n_rows, 1), by its name.
+
+    Other readings than lengths are too large from their middle: pixels of a lens with another focal length.
+    """
+    changes = {name: -columns[:, :, 6:7] for name, columns in _frame_columns(setting).items()}
+    for name, readings in setting.data.readings.items():
+        lengths = setting.fit.robot.instrument(name).parts[0].dimension == "length" and np.any(changes[name])
+        if not lengths and readings.values.shape == changes[name].shape[:2]:
+            changes[name] = np.nan_to_num(np.nanmean(readings.values, axis=0) - readings.values)[:, :, None]
+    shown = [name for name, columns in changes.items() if len(changes) > 1 and np.any(columns)]
+    return {name: setting.whiten({other: (other == name) * changes[other] for other in changes}) for name in shown}
+
+
+def errors_in_links(setting: EffectSetting, residuals: FloatArray) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
+    """Yield rows of the positions of each instrument, the axes of the target's link there, and errors along these.
+
+    Args:
+        residuals: Whitened residuals, (n_rows,).
+
+    Returns:
+        Rows, (n, 3); axes in the measurement frame, (n, 3, 3); errors over the standard deviation of a row, (n, 3).
+    """
+    for name, target, of_position in seen_targets(setting):
+        own = setting.fit.whitening.layout.rows_of(name)
+        rows = np.arange(own.start, own.stop).reshape(-1, setting.fit.robot.instrument(name).n_rows)[:, of_position]
+        moved = setting.whiten(next(moved_target(setting, target)))
+        rows = rows[np.all(np.linalg.norm(moved[rows], axis=2) > 0, axis=1)]
+        axes = -moved[rows] / np.linalg.norm(moved[rows], axis=2)[:, :, None]
+        yield rows, axes, np.einsum("nij,ni->nj", axes, residuals[rows])
+
+
+def gains(setting: EffectSetting) -> FloatArray:
+    """Return the change of the rows if a joint turns too far by a relative error of 1, (n_rows, n_actuated)."""
+    return setting.joint_columns * (setting.data.joints - np.mean(setting.data.joints, axis=0))[setting.visit]
+
+
+def _position_rows(instrument: Instrument) -> list[int]:
+    """Rows of an instrument that are the position of its target; none for kinds that measure none."""
+    return [k for k, part in enumerate(instrument.part_of_row) if instrument.parts[part].is_position]
+
+
+def _frame_columns(setting: EffectSetting) -> dict[str, FloatArray]:
+    """Derivative of readings by shifts along x, y, z, turns about them, and sizes of lengths, (n, n_rows, 10) each.
+
+    The sizes are those of all lengths (`length_derivative`), positions from the middle of the points, and of positions
+    along x, y and z. Along one axis they are as predicted: those of a planar robot would be noise alone.
+    """
+    result, points, fit = dict[str, FloatArray](), _points(setting), setting.fit
+    lengths = length_derivative(fit.robot, fit.configurations, setting.data.readings)
+    for name, readings in setting.data.readings.items():
+        instrument = setting.fit.robot.instrument(name)
+        result[name] = columns = np.zeros((len(readings), instrument.n_rows, 10))
+        rows = _position_rows(instrument)
+        columns[:, :, 6] = lengths[name]
+        if len(rows) == 3:
+            columns[:, rows, :3] = np.eye(3)
+        if name in points:
+            columns[:, rows, 3:6] = np.cross(points[name][:, None], np.eye(3)).swapaxes(1, 2)
+            columns[:, rows, 6] = points[name]
+            predicted = points[name] + np.nan_to_num(setting.fit.identification.after[name][:, rows])
+            columns[:, rows, 7:] = predicted[:, :, None] * np.eye(3)
+    return result
+
+
+def length_derivative(
+    robot: Robot, configurations: Configurations, readings: Mapping[str, Readings]
+) -> dict[str, FloatArray]:
+    """Return the derivative of readings by the size of all lengths of the robot, (n, n_rows) of each instrument.
+
+    Every translation p_ab grows in proportion. A board, or an artefact that is touched, keeps its size: one that is
+    described too small looks like a robot that is too large. With the derivative J of a reading by p_ab, it is J p_ab;
+    of readings that are lengths it is as read: a distance itself, the touched point of an artefact.
+    """
+    result = dict[str, FloatArray]()
+    for name, seen in views_of_instruments(robot, configurations, readings).items():
+        instrument = robot.instrument(name)
+        result[name] = np.zeros((len(readings[name]), instrument.n_rows))
+        if not isinstance(seen, View):
+            continue
+        compared = instrument.compare(seen, robot.values[robot.unknowns[name]], readings[name])
+        assert isinstance(compared, Comparison)  # the kind looks at frames
+        terms = np.nan_to_num(compared.by_twist[:, :, :3] * seen.translation[:, None])
+        is_length = np.array([instrument.parts[part].dimension == "length" for part in instrument.part_of_row])
+        errors = np.where(is_length & np.any(terms, axis=(0, 2)), np.nan_to_num(compared.residuals), 0.0)
+        lengths = np.sum(terms, axis=2) - errors
+        within = _ROUNDING * (np.sum(np.abs(terms), axis=2) + np.abs(errors))
+        result[name] = np.where(np.abs(lengths) > within, lengths, 0.0)
+    return result
+
+
+def _points(setting: EffectSetting) -> dict[str, FloatArray]:
+    """Points that were read, from the middle of all, (n, 3) [m] of each instrument that measures positions."""
+    result = {}
+    for name, readings in setting.data.readings.items():
+        points = setting.fit.robot.instrument(name).points(readings.values)
+        if points is not None and len(points) and len(_position_rows(setting.fit.robot.instrument(name))) == 3:
+            result[name] = points
+    if not result:
+        return {}
+    middle = np.nanmean(np.concatenate(list(result.values())), axis=0)
+    return {name: np.nan_to_num(points - middle) for name, points in result.items()}
+
+
+def seen_targets(setting: EffectSetting) -> Iterator[tuple[str, str, list[int]]]:
+    """Yield each instrument that measures the position of a target, its target and the rows of the position."""
+    for name in setting.data.readings:
+        instrument = setting.fit.robot.instrument(name)
+        rows = _position_rows(instrument)
+        if len(rows) == 3 and isinstance(instrument, FrameInstrument):
+            yield name, instrument.target, rows
+
+
+def other_joints(robot: Robot, target: str) -> list[int]:
+    """Return the joints that move, but do not move this target, as indices of their frames."""
+    mechanism = robot.mechanism
+    frame = mechanism.targets[robot.target_names.index(target)].b
+    moving = np.any(mechanism.select_moving, axis=1)
+    return [int(k) + 1 for k in np.flatnonzero(moving & (mechanism.support[frame] == 0))]
+
+
+def moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, FloatArray]]:
+    """Yield the changes of all readings if a target moves along the axes of a link, (n, n_rows, 3) each.
+
+    The first link is the target's own; the others are those behind each joint that does not move the target.
+    """
+    robot, all_readings = setting.fit.robot, setting.data.readings
+    seen = [(name, rows, robot.pairs[name]) for name, own, rows in seen_targets(setting) if own == target]
+    links = [None, *other_joints(robot, target)]
+    frame_pairs = [
+        pair if link is None else replace(pair, b=link) for link in links for _, _, pairs in seen for pair in pairs
+    ]
+    poses = iter(relative_poses(robot.mechanism, setting.fit.configurations, tuple(frame_pairs)))
+    for _ in links:
+        result: dict[str, FloatArray] = {
+            name: np.zeros((len(readings), robot.instrument(name).n_rows, 3)) for name, readings in all_readings.items()
+        }
+        for name, rows, pairs in seen:
+            readings, turned = all_readings[name], np.stack([next(poses) for _ in pairs])[..., :3, :3]
+            result[name][:, rows] = -turned[readings.pairs, readings.visits]
+        yield result

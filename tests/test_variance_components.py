@@ -8,8 +8,10 @@ from scipy.optimize import minimize
 
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.numerics.linear_model import LinearModel, RowGroups
+from calib.core.numerics.mixed_model import MixedModel
+from calib.core.numerics.mixed_rows import MixedRows
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.prior_sizes import find_noise_with_families
+from calib.core.numerics.size_search import find_sizes, likeliest_sizes
 from calib.core.numerics.variance_components import find_components, find_scales
 
 N_FREE = 4
@@ -165,20 +167,35 @@ def with_families(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
     model, family = with_families(seed)
-    scales, sizes = find_noise_with_families(model, ONE, family, np.array([1.0]))
+    scales, sizes = find_sizes(model, ONE, family, np.ones(2))
 
     def minus_twice_log(x):
         factor = np.append(np.exp(x[1:]), 1.0)[family]
         scaled = replace(model, jacobian=model.jacobian * factor, deviations=model.deviations / factor)
         likelihood = deviance(scaled, np.exp(x[:1]), np.zeros(1), np.zeros((120, 1)), np.arange(120))
-        return likelihood - 2.0 * float(np.sum(np.minimum(x[1:], 0.0)))  # the density rises up to what is expected
+        return likelihood + 2.0 * float(np.sum(np.log1p(np.exp(2.0 * x[1:])) - x[1:]))  # half-Cauchy, of log s
 
     minimum = minimize(minus_twice_log, np.zeros(3), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-10})
     assert minimum.success
-    np.testing.assert_allclose([*scales, *sizes], np.exp(minimum.x), rtol=0.03)  # it stops at changes below 1 %
+    np.testing.assert_allclose(
+        [*scales, *sizes], np.exp(minimum.x), rtol=0.03
+    )  # the search ends near
 
 
 def test_a_family_that_is_not_seen_keeps_the_size_that_is_expected():
     model, family = with_families(3)
     unseen = replace(model, jacobian=model.jacobian * np.where(family == 1, 1e-9, 1.0))
-    assert find_noise_with_families(unseen, ONE, family, np.array([1.0]))[1][1] == 1.0
+    assert find_sizes(unseen, ONE, family, np.array([1.0, 0.3]))[1][1] == pytest.approx(1.0, rel=0.05)
+
+
+def test_many_rows_give_what_a_few_of_the_same_products_give():
+    """Rows of two groups, some not read: against the search of all rows, one by one."""
+    model, family = with_families(4)
+    group = np.tile([0, 1, -1], 40)
+    mixed = replace(model, layout=RowGroups.from_groups(group, 2))
+    scales, sizes = find_sizes(mixed, np.array([True, False]), family, np.ones(2))
+    read = mixed.take_rows(group >= 0)
+    rows = MixedRows.from_linear_problem(read, family, np.array([False, True]), np.arange(80), np.zeros((80, 0)))
+    every = likeliest_sizes(MixedModel.from_rows(replace(rows, present=np.arange(2))), np.zeros(3))
+    np.testing.assert_allclose([*sizes, scales[0]], np.exp(every.logs), rtol=1e-6)
+    assert scales[1] == 1.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.fitting.problem import Evaluation, Problem
-from calib.core.numerics.prior_sizes import find_noise_with_families
+from calib.core.numerics.size_search import find_sizes
 from calib.core.numerics.variance_components import find_components, find_scales
 
 
@@ -26,9 +26,19 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     """
     ones, unknowns, plain = np.ones(len(groups)), problem.unknowns, problem.weighing is None
     if unknowns.families:
-        return find_noise_with_families(problem.rows(evaluation, ones), problem.noise_found, unknowns.family, groups)
+        return _with_sizes(problem, evaluation, groups)
     model = problem.compressed(evaluation, ones, unknowns) if plain else problem.rows(evaluation, ones)
     return find_scales(model, groups, problem.noise_found).scales, np.ones(0)
+
+
+def _with_sizes(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return `scales_found` of a problem with families."""
+    unknowns = problem.unknowns
+    first = [int(np.argmax(unknowns.family == k)) for k in range(len(unknowns.families))]
+    sizes = unknowns.scales[first] / problem.robot.parameters.sigma_si[unknowns.index[first]]
+    rows = problem.rows(evaluation, groups, unknowns.rescale_families(1.0 / sizes))
+    scales, found = find_sizes(rows, problem.noise_found, unknowns.family, sizes)
+    return groups * scales, found / sizes
 
 
 def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:

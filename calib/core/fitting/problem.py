@@ -29,7 +29,7 @@ from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE, LeastSquaresSolution, minimise
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.linear_point import RowStack
-from calib.core.numerics.prior_sizes import SeenColumns
+from calib.core.numerics.mixed_rows import SeenColumns
 from calib.core.numerics.variance_components import SharedError
 from calib.core.robots.configurations import Configurations, close, configurations_if_closed, describe_open
 from calib.core.robots.joint_errors import term_columns

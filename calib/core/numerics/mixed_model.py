@@ -65,7 +65,7 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import LeftOutBlocks, blocks_of_equal_length
 from calib.core.numerics.identifiability import inverse_of_triangle, square_of_triangle
-from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
+from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows, coefficients_of
 
 _DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
 _LEAST_EFFECT = 0.02  # a solution omits a coefficient that moves all rows together by less than this part of the noise
@@ -145,12 +145,7 @@ class MixedModel(ReadOnlyArrays):
 
     def coefficients(self, condensed: FloatArray) -> FloatArray:
         """Return the coefficients of all columns (n_columns,), from those of the condensed ones (n,)."""
-        result, start = np.zeros(self.rows.columns.shape[1]), 0
-        for part in self.parts:
-            end = start + part.kept.shape[1]
-            result[part.members] = part.kept @ condensed[start:end]
-            start = end
-        return result
+        return coefficients_of(self.parts, condensed)
 
     def solve(self, logs: FloatArray, seen: IntArray | None = None) -> SolvedModel:
         """Solve the model with given sizes.
@@ -171,7 +166,7 @@ class MixedModel(ReadOnlyArrays):
         upper = scipy.linalg.cholesky(matrix.T, overwrite_a=True, check_finite=False)  # LAPACK's order: not copied
         v = scipy.linalg.cho_solve((upper, False), z.T @ y, check_finite=False)
         left = y - z @ v
-        determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(np.sum(np.log(variance)))
+        determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(self.rows.stands_for @ np.log(variance))
         cost = float(np.sum(left**2) + np.sum(prior * v**2))
         hold(matrix, upper)  # of which `upper` is a view
         solved = SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (determinant + cost))
@@ -271,7 +266,12 @@ class SolvedModel(ReadOnlyArrays):
     def gradient(self) -> FloatArray:
         """Gradient of `cost` by the logarithms of the sizes, (n_sizes,)."""
         of_families = self._members @ (1.0 - self._unseen_part - self.v**2)
-        return np.concatenate([of_families, 0.5 * self._shares @ (1.0 - self._leverage - self.whitened_residuals**2)])
+        return np.concatenate(
+            [
+                of_families,
+                0.5 * self._shares @ (self.model.rows.stands_for - self._leverage - self.whitened_residuals**2),
+            ]
+        )
 
     @cached_property
     def information(self) -> FloatArray:
@@ -283,7 +283,9 @@ class SolvedModel(ReadOnlyArrays):
         mixed = members @ (shares @ span**2).T
         weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]
         of_columns = np.array([(rows.T @ rows).ravel() for rows in weighed]).reshape(len(shares), -1)
-        noise = 0.5 * ((shares * (1.0 - 2.0 * self._leverage)) @ shares.T + of_columns @ of_columns.T)
+        noise = 0.5 * (
+            (shares * (self.model.rows.stands_for - 2.0 * self._leverage)) @ shares.T + of_columns @ of_columns.T
+        )
         return np.block([[families, mixed], [mixed.T, noise]])
 
     @property

@@ -77,7 +77,7 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
     model = KindModel(fit, kinds, fit.unknowns.scales)
     read = model.informative_rows
     read = read[np.any(fit.weighted_rows.jacobian[read] != 0.0, axis=1)]
-    rows = model.rows(read, np.where(stated, 1.0, fit.scales.groups), np.zeros(len(fit.scales.ratios)), stated)
+    rows = model.rows(read, np.where(stated, 1.0, fit.scales), stated)
     at = solve_beside_noise(MixedModel.from_rows(rows, _SHORTEST))
     return UnexplainedErrors() if at is None else UnexplainedErrors(scatter_given_noise(at), _shown(model, kinds, at))
 

@@ -121,7 +121,7 @@ def _fit_entry(fit: Fit) -> dict[str, Any]:
         "placed": fit.placed.values,
         "values": fit.robot.values,
         "scales": fit.unknowns.scales,
-        "noise": vars(fit.scales),
+        "noise": {"groups": fit.scales},
         "passive": fit.configurations.passive,
         "robust": {"weights": fit.weights, "factors": vars(fit.statistics.factors)} if robust else None,
         "settings": {"sigma": fit.sigma_given, "loss": fit.loss, "seed": fit.seed},
@@ -198,8 +198,8 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
     problem = Problem.from_data(seen, data, settings.sigma, entry["passive"])
     groups, unknowns = entry["noise"]["groups"], replace(problem.unknowns, scales=entry["scales"])
     problem = replace(problem, unknowns=unknowns, noise_found=problem.whitening.is_unstated | (groups != 1.0))
-    if np.any(entry["noise"]["ratios"]):
-        problem = problem.with_offset_ratios(entry["noise"]["ratios"])
+    if np.any(entry["noise"].get("ratios", 0.0)):
+        raise ValueError("readings of a pose were weighted as ones that share an error")
     start, end = (problem.evaluate(seen.with_parameters(entry[state])) for state in ("placed", "values"))
     begin = reset_unseen(problem, start)
     weighing = {"weights": robust["weights"], "factors": Factors(**robust["factors"])} if robust else {}

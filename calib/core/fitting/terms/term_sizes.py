@@ -128,8 +128,7 @@ class _TermModel:
     def _rows(self) -> MixedRows:
         """Rows of the model, divided by the noise that the fit found: stated noise contains no errors of the robot."""
         scales, model = self._fit.scales, self._kind_model
-        found = np.zeros(len(scales.groups), dtype=bool)
-        return model.rows(model.informative_rows, scales.groups, scales.ratios, found)
+        return model.rows(model.informative_rows, scales, np.zeros(len(scales), dtype=bool))
 
     @cached_property
     def _blocks(self) -> IntArray:
@@ -296,12 +295,10 @@ class _TermModel:
         fit, layout = self._fit, self._fit.whitening.layout
         if layout.n_readings > len(np.unique(layout.pose)) or not np.any(self._is_fitted & self._kind_model.of_kinds):
             return float("nan")
-        weighing = fit.whitening.weighing(fit.scales.ratios)
         std = np.full(layout.n_rows, np.nan)
         for places, _, covariance in self._chosen_model.left_out_errors():
             std[self._kind_model.informative_rows[places]] = np.sqrt(np.diag(covariance))
-        std *= np.sqrt((1.0 if weighing is None else weighing.variances()) / fit.weights[layout.reading])
-        scales = replace(fit.scales, ratios=np.zeros(len(fit.scales.ratios)))
-        expected = replace(fit.identification, after=fit.whitening.unwhiten_rows(std, scales))
+        std /= np.sqrt(fit.weights[layout.reading])
+        expected = replace(fit.identification, after=fit.whitening.unwhiten_rows(std, fit.scales))
         lengths = np.nansum(expected.errors("after", expected.main_part.name) ** 2, axis=1)
         return float(np.sqrt(np.mean(lengths[lengths > 0.0]))) if np.any(lengths > 0.0) else float("nan")

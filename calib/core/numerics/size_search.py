@@ -111,7 +111,7 @@ def find_sizes(
         Scales of the groups (n_groups,), and sizes (n_families,).
     """
     seen, counts = SeenColumns.from_rows(model.jacobian, model.prior, family), model.layout.counts
-    columns, groups = seen.combine(model.jacobian), range(len(counts))
+    columns, groups = seen.combine(model.jacobian), np.arange(len(counts))
     few = [reduce_rows(columns[own], model.residuals[own]) for own in (model.layout.group == g for g in groups)]
     rows, group = np.vstack(few), np.repeat(groups, [len(own) for own in few])
     linear = LinearModel(

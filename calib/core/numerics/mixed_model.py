@@ -42,9 +42,7 @@ below a ten-thousandth of the largest are dropped: rows do not see them. With a 
 family that move all rows together by less than a part of the noise: of a coefficient u ~ N(0, 1) whose column has the
 length l, rows decide l^2 / (1 + l^2) of its variance. So a solution omits components that are too short with its sizes.
 
-Another row, of derivatives b by the components, has the variance  b S A^-1 S b^T + d^2 |h|^2. A pose that was used is
-predicted by all others: with Q_kk the block of its rows, the error of that is Q_kk^-1 (Q y)_k, and its covariance
-Q_kk^-1, the noise of the pose included.
+Another row, of derivatives b by the components, has the variance  b S A^-1 S b^T + d^2 |h|^2.
 
 When it fails. Far from the linear model, and where the sizes of families are as large as the rows (`size_search` has
 priors for them). A family with one size supposes that its coefficients are about equally large.
@@ -83,8 +81,6 @@ class MixedModel(ReadOnlyArrays):
         y: Values, rotated, (n_rows,).
         spread: l of the module docstring, (n_rows,).
         family: Family of each column, as in `MixedRows`, (n,).
-        poses: Rows of each pose, (k,).
-        turns: Rotations Q of the rows of each pose: rows are Q times the rotated ones, (k, k).
     """
 
     rows: MixedRows
@@ -94,8 +90,6 @@ class MixedModel(ReadOnlyArrays):
     spread: FloatArray
     family: IntArray
     n_families: int
-    poses: tuple[IntArray, ...]
-    turns: tuple[FloatArray, ...]
 
     @staticmethod
     def from_rows(rows: MixedRows, least: float = 0.0) -> MixedModel:
@@ -109,13 +103,11 @@ class MixedModel(ReadOnlyArrays):
         )
         x = np.concatenate([rows.columns[:, part.members] @ part.kept for part in parts], axis=1)
         y, spread = rows.values.copy(), np.zeros(len(x))
-        poses, turns = list[IntArray](), list[FloatArray]()
         for places, turn, spread_there in _rotate_rows(rows):
             back, spread[places] = turn.transpose(0, 2, 1), spread_there
             x[places], y[places] = np.matmul(back, x[places]), np.matmul(back, y[places, None])[:, :, 0]
-            poses, turns = [*poses, *places], [*turns, *turn]
         family = np.concatenate([np.full(part.kept.shape[1], part.family) for part in parts])
-        return MixedModel(rows, parts, x, y, spread, family, len(numbers) - 2, tuple(poses), tuple(turns))
+        return MixedModel(rows, parts, x, y, spread, family, len(numbers) - 2)
 
     @property
     def scatters(self) -> bool:
@@ -333,16 +325,3 @@ class SolvedModel(ReadOnlyArrays):
         shifts, _ = LeftOutBlocks(self._spread, block).shifts_without_block(left, alone=1.0 - _DECIDES)
         squares = weight[self.model.rows.group] * self.variance * (left + shifts) ** 2
         return np.asarray(np.bincount(block, squares))
-
-    def left_out_errors(self) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
-        """Yield for each pose its rows (k,), the error of its prediction by all others (k,), and its covariance (k, k).
-
-        A pose that alone decides a direction is left out.
-        """
-        for places, turn in zip(self.model.poses, self.model.turns, strict=True):
-            values, vectors = linalg.eigh(np.eye(len(places)) - self._spread[places] @ self._spread[places].T)
-            if values[0] > _DECIDES:
-                unit = np.sqrt(self.variance[places])
-                root = turn @ (unit[:, None] * vectors / np.sqrt(values))
-                covariance = root @ root.T
-                yield places, covariance @ (turn @ (self.whitened_residuals[places] / unit)), covariance

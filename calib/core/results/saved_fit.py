@@ -130,7 +130,6 @@ def _fit_entry(fit: Fit) -> dict[str, Any]:
         "seconds": fit.seconds,
         "convergence": convergence,
         "choice": None if fit.terms is None else fit.terms.requested,
-        "expected": None if fit.terms is None or np.isnan(fit.terms.expected_rms) else fit.terms.expected_rms,
         "identification": _measurements_entry(fit.identification.data),
         "validation": None if fit.validation is None else _measurements_entry(fit.validation.data),
         "folds": None if folds is None else {**vars(folds), "errors": _errors_entry(folds.errors)},
@@ -213,8 +212,7 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
     validation = None if entry["validation"] is None else _measurements_of(entry["validation"], nominal)
     fit = fit_at(minimum, settings, validation)
     requested, folds = entry["choice"], entry["folds"]
-    expected = float("nan") if entry["expected"] is None else float(entry["expected"])
-    choice = TermChoice(requested, nominal.description.terms, (), _undecided_of(entry), expected)
+    choice = TermChoice(requested, nominal.description.terms, (), _undecided_of(entry))
     if folds is not None:
         folds = Folds(**_tuples(folds) | {"errors": ErrorSet(data, nominal.instruments, **folds["errors"])})
     return replace(

@@ -121,7 +121,7 @@ def find_sizes(
     none = np.zeros((len(rows), 0))
     every = MixedRows.from_linear_problem(linear, seen.family, ~sought, np.arange(len(rows)), none)
     mixed = MixedModel.from_rows(replace(every, present=np.arange(len(sizes))))
-    begin = np.append(np.log(sizes), np.zeros(np.sum(sought)))
+    begin = np.append(np.log(sizes), np.zeros(np.count_nonzero(sought)))
     found, noise, _ = mixed.sizes(likeliest_sizes(mixed, begin).logs)
     return noise, found
 

@@ -161,3 +161,12 @@ def test_many_rows_give_what_a_few_of_the_same_products_give():
     every = likeliest_sizes(MixedModel.from_rows(replace(rows, present=np.arange(2))), np.zeros(3))
     np.testing.assert_allclose([*sizes, scales[0]], np.exp(every.logs), rtol=1e-6)
     assert scales[1] == 1.0
+
+
+def test_noise_far_below_what_parameters_with_priors_explain_is_found():
+    """A ten-thousandth of it: the search ended at a thousandth."""
+    model, family = with_families(5)
+    rng = np.random.default_rng(6)
+    residuals = 1e-4 * rng.standard_normal(120) - model.jacobian @ rng.standard_normal(14)
+    known = replace(model, residuals=residuals, prior=Prior(np.ones(14, dtype=bool)))
+    assert find_sizes(known, ONE, family, np.ones(2))[0][0] == pytest.approx(1e-4, rel=0.2)  # 7 % standard error

@@ -87,8 +87,13 @@ class FamilyPart(ReadOnlyArrays):
     family: int
 
     @staticmethod
-    def from_columns(members: IntArray, columns: FloatArray, family: int, least: float = 0.0) -> FamilyPart:
-        """Return the part of the columns of a family, (n_rows, n); without components shorter than `least`."""
+    def from_columns(
+        members: IntArray, columns: FloatArray, family: int, least: float = 0.0, aside: float = _ASIDE
+    ) -> FamilyPart:
+        """Return the part of the columns of a family, (n_rows, n).
+
+        Components are dropped if they are shorter than `least`, or than the part `aside` of the longest.
+        """
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
             lengths[lengths == 0.0] = 1.0
@@ -97,7 +102,7 @@ class FamilyPart(ReadOnlyArrays):
             kept = vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None]
             return FamilyPart(members, kept, family)
         values, vectors = _principal(columns)
-        seen = values > max(_ASIDE**2 * values[-1], least**2 if family >= 0 else 0.0)
+        seen = values > max(aside**2 * values[-1], least**2 if family >= 0 else 0.0)
         return FamilyPart(members, vectors[:, seen], family)
 
 
@@ -128,20 +133,21 @@ class SeenColumns(ReadOnlyArrays):
     family: IntArray
 
     @staticmethod
-    def from_rows(rows: FloatArray, prior: Prior, family: IntArray, least: float = 0.0) -> SeenColumns:
+    def from_rows(rows: FloatArray, prior: Prior, family: IntArray, least: float | None = None) -> SeenColumns:
         """Return what rows see.
 
         Args:
             rows: (n_rows, n).
             prior: Prior of the columns.
             family: Family of each column, -1 for none, (n,).
-            least: Length of the shortest component.
+            least: Length of the shortest component; a ten-thousandth of the longest of its family if not given.
         """
         others = np.flatnonzero(family < 0)
         parts = [FamilyPart(others, np.eye(len(others)), KNOWN)]
         for number in range(int(np.max(family, initial=-1)) + 1):
             members = np.flatnonzero(family == number)
-            parts.append(FamilyPart.from_columns(members, rows[:, members], number, least))
+            aside, shortest = (_ASIDE, 0.0) if least is None else (0.0, least)
+            parts.append(FamilyPart.from_columns(members, rows[:, members], number, shortest, aside))
         numbers = np.repeat([part.family for part in parts], [part.kept.shape[1] for part in parts])
         known = prior.select(others)  # families have independent priors
         return SeenColumns(tuple(parts), replace(known, has=np.append(known.has, numbers[len(others) :] >= 0)), numbers)

@@ -44,6 +44,7 @@ from calib.core.numerics.mixed_rows import FLAT, MixedRows, SeenColumns
 _LEAST = -6.0  # logarithm of the least size of a family
 _MOST = 4.0
 _LEAST_PART = 1e-3  # least noise and scatter, over what would explain all residuals
+_LEAST_ALONE = 1e-5  # the same of noise where nothing scatters: all that families leave is noise then
 _SMALL = 0.1  # a falling size is set to its bound below this part of the start of the search
 _AT_BOUND = 1e-9  # difference of a logarithm from its bound
 _NOTHING = 1e-300
@@ -226,7 +227,8 @@ class _Bounds(ReadOnlyArrays):
             squares.append(float(np.mean(left**2)) / max(float(np.mean(model.spread)), _NOTHING))
         most = 0.5 * np.log(np.array(squares) + _NOTHING)
         families = np.ones(model.n_families)
-        return _Bounds(np.append(_LEAST * families, most + np.log(_LEAST_PART)), np.append(_MOST * families, most))
+        least = most + np.log(_LEAST_PART if model.scatters else _LEAST_ALONE)
+        return _Bounds(np.append(_LEAST * families, least), np.append(_MOST * families, most))
 
     @property
     def first(self) -> FloatArray:

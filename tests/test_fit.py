@@ -84,7 +84,7 @@ def test_with_priors_the_found_noise_is_that_which_weighed_them(prior_arm):
         p.sigma_si for p in prior_arm.parameters
     ]
     fit = calib.fit(prior_arm, noisy(prior_arm.with_parameters(values), joints(60), SIGMA, 1))
-    assert fit.scales.groups[0] == pytest.approx(fit.sigma, rel=0.01)
+    assert fit.scales[0] == pytest.approx(fit.sigma, rel=0.01)
     assert fit.sigma == pytest.approx(SIGMA, rel=0.2)  # standard error 6 %
     assert 20 < fit.statistics.effective_parameters < 26.5
     assert fit.statistics.freedom == pytest.approx(180 - fit.statistics.effective_parameters)

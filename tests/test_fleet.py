@@ -110,10 +110,6 @@ def test_products_with_a_joint_prior_are_those_with_its_inverse_covariance():
     np.testing.assert_allclose(prior.rows.T @ prior.rows, dense, atol=1e-9)
     np.testing.assert_allclose(prior.gradient(u), dense @ u)
     np.testing.assert_allclose(prior.add_to(np.eye(5)), np.eye(5) + dense)
-    root = np.diag(u) + 1.0
-    np.testing.assert_allclose(
-        prior.share(root[prior.together], np.sum(root**2, axis=1)), np.trace(root.T @ dense @ root)
-    )
     assert prior.cost(u) == pytest.approx(u @ dense @ u)
     np.testing.assert_allclose(prior.root @ prior.root.T, np.where(dense != 0, prior.root @ prior.root.T, 0.0))
     some = prior.select(np.array([True, True, True, False, True]))

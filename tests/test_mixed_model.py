@@ -109,25 +109,6 @@ def test_coefficients_and_their_covariance_are_those_of_normal_numbers_given_the
     assert b @ solved.covariance @ b == pytest.approx(float((derivative @ spread @ derivative.T)[0, 0]), rel=1e-7)
 
 
-def test_a_pose_that_is_left_out_is_predicted_by_a_solution_without_its_rows(small):
-    solved = MixedModel.from_rows(small).solve(LOGS)
-    places, errors, covariance = list(solved.left_out_errors())[3]
-    others = np.setdiff1d(np.arange(60), places)
-    kept = MixedModel.from_rows(
-        MixedRows(small.columns[others], small.values[others], FAMILY, GROUPS[others],
-                      small.has_stated_noise, POSES[others],
-                  small.levers[others])
-    ).solve(LOGS)  # fmt: skip
-    expected = small.values[places] - small.columns[places] @ kept.coefficients
-    np.testing.assert_allclose(errors, expected, rtol=1e-6)
-    b = by_components(kept.model, small.columns[places])
-    noise = marginal_covariance(solved.model, LOGS)[np.ix_(places, places)]
-    columns = small.columns[places]
-    for number, size in ((0, LOGS[0]), (1, LOGS[1]), (KNOWN, 0.0)):
-        noise = noise - np.exp(2 * size) * columns[:, number == FAMILY] @ columns[:, number == FAMILY].T
-    np.testing.assert_allclose(covariance, b @ kept.covariance @ b.T + noise, rtol=1e-6)
-
-
 def test_blocks_that_are_left_out_are_predicted_by_a_solution_without_their_rows(small):
     solved, weight = MixedModel.from_rows(small).solve(LOGS), np.array([2.0, 0.5])
     block = np.arange(20) % 3

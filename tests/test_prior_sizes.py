@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from calib.core.numerics.linear_model import LinearModel, RowGroups
+from calib.core.numerics.mixed_rows import SeenColumns
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.prior_sizes import SeenColumns, find_noise_with_families, variance_by_sizes
+from calib.core.numerics.prior_sizes import variance_by_sizes
+from calib.core.numerics.size_search import find_sizes
 
 FAMILY = np.array([-1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 1])
 STEP = 1e-4
@@ -74,7 +76,7 @@ def test_intervals_of_families_that_are_hardly_seen_hold():
             np.zeros(36),
             RowGroups.from_groups(np.zeros(60, dtype=int), 1),
         )
-        sizes = find_noise_with_families(model, np.array([False]), family, np.ones(1))[1][family]
+        sizes = find_sizes(model, np.array([False]), family, np.ones(3))[1][family]
         covariance = np.linalg.inv((jacobian * sizes).T @ (jacobian * sizes) + np.eye(36))
         u = -covariance @ (jacobian * sizes).T @ model.residuals
         total = covariance + variance_by_sizes(covariance, family, u)
@@ -95,7 +97,7 @@ def test_what_rows_do_not_see_of_a_family_says_nothing_about_its_size():
         n = jacobian.shape[1]
         rows = RowGroups.from_groups(np.zeros(40, dtype=int), 1)
         model = LinearModel(residuals, jacobian, Prior(np.ones(n, dtype=bool)), np.zeros(n), rows)
-        found.append(find_noise_with_families(model, np.array([True]), np.zeros(n, dtype=int), np.ones(1)))
+        found.append(find_sizes(model, np.array([True]), np.zeros(n, dtype=int), np.ones(1)))
     (noise, size), (same_noise, same_size) = found
     assert np.allclose(same_noise, noise, rtol=1e-9)
     assert np.allclose(same_size, size, rtol=1e-9)

@@ -129,9 +129,9 @@ def test_priors_are_weighed_by_the_noise_found_where_it_contradicts_what_is_stat
     change = (contradicted.robot.values - unstated.robot.values)[unstated.unknowns.index]
     far = np.abs(change) / unstated.statistics.std
     assert far.max() < 0.1
-    assert contradicted.scales.groups * stated == pytest.approx(unstated.scales.groups, rel=0.03)
+    assert contradicted.scales * stated == pytest.approx(unstated.scales, rel=0.03)
     believed = calib.fit(prior_arm, data, sigma=2 * SIGMA, loss=loss)
-    assert believed.scales.groups == 1.0
+    assert believed.scales == 1.0
 
 
 @pytest.mark.parametrize(("rows", "parameters", "others"), [(180, 28, 60), (45, 30, 30)])

@@ -77,7 +77,7 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
     """
     rng = np.random.default_rng(seed)
     whitening, n, k = fit.whitening, len(rounding), rounding.shape[2]
-    scale = whitening.row_scale(fit.scales.groups)[:, None]  # 1 unless residuals contradict the rounding
+    scale = whitening.row_scale(fit.scales)[:, None]  # 1 unless residuals contradict the rounding
     more = np.zeros((6 * n, 0)) if more is None else more
     jacobian = np.hstack([fit.rows.jacobian * scale, more])
     prior = np.pad(fit.rows.prior.rows, ((0, 0), (0, more.shape[1])))

@@ -76,7 +76,7 @@ def explanation(
 
 def _rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
     """Rows whitened by the rounding, and their residuals."""
-    scale = fit.whitening.row_scale(fit.scales.groups)
+    scale = fit.whitening.row_scale(fit.scales)
     return fit.rows.jacobian * scale[:, None], fit.rows.residuals * scale
 
 

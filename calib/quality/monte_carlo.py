@@ -129,7 +129,6 @@ def _deviation(linear: ErrorPropagation, unknowns: Unknowns, readings: FloatArra
     fit = linear.fit
     data, prior = fit.identification.data, unknowns.prior
     passive, weights = fit.identification.passive, np.sqrt(fit.weights)[fit.rows.layout.reading]
-    weighing = fit.whitening.weighing(fit.scales.ratios)
 
     @lru_cache(maxsize=4)
     def rows_at(place: bytes) -> Rows | None:
@@ -140,7 +139,7 @@ def _deviation(linear: ErrorPropagation, unknowns: Unknowns, readings: FloatArra
         except UnreachablePoseError:
             return None
         observed = observe(robot, configurations, data.readings)
-        return fit.whitening.rows(observed, fit.scales.groups, unknowns, robot.values).whiten_shared(weighing)
+        return fit.whitening.rows(observed, fit.scales, unknowns, robot.values)
 
     def residuals(u: FloatArray) -> FloatArray:
         rows = rows_at(u.tobytes())

@@ -104,17 +104,15 @@ class RepeatedCalibration(ReadOnlyArrays):
             .residuals
             for name, seen in self.views.items()
         }
-        weighing = whitening.weighing(first.scales.ratios)
-        whitened = whitening.whiten(residuals, first.scales.groups)
-        whitened = whitened if weighing is None else weighing.whiten(whitened)
-        return first.unknowns.robot_at(robot, rows.deviations + rows.step(whitened))
+        step = rows.step(whitening.whiten(residuals, first.scales))
+        return first.unknowns.robot_at(robot, rows.deviations + step)
 
     def _estimate_from(self, problem: Problem, start: Robot) -> DrawEstimate:
         solved = solve_from(problem, problem.evaluate(start), self.settings)
         rows, scales, statistics = uncertainty_at(solved, self.first.statistics.beyond_linear)
         weights = np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights
         typical = [group.typical for group in rows.layout.groups]
-        sigma = statistics.factors.values * problem.whitening.totals(scales) * typical
+        sigma = statistics.factors.values * scales * typical
         convergence = convergence_at(solved, rows, statistics.std)
         test = rows.studentise(rows.with_weights(weights).posterior_information.root, weights, statistics.freedom)
         return DrawEstimate(

@@ -30,12 +30,6 @@ class Contribution(Enum):
         "numerics.statistics",
         (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN),
     )
-    OFFSETS = (
-        "offsets as weights",
-        "readings of a pose that share an error get less weight, where this predicts other poses better",
-        "fitting.solving",
-        (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN),
-    )
     SCATTER = (
         "scatter of poses",
         "readings of a pose scatter together, more than independent ones would",

@@ -90,7 +90,7 @@ def _problem_at_some_poses(problem: Problem, final: Evaluation) -> tuple[Problem
     if len(visits) == len(data):
         return problem, final, 1.0
     part = Problem.from_data(problem.robot, data.subset(visits), problem.sigma, final.configurations.passive[visits])
-    part = replace(part, unknowns=problem.unknowns).with_offset_ratios(problem.offset_ratios)
+    part = replace(part, unknowns=problem.unknowns)
     return part, part.evaluate(final.robot), len(data) / len(visits)
 
 

@@ -98,7 +98,6 @@ class Fit(SolvedFit, HintedObject):
         The uncertainty of positions adds its own contribution if it is reported in another frame.
         """
         has: dict[Contribution, Callable[[], object]] = {
-            Contribution.OFFSETS: lambda: np.any(self.scales.ratios),
             Contribution.SCATTER: lambda: self.statistics.shared_scatter is not None,
             Contribution.SIZES: lambda: np.any(self.unknowns.family >= 0),
             Contribution.REGIONS: lambda: self.interval_factor > 1.0,

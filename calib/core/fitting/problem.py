@@ -29,8 +29,7 @@ from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE, LeastSquaresSolution, minimise
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.linear_point import RowStack
-from calib.core.numerics.prior_sizes import SeenColumns
-from calib.core.numerics.variance_components import SharedError
+from calib.core.numerics.mixed_rows import SeenColumns
 from calib.core.robots.configurations import Configurations, close, configurations_if_closed, describe_open
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
@@ -84,9 +83,6 @@ class Problem(ReadOnlyArrays):
         unknowns: The free parameters, with the sizes of families found so far.
         noise_found: Mask of the groups whose noise is found from the residuals, (n_groups,); at first those without
             stated noise.
-        offset_ratios: Standard deviations of offsets over the scales of their groups, (n_offsets,); all 0 without
-            offsets.
-        weighing: Whitening for offsets with these ratios; None without offsets.
         limits: Whether a pose beyond the limits of a passive joint counts as open, also at trial steps.
     """
 
@@ -98,8 +94,6 @@ class Problem(ReadOnlyArrays):
     whitening: Whitening
     unknowns: Unknowns
     noise_found: BoolArray
-    offset_ratios: FloatArray
-    weighing: SharedError | None = None
     limits: bool = False
 
     @staticmethod
@@ -144,10 +138,6 @@ class Problem(ReadOnlyArrays):
             passive,
             *_as_stated(self.robot, Whitening(self.robot, data, self.sigma)),
         )
-
-    def with_offset_ratios(self, ratios: FloatArray) -> Problem:
-        """Return the problem for offsets with these ratios to the scales of their groups, (n_offsets,)."""
-        return replace(self, offset_ratios=ratios, weighing=self.whitening.weighing(ratios))
 
     def contradicted_groups(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
         """Return a mask of the groups whose found scale contradicts their stated noise, (n_groups,).
@@ -213,20 +203,18 @@ class Problem(ReadOnlyArrays):
         """
         chosen = self.unknowns if unknowns is None else unknowns
         rows = self.whitening.rows(evaluation.observed, groups, chosen, evaluation.robot.values)
-        if self.weighing is not None:
-            return rows.whiten_shared(self.weighing)
         if any(known.has(chosen) for known, _ in evaluation.factors):
             rows.remember(self.compressed(evaluation, groups, chosen).factor)
         return rows
 
     def residuals(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-        """Return the residuals of all rows, without whitening for shared errors, (n_rows,); arguments as in `rows`."""
+        """Return the residuals of all rows, (n_rows,); arguments as in `rows`."""
         return self.whitening.whiten(evaluation.residuals, groups)
 
     def derivative(
         self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, weights: FloatArray | None = None
     ) -> FloatArray:
-        """Return the derivative of the rows by some scaled parameters, without whitening for shared errors.
+        """Return the derivative of the rows by some scaled parameters.
 
         Args:
             evaluation, groups, unknowns: Arguments of `rows`.
@@ -342,8 +330,6 @@ class _SolverRows:
         if evaluation is None:
             return np.full(self._n_rows, np.nan)
         problem, residuals = self._problem, self._problem.residuals(evaluation, self._groups)
-        if problem.weighing is not None:
-            residuals = problem.weighing.whiten(residuals)
         if self._weights is not None:
             residuals *= np.sqrt(self._weights)[problem.whitening.layout.reading]
         return np.concatenate([residuals, self._prior.times(w)])
@@ -357,13 +343,11 @@ class _SolverRows:
         problem, groups, unknowns = self._problem, self._groups, self._unknowns
         rows = problem.derivative(evaluation, groups, unknowns, self._weights)
         rows = rows if self._seen is None else self._seen.combine(rows)
-        if problem.weighing is not None:
-            return RowStack(problem.weighing.whiten(rows), self._prior)
         if self._weights is not None or self._seen is not None:
             return RowStack(rows, self._prior)
         return RowStack(rows, self._prior, lambda: problem.compressed(evaluation, groups, unknowns, rows).factor)
 
 
-def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:
-    """Whitening, unknowns, groups whose noise is to be found, and ratios of offsets, before the first fit."""
-    return whitening, Unknowns.from_robot(robot), whitening.is_unstated, np.zeros(whitening.n_offsets)
+def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray]:
+    """Whitening, unknowns, and groups whose noise is to be found, before the first fit."""
+    return whitening, Unknowns.from_robot(robot), whitening.is_unstated

@@ -21,7 +21,7 @@ from calib.core.robots.loops import reached_from_home
 from calib.core.robots.robot import Robot
 from calib.core.rows.determination import Determination
 from calib.core.rows.observed import observe
-from calib.core.rows.rows import Group, Rows, Scales
+from calib.core.rows.rows import Group, Rows
 from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
@@ -83,7 +83,7 @@ class SolvedFit(ReadOnlyArrays):
         observability: O1 to O5 on scaled columns.
         rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
         whitening: Whitening of the rows.
-        scales: Assumed scales of the noise.
+        scales: Assumed scale of the noise of each group, (n_groups,).
         seconds: Duration of the whole computation.
         convergence: How the iteration ended.
         loss: Robust loss.
@@ -103,7 +103,7 @@ class SolvedFit(ReadOnlyArrays):
     observability: dict[str, float]
     rows: Rows
     whitening: Whitening
-    scales: Scales
+    scales: FloatArray
     seconds: float
     convergence: Convergence
     loss: Loss
@@ -148,11 +148,11 @@ class SolvedFit(ReadOnlyArrays):
     @cached_property
     def noise(self) -> tuple[NoiseEstimate, ...]:
         """Noise of each group of rows, found and stated."""
-        factors, totals = self.statistics.factors, self.whitening.totals(self.scales)
+        factors = self.statistics.factors
         return tuple(
             NoiseEstimate(
                 group,
-                float(factors.values[g] * totals[g] * group.typical),
+                float(factors.values[g] * self.scales[g] * group.typical),
                 group.typical if group.stated else None,
                 float(factors.freedom[g]),
             )
@@ -175,23 +175,12 @@ class SolvedFit(ReadOnlyArrays):
         return self.first_noise.stated
 
     @property
-    def offsets(self) -> dict[str, FloatArray]:
-        """Size of the error that readings of one pose share, as the weights assume, (n_rows,) [SI] by instrument."""
-        if not np.any(self.scales.ratios):
-            return {}
-        instruments = self.robot.instruments
-        sizes = self.scales.ratios * self.whitening.offset_scale(self.scales.groups)
-        ends = np.cumsum([instrument.n_rows for instrument in instruments])[:-1]
-        parts = zip(instruments, np.split(sizes, ends), strict=True)
-        return {instrument.name: part for instrument, part in parts if np.any(part > 0)}
-
-    @property
     def chi_square(self) -> ChiSquare | None:
         """The stated noise against the residuals; None where some noise was not stated."""
         if not all(group.stated for group in self.whitening.groups):
             return None
         factors = self.statistics.factors
-        factor = factors.values * self.whitening.totals(self.scales)
+        factor = factors.values * self.scales
         mean_square = float(np.sum(factors.freedom * factor**2) / factors.total_freedom)
         return chi_square(float(np.sqrt(mean_square)), factors.total_freedom)
 

@@ -2,14 +2,6 @@
 
 Where the noise of an instrument is not stated, it is found from the residuals
 (`calib.core.numerics.variance_components`): the solve is repeated until noise changes by less than one percent.
-Where an instrument reads several times at a pose, an offset that these readings share is found as well, and the solve
-repeated with rows weighted for it, until offsets change by less than one in twenty. Such weights trust differences
-within a pose more than differences between poses. That is right for repeats, and wrong where the model of the readings
-within a pose is itself off (the lens of a camera, the points of a board). So they are kept only where they predict
-left-out poses better: the sum over groups of n log(RMS weighted / RMS plain), n poses each, must be
-below -1. If there are other instruments, the sum counts their readings, which the weights should protect. With
-a robust loss no offsets are looked for, because a gross error looks like an offset.
-
 Where priors are weighed against stated noise, the errors that the model leaves out count too: for a robot with gear
 errors, the noise of a good tracker is the least part. With a statement that residuals contradict, priors would pull
 parameters hundreds of sigmas away from their expected values, and slowly, along bent valleys. So the noise of such a
@@ -31,7 +23,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import NotConvergedError, NotIdentifiableError
 from calib.core.base.workers import Progress
 from calib.core.fitting.curvature import mean_square_beyond_linear
-from calib.core.fitting.found_noise import left_out_rms, ratios_found, scales_found
+from calib.core.fitting.found_noise import scales_found
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.fitting.robust import RobustSolution, solve_robust
 from calib.core.fitting.settings import Settings
@@ -46,7 +38,7 @@ from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, fi
 from calib.core.numerics.tall import Span
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
-from calib.core.rows.rows import Rows, Scales
+from calib.core.rows.rows import Rows
 from calib.core.rows.unknowns import Unknowns
 
 _LOOSE = 1e-3  # tolerance of the solver where another solve follows
@@ -54,8 +46,6 @@ _PLACED = 1e-6  # tolerance for the state `before`: its errors then hold to a mi
 _NOISE_ROUNDS = 20
 _NOISE_CONVERGED = 0.01  # scales are found once they change by less than this part
 _FAMILIES_CONVERGED = 5.0  # factor on this part for sizes of families
-_RATIO_CHANGE = 0.05  # ratios of offsets to noise, plus 1, are found once they change by less than this part
-_GAINED = 1.0  # weights must lower the log error of left-out poses, summed over the poses, by this much
 _NO_NOISE = (
     "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
     " --sigma-mm)"
@@ -176,8 +166,7 @@ def solve_from(
     Raises:
         NotConvergedError: The noise cannot be found.
     """
-    to_go_on = partial(_solve_with_noise, exact=_LOOSE)  # a start for a robust loss
-    solve = _solve_with_offsets if settings.loss == "none" else to_go_on
+    solve = partial(_solve_with_noise, exact=TOLERANCE if settings.loss == "none" else _LOOSE)  # a robust loss goes on
     solved = solve(problem, placed)
     if settings.starts > 1:
         first, begin = (solved.evaluation, solved.solution), placed.robot
@@ -187,39 +176,6 @@ def solve_from(
             solved = solve(problem, problem.evaluate(best.robot))
         solved = replace(solved, starts=tried)
     return solved if settings.loss == "none" else solve_robust(solved, settings.loss)
-
-
-def _solve_with_offsets(problem: Problem, start: Evaluation) -> RobustSolution:
-    """Solve; where readings of an instrument share offsets, find these, and weight by them where that helps."""
-    plain = _solve_with_noise(problem, start, TOLERANCE)
-    if not np.any(problem.whitening.tells_offsets):
-        return plain
-    weighed = _solve_weighed(plain)
-    if weighed is None:
-        return plain
-    errors, others = (left_out_rms(end.problem, end.evaluation, end.groups) for end in (plain, weighed))
-    gain, judges = np.log(errors / others), problem.whitening.without_offsets(weighed.problem.offset_ratios)
-    return weighed if problem.whitening.layout.poses_of_groups[judges] @ gain[judges] > _GAINED else plain
-
-
-def _solve_weighed(plain: RobustSolution) -> RobustSolution | None:
-    """Solve with rows weighted for the offsets that are found; None if there are none, or if they cannot be found."""
-    solved = plain
-    for _ in range(_NOISE_ROUNDS):
-        try:
-            problem = solved.problem
-            ratios = ratios_found(problem, solved.evaluation, solved.groups)
-            found = np.all(np.abs(ratios - problem.offset_ratios) <= _RATIO_CHANGE * (1.0 + problem.offset_ratios))
-            if not np.any(ratios):
-                return None
-            solved = _solve_with_noise(
-                problem.with_offset_ratios(ratios), solved.evaluation, TOLERANCE if found else _LOOSE
-            )
-        except NotConvergedError:
-            return None
-        if found:
-            return solved
-    return None
 
 
 def _solve_with_noise(problem: Problem, start: Evaluation, exact: float) -> RobustSolution:
@@ -287,8 +243,8 @@ def release_contradicted_noise(
 
 def uncertainty_at(
     solved: RobustSolution, beyond_linear: BeyondLinear | None = None
-) -> tuple[Rows, Scales, Statistics]:
-    """Return the rows at a minimum, the scales of their noise, and the uncertainty of the parameters.
+) -> tuple[Rows, FloatArray, Statistics]:
+    """Return the rows at a minimum, the scales of their noise (n_groups,), and the uncertainty of the parameters.
 
     Args:
         solved: The minimum.
@@ -298,7 +254,7 @@ def uncertainty_at(
         NotIdentifiableError: No degrees of freedom are left.
     """
     problem = solved.problem
-    rows, scales = problem.rows(solved.evaluation, solved.groups), Scales(solved.groups, problem.offset_ratios)
+    rows = problem.rows(solved.evaluation, solved.groups)
     layout, unknowns = problem.whitening.layout, problem.unknowns
     robust = solved.factors
     slowed = rows if robust is None else rows.with_weights(np.full(layout.n_readings, robust.slope))
@@ -319,7 +275,7 @@ def uncertainty_at(
         variance_by_sizes(slowed.posterior_information.covariance, unknowns.family, rows.deviations),
         beyond_linear,
     )
-    return rows, scales, uncertainty
+    return rows, solved.groups, uncertainty
 
 
 def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weights: FloatArray | None) -> Scatter:

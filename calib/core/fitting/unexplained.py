@@ -41,6 +41,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.solved_fit import SolvedFit
 from calib.core.fitting.terms.candidate_terms import TELLS, CandidateTerm, candidates
 from calib.core.fitting.terms.kind_model import KindModel, with_kinds
@@ -64,6 +65,7 @@ class UnexplainedErrors:
     terms: UndecidedTerms | None = None
 
 
+@one_blas_thread
 def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
     """Return the errors that the residuals of a fit show in addition to noise.
 
@@ -75,7 +77,7 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
     model = KindModel(fit, kinds, fit.unknowns.scales)
     read = model.informative_rows
     read = read[np.any(fit.weighted_rows.jacobian[read] != 0.0, axis=1)]
-    rows = model.rows(read, np.where(stated, 1.0, fit.scales.groups), np.zeros(len(fit.scales.ratios)), stated)
+    rows = model.rows(read, np.where(stated, 1.0, fit.scales), stated)
     at = solve_beside_noise(MixedModel.from_rows(rows, _SHORTEST))
     return UnexplainedErrors() if at is None else UnexplainedErrors(scatter_given_noise(at), _shown(model, kinds, at))
 

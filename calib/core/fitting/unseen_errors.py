@@ -13,9 +13,7 @@ The poses are
 
       du = C J_k^T (1 - H_k)^-1 r_k
 
-  A pose that alone decides a direction, such as the only pose of a setup, is left out: no other pose predicts it. Where
-  the same poses showed which joint terms there are, and how large, these errors are too small. Then the error expected
-  by the model of all terms (`calib.core.fitting.terms.term_sizes`) replaces them, and `limit95` changes in proportion.
+  A pose that alone decides a direction, such as the only pose of a setup, is left out: no other pose predicts it.
 
 Of the errors at n such poses (of positions: distances between predicted and read, the mean over repeats of a pose) are
 stated
@@ -68,12 +66,7 @@ def accuracy(fit: Fit) -> Accuracy:
 def predicted_accuracy(fit: Fit) -> Accuracy | None:
     """Return the predicted error at poses like those used by the module docstring; None if none can be predicted."""
     predicted = leave_one_out_errors(fit)
-    if predicted is None:
-        return None
-    seen = accuracy_of_errors(predicted, PoseUse.ONE_BY_ONE)
-    expected = math.nan if fit.terms is None else fit.terms.expected_rms
-    times = expected / seen.rms if expected > 0.0 < seen.rms else 1.0
-    return replace(seen, rms=times * seen.rms, limit95=times * seen.limit95)
+    return None if predicted is None else accuracy_of_errors(predicted, PoseUse.ONE_BY_ONE)
 
 
 def accuracy_of_errors(errors: ErrorSet, poses: PoseUse) -> Accuracy:

@@ -18,7 +18,6 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Comparison, FrameInstrument, Instrument, Readings, View
-from calib.core.numerics.variance_components import SharedError
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import relative_poses
 from calib.core.robots.robot import Robot
@@ -40,14 +39,8 @@ class EffectSetting:
 
     def whiten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
         """Return effects on the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
-        rows = self.fit.whitening.whiten(arrays, self.fit.scales.groups)
-        if self._weighing is not None:
-            rows = self._weighing.whiten(rows)
+        rows = self.fit.whitening.whiten(arrays, self.fit.scales)
         return np.sqrt(self.fit.weights)[self.fit.whitening.layout.reading][:, None] * rows
-
-    @cached_property
-    def _weighing(self) -> SharedError | None:
-        return self.fit.whitening.weighing(self.fit.scales.ratios)
 
     @cached_property
     def joint_columns(self) -> FloatArray:
@@ -61,14 +54,14 @@ class EffectSetting:
 
     def sizes(self, rows: FloatArray) -> FloatArray:
         """Return the root mean square of whitened rows (n_rows, k) over readings of each group, (n_groups, k) [SI]."""
-        layout, whole = self.fit.whitening.layout, rows if self._weighing is None else self._weighing.unwhiten(rows)
+        layout = self.fit.whitening.layout
         each = [layout.group == g for g in range(len(layout.groups))]
-        means = [np.sum(whole[of] ** 2, axis=0) / max(len(np.unique(layout.reading[of])), 1) for of in each]
+        means = [np.sum(rows[of] ** 2, axis=0) / max(len(np.unique(layout.reading[of])), 1) for of in each]
         return np.stack([self.noise_of(g) * np.sqrt(mean) for g, mean in enumerate(means)])
 
     def noise_of(self, group: int) -> float:
         """Return the standard deviation of the noise of a row of a group [SI]."""
-        return float(self.fit.scales.groups[group] * self.fit.whitening.groups[group].typical)
+        return float(self.fit.scales[group] * self.fit.whitening.groups[group].typical)
 
     @cached_property
     def visit(self) -> IntArray:

@@ -42,9 +42,7 @@ below a ten-thousandth of the largest are dropped: rows do not see them. With a 
 family that move all rows together by less than a part of the noise: of a coefficient u ~ N(0, 1) whose column has the
 length l, rows decide l^2 / (1 + l^2) of its variance. So a solution omits components that are too short with its sizes.
 
-Another row, of derivatives b by the components, has the variance  b S A^-1 S b^T + d^2 |h|^2. A pose that was used is
-predicted by all others: with Q_kk the block of its rows, the error of that is Q_kk^-1 (Q y)_k, and its covariance
-Q_kk^-1, the noise of the pose included.
+Another row, of derivatives b by the components, has the variance  b S A^-1 S b^T + d^2 |h|^2.
 
 When it fails. Far from the linear model, and where the sizes of families are as large as the rows (`size_search` has
 priors for them). A family with one size supposes that its coefficients are about equally large.
@@ -65,7 +63,7 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import LeftOutBlocks, blocks_of_equal_length
 from calib.core.numerics.identifiability import inverse_of_triangle, square_of_triangle
-from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows
+from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows, coefficients_of
 
 _DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
 _LEAST_EFFECT = 0.02  # a solution omits a coefficient that moves all rows together by less than this part of the noise
@@ -83,8 +81,6 @@ class MixedModel(ReadOnlyArrays):
         y: Values, rotated, (n_rows,).
         spread: l of the module docstring, (n_rows,).
         family: Family of each column, as in `MixedRows`, (n,).
-        poses: Rows of each pose, (k,).
-        turns: Rotations Q of the rows of each pose: rows are Q times the rotated ones, (k, k).
     """
 
     rows: MixedRows
@@ -94,8 +90,6 @@ class MixedModel(ReadOnlyArrays):
     spread: FloatArray
     family: IntArray
     n_families: int
-    poses: tuple[IntArray, ...]
-    turns: tuple[FloatArray, ...]
 
     @staticmethod
     def from_rows(rows: MixedRows, least: float = 0.0) -> MixedModel:
@@ -109,13 +103,11 @@ class MixedModel(ReadOnlyArrays):
         )
         x = np.concatenate([rows.columns[:, part.members] @ part.kept for part in parts], axis=1)
         y, spread = rows.values.copy(), np.zeros(len(x))
-        poses, turns = list[IntArray](), list[FloatArray]()
         for places, turn, spread_there in _rotate_rows(rows):
             back, spread[places] = turn.transpose(0, 2, 1), spread_there
             x[places], y[places] = np.matmul(back, x[places]), np.matmul(back, y[places, None])[:, :, 0]
-            poses, turns = [*poses, *places], [*turns, *turn]
         family = np.concatenate([np.full(part.kept.shape[1], part.family) for part in parts])
-        return MixedModel(rows, parts, x, y, spread, family, len(numbers) - 2, tuple(poses), tuple(turns))
+        return MixedModel(rows, parts, x, y, spread, family, len(numbers) - 2)
 
     @property
     def scatters(self) -> bool:
@@ -145,12 +137,7 @@ class MixedModel(ReadOnlyArrays):
 
     def coefficients(self, condensed: FloatArray) -> FloatArray:
         """Return the coefficients of all columns (n_columns,), from those of the condensed ones (n,)."""
-        result, start = np.zeros(self.rows.columns.shape[1]), 0
-        for part in self.parts:
-            end = start + part.kept.shape[1]
-            result[part.members] = part.kept @ condensed[start:end]
-            start = end
-        return result
+        return coefficients_of(self.parts, condensed)
 
     def solve(self, logs: FloatArray, seen: IntArray | None = None) -> SolvedModel:
         """Solve the model with given sizes.
@@ -171,7 +158,7 @@ class MixedModel(ReadOnlyArrays):
         upper = scipy.linalg.cholesky(matrix.T, overwrite_a=True, check_finite=False)  # LAPACK's order: not copied
         v = scipy.linalg.cho_solve((upper, False), z.T @ y, check_finite=False)
         left = y - z @ v
-        determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(np.sum(np.log(variance)))
+        determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(self.rows.stands_for @ np.log(variance))
         cost = float(np.sum(left**2) + np.sum(prior * v**2))
         hold(matrix, upper)  # of which `upper` is a view
         solved = SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (determinant + cost))
@@ -271,7 +258,12 @@ class SolvedModel(ReadOnlyArrays):
     def gradient(self) -> FloatArray:
         """Gradient of `cost` by the logarithms of the sizes, (n_sizes,)."""
         of_families = self._members @ (1.0 - self._unseen_part - self.v**2)
-        return np.concatenate([of_families, 0.5 * self._shares @ (1.0 - self._leverage - self.whitened_residuals**2)])
+        return np.concatenate(
+            [
+                of_families,
+                0.5 * self._shares @ (self.model.rows.stands_for - self._leverage - self.whitened_residuals**2),
+            ]
+        )
 
     @cached_property
     def information(self) -> FloatArray:
@@ -283,7 +275,9 @@ class SolvedModel(ReadOnlyArrays):
         mixed = members @ (shares @ span**2).T
         weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]
         of_columns = np.array([(rows.T @ rows).ravel() for rows in weighed]).reshape(len(shares), -1)
-        noise = 0.5 * ((shares * (1.0 - 2.0 * self._leverage)) @ shares.T + of_columns @ of_columns.T)
+        noise = 0.5 * (
+            (shares * (self.model.rows.stands_for - 2.0 * self._leverage)) @ shares.T + of_columns @ of_columns.T
+        )
         return np.block([[families, mixed], [mixed.T, noise]])
 
     @property
@@ -331,16 +325,3 @@ class SolvedModel(ReadOnlyArrays):
         shifts, _ = LeftOutBlocks(self._spread, block).shifts_without_block(left, alone=1.0 - _DECIDES)
         squares = weight[self.model.rows.group] * self.variance * (left + shifts) ** 2
         return np.asarray(np.bincount(block, squares))
-
-    def left_out_errors(self) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
-        """Yield for each pose its rows (k,), the error of its prediction by all others (k,), and its covariance (k, k).
-
-        A pose that alone decides a direction is left out.
-        """
-        for places, turn in zip(self.model.poses, self.model.turns, strict=True):
-            values, vectors = linalg.eigh(np.eye(len(places)) - self._spread[places] @ self._spread[places].T)
-            if values[0] > _DECIDES:
-                unit = np.sqrt(self.variance[places])
-                root = turn @ (unit[:, None] * vectors / np.sqrt(values))
-                covariance = root @ root.T
-                yield places, covariance @ (turn @ (self.whitened_residuals[places] / unit)), covariance

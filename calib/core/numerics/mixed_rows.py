@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.linear_model import LinearModel
+from calib.core.numerics.prior import Prior
 
 FLAT, KNOWN = -2, -1
 """Family numbers with a meaning: `FLAT` is a column without a prior, `KNOWN` is one with the prior N(0, 1)."""
@@ -28,6 +31,9 @@ class MixedRows(ReadOnlyArrays):
         has_stated_noise: Whether the noise of each group is 1, (n_groups,).
         pose: Pose of each row, (n_rows,).
         levers: H: derivatives by the variables that scatter from pose to pose, (n_rows, n_scattering); may be empty.
+        counts: Number of rows of each group that were read, (n_groups,): where nothing scatters, fewer rows with the
+            same products may replace them. If not given, all are here.
+        present: Families that are known to be there (`calib.core.numerics.size_search`), (n,).
     """
 
     columns: FloatArray
@@ -37,6 +43,15 @@ class MixedRows(ReadOnlyArrays):
     has_stated_noise: BoolArray
     pose: IntArray
     levers: FloatArray
+    counts: IntArray | None = None
+    present: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    @cached_property
+    def stands_for(self) -> FloatArray:
+        """Number of rows that each row stands for, (n_rows,)."""
+        if self.counts is None:
+            return np.ones(len(self.group))
+        return (self.counts / np.maximum(np.bincount(self.group, minlength=len(self.counts)), 1))[self.group]
 
     @staticmethod
     def from_linear_problem(
@@ -54,7 +69,7 @@ class MixedRows(ReadOnlyArrays):
         kind = np.where(family >= 0, family, np.where(prior.has, KNOWN, FLAT))
         values = rows @ np.where(prior.has, model.deviations, 0.0) - model.residuals
         columns = rows @ (prior.root + np.diag(~prior.has)) if len(prior.together) else rows
-        return MixedRows(columns, values, kind, model.layout.group, stated, pose, levers)
+        return MixedRows(columns, values, kind, model.layout.group, stated, pose, levers, model.layout.counts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +87,13 @@ class FamilyPart(ReadOnlyArrays):
     family: int
 
     @staticmethod
-    def from_columns(members: IntArray, columns: FloatArray, family: int, least: float = 0.0) -> FamilyPart:
-        """Return the part of the columns of a family, (n_rows, n); without components shorter than `least`."""
+    def from_columns(
+        members: IntArray, columns: FloatArray, family: int, least: float = 0.0, aside: float = _ASIDE
+    ) -> FamilyPart:
+        """Return the part of the columns of a family, (n_rows, n).
+
+        Components are dropped if they are shorter than `least`, or than the part `aside` of the longest.
+        """
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
             lengths[lengths == 0.0] = 1.0
@@ -82,8 +102,63 @@ class FamilyPart(ReadOnlyArrays):
             kept = vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None]
             return FamilyPart(members, kept, family)
         values, vectors = _principal(columns)
-        seen = values > max(_ASIDE**2 * values[-1], least**2 if family >= 0 else 0.0)
+        seen = values > max(aside**2 * values[-1], least**2 if family >= 0 else 0.0)
         return FamilyPart(members, vectors[:, seen], family)
+
+
+def coefficients_of(parts: Sequence[FamilyPart], condensed: FloatArray) -> FloatArray:
+    """Return the coefficients of all columns (n_columns,), from those of the components of all parts (n,)."""
+    ends = np.cumsum([part.kept.shape[1] for part in parts])[:-1]
+    result = np.zeros(sum(len(part.members) for part in parts))
+    for part, own in zip(parts, np.split(condensed, ends), strict=True):
+        result[part.members] = part.kept @ own
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class SeenColumns(ReadOnlyArrays):
+    """Columns other than those of families, then the components of families that the rows see.
+
+    With w their coefficients, those of all columns are u = B w. B has orthonormal columns. Components that rows do not
+    see keep the mean of their prior, whatever the size of the family is.
+
+    Attributes:
+        parts: Columns other than those of families, and each family.
+        prior: Prior of w.
+        family: Family of each w, -1 for none, (n_new,).
+    """
+
+    parts: tuple[FamilyPart, ...]
+    prior: Prior
+    family: IntArray
+
+    @staticmethod
+    def from_rows(rows: FloatArray, prior: Prior, family: IntArray, least: float | None = None) -> SeenColumns:
+        """Return what rows see.
+
+        Args:
+            rows: (n_rows, n).
+            prior: Prior of the columns.
+            family: Family of each column, -1 for none, (n,).
+            least: Length of the shortest component; a ten-thousandth of the longest of its family if not given.
+        """
+        others = np.flatnonzero(family < 0)
+        parts = [FamilyPart(others, np.eye(len(others)), KNOWN)]
+        for number in range(int(np.max(family, initial=-1)) + 1):
+            members = np.flatnonzero(family == number)
+            aside, shortest = (_ASIDE, 0.0) if least is None else (0.0, least)
+            parts.append(FamilyPart.from_columns(members, rows[:, members], number, shortest, aside))
+        numbers = np.repeat([part.family for part in parts], [part.kept.shape[1] for part in parts])
+        known = prior.select(others)  # families have independent priors
+        return SeenColumns(tuple(parts), replace(known, has=np.append(known.has, numbers[len(others) :] >= 0)), numbers)
+
+    def combine(self, columns: FloatArray) -> FloatArray:
+        """Return `columns` times B, (..., n_new), from (..., n)."""
+        return np.concatenate([columns[..., part.members] @ part.kept for part in self.parts], axis=-1)
+
+    def coefficients(self, combined: FloatArray) -> FloatArray:
+        """Return u = B w, (n,), from w (n_new,)."""
+        return coefficients_of(self.parts, combined)
 
 
 def _principal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -188,12 +188,6 @@ class Information(ReadOnlyArrays):
         """T T^T, (n_parameters, n_parameters)."""
         return square_of_triangle(self.root) if self._all_clear else self.root @ self.root.T
 
-    @property
-    def log_determinant(self) -> float:
-        """The logarithm of the determinant of R^T R over the determined directions."""
-        sizes = np.abs(np.diag(self.factor)) if self._all_clear else self.strengths
-        return 2.0 * float(np.sum(np.log(sizes)))
-
     @cached_property
     def undetermined(self) -> BoolArray:
         """Mask of the parameters that depend on an undetermined direction, (n_parameters,)."""

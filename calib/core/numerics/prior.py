@@ -76,13 +76,11 @@ class Prior(ReadOnlyArrays):
             pull[self.together] = self._precision @ u[self.together]
         return pull
 
-    def add_to(self, matrix: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
-        """Return matrix + P^T P, (n, n), for u over `sizes` (n,) if given, written into the matrix."""
-        over = np.ones(len(self.has)) if sizes is None else 1.0 / sizes
-        matrix[self._own_prior_parameters, self._own_prior_parameters] += over[self._own_prior_parameters] ** 2
+    def add_to(self, matrix: FloatArray) -> FloatArray:
+        """Return matrix + P^T P, (n, n), written into the matrix."""
+        matrix[self._own_prior_parameters, self._own_prior_parameters] += 1.0
         if len(self.together):
-            known = over[self.together]
-            matrix[np.ix_(self.together, self.together)] += known[:, None] * self._precision * known
+            matrix[np.ix_(self.together, self.together)] += self._precision
         return matrix
 
     def select(self, chosen: BoolArray | IntArray) -> Prior:
@@ -91,11 +89,6 @@ class Prior(ReadOnlyArrays):
         kept = np.flatnonzero(np.isin(places, self.together))
         number = np.searchsorted(self.together, places[kept])
         return Prior(self.has[places], kept, self.correlations[np.ix_(number, number)])
-
-    def share(self, rows: FloatArray, squares: FloatArray) -> float:
-        """Return |P A|^2 for a matrix A, from its rows `together` (n_together, k) and the squares of all rows (n,)."""
-        share = float(np.sum(squares[self._own_prior_parameters]))
-        return share + float(np.sum((self._whitening @ rows) ** 2)) if len(self.together) else share
 
     def cost(self, u: FloatArray) -> float:
         """Return |P u|^2 for u (n,)."""

@@ -1,7 +1,10 @@
 """Sizes of a mixed model: the likeliest ones, and others that the rows do not exclude.
 
 Prior. The size of a family has a half-Cauchy density, 1 / (1 + s^2), around the expected s = 1 (gelman2006), which lets
-sizes grow where rows demand it. The density of the noise and of the scatter d is flat.
+sizes grow where rows demand it. The density of the noise and of the scatter d is flat. Whether a family is there at all
+is asked by the largest density of s, which may be at s = 0. If it is known to be there (`MixedRows.present`), the
+largest density of log s counts, s / (1 + s^2) times the likelihood: it is never at zero, and it is at the expected
+s = 1 where rows say nothing (chung2013).
 
 Search. Newton's steps on the logarithms of the sizes use the average information (`calib.core.numerics.mixed_model`),
 which is positive, plus the curvature of the prior. A step that does not lower the cost is damped (Levenberg, Marquardt)
@@ -21,7 +24,7 @@ the value that would explain all residuals, which neither exceeds.
 When it fails. Two families of similar columns share their effect, or one has all of it: the posterior has two maxima,
 and this finds one.
 
-Reference: gelman2006; patterson1971.
+Reference: gelman2006; chung2013; patterson1971.
 """
 
 from __future__ import annotations
@@ -33,12 +36,15 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
+from calib.core.numerics.identifiability import reduce_rows
+from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
-from calib.core.numerics.mixed_rows import FLAT
+from calib.core.numerics.mixed_rows import FLAT, MixedRows, SeenColumns
 
 _LEAST = -6.0  # logarithm of the least size of a family
 _MOST = 4.0
 _LEAST_PART = 1e-3  # least noise and scatter, over what would explain all residuals
+_LEAST_ALONE = 1e-5  # the same of noise where nothing scatters: all that families leave is noise then
 _SMALL = 0.1  # a falling size is set to its bound below this part of the start of the search
 _AT_BOUND = 1e-9  # difference of a logarithm from its bound
 _NOTHING = 1e-300
@@ -86,6 +92,39 @@ def likeliest_sizes(
     falling[model.n_families : model.n_families + len(model.unstated_groups)] = False  # noise is never zero
     without = model.solve(np.where(falling, bounds.least, at.logs)) if np.any(falling) else at
     return without if _cost(without) <= _cost(at) else at
+
+
+def find_sizes(
+    model: LinearModel, sought: BoolArray, family: IntArray, sizes: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Find scales of groups of rows, and sizes of families, without scatter.
+
+    Rows of a group have one variance. So those of the components that they see are replaced by their triangular factor,
+    and a step of the search takes no longer where there are more of them.
+
+    Args:
+        model: The rows, whitened by the noise as far as it is known.
+        sought: Mask of the groups whose scales are to be found, (n_groups,); the others have the scale 1.
+        family: Family of each parameter, -1 for none, (n_free,).
+        sizes: Sizes to start from, over the expected ones, (n_families,).
+
+    Returns:
+        Scales of the groups (n_groups,), and sizes (n_families,).
+    """
+    seen, counts = SeenColumns.from_rows(model.jacobian, model.prior, family), model.layout.counts
+    columns, groups = seen.combine(model.jacobian), np.arange(len(counts))
+    few = [reduce_rows(columns[own], model.residuals[own]) for own in (model.layout.group == g for g in groups)]
+    rows, group = np.vstack(few), np.repeat(groups, [len(own) for own in few])
+    linear = LinearModel(
+        rows[:, -1], rows[:, :-1], seen.prior, seen.combine(model.deviations), RowGroups(group, counts)
+    )
+    sought = sought & (counts > 0)
+    none = np.zeros((len(rows), 0))
+    every = MixedRows.from_linear_problem(linear, seen.family, ~sought, np.arange(len(rows)), none)
+    mixed = MixedModel.from_rows(replace(every, present=np.arange(len(sizes))))
+    begin = np.append(np.log(sizes), np.zeros(np.count_nonzero(sought)))
+    found, noise, _ = mixed.sizes(likeliest_sizes(mixed, begin).logs)
+    return noise, found
 
 
 def scatter_given_noise(at: SolvedModel) -> float:
@@ -182,12 +221,14 @@ class _Bounds(ReadOnlyArrays):
     def from_model(model: MixedModel) -> _Bounds:
         flat = model.x[:, model.family == FLAT]
         left = model.y - flat @ linalg.lstsq(flat, model.y) if flat.shape[1] else model.y
-        squares = [float(np.mean(left[model.rows.group == g] ** 2)) for g in model.unstated_groups]
+        group, counts = model.rows.group, model.rows.stands_for
+        squares = [float(np.sum(left[group == g] ** 2) / np.sum(counts[group == g])) for g in model.unstated_groups]
         if model.scatters:
             squares.append(float(np.mean(left**2)) / max(float(np.mean(model.spread)), _NOTHING))
         most = 0.5 * np.log(np.array(squares) + _NOTHING)
         families = np.ones(model.n_families)
-        return _Bounds(np.append(_LEAST * families, most + np.log(_LEAST_PART)), np.append(_MOST * families, most))
+        least = most + np.log(_LEAST_PART if model.scatters else _LEAST_ALONE)
+        return _Bounds(np.append(_LEAST * families, least), np.append(_MOST * families, most))
 
     @property
     def first(self) -> FloatArray:
@@ -197,7 +238,9 @@ class _Bounds(ReadOnlyArrays):
 
 def _cost(at: SolvedModel) -> float:
     """-log of the posterior density, up to a constant."""
-    return at.cost + float(np.sum(np.log1p(np.exp(2.0 * at.logs[: at.model.n_families]))))
+    logs = at.logs[: at.model.n_families]
+    cost = at.cost + float(np.sum(np.log1p(np.exp(2.0 * logs))))
+    return cost - float(np.sum(logs[at.model.rows.present]))
 
 
 def _slope(at: SolvedModel) -> FloatArray:
@@ -205,6 +248,7 @@ def _slope(at: SolvedModel) -> FloatArray:
     n, slope = at.model.n_families, np.zeros(len(at.logs))
     squares = np.exp(2.0 * at.logs[:n])
     slope[:n] = 2.0 * squares / (1.0 + squares)
+    slope[at.model.rows.present] -= 1.0
     return slope
 
 

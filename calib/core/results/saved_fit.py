@@ -121,7 +121,7 @@ def _fit_entry(fit: Fit) -> dict[str, Any]:
         "placed": fit.placed.values,
         "values": fit.robot.values,
         "scales": fit.unknowns.scales,
-        "noise": vars(fit.scales),
+        "noise": {"groups": fit.scales},
         "passive": fit.configurations.passive,
         "robust": {"weights": fit.weights, "factors": vars(fit.statistics.factors)} if robust else None,
         "settings": {"sigma": fit.sigma_given, "loss": fit.loss, "seed": fit.seed},
@@ -130,7 +130,6 @@ def _fit_entry(fit: Fit) -> dict[str, Any]:
         "seconds": fit.seconds,
         "convergence": convergence,
         "choice": None if fit.terms is None else fit.terms.requested,
-        "expected": None if fit.terms is None or np.isnan(fit.terms.expected_rms) else fit.terms.expected_rms,
         "identification": _measurements_entry(fit.identification.data),
         "validation": None if fit.validation is None else _measurements_entry(fit.validation.data),
         "folds": None if folds is None else {**vars(folds), "errors": _errors_entry(folds.errors)},
@@ -198,8 +197,8 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
     problem = Problem.from_data(seen, data, settings.sigma, entry["passive"])
     groups, unknowns = entry["noise"]["groups"], replace(problem.unknowns, scales=entry["scales"])
     problem = replace(problem, unknowns=unknowns, noise_found=problem.whitening.is_unstated | (groups != 1.0))
-    if np.any(entry["noise"]["ratios"]):
-        problem = problem.with_offset_ratios(entry["noise"]["ratios"])
+    if np.any(entry["noise"].get("ratios", 0.0)):
+        raise ValueError("readings of a pose were weighted as ones that share an error")
     start, end = (problem.evaluate(seen.with_parameters(entry[state])) for state in ("placed", "values"))
     begin = reset_unseen(problem, start)
     weighing = {"weights": robust["weights"], "factors": Factors(**robust["factors"])} if robust else {}
@@ -213,8 +212,7 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
     validation = None if entry["validation"] is None else _measurements_of(entry["validation"], nominal)
     fit = fit_at(minimum, settings, validation)
     requested, folds = entry["choice"], entry["folds"]
-    expected = float("nan") if entry["expected"] is None else float(entry["expected"])
-    choice = TermChoice(requested, nominal.description.terms, (), _undecided_of(entry), expected)
+    choice = TermChoice(requested, nominal.description.terms, (), _undecided_of(entry))
     if folds is not None:
         folds = Folds(**_tuples(folds) | {"errors": ErrorSet(data, nominal.instruments, **folds["errors"])})
     return replace(

@@ -7,20 +7,11 @@ scaled Jacobian J (columns times the parameters' sigma) are whitened reading by 
     [rw, Jw] = D^(-1/2) [r, J],        D = blocks s_g^2 C_k
 
 Where an instrument reads several times at a pose (markers before a camera, repeats of a point), these readings share
-the error of the model there, so that they carry less information than as many readings at other poses. With e_c the
-change of the instrument's rows by an offset of component c,
-
-    D = R (blocks s_g^2 C_k) R,        R = (I + sum of (kappa_c / s_g)^2 e_c e_c^T)^(1/2) in whitened rows, pose by pose
-
-with kappa_c^2 the variance of that offset: n readings weigh like n / (1 + n kappa^2 / s^2), so that
-many weigh like one or two.
-
-Estimates are weighted by R only where it predicts left-out poses better than R = 1 does (`calib.core.fitting.solving`).
-Readings that agree within a pose may be wrong in the same way at each, as with a lens or a board, and would then get
-all the weight. An error of any shape that readings of a pose share widens intervals, and does not change weights
-(`calib.core.numerics.clusters`): weights by a guess of its shape made predictions of real robots worse (UR10, full
-poses: 0.467 mm instead of 0.442 on unused rows; Motoman, tracker and cameras: 0.076 instead of 0.072). Visits that
-repeat a pose share one error, since the error of the model is the same each time.
+the error of the model there. An error of any shape that readings of a pose share widens intervals, and does not change
+weights (`calib.core.numerics.clusters`): weights by a guess of its shape made predictions of real robots worse (UR10,
+full poses: 0.467 mm instead of 0.442 on unused rows; Motoman, tracker and cameras: 0.076 instead of 0.072). Weights by
+an offset that all readings of an instrument at a pose share changed one fit of all real ones, whose pixels were wrong
+(docs/uncertainty.md).
 
 A component that was not read has a row of zeros, which has no effect and is not counted.
 """
@@ -31,12 +22,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.instruments.kind import Part
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.losses import StudentisedErrors, studentised
 from calib.core.numerics.tall import Span
-from calib.core.numerics.variance_components import SharedError
 
 
 @dataclass(frozen=True)
@@ -53,19 +43,6 @@ class Group:
     part: Part
     stated: bool
     typical: float
-
-
-@dataclass(frozen=True, eq=False)
-class Scales(ReadOnlyArrays):
-    """Scales of the noise relative to its statement.
-
-    Attributes:
-        groups: s_g of the module docstring, (n_groups,).
-        ratios: kappa_c over s_g, which weights estimates, (n_offsets,); all 0 for R = 1.
-    """
-
-    groups: FloatArray
-    ratios: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,12 +89,6 @@ class Layout(RowGroups):
         """Pose of each row, (n_rows,)."""
         return self.pose[self.reading]
 
-    @property
-    def poses_of_groups(self) -> IntArray:
-        """Number of poses at which each group was read, (n_groups,)."""
-        pose = self.pose_of_row
-        return np.array([len(np.unique(pose[self.group == g])) for g in range(len(self.groups))])
-
     def rows_of(self, instrument: str) -> slice:
         """Return the rows of an instrument."""
         k = self.instruments.index(instrument)
@@ -141,12 +112,6 @@ class Rows(LinearModel):
             return self
         root = np.sqrt(weights)[self.layout.reading]
         return replace(self, residuals=root * self.residuals, jacobian=root[:, None] * self.jacobian)
-
-    def whiten_shared(self, shared: SharedError | None) -> Rows:
-        """Return the rows whitened for errors that the rows of a pose share; the same object without such errors."""
-        if shared is None:
-            return self
-        return replace(self, residuals=shared.whiten(self.residuals), jacobian=shared.whiten(self.jacobian))
 
     def studentise(
         self, root: FloatArray, weights: FloatArray, freedom: float, scale: float | None = None

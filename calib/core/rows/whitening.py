@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 
 import numpy as np
 
@@ -12,17 +11,13 @@ from calib.core.base.units import Dimension
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import Instrument, Part, Readings
 from calib.core.instruments.noise import Noise, PartNoise
-from calib.core.numerics.variance_components import SharedError
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed
-from calib.core.rows.rows import Group, Layout, Rows, Scales
+from calib.core.rows.rows import Group, Layout, Rows
 from calib.core.rows.unknowns import Unknowns
 
 ASSUMED: dict[Dimension, float] = {"length": 1e-4, "angle": 1e-4, "pixel": 0.5}
 """Noise of one component if it is neither stated nor shown by residuals [SI]; messages must say that it is assumed."""
-
-
-_AGAIN = 10  # a shared offset is looked for if there are so many readings beyond the first of their pose
 
 
 class Whitening:
@@ -41,7 +36,6 @@ class Whitening:
 
     def __init__(self, robot: Robot, data: Measurements, sigma: float | None = None) -> None:
         self._names = tuple(instrument.name for instrument in robot.instruments if instrument.name in data.readings)
-        self._n_rows = {instrument.name: instrument.n_rows for instrument in robot.instruments}
         self._inverse: dict[str, FloatArray] = {}
         groups: dict[tuple[str, str, bool], Group] = {}
         numbers: list[IntArray] = []
@@ -95,10 +89,9 @@ class Whitening:
             rows /= self.row_scale(groups).reshape(-1, *[1] * (rows.ndim - 1))
         return rows
 
-    def unwhiten_rows(self, whitened: FloatArray, scales: Scales) -> dict[str, FloatArray]:
-        """Undo whitening by `scales`, from all rows (n_all_rows,) to readings, (n, n_rows) [SI] by instrument."""
-        weighing = self.weighing(scales.ratios)
-        numbers = self.row_scale(scales.groups) * (whitened if weighing is None else weighing.unwhiten(whitened))
+    def unwhiten_rows(self, whitened: FloatArray, groups: FloatArray) -> dict[str, FloatArray]:
+        """Undo whitening by the scales of the groups, from all rows (n_all_rows,) to readings, (n, n_rows) [SI]."""
+        numbers = self.row_scale(groups) * whitened
         result = {}
         for name in self._names:
             inverse = self._inverse[name]
@@ -139,64 +132,6 @@ class Whitening:
         columns = self.whiten({name: observed[name].derivative_by(unknowns.index) for name in self._names}, groups)
         columns *= unknowns.scales
         return columns
-
-    def weighing(self, ratios: FloatArray) -> SharedError | None:
-        """Return the errors that readings of a pose share, by `Scales.ratios`, (n_offsets,); None if all are 0."""
-        weighed = ratios > 0
-        if not np.any(weighed):
-            return None
-        return SharedError(self.offset_columns[:, weighed] * ratios[weighed], self.layout.pose_of_row)
-
-    def totals(self, scales: Scales) -> FloatArray:
-        """Return the scale of all noise of a reading of each group, shared offsets included, (n_groups,)."""
-        weighing = self.weighing(scales.ratios)
-        if weighing is None:
-            return scales.groups
-        read = self.layout.group >= 0
-        number = self.layout.group[read]
-        squares = np.bincount(number, weighing.variances()[read]) / np.bincount(number)
-        return scales.groups * np.sqrt(squares)
-
-    @property
-    def n_offsets(self) -> int:
-        """Number of components of all instruments of the robot."""
-        return sum(self._n_rows.values())
-
-    @cached_property
-    def offset_columns(self) -> FloatArray:
-        """Derivative of the rows by an offset of each component of each instrument, (n_rows, n_offsets)."""
-        units = np.eye(self.n_offsets)
-        by_instrument = dict(
-            zip(self._n_rows, np.split(units, np.cumsum(list(self._n_rows.values()))[:-1]), strict=True)
-        )
-        readings = {name: len(self.layout.pose[self.layout.readings_of(name)]) for name in self._names}
-        return self.flatten({name: np.tile(by_instrument[name], (n, 1, 1)) for name, n in readings.items()})
-
-    @cached_property
-    def tells_offsets(self) -> BoolArray:
-        """Whether enough readings share a pose with another one to show each offset, (n_offsets,)."""
-        enough: list[bool] = []
-        for name, n_rows in self._n_rows.items():
-            pose = self.layout.pose[self.layout.readings_of(name)] if name in self._names else np.zeros(0)
-            enough += [len(pose) - len(np.unique(pose)) >= _AGAIN] * n_rows
-        return np.array(enough) & (np.any(self.offset_columns != 0, axis=0) if any(enough) else False)
-
-    def offset_scale(self, groups: FloatArray) -> FloatArray:
-        """Return the scale of the group of each offset, (n_offsets,); 1 without readings."""
-        rows = self.offset_columns != 0
-        return np.where(rows.any(axis=0), self.row_scale(groups)[np.argmax(rows, axis=0)], 1.0)
-
-    def without_offsets(self, ratios: FloatArray) -> BoolArray:
-        """Return a mask of groups whose instruments have no offset, (n_groups,); all if each has one.
-
-        Args:
-            ratios: `Scales.ratios`, (n_offsets,).
-        """
-        ends = np.cumsum(list(self._n_rows.values()))[:-1]
-        has_offsets = dict(zip(self._n_rows, (bool(np.any(part > 0)) for part in np.split(ratios, ends)), strict=True))
-        weighed = [self.layout.group[self.layout.rows_of(name)] for name in self._names if has_offsets[name]]
-        free = ~np.isin(np.arange(len(self.groups)), np.concatenate([np.zeros(0, dtype=np.intp), *weighed]))
-        return free if np.any(free) else ~free
 
     def joint_columns(self, observed: Mapping[str, Observed], groups: FloatArray) -> FloatArray:
         """Return the whitened derivative of the rows by the joints, (n_rows, n_actuated), as in `rows`."""

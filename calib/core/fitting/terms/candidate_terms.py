@@ -101,15 +101,12 @@ class TermChoice:
         sections: The entries of the fit.
         trials: With `auto`, the result for each kind of term, added ones first.
         undecided: With `auto`, the uncertainty from the sizes of all kinds; None if there is none.
-        expected_rms: With `auto`, the expected root mean square error at left-out poses, of the main part of the
-            readings [SI]; NaN where it is not known.
     """
 
     requested: str
     sections: tuple[TermSection, ...]
     trials: tuple[TermTrial, ...] = ()
     undecided: UndecidedTerms | None = None
-    expected_rms: float = float("nan")
 
     @property
     def automatic(self) -> bool:

@@ -88,13 +88,12 @@ class KindModel:
         some = poses[:: -(-len(poses) // _POSES)]
         return np.flatnonzero((layout.group >= 0) & np.isin(layout.pose_of_row, some))
 
-    def rows(self, read: IntArray, groups: FloatArray, ratios: FloatArray, stated: BoolArray) -> MixedRows:
+    def rows(self, read: IntArray, groups: FloatArray, stated: BoolArray) -> MixedRows:
         """Return rows of the model.
 
         Args:
             read: Numbers of the rows, (n_read,).
             groups: Scales of the noise that whitens them, (n_groups,).
-            ratios: Ratios of the offsets that weight them, (n_offsets,).
             stated: Mask of the groups whose noise is stated, (n_groups,).
         """
         fit, layout = self._fit, self._fit.whitening.layout
@@ -102,15 +101,9 @@ class KindModel:
         same = self.robot is fit.robot
         poses = fit.configurations if same else self.robot.assemble(data.joints, near, data.labels, data.conditions)
         observed = observe(self.robot, poses, data.readings, joints=True)
-        weighing = fit.whitening.weighing(ratios)
-        rows = (
-            fit.whitening.rows(observed, groups, self._unknowns, self.robot.values)
-            .with_weights(fit.weights)
-            .whiten_shared(weighing)
-        )
+        rows = fit.whitening.rows(observed, groups, self._unknowns, self.robot.values).with_weights(fit.weights)
         by_joint = fit.whitening.joint_columns(observed, groups)
         levers: FloatArray = np.sqrt(fit.weights)[layout.reading, None] * by_joint * fit.robot.mechanism.joint_scale
-        levers = levers if weighing is None else weighing.whiten(levers)
         return MixedRows.from_linear_problem(
             rows.take_rows(read), self._family, stated, layout.pose_of_row[read], levers[read]
         )

@@ -25,7 +25,6 @@ Results:
     undecided    the other kinds may exist, too, and sizes are uncertain. With coefficients u and covariance C for
                  drawn sizes of all kinds that the rows leave open, cov u = mean of C + covariance of u: its excess
                  over C of the fitted sizes is added to the covariance of the fit
-    expected     error at left-out poses, each predicted by all others, by the same model
 
 Measured on real robots (`docs/theory/joint_terms.md`): weighting the fit itself by the error of joints was no better on
 one tracked arm and much worse where a camera reads several points of a pose, whose noise has another shape. Time and
@@ -106,7 +105,7 @@ def size_terms(fit: Fit) -> TermChoice:
     ]
     sections = (*described, *(section for candidate in requested for section in model.entries(candidate)))
     tried.sort(key=lambda term: not term.added)
-    return TermChoice("auto", sections, tuple(tried), model.undecided(sections), model.expected_rms())
+    return TermChoice("auto", sections, tuple(tried), model.undecided(sections))
 
 
 class _TermModel:
@@ -128,8 +127,7 @@ class _TermModel:
     def _rows(self) -> MixedRows:
         """Rows of the model, divided by the noise that the fit found: stated noise contains no errors of the robot."""
         scales, model = self._fit.scales, self._kind_model
-        found = np.zeros(len(scales.groups), dtype=bool)
-        return model.rows(model.informative_rows, scales.groups, scales.ratios, found)
+        return model.rows(model.informative_rows, scales, np.zeros(len(scales), dtype=bool))
 
     @cached_property
     def _blocks(self) -> IntArray:
@@ -286,22 +284,3 @@ class _TermModel:
         logs = np.where(fitted, self._chosen_model.logs, self._smallest_logs)
         others = missing_terms(self._fit.robot.with_terms(fitted_terms), self._sections)
         return self._kind_model.undecided(MixedModel.from_rows(self._rows, _SHORTEST), logs, self._draws, others)
-
-    def expected_rms(self) -> float:
-        """Return the expected root mean square error at left-out poses, of the main part of the readings [SI].
-
-        NaN if every pose decides a direction alone, if no terms are fitted, or if poses have several readings: the
-        error that these share is unknown, and may be unlike errors of joints.
-        """
-        fit, layout = self._fit, self._fit.whitening.layout
-        if layout.n_readings > len(np.unique(layout.pose)) or not np.any(self._is_fitted & self._kind_model.of_kinds):
-            return float("nan")
-        weighing = fit.whitening.weighing(fit.scales.ratios)
-        std = np.full(layout.n_rows, np.nan)
-        for places, _, covariance in self._chosen_model.left_out_errors():
-            std[self._kind_model.informative_rows[places]] = np.sqrt(np.diag(covariance))
-        std *= np.sqrt((1.0 if weighing is None else weighing.variances()) / fit.weights[layout.reading])
-        scales = replace(fit.scales, ratios=np.zeros(len(fit.scales.ratios)))
-        expected = replace(fit.identification, after=fit.whitening.unwhiten_rows(std, scales))
-        lengths = np.nansum(expected.errors("after", expected.main_part.name) ** 2, axis=1)
-        return float(np.sqrt(np.mean(lengths[lengths > 0.0]))) if np.any(lengths > 0.0) else float("nan")

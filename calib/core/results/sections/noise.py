@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.base.units import ERROR_UNIT, error_scale, millimetres, quantity_text
+from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
 from calib.core.base.words import count_noun
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.repeatability import doubtful_repeats, repeat_table, repeatability
@@ -19,8 +19,7 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
     sections = fit.nominal.description.instruments
     for instrument in fit.nominal.instruments:
         parts = []
-        offsets = fit.offsets.get(instrument.name, np.zeros(instrument.n_rows))
-        for index, part in enumerate(instrument.parts):
+        for part in instrument.parts:
             of_part = (n for n in fit.noise if (n.group.name, n.group.part.name) == (instrument.group, part.name))
             noise = next(of_part, None)
             scale = error_scale(part.dimension)
@@ -29,7 +28,6 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
                     "name": part.name,
                     "unit": ERROR_UNIT[part.dimension],
                     "sigma": None if noise is None else scale * noise.sigma,
-                    "sigma_weighed": [scale * float(size) for size in offsets[np.equal(instrument.part_of_row, index)]],
                     "sigma_stated": None if noise is None or noise.stated is None else scale * noise.stated,
                     "degrees_of_freedom": None if noise is None else noise.freedom,
                     "errors": {
@@ -97,16 +95,6 @@ def scatter_lines(fit: Fit) -> list[str]:
         lines.append(
             f"Readings of the same pose share errors: poses scatter {fit.statistics.shared_scatter.ratio:.2g} times as"
             " much as independent readings would. Intervals include it"
-        )
-    for name, offsets in fit.offsets.items():
-        instrument = fit.nominal.instrument(name)
-        axes = [(axis, part) for part in instrument.parts for axis in part.axes]
-        sizes = [
-            f"{axis} {quantity_text(size, part.dimension)}" for (axis, part), size in zip(axes, offsets, strict=True)
-        ]
-        lines.append(
-            f"All readings of {name} at a pose share an error that the model leaves out: {', '.join(sizes)}."
-            " The fit gives these readings less weight, because it then predicts poses left out better"
         )
     if fit.chi_square is not None:
         chi = fit.chi_square

@@ -1,0 +1,85 @@
+"""How many positions of real robots that a fit has not used lie in its 95 % regions, and what each mechanism adds.
+
+    python tests/unused_rows.py FOLDER [--only WORDS] [--page]
+
+The splits are those of `tests/claims.py`, as far as one instrument reads positions. The covariance of a reading is that
+of the predicted position plus the noise found. A region is an ellipsoid of three coordinates. --page writes the table
+into docs/uncertainty.md.
+"""
+
+import argparse
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from claims import splits
+from public_data import EXAMPLES
+from scipy.stats import chi2, norm
+
+import calib
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import CalibrationError
+from calib.core.rows.prediction import ParameterUncertainty
+
+PAGE = EXAMPLES.parent / "uncertainty.md"
+_PLACE = re.compile(r"(<!-- begin unused rows -->\n).*?(<!-- end unused rows -->)", re.DOTALL)
+TERMS = {"origins": None, "`--terms auto`": "auto"}
+
+
+def mechanisms(fit: calib.Calibration) -> Iterator[tuple[str, ParameterUncertainty]]:
+    """Yield the uncertainty of a fit as stated, and without each mechanism that can be left out of it."""
+    known = fit.uncertainty
+    yield "as stated", known
+    yield "without *regions left out*", replace(known, covariance=known.covariance / fit.interval_factor**2)
+    yield "without *undecided terms*", replace(known, undecided=None)
+    yield "without *unexplained joint errors*", replace(known, joint_error=0.0)
+
+
+def held(fit: calib.Calibration, known: ParameterUncertainty, errors: FloatArray) -> tuple[float, float]:
+    """Return the part of unused positions, and of their coordinates, in the 95 % regions of an uncertainty."""
+    data = fit.validation.data
+    predicted = known.predict(fit.robot, data.joints, data.conditions, fit.validation.passive, turns=False)
+    covariance = predicted.covariance[:, 0] + fit.sigma**2 * np.eye(3)
+    squares = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covariance), errors)
+    wider = predicted.coverage_factor / norm.ppf(0.975)
+    std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    inside = np.abs(errors) <= predicted.coverage_factor * std
+    return float(np.mean(squares <= wider**2 * chi2.ppf(0.95, 3))), float(np.mean(inside))
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", metavar="FOLDER", type=Path)
+    parser.add_argument("--only", default="", metavar="WORDS", help="splits whose names contain them")
+    parser.add_argument("--page", action="store_true", help="write the table into docs/uncertainty.md")
+    options = parser.parse_args()
+    parts: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for split in splits(options.folder):
+        if options.only not in f"{split.robot} {split.how}" or len(split.nominal.mechanism.targets) > 1:
+            continue
+        for terms in TERMS:
+            try:
+                fit = calib.fit(split.nominal, split.used, validation=split.unused, terms=TERMS[terms])
+            except CalibrationError as error:
+                print(f"{split.robot}, {split.how}: refused: {error}", flush=True)
+                continue
+            if fit.validation.main_part.name == "position" and len(fit.noise) == 1:
+                errors = fit.validation.errors("after", "position", single=True)
+                for name, known in mechanisms(fit):
+                    parts.setdefault((name, terms), []).append(held(fit, known, errors))
+    lines = [f"| {len(next(iter(parts.values())))} fits each | {' | '.join(TERMS)} |", "|---|---:|---:|"]
+    for name in dict.fromkeys(name for name, _ in parts):
+        means = [100 * np.mean(parts[name, terms], axis=0) for terms in TERMS]
+        lines.append(f"| {name} | {' | '.join(f'{region:.1f}, {one:.1f}' for region, one in means)} |")
+    table = "\n".join(lines)
+    print(table)
+    if options.page:
+        text = PAGE.read_text(encoding="utf-8")
+        PAGE.write_text(_PLACE.sub(lambda place: f"{place[1]}{table}\n{place[2]}", text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -157,6 +157,24 @@ def test_angles_of_orientations_on_another_scale_are_named_without_a_stated_nois
     assert result[2] == ("larger" if scale > 1 else "smaller")
 
 
+@pytest.mark.quick(2)
+@pytest.mark.parametrize(("scale", "grade"), [(1.03, "CHECK"), (0.97, "CHECK"), (1.0, "PASS"), (1.01, "PASS")])
+def test_links_that_are_known_loosely_say_from_which_scale_on_lengths_are_doubted(tmp_path, run_calib, scale, grade):
+    """Seven joints whose links are known to 2 mm: lengths 1 % too long move none of them by two of these sigmas."""
+    given = ("init", "--dh", EXAMPLES / "panda_dh.csv", "--measure", "tracker", "--out", tmp_path / "robot.yaml")
+    assert run_calib(*given).code == 0
+    robot, rng = calib.load(tmp_path / "robot.yaml"), np.random.default_rng(11)
+    own = robot.parameters[: robot.n_origin_parameters]
+    errors = {p.name: p.nominal_si + 0.3 * p.sigma_si * rng.normal() for p in own if not p.placement}
+    q = calib.sample(robot, 70, np.random.default_rng(2)).joints
+    points = scale * (robot.with_parameters(errors).positions(q)[:, 0] + 3e-5 * rng.standard_normal((70, 3)))
+    verdict = calib.fit(robot, calib.as_measurements(robot, q, points)).verdict
+    assert verdict.grade == grade
+    line = next(line for line in verdict.not_covered if line.startswith("a scale error"))
+    assert 10 < float(re.match(r"a scale error below ([\d.]+) mm in 1 m", line)[1]) < 30
+    assert ("lengths_scaled" in [reason.code for reason in verdict.reasons]) == (grade == "CHECK")
+
+
 BARS = """\
 base: {frame: base_link}
 targets: {reflector: {frame: flange, xyz: [20 mm, 0 mm, 50 mm], position: unknown, sigma: 5 mm}}

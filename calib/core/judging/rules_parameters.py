@@ -113,7 +113,7 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     found noise: without a scale, their squares add up to about the number of rows less that of places. Joints that turn
     too far draw larger arcs, which look like longer links: if gains of all joints explain as much, the scale is not the
     cause; that of one instrument is not if constants in the readings explain as much. Doubt remains where these explain
-    nearly as much, and where a scale is less sure, but a parameter is far from nominal.
+    nearly as much, and where a scale is less sure, but above a hundredth, or a parameter is far from nominal.
     """
     if fit.computed:
         return
@@ -139,7 +139,8 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     likelier = min(_cost_with(columns, left[:, -1], n_measured)[0] for columns in others)
     by_noise = findings.linear(fit).rows.layout.n_read - int(np.sum(fit.unknowns.placement))
     shown = alone - scaled > _least_sigmas(fit, 1) ** 2
-    doubtful = alone - scaled > PLAUSIBLE**2 and any(away > PLAUSIBLE for _, away in _deviations(fit))
+    far = abs(part) > JOINT_SCALED or any(away > PLAUSIBLE for _, away in _deviations(fit))
+    doubtful = alone - scaled > PLAUSIBLE**2 and far
     if (shown or doubtful) and alone - scaled > MOST * (alone - by_noise) and scaled < likelier:
         yield Code.LENGTHS_SCALED.says(
             f"{names[best]} are {_scale_sentence(part, angles=angles[best])} in the description: no robot is"

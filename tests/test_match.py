@@ -16,6 +16,7 @@ from calib.core.base.errors import DataError
 from calib.core.robots.urdf.ur_kinematics import JOINTS, KEYS, LINKS, nominal_origins, ur_urdf
 from calib.matching.pairs import read_pairs
 from calib.matching.readings import candidates
+from calib.matching.unexplained import hypotheses
 
 STEP = 1e-3, 1e-5  # of a pendant: 0.001 rad, 0.01 mm
 
@@ -119,6 +120,17 @@ def test_what_a_controller_knows_beside_joint_origins_is_named_and_no_pass(
     assert "the controller computes with something that joint origins cannot hold" in matched.conclusion
     assert words in matched.conclusion
     assert matched.agreement.left_out > 2 * matched.agreement.rounding_distance
+
+
+def test_of_pairs_on_a_coarse_grid_only_the_lowest_number_of_waves_is_tried(stock: Path) -> None:
+    """Every 60 degrees, 5 waves a turn are at every pose minus 1 wave, 4 are minus 2 waves, and 6 are none."""
+    robot = calib.load(stock)
+    steps = np.radians(60) * np.random.default_rng(1).integers(-3, 4, (40, 6))
+    tried = [[words for words, _ in hypotheses(robot, q) if " wave" in words] for q in (steps, joint_values(1))]
+    assert [word for word in tried[0] if "elbow" in word] == [
+        f"gear of elbow_joint ({waves} a turn)" for waves in ("1 wave", "2 waves", "3 waves")
+    ]
+    assert len(tried[1]) == 6 * 6
 
 
 def test_pair_of_another_program_is_named_and_left_out(stock: Path, tmp_path: Path) -> None:

@@ -121,6 +121,60 @@ def test_lengths_on_another_scale_along_one_axis_are_named_without_a_stated_nois
     assert result[2] == ("longer" if scale > 1 else "shorter")
 
 
+@pytest.mark.quick(3)
+@pytest.mark.parametrize(
+    ("form", "scale", "noise"),
+    [
+        ("rotation_vector", 0.98, 5e-5),
+        ("rpy", 1.005, 5e-5),
+        ("quaternion", 1.02, 2e-3),
+        ("quaternion", 1.0, 2e-3),
+        ("rotation_vector", 1.02, 2e-3),
+        ("intrinsic_zyx", 0.98, 2e-3),
+        ("intrinsic_xyz", 1.001, 2e-3),
+        ("rpy", 1.0, 2e-3),
+    ],
+)
+def test_angles_of_orientations_on_another_scale_are_named_without_a_stated_noise(tmp_path, form, scale, noise):
+    """Positions fit as before; only the noise that is found of orientations grows, and none is stated."""
+    robot = calib.load(write_six_axis(tmp_path, POSES.replace("target: cell}", f"target: cell, rotation: {form}}}")))
+    q, rng = 0.6 * joints(60), np.random.default_rng(5)
+    T = robot.forward(q, "cell")
+    turns = Rotation.from_rotvec(noise * rng.standard_normal((60, 3))) * Rotation.from_matrix(T[:, :3, :3])
+    sequence = {"rpy": "xyz", "intrinsic_xyz": "XYZ", "intrinsic_zyx": "ZYX"}.get(form)
+    if sequence is None:
+        turns = Rotation.from_rotvec(scale * turns.as_rotvec())
+    else:
+        turns = Rotation.from_euler(sequence, scale * turns.as_euler(sequence))
+    read = np.hstack([T[:, :3, 3] + 3e-5 * rng.standard_normal((60, 3)), turns.as_rotvec()])
+    verdict = calib.fit(robot, calib.as_measurements(robot, q, {"tracker": read})).verdict
+    if abs(scale - 1.0) < 2e-3:
+        assert verdict.grade == "PASS"
+        return
+    assert verdict.grade == "FAIL"
+    result = re.match(r"angles of tracker are ([\d.]+) % (larger|smaller)", verdict.reasons[0].text)
+    assert float(result[1]) == pytest.approx(100 * abs(scale - 1), rel=0.2)
+    assert result[2] == ("larger" if scale > 1 else "smaller")
+
+
+@pytest.mark.quick(2)
+@pytest.mark.parametrize(("scale", "grade"), [(1.03, "CHECK"), (0.97, "CHECK"), (1.0, "PASS"), (1.01, "PASS")])
+def test_links_that_are_known_loosely_say_from_which_scale_on_lengths_are_doubted(tmp_path, run_calib, scale, grade):
+    """Seven joints whose links are known to 2 mm: lengths 1 % too long move none of them by two of these sigmas."""
+    given = ("init", "--dh", EXAMPLES / "panda_dh.csv", "--measure", "tracker", "--out", tmp_path / "robot.yaml")
+    assert run_calib(*given).code == 0
+    robot, rng = calib.load(tmp_path / "robot.yaml"), np.random.default_rng(11)
+    own = robot.parameters[: robot.n_origin_parameters]
+    errors = {p.name: p.nominal_si + 0.3 * p.sigma_si * rng.normal() for p in own if not p.placement}
+    q = calib.sample(robot, 70, np.random.default_rng(2)).joints
+    points = scale * (robot.with_parameters(errors).positions(q)[:, 0] + 3e-5 * rng.standard_normal((70, 3)))
+    verdict = calib.fit(robot, calib.as_measurements(robot, q, points)).verdict
+    assert verdict.grade == grade
+    line = next(line for line in verdict.not_covered if line.startswith("a scale error"))
+    assert 10 < float(re.match(r"a scale error below ([\d.]+) mm in 1 m", line)[1]) < 30
+    assert ("lengths_scaled" in [reason.code for reason in verdict.reasons]) == (grade == "CHECK")
+
+
 BARS = """\
 base: {frame: base_link}
 targets: {reflector: {frame: flange, xyz: [20 mm, 0 mm, 50 mm], position: unknown, sigma: 5 mm}}

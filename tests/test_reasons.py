@@ -4,12 +4,14 @@ import dataclasses
 import re
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from situations import Shop
 
 import calib
+from calib.core.fitting.pose_checks import tied_joints
 from calib.core.judging import rules_model
 from calib.core.judging.reasons import Code
 from calib.core.judging.verdict import judge
@@ -74,3 +76,11 @@ def test_few_poses_show_a_gain_by_the_noise_that_is_stated(tmp_path, away):
     fit = calib.fit(arm, calib.as_measurements(arm, q, true.positions(q)[:, 0] + 5e-5 * rng.standard_normal((4, 3))))
     assert fit.statistics.freedom < 4
     assert ("nothing_to_correct" in told(rules_model.nothing_to_correct, fit)) == (away == 0.0)
+
+
+def test_of_eighteen_joints_only_those_that_are_tied_are_named():
+    """A linkage holds the sum of three passive joints, which an arm reads with all of its others."""
+    q = np.random.default_rng(2).uniform(-1, 1, (60, 18)) * np.linspace(0.1, 2.0, 18)
+    q[:, 11] = 0.4 - q[:, 4] - q[:, 8]
+    names = tuple(f"j{k + 1}" for k in range(18))
+    assert tied_joints(SimpleNamespace(joint_names=names), q) == [(("j5", "j9", "j12"), 2)]

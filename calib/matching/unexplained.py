@@ -25,6 +25,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.words import count_noun, listing
 from calib.core.fitting.fitted import Fit
+from calib.core.judging.effects import wave_orders
 from calib.core.numerics import linalg
 from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
@@ -33,7 +34,7 @@ from calib.matching.agreement import Agreement, agreement
 _MOST = 4  # largest number of hypotheses
 _HALVED = 0.5  # largest part of the sum of squares that remains after another hypothesis
 _ROUNDS = 2  # fits with the joint errors
-_WAVES = (1, 2, 3, 4, 5, 6)
+_MOST_WAVES = 6  # a turn
 _SEEN = 1e-6  # least part of a column that joint origins cannot absorb; less counts as zero
 
 
@@ -87,7 +88,8 @@ def hypotheses(robot: Robot, q: FloatArray) -> Iterator[tuple[str, FloatArray]]:
     for j, joint in enumerate(names):
         moves = {f"gravity at {joint}": rises[:, j], f"gain of {joint}": q[:, [j]]}
         moves |= {f"coupling of {joint} by {other}": q[:, [k]] for k, other in enumerate(names) if k != j}
-        for waves in _WAVES if robot.mechanism.dimensions[joint] == "angle" else ():
+        most = min(wave_orders(q[:, j]).stop, _MOST_WAVES + 1) if robot.mechanism.dimensions[joint] == "angle" else 0
+        for waves in range(1, most):
             turned = np.stack([np.sin(waves * q[:, j]), np.cos(waves * q[:, j])], axis=1)
             moves[f"gear of {joint} ({count_noun(waves, 'wave')} a turn)"] = turned
         for words, phi in moves.items():

@@ -20,8 +20,8 @@ from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 NO_MATTER = 0.25
 """A message leaves out an unseen scale error if its effect is below this part of the noise."""
-LARGE_SCALE = 1e-3
-"""Scale error that users notice without a calibration."""
+LARGEST = 0.1
+"""A larger scale error is not small: a line without a limit says that data of this kind do not show any."""
 LIKE_SHUFFLED = 0.8
 """Rows may have been shuffled if neighbours are at least this part as far apart as distant rows."""
 _FEW = 10  # the order of fewer rows shows nothing
@@ -47,7 +47,7 @@ def _scale(fit: Fit) -> Iterator[str]:
     least = linear.visible(column)
     made = least * float(np.linalg.norm(column)) / np.sqrt(linear.freedom)
     if made > NO_MATTER * linear.factor:
-        below = "" if least > LARGE_SCALE else f" below {float(f'{millimetres(least):.2g}'):g} mm in 1 m"
+        below = f" below {float(f'{millimetres(least):.2g}'):g} mm in 1 m" if least < LARGEST else ""
         yield f"a scale error{below}, of the instrument or from heat (no known length was measured)"
 
 

@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.words import count_noun
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.judging.effect_kinds import Kind
 from calib.core.judging.row_derivatives import (
@@ -171,12 +172,12 @@ def _frame_effects(setting: EffectSetting) -> Iterator[Effects]:
 
 
 def _instrument_effects(setting: EffectSetting) -> Iterator[Effects]:
-    """Constants in the readings of each instrument, and what one of several reads too large by a factor."""
+    """Constants in the readings of each instrument, and what it reads too large by a factor."""
     scaled = own_scales(setting)
     for name, group, columns in constants(setting):
         yield Effects(Kind.OFFSET, name, columns, setting.visit, group=group)
-        if name in scaled and np.any(scaled[name][setting.fit.whitening.layout.group == group]):
-            yield Effects(Kind.FACTOR, name, scaled[name], setting.visit, group=group)
+        if (name, group) in scaled:
+            yield Effects(Kind.FACTOR, name, scaled[name, group], setting.visit, group=group)
 
 
 def _target_effects(setting: EffectSetting) -> Iterator[Effects]:
@@ -211,11 +212,11 @@ def _joint_effects(setting: EffectSetting) -> Iterator[Effects]:
             driving = (np.mean(data.joints, axis=0) - data.joints)[:, drivers, None]
             yield Effects(Kind.COUPLING, name, column, visit, [names[k] for k in drivers], driving)
         turns = robot.mechanism.dimensions[name] == "angle"
-        unit = "cycles a turn" if turns else "cycles over the range measured"
+        unit = "a turn" if turns else "over the range measured"
         phase = q if turns else q * (TURN / float(np.ptp(q)))
         orders = wave_orders(phase)
         if orders:
-            details = [f"{order} {unit}" for order in orders]
+            details = [f"{count_noun(order, 'cycle')} {unit}" for order in orders]
             yield Waves(Kind.WAVE, name, column, visit, details, phase=phase, orders=orders)
 
 

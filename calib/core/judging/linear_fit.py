@@ -16,6 +16,7 @@ from calib.core.rows.rows import Rows
 ABSORBED = 1e-6
 """An effect is visible if at least this part of its square remains after the fit."""
 _SURELY = 5.0  # an effect of so many standard deviations is found nine times of ten, although many are tested
+_ROUNDING = 1e-10  # part of a square below which nothing remains
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,4 +97,4 @@ class LinearFit:
             return float("inf")
         unit = column / size
         left = float(np.sum(unit * self.after_fit(unit)))
-        return _SURELY * self.factor / (size * float(np.sqrt(left))) if left > ABSORBED else float("inf")
+        return _SURELY * self.factor / (size * float(np.sqrt(left))) if left > _ROUNDING else float("inf")

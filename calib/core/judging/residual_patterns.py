@@ -113,7 +113,7 @@ class _EffectTests:
         alike = self.numbers[self.gains > self.gains[row] - margin]
         if len(alike) < 2:
             return detail
-        first, _, unit = details[alike[0]].partition(" ")
+        first, unit = details[alike[0]].split(" ")[0], details[alike[-1]].partition(" ")[2]
         if alike[-1] - alike[0] == len(alike) - 1 and len(alike) < len(self.numbers):
             return f"{first} to {details[alike[-1]]}"
         return f"a number of {unit} that these poses do not determine"

@@ -14,16 +14,17 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
-from calib.core.instruments.kind import Comparison, FrameInstrument, Instrument, Readings, View
+from calib.core.instruments.kind import Comparison, FrameInstrument, Instrument, Part, Readings, View
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import relative_poses
 from calib.core.robots.robot import Robot
-from calib.core.rows.observed import views_of_instruments
+from calib.core.rows.observed import observe, views_of_instruments
 
 _ROUNDING = 1e-9  # part of its terms below which a sum is 0
+_STEP = 1e-6  # relative change of angles, for a derivative
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,36 +102,62 @@ def constants(setting: EffectSetting) -> Iterator[tuple[str, int, FloatArray]]:
 
     Positions that only one instrument reads are left out: that is a shift of the frame.
     """
-    robot, groups, readings = setting.fit.robot, setting.fit.whitening.groups, setting.data.readings
-    for name in readings:
-        instrument = robot.instrument(name)
-        for number, part in enumerate(instrument.parts):
-            if part.is_position and len(readings) == 1:
-                continue
-            rows = [k for k, of in enumerate(instrument.part_of_row) if of == number]
-            group = next(g for g, known in enumerate(groups) if (known.name, known.part) == (instrument.group, part))
-            own = -np.eye(instrument.n_rows)[:, rows]
-            arrays = {
-                other: np.tile(own, (len(read), 1, 1))
-                if other == name
-                else np.zeros((len(read), robot.instrument(other).n_rows, len(rows)))
-                for other, read in readings.items()
-            }
-            yield name, group, setting.whiten(arrays)
+    for name, part, group, rows in _parts(setting):
+        if not part.is_position or len(setting.data.readings) > 1:
+            yield name, group, _whitened_alone(setting, name, -np.eye(len(rows))[None, :, rows])
 
 
-def own_scales(setting: EffectSetting) -> dict[str, FloatArray]:
-    """Return the change of the rows if one of several instruments reads lengths too long, (n_rows, 1), by its name.
+def own_scales(setting: EffectSetting) -> dict[tuple[str, int], FloatArray]:
+    """Return the change of the rows if one instrument reads a quantity too large, (n_rows, 1), by its name and group.
 
-    Other readings than lengths are too large from their middle: pixels of a lens with another focal length.
+    Angles are too large as a file has them, in its form of rotations. The others are those of several instruments:
+    lengths, and what is too large from its middle, such as pixels of a lens with another focal length.
     """
-    changes = {name: -columns[:, :, 6:7] for name, columns in _frame_columns(setting).items()}
-    for name, readings in setting.data.readings.items():
-        lengths = setting.fit.robot.instrument(name).parts[0].dimension == "length" and np.any(changes[name])
-        if not lengths and readings.values.shape == changes[name].shape[:2]:
-            changes[name] = np.nan_to_num(np.nanmean(readings.values, axis=0) - readings.values)[:, :, None]
-    shown = [name for name, columns in changes.items() if len(changes) > 1 and np.any(columns)]
-    return {name: setting.whiten({other: (other == name) * changes[other] for other in changes}) for name in shown}
+    lengths, readings, result = _frame_columns(setting), setting.data.readings, dict[tuple[str, int], FloatArray]()
+    for name, part, group, rows in _parts(setting):
+        values, change = readings[name].values, -lengths[name][:, :, 6]
+        if part.dimension == "angle":
+            change = _change_by_angles(setting, name, rows)
+        elif len(readings) == 1:
+            continue
+        elif (part.dimension != "length" or not np.any(change)) and values.shape == change.shape:
+            change = np.nan_to_num(np.nanmean(values, axis=0) - values)
+        if np.any(change[:, rows]):
+            result[name, group] = _whitened_alone(setting, name, (change * rows)[:, :, None])
+    return result
+
+
+def _change_by_angles(setting: EffectSetting, name: str, rows: BoolArray) -> FloatArray:
+    """Derivative of readings by the size of angles in their columns, else of the rotations, (n, n_rows)."""
+    fit, readings = setting.fit, setting.data.readings[name]
+    instrument, values = fit.robot.instrument(name), np.nan_to_num(readings.values)
+    cells, angles = instrument.cells(values), [c.name for c in instrument.columns() if c.dimension == "angle"]
+    larger = instrument.values(cells | {column: (1.0 + _STEP) * cells[column] for column in angles})
+    if not angles and values.shape[1] == len(rows):
+        larger = values * (1.0 + _STEP * rows)
+    both = [
+        observe(fit.robot, fit.configurations, {name: replace(readings, values=of)}, derivatives=False)[name].residuals
+        for of in (values, larger)
+    ]
+    return np.where(np.all(np.isfinite(readings.values), axis=1, keepdims=True), (both[1] - both[0]) / _STEP, 0.0)
+
+
+def _parts(setting: EffectSetting) -> Iterator[tuple[str, Part, int, BoolArray]]:
+    """Yield instrument, part, its group, and which rows of a reading are its own, (n_rows,)."""
+    groups = [(group.name, group.part) for group in setting.fit.whitening.groups]
+    for name in setting.data.readings:
+        instrument = setting.fit.robot.instrument(name)
+        for number, part in enumerate(instrument.parts):
+            yield name, part, groups.index((instrument.group, part)), np.equal(instrument.part_of_row, number)
+
+
+def _whitened_alone(setting: EffectSetting, name: str, change: FloatArray) -> FloatArray:
+    """Return a change of the readings of one instrument alone, (n or 1, n_rows, k), as whitened rows, (n_all, k)."""
+    robot, arrays = setting.fit.robot, dict[str, FloatArray]()
+    for other, read in setting.data.readings.items():
+        shape = len(read), robot.instrument(other).n_rows, change.shape[2]
+        arrays[other] = np.broadcast_to(change, shape) if other == name else np.zeros(shape)
+    return setting.whiten(arrays)
 
 
 def errors_in_links(setting: EffectSetting, residuals: FloatArray) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:

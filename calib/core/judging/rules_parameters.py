@@ -113,35 +113,39 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     found noise: without a scale, their squares add up to about the number of rows less that of places. Joints that turn
     too far draw larger arcs, which look like longer links: if gains of all joints explain as much, the scale is not the
     cause; that of one instrument is not if constants in the readings explain as much. Doubt remains where these explain
-    nearly as much, and where a scale is less sure, but a parameter is far from nominal.
+    nearly as much, and where a scale is less sure, but above a hundredth, or a parameter is far from nominal.
     """
     if fit.computed:
         return
     left, n_measured = _residuals_of_scales(fit)
-    if not np.any(left[:, 0]):
+    own = [(name, fit.whitening.groups[group].part.dimension) for name, group in own_scales(findings.setting(fit))]
+    angles = [False] * len(_SCALED_LENGTHS) + [dimension == "angle" for _, dimension in own]
+    names = [*_SCALED_LENGTHS, *(f"{'angles' if of == 'angle' else 'readings'} of {name}" for name, of in own)]
+    if not np.any(left[:, : len(names)]):
         return
-    names = [*_SCALED_LENGTHS, *(f"readings of {name}" for name in own_scales(findings.setting(fit)))]
     scales_noise = any(group.part.dimension == "length" for group in fit.whitening.groups)
     tried = [
         _cost_with(left[:, k : k + 1], left[:, -1], n_measured, is_scale=scales_noise and k == 0)
         for k, _ in enumerate(names)
     ]
-    scaled, part = min(tried)
-    if abs(part) <= (SCALED if (scaled, part) == tried[0] else SCALED_IN_PART):
+    best = tried.index(min(tried))
+    scaled, part = tried[best]
+    if abs(part) <= (SCALED if best == 0 else SCALED_IN_PART):
         return
     alone, _ = _cost_with(left[:, :0], left[:, -1], n_measured)
     n_gains = len(fit.nominal.joint_names)
     others = [left[:, len(tried) : len(tried) + n_gains], left[:, len(tried) + n_gains : -1]]
-    others = others if tried.index((scaled, part)) >= len(_SCALED_LENGTHS) else others[:1]
+    others = others if best >= len(_SCALED_LENGTHS) else others[:1]
     likelier = min(_cost_with(columns, left[:, -1], n_measured)[0] for columns in others)
     by_noise = findings.linear(fit).rows.layout.n_read - int(np.sum(fit.unknowns.placement))
     shown = alone - scaled > _least_sigmas(fit, 1) ** 2
-    doubtful = alone - scaled > PLAUSIBLE**2 and any(away > PLAUSIBLE for _, away in _deviations(fit))
+    far = abs(part) > JOINT_SCALED or any(away > PLAUSIBLE for _, away in _deviations(fit))
+    doubtful = alone - scaled > PLAUSIBLE**2 and far
     if (shown or doubtful) and alone - scaled > MOST * (alone - by_noise) and scaled < likelier:
         yield Code.LENGTHS_SCALED.says(
-            f"{names[tried.index((scaled, part))]} are {_scale_sentence(part)} in the description: no robot"
-            " is that far off. Look at the unit of the measurements, the scale of the instrument and the size of the"
-            " artefact",
+            f"{names[best]} are {_scale_sentence(part, angles=angles[best])} in the description: no robot is"
+            " that far off. Look at the unit and form of the measurements, the scale of the instrument and the size of"
+            " the artefact",
             grade="FAIL" if shown and likelier - scaled > PLAUSIBLE**2 else "CHECK",
         )
 
@@ -154,11 +158,12 @@ def _residuals_of_scales(fit: Fit) -> tuple[FloatArray, int]:
     return _remaining_residuals(fit, np.hstack([scales(setting), *own_scales(setting).values(), *others]))
 
 
-def _scale_sentence(part: float) -> str:
-    """Return a clause on the ratio of measured to described lengths, which fit once scaled by 1 + part."""
+def _scale_sentence(part: float, *, angles: bool) -> str:
+    """Return a clause on the ratio of measured to described lengths or angles, which fit once scaled by 1 + part."""
+    less, more, same = ("smaller", "larger", "large") if angles else ("shorter", "longer", "long")
     if abs(part) > MANIFOLD:
-        return f"{1.0 / max(1.0 + part, _NOTHING):.3g} times as long as"
-    return f"{100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than"
+        return f"{1.0 / max(1.0 + part, _NOTHING):.3g} times as {same} as"
+    return f"{100 * abs(part):.2g} % {less if part > 0 else more} than"
 
 
 def _least_sigmas(fit: Fit, n_scales: int) -> float:

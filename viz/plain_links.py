@@ -24,7 +24,7 @@ from calib import Robot
 from calib.core.base.arrays import FloatArray
 from viz.shapes import DARK, Shape, mesh, primitive, rotation_onto_z
 
-_RADIUS = 0.045  # of the typical distance between two anchors
+_RADIUS = 0.05  # of the root mean square of distances between two anchors
 _THIN = 0.6  # factor on the radius of bodies that passive joints move, such as rods
 _SAME = 1e-3  # of the robot's length: anchors that are closer coincide
 _TURNING = ("revolute", "continuous")
@@ -166,12 +166,12 @@ class PlainLinks:
 
     @cached_property
     def _radius(self) -> float:
-        """Radius of bodies, from the typical distance between neighbouring joints [m]."""
+        """Radius of bodies, from the distances between neighbouring joints [m]: long links count more than a wrist."""
         length = float(self.robot.mechanism.length)
         gaps = [float(np.linalg.norm(joint.xyz)) for joint in self.robot.urdf.joints]
         gaps += [abs(self._home.get(joint.name, 0.0)) for joint in self.robot.urdf.joints if joint.type == "prismatic"]
         known = [gap for gap in gaps if gap > 10 * self._largest_difference]
-        return _RADIUS * float(np.median(known)) if known else _RADIUS * length
+        return _RADIUS * float(np.sqrt(np.mean(np.square(known)))) if known else _RADIUS * length
 
     def _joint(self, link: str) -> list[Shape]:
         """The joint that moves a link, and an end if nothing follows."""

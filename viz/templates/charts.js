@@ -28,6 +28,12 @@ function breath(time) {
   return new Promise((next) => { setTimeout(next, time); });
 }
 
+/** A colour such as #0072B2, mixed with white so that it is seen on a dark page. */
+function lighter(colour) {
+  const part = (k) => Number(`0x${colour.slice(k, k + 2)}`);
+  return `#${[1, 3, 5].map((k) => Math.round(0.65 * part(k) + 0.35 * 255).toString(16)).join("")}`;
+}
+
 /** Distance of an axis' ticks whose numbers do not touch.
  * @param room length of the axis [px]
  * @param digit width of a digit [px]
@@ -127,7 +133,9 @@ class Chart {
     const style = getComputedStyle(document.documentElement);
     this.ink = style.getPropertyValue("--ink").trim();
     this.line = style.getPropertyValue("--line").trim();
-    this.node.dataset.dark = String(window.matchMedia("(prefers-color-scheme: dark)").matches); // paper turns it round
+    this.paper = style.getPropertyValue("--paper").trim();
+    this.dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+    this.node.dataset.dark = String(this.dark); // paper turns it round
     this.views = [];
     for (const [k, panel] of this.panels.entries()) {
       const place = this.grid.children[k];
@@ -241,10 +249,12 @@ class Chart {
    * @param ends between which marks are kept, or null
    */
   layer(figure, { kind, label, colour, ...columns }, own, ends) {
-    const paint = colour || this.ink;
+    const paint = !colour ? this.ink : this.dark ? lighter(colour) : colour;
     const known = label ? { legend_label: label } : {};
     if (kind === "line") {
-      figure.line(columns.x, columns.y, { line_color: paint, line_width: 1.5, ...known });
+      const overPoints = figure.renderers.some(({ glyph }) => glyph.type === "Scatter");
+      if (overPoints) figure.line(columns.x, columns.y, { line_color: this.paper, line_width: 5 });
+      figure.line(columns.x, columns.y, { line_color: paint, line_width: overPoints ? 2.5 : 1.5, ...known });
       return [];
     }
     if (kind === "band") {

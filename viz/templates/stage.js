@@ -169,7 +169,10 @@ class Stage {
     this.viewer.camera.aspect = width / height;
     this.viewer.camera.updateProjectionMatrix();
     this.viewer.renderer.setSize(width, height);
-    if (this.marks) this.marks.uniforms.pixels.value = height * this.viewer.renderer.getPixelRatio();
+    if (this.marks) {
+      this.marks.uniforms.pixels.value = height * this.viewer.renderer.getPixelRatio();
+      this.marks.uniforms.smallest.value = this.scene.point_pixels * Math.min(1, Math.max(0.6, width / 700)); // a small picture
+    }
     if (this.direction) this.look(this.direction);
     this.redraw();
   }

@@ -110,8 +110,9 @@ class DraggedView:
         scene, solid, camera = self._shown.scene, self._shown.solid, self.server.initial_camera
         view, places = scene.view, [scene.view.outline]
         with contextlib.suppress(CalibrationError):  # no limits, say
-            posed = posed_robot(solid, scene.bodies, solid.sample(_REACHED))
-            places.append(scene.bodies.poses(posed, slice(None))[..., :3, 3].reshape(-1, 3) @ view.upright.T)
+            posed, links = solid.sample(_REACHED), [not name.startswith("(") for name in scene.bodies.names]
+            T = scene.bodies.poses(posed_robot(solid, scene.bodies, posed), slice(None))[:, links]
+            places.append(T[..., :3, 3].reshape(-1, 3) @ view.upright.T)
         every = np.concatenate(places)
         middle = (every.min(axis=0) + every.max(axis=0)) / 2
         radius = float(np.max(np.linalg.norm(every - middle, axis=1))) + _HANDLES * self._size

@@ -135,7 +135,6 @@ class Chart {
     this.line = style.getPropertyValue("--line").trim();
     this.paper = style.getPropertyValue("--paper").trim();
     this.dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
-    this.node.dataset.dark = String(this.dark); // paper turns it round
     this.views = [];
     for (const [k, panel] of this.panels.entries()) {
       const place = this.grid.children[k];
@@ -152,17 +151,36 @@ class Chart {
   /** Keep pictures of the panels for paper, as wide as it is: a browser that prints lays no plot out anew. */
   keep() {
     if (!this.node.dataset.drawn) return;
+    const style = getComputedStyle(document.documentElement);
     const laidOut = (width) => {
       this.node.style.width = width;
       this.views.forEach((view) => view.invalidate_layout());
     };
+    const onPaper = Object.fromEntries(["ink", "line", "paper"].map((name) => [this[name], style.getPropertyValue(`--printed-${name}`).trim()]));
+    const colours = { ...onPaper, ...Object.fromEntries(this.panels.flatMap(({ layers }) => layers).filter(({ colour }) => colour).map(({ colour }) => [lighter(colour), colour])) };
+    if (this.dark) this.recolour(colours);
     laidOut(`${PAPER}px`);
     this.views.forEach((view, k) => {
       const picture = element("img", { alt: "", src: view.export("png").canvas.toDataURL() });
       this.grid.children[k].querySelectorAll("img").forEach((old) => old.remove());
       this.grid.children[k].append(picture);
     });
+    if (this.dark) this.recolour(Object.fromEntries(Object.entries(colours).map((pair) => pair.reverse())));
     laidOut("");
+  }
+
+  /** Draw in other colours. @param colours the new ones by the old ones */
+  recolour(colours) {
+    const other = (colour) => colours[colour] || colour;
+    for (const model of this.views.flatMap((view) => [...view.model.references()])) {
+      for (const name of Object.keys(model.properties).filter((each) => each.endsWith("color"))) {
+        const value = model[name];
+        if (typeof value === "string") model[name] = other(value);
+        else if (value && typeof value.value === "string") model[name] = other(value.value);
+      }
+      if (model.data && model.data.colour) model.data = { ...model.data, colour: model.data.colour.map(other) };
+    }
+    this.views.forEach((view) => view.renderer_views.forEach((each) => each.set_visuals && each.set_visuals())); // now, not later
   }
 
   /** Draw again, in the colours of the page as it is now. */

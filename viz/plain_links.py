@@ -1,8 +1,8 @@
 """Links without shapes of their own, drawn plainly: bodies from joint to joint, and joints by their kind.
 
 A link has anchors: the joint that moves it, the joints that it carries, and the points of loop closures. Its body is a
-capsule between two anchors and the hull around more, so that a leg reaches from its base joint to its platform joint.
-Widths follow from the robot's own distances.
+capsule between two anchors and the hull around more, so that a leg reaches from its base joint to its platform joint;
+of the link that stands, capsules around the anchors. Widths follow from the robot's own distances.
 
 A prismatic joint is a sleeve, and its link reaches back into it, by the joint's value at home. A place where several
 axes meet is drawn as one joint: two make a universal joint, three a ball, as does a loop closure in three directions.
@@ -53,6 +53,12 @@ class PlainLinks:
             return []
         if len(anchors) == 2:
             return _capsule(f"{link}/body", link, anchors[0], anchors[1], radius)
+        if moved_by is None:  # a frame: what moves and is measured within it is seen
+            from_middle = anchors - anchors.mean(axis=0)
+            along, across = (from_middle @ np.linalg.svd(from_middle)[2][:2].T).T
+            ring = anchors[np.argsort(np.arctan2(across, along), kind="stable")]
+            sides = zip(ring, np.roll(ring, -1, axis=0), strict=True)
+            return [part for k, ends in enumerate(sides) for part in _capsule(f"{link}/side{k}", link, *ends, radius)]
         around = np.array([direction / np.linalg.norm(direction) for direction in np.array(_BALL, dtype=float)])
         points = (anchors[:, None] + radius * around).reshape(-1, 3)
         hull = scipy.spatial.ConvexHull(points)

@@ -41,6 +41,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.solved_fit import SolvedFit
 from calib.core.fitting.terms.candidate_terms import TELLS, CandidateTerm, candidates
 from calib.core.fitting.terms.kind_model import KindModel, with_kinds
@@ -64,6 +65,7 @@ class UnexplainedErrors:
     terms: UndecidedTerms | None = None
 
 
+@one_blas_thread
 def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
     """Return the errors that the residuals of a fit show in addition to noise.
 

@@ -215,7 +215,7 @@ class Stage {
     if (!this.live) return [];
     this.root.updateMatrixWorld(true);
     const wide = 0.06 * this.size;
-    return this.solidMatrices.flatMap((m) => [-wide, wide].map((by) => {
+    return this.frames.map(({ body }) => this.solidMatrices[body]).flatMap((m) => [-wide, wide].map((by) => {
       const place = this.root.localToWorld(new this.THREE.Vector3(m[3], m[7], m[11]));
       place.y += by;
       return place;

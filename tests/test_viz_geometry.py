@@ -147,7 +147,8 @@ def test_the_legs_of_a_stewart_platform_reach_from_their_base_joint_to_their_pla
         reached = [poses[f"leg_{k}_cylinder"][:3, 3], poses[f"leg_{k}_place"][:3, 3]]
         distances = [np.linalg.norm(np.array(reached) - end, axis=1).min() for end in (one, other)]
         assert max(distances) < 1e-6  # the home of the description closes the loops so well
-    assert {shape.body for shape in shapes if shape.kind == "mesh"} == {"base", "platform"}  # plates
+    assert {shape.body for shape in shapes if shape.kind == "mesh"} == {"platform"}  # a plate
+    assert sum(shape.name.startswith("base/side") and shape.kind == "cylinder" for shape in shapes) == 6  # a frame
     assert not [shape for shape in shapes if "platform_at" in shape.body]  # six joints that are no mechanism
     kinds = {shape.name.split("/")[1] for shape in shapes if shape.body.startswith("leg_1")}
     assert kinds >= {"drum", "sleeve", "closure0"}  # universal, prismatic, ball

@@ -1,6 +1,7 @@
 """The same scene in viser and as a recording for rerun, where these packages are installed."""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -99,6 +100,22 @@ def test_a_target_that_is_dragged_brings_the_robot_there():
         view.reach(start + 50.0)  # out of reach: it stays
         np.testing.assert_array_equal(view.joints, held)
         assert "not reached" in view.note.content
+
+
+def test_the_first_view_holds_the_arm_and_its_target_wherever_they_are_led():
+    pytest.importorskip("viser", reason="extra 'viser'")
+    robot = calib.load(Path(__file__).parents[1] / "docs" / "examples" / "arm.yaml")
+    shown = gather(robot)
+    with DraggedView(shown) as view:
+        camera = view.server.initial_camera
+        ahead = np.asarray(camera.look_at) - camera.position
+        for joints in robot.sample(20, seed=9):
+            view.move(joints)
+            places = np.array([view._target.position, *(frame.position for frame in view._frames)])
+            seen = places @ shown.scene.view.upright.T - camera.position
+            along = seen @ ahead / np.linalg.norm(ahead)
+            across = np.linalg.norm(seen - np.outer(along, ahead / np.linalg.norm(ahead)), axis=1)
+            assert np.all(np.arctan2(across, along) < camera.fov / 2)
 
 
 def test_while_measuring_the_robot_stands_at_the_next_pose_beside_the_words_of_the_terminal(capsys):

@@ -21,7 +21,7 @@ from calib.core.judging.error_budget import CauseShare
 from calib.core.judging.findings import joint_budget
 from calib.core.judging.next_step import next_step
 from calib.core.results.sections.budget import worst_joint, worst_joints
-from viz.error_charts import _views, error_charts, page_rows
+from viz.error_charts import _views, conditions, error_charts, page_rows
 from viz.joint_charts import corrections, dials
 from viz.judgement import following_words, judgement_of_result, robot_to_load
 from viz.pose_sources import from_fit
@@ -534,6 +534,25 @@ def test_the_forest_has_every_free_parameter_and_its_interval_in_expected_deviat
     assert shown["L11"] == pytest.approx((estimate.value - estimate.nominal) / sigma["L11"], rel=1e-4)
     assert len({tuple(panel["x"]["ends"]) for panel in parameters(fit).panels}) == 1  # one scale
     assert "d31" not in shown  # held
+
+
+def test_coefficients_of_curves_are_no_lines_of_the_forest(tmp_path):
+    robot = calib.load(write_arm(tmp_path, ARM_YAML + "  - {joint: turn, term: curve, sigma: 1 mrad}\n"))
+    q = np.random.default_rng(3).uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (40, 3))
+    noise = np.random.default_rng(4).normal(0, 2e-5, (40, 1, 3))
+    fit = calib.fit(robot, calib.as_measurements(robot, q, robot.positions(q) + noise))
+    names = [name for panel in parameters(fit).panels for name in panel["y"]["names"]]
+    assert any(name.startswith("turn.curve") for name in fit.free_names)
+    assert not any("curve" in name for name in names)
+    assert "Coefficients of curves are left out" in parameters(fit).text
+
+
+def test_times_since_1970_are_drawn_from_the_first_pose_on(fit):
+    n = len(fit.identification.data)
+    timed = with_comments(fit, time=1.7e9 + 30.0 * np.arange(n))
+    (panel,) = conditions(timed, scene_of_fit(timed)).panels
+    assert panel["y"]["label"] == "time [min]"
+    np.testing.assert_allclose(panel["layers"][0]["y"], 0.5 * np.arange(n))
 
 
 @pytest.mark.quick(0)

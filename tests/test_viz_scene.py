@@ -12,6 +12,7 @@ from medrue.workspace import target_workspace
 from viz.decorations import decorations_of
 from viz.judgement import judgement_of_result
 from viz.scene import build_scene, nice_factor
+from viz.scene_data import colours
 
 
 @pytest.fixture(scope="module")
@@ -136,3 +137,10 @@ def test_no_enlarged_ghost_stands_beside_a_robot_that_needs_no_correction(code):
     entry = {"grade": "CHECK", "reasons": ["why"], "grades": ["CHECK"], "codes": [code]}
     scene = build_scene(nominal, moved, verdict=judgement_of_result(entry))
     assert (scene.ghost_factor == 1.0) == (code == "nothing_to_correct")
+
+
+def test_colours_are_those_of_viridis():
+    from matplotlib import colormaps
+
+    known = np.round(255 * colormaps["viridis"](np.linspace(0, 1, 256)))
+    np.testing.assert_allclose(colours(), known, atol=7)  # between 17 steps

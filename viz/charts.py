@@ -7,6 +7,7 @@ have texts of their own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -100,7 +101,7 @@ def json_values(values: ArrayLike) -> Any:
     array = np.asarray(values)
     if array.dtype.kind != "f":
         return array.tolist()
-    return [None if not np.isfinite(value) else float(f"{value:.{_DIGITS}g}") for value in array.ravel()]
+    return [float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None for value in array.ravel().tolist()]
 
 
 @dataclass(frozen=True)

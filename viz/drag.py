@@ -25,6 +25,8 @@ from viz.scene_data import colours, ranges, rows_of
 
 ADDRESS = "127.0.0.1"
 _FIELD_OF_VIEW = np.radians(40.0)  # of the first camera, upright
+_REACHED = 60  # poses over the joint limits that the first view holds
+_HANDLES = 0.15  # of the scene's size: handles of the target
 _DIGITS = 1  # of mm and degrees in the boxes beside sliders, which are narrow
 
 
@@ -90,7 +92,7 @@ class DraggedView:
         target = shown.solid.target_names[0]
         self._target = space.add_transform_controls(
             f"/scene/{target}",
-            scale=0.15 * float(np.linalg.norm(scene.view.high - scene.view.low)),
+            scale=_HANDLES * self._size,
             disable_rotations=True,
         )
         self._target.on_update(lambda _: self.reach(np.array(self._target.position)))
@@ -101,12 +103,26 @@ class DraggedView:
         self.note = gui.add_markdown("")
 
     def _place_camera(self) -> None:
-        """Let the first view hold everything: a sphere around it touches the edges of the picture."""
-        view, camera = self._shown.scene.view, self.server.initial_camera
-        middle = (view.low + view.high) / 2
-        radius = float(np.max(np.linalg.norm(view.outline - middle, axis=1)))
+        """Let the first view hold everything: a sphere around it touches the edges of the picture.
+
+        The robot is dragged, and led to next poses, so links and handles are held wherever the joints reach.
+        """
+        scene, solid, camera = self._shown.scene, self._shown.solid, self.server.initial_camera
+        view, places = scene.view, [scene.view.outline]
+        with contextlib.suppress(CalibrationError):  # no limits, say
+            posed, links = solid.sample(_REACHED), [not name.startswith("(") for name in scene.bodies.names]
+            T = scene.bodies.poses(posed_robot(solid, scene.bodies, posed), slice(None))[:, links]
+            places.append(T[..., :3, 3].reshape(-1, 3) @ view.upright.T)
+        every = np.concatenate(places)
+        middle = (every.min(axis=0) + every.max(axis=0)) / 2
+        radius = float(np.max(np.linalg.norm(every - middle, axis=1))) + _HANDLES * self._size
         camera.look_at, camera.fov = middle, _FIELD_OF_VIEW
         camera.position = middle + radius / np.sin(_FIELD_OF_VIEW / 2) * view.direction
+
+    @property
+    def _size(self) -> float:
+        """Size of the scene [m]."""
+        return float(np.linalg.norm(self._shown.scene.view.high - self._shown.scene.view.low))
 
     @property
     def url(self) -> str:
@@ -168,7 +184,7 @@ class DraggedView:
         scene = self._shown.scene
         state = (scene.states or ("before",))[-1]
         factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
-        size = float(np.linalg.norm(scene.view.high - scene.view.low))
+        size = self._size
         for rows, factor in zip(rows_of(scene), factors, strict=True):
             known = np.isfinite(rows.anchors).all(axis=1) & np.isfinite(rows.sizes(state))
             if not np.any(known):

@@ -25,6 +25,7 @@ _CELLS = 9  # cells along the longer side of a plane
 _FLAT = 0.05  # places lie on a plane if their extent across it is below this part of their extent in it
 _ALONG_AN_AXIS = 0.999  # the surface is parallel to one of the three planes if the cosine is more
 _AT_REST = 1e-3  # errors whose places differ by less have one place [mm]
+_TIMES = (("h", 3600.0), ("min", 60.0))
 _PAIRED = 6  # largest number of joints whose ranges are drawn in all pairs; for more, neighbours only
 
 
@@ -107,17 +108,18 @@ def conditions(fit: Fit, scene: ViewerScene) -> Chart | None:
     for row, label in enumerate(label for part in rows_of(scene) for label in part.labels):
         row_of.setdefault(label, row)
     panels = []
-    for name, unit in (("temperature", "degC"), ("time", "s")):
-        values = data.context.get(name)
-        if values is None:
+    chosen = [k for k, label in enumerate(data.names) if label in row_of]
+    rows = np.array([row_of[data.names[k]] for k in chosen])
+    for name in ("temperature", "time"):
+        values = data.context[name][chosen] if name in data.context else np.zeros(0)
+        if not len(values) or np.ptp(values) == 0:
             continue
-        chosen = [k for k, label in enumerate(data.names) if label in row_of]
-        if chosen and np.ptp(values[chosen]) > 0:
-            rows = np.array([row_of[data.names[k]] for k in chosen])
-            points = layer("points", "", COLOURS["after"], x=data.places[chosen] + 1.0, y=values[chosen], rows=rows)
-            panels.append(
-                panel(axis("pose, in the order of measurement"), axis(f"{name} [{unit}]"), [points], height=220)
-            )
+        label = f"{name} [degC]"
+        if name == "time":  # clocks count from 1970
+            unit, seconds = next((time for time in _TIMES if np.ptp(values) > 10 * time[1]), ("s", 1.0))
+            label, values = f"time [{unit}]", (values - values.min()) / seconds
+        points = layer("points", "", COLOURS["after"], x=data.places[chosen] + 1.0, y=values, rows=rows)
+        panels.append(panel(axis("pose, in the order of measurement"), axis(label), [points], height=220))
     text = "Compare with the errors in the order of measurement: select what stands out there."
     return Chart("conditions", "Conditions while measuring", text, tuple(panels), 400) if panels else None
 

@@ -47,7 +47,7 @@ def chart_parts(charts: Charts, viewer: str = "") -> dict[str, Any]:
 
 def pack(text: str) -> str:
     """Return compressed text as base64; the same text gives the same result."""
-    return base64.b64encode(gzip.compress(text.encode("utf-8"), 9, mtime=0)).decode("ascii")
+    return base64.b64encode(gzip.compress(text.encode("utf-8"), 6, mtime=0)).decode("ascii")
 
 
 def places(**charts: Chart | tuple[Chart | None, ...] | None) -> dict[str, tuple[Chart, ...]]:

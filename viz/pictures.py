@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from calib.core.base.threads import one_blas_thread
+
 if TYPE_CHECKING:
     from calib import Fit, Fleet, ResultComparison, Robot
     from viz.command import view as command
@@ -20,6 +22,7 @@ __all__ = ["answer", "command", "comparison", "figures", "fleet", "live", "pages
 summary = "Show a robot and its calibration in a browser."
 
 
+@one_blas_thread
 def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
     """Return `report.html` and `viewer.html` of a fit; the report shows `logo`, an address from `image_address`."""
     from viz.judgement import judgement_of_fit

@@ -1,8 +1,8 @@
 """Links without shapes of their own, drawn plainly: bodies from joint to joint, and joints by their kind.
 
 A link has anchors: the joint that moves it, the joints that it carries, and the points of loop closures. Its body is a
-capsule between two anchors and the hull around more, so that a leg reaches from its base joint to its platform joint.
-Widths follow from the robot's own distances.
+capsule between two anchors and the hull around more, so that a leg reaches from its base joint to its platform joint;
+of the link that stands, capsules around the anchors. Widths follow from the robot's own distances.
 
 A prismatic joint is a sleeve, and its link reaches back into it, by the joint's value at home. A place where several
 axes meet is drawn as one joint: two make a universal joint, three a ball, as does a loop closure in three directions.
@@ -24,7 +24,7 @@ from calib import Robot
 from calib.core.base.arrays import FloatArray
 from viz.shapes import DARK, Shape, mesh, primitive, rotation_onto_z
 
-_RADIUS = 0.045  # of the typical distance between two anchors
+_RADIUS = 0.05  # of the root mean square of distances between two anchors
 _THIN = 0.6  # factor on the radius of bodies that passive joints move, such as rods
 _SAME = 1e-3  # of the robot's length: anchors that are closer coincide
 _TURNING = ("revolute", "continuous")
@@ -53,6 +53,12 @@ class PlainLinks:
             return []
         if len(anchors) == 2:
             return _capsule(f"{link}/body", link, anchors[0], anchors[1], radius)
+        if moved_by is None:  # a frame: what moves and is measured within it is seen
+            from_middle = anchors - anchors.mean(axis=0)
+            along, across = (from_middle @ np.linalg.svd(from_middle)[2][:2].T).T
+            ring = anchors[np.argsort(np.arctan2(across, along), kind="stable")]
+            sides = zip(ring, np.roll(ring, -1, axis=0), strict=True)
+            return [part for k, ends in enumerate(sides) for part in _capsule(f"{link}/side{k}", link, *ends, radius)]
         around = np.array([direction / np.linalg.norm(direction) for direction in np.array(_BALL, dtype=float)])
         points = (anchors[:, None] + radius * around).reshape(-1, 3)
         hull = scipy.spatial.ConvexHull(points)
@@ -166,12 +172,12 @@ class PlainLinks:
 
     @cached_property
     def _radius(self) -> float:
-        """Radius of bodies, from the typical distance between neighbouring joints [m]."""
+        """Radius of bodies, from the distances between neighbouring joints [m]: long links count more than a wrist."""
         length = float(self.robot.mechanism.length)
         gaps = [float(np.linalg.norm(joint.xyz)) for joint in self.robot.urdf.joints]
         gaps += [abs(self._home.get(joint.name, 0.0)) for joint in self.robot.urdf.joints if joint.type == "prismatic"]
         known = [gap for gap in gaps if gap > 10 * self._largest_difference]
-        return _RADIUS * float(np.median(known)) if known else _RADIUS * length
+        return _RADIUS * float(np.sqrt(np.mean(np.square(known)))) if known else _RADIUS * length
 
     def _joint(self, link: str) -> list[Shape]:
         """The joint that moves a link, and an end if nothing follows."""

@@ -112,7 +112,7 @@ def report_page(
         signatures=signatures(fit),
         tolerance=tolerance_of(fit),
         logo=logo,
-        claim="" if claim is None else claim.words.replace(" %", "\u00a0%"),
+        claim="" if claim is None else claim.words,
         parameters=parameter_grid(fit),
         has_space=shown is not None,
         n_beside=0 if shown is None else _BESIDE,
@@ -242,8 +242,9 @@ def millimetres(value: float) -> str:
 
 
 def unbroken(text: str) -> Markup:
-    """Return text as HTML whose options, such as --html, do not break after their hyphens; copies are unchanged."""
-    return Markup(re.sub(r"(?<![\w-])--\w[\w-]*", r'<span class="option">\g<0></span>', str(escape(text))))
+    """Return text as HTML whose options, such as --html, and percentages do not break; copies of options work."""
+    whole = re.sub(r"(?<=\d) %", "\u00a0%", str(escape(text)))
+    return Markup(re.sub(r"(?<![\w-])--\w[\w-]*", r'<span class="option">\g<0></span>', whole))
 
 
 def labelled(line: str) -> Markup:

@@ -82,10 +82,15 @@ def worst(fit: Fit) -> str:
     table = average_poses(pose_table_of_errors(fit, used, errors, outliers=outliers))
     row = int(np.nanargmax(np.linalg.norm(table.error("after"), axis=1)))
     shown = error_scale("length") * table.measured[row]
-    place = ", ".join(f"{axis} {value:.0f}" for axis, value in zip("xyz", shown, strict=True))
+    place = ", ".join(f"{axis} {_whole(value)}" for axis, value in zip("xyz", shown, strict=True))
     point = f", point {table.targets[row]}" if len(set(table.targets)) > 1 else ""
     outlier = " (an outlier)" if table.outlier[row] else ""
-    return f"pose {table.labels[row]}{outlier}{point}, at {place} mm".replace("-", "−")
+    return f"pose {table.labels[row]}{outlier}{point}, at {place} mm"
+
+
+def _whole(value: float) -> str:
+    """A whole number with a minus sign that is no hyphen; zero has no sign."""
+    return f"{round(float(value))}".replace("-", "−")
 
 
 def _worst_reading(errors: ErrorSet) -> str:
@@ -107,4 +112,4 @@ def extent(table: PoseTable) -> str:
     if not len(points):
         return ""
     ranges = zip("xyz", points.min(axis=0), points.max(axis=0), strict=True)
-    return ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges).replace("-", "−") + " mm"
+    return ", ".join(f"{axis} {_whole(low)} to {_whole(high)}" for axis, low, high in ranges) + " mm"

@@ -59,8 +59,12 @@ def _piece(names: Sequence[str], groups: Sequence[Any], x: Any, band: tuple[str,
 
 
 def parameters(fit: Fit) -> Chart | None:
-    """Return the change of every free parameter of the robot with its interval, in expected sigmas, largest first."""
-    own = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
+    """Return the change of every free parameter of the robot with its interval, in expected sigmas, largest first.
+
+    The coefficients of curves are left out: hundreds, of which none says anything alone.
+    """
+    free = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
+    own = [p for p in free if not p.family]
     if not own:
         return None
     found = [fit.parameters[p.name] for p in own]
@@ -84,7 +88,8 @@ def parameters(fit: Fit) -> Chart | None:
         "Parameters: change, 95 % interval, and what was expected",
         "The robot's own, without base and targets; the largest change is at the top. Beyond the band, the robot is"
         " further from nominal than expected; an interval that is as wide as the band says that the measurements"
-        " determined little.",
+        " determined little."
+        + (" Coefficients of curves are left out: see the errors of the joints." if len(own) < len(free) else ""),
         drawn,
         440,
     )

@@ -37,6 +37,10 @@ _LARGEST_FACTOR = 1000.0
 _LOOKED_AT = 16  # poses of the robot that the first camera shows completely
 _LONGEST_TIP = 0.2  # of the scene: longest part of an enlarged error vector that the first camera shows
 _TURN, _RISE = 0.65, 0.33  # first camera: angle to the side of the points and above them [rad]
+_FLAT, _RISE_FLAT = (
+    0.4,
+    0.8,
+)  # scenes lower than this part of their width are seen from higher up: of no height, by this
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,7 +364,7 @@ def _tips(places: FloatArray, arrows: dict[str, FloatArray], factors: dict[str, 
 def _view(
     bodies: Bodies, solid: PosedRobot, shapes: tuple[Shape, ...], decorations: tuple[Shape, ...], table: PoseTable
 ) -> SceneView:
-    """View from the side of the points, slightly from above, so that they stand before the robot."""
+    """View from the side of the points, slightly from above, so that they stand before the robot; flat ones, higher."""
     R = bodies.poses(solid, 0)[0, :3, :3].T
     number = {name: body for body, name in enumerate(bodies.names)}
     robot = [np.zeros((0, 3))]
@@ -379,9 +383,9 @@ def _view(
         if np.linalg.norm(away) > 1e-3 * np.linalg.norm(high - low):
             forward = np.append(away / np.linalg.norm(away), 0.0)
     turned = np.cos(_TURN) * forward + np.sin(_TURN) * np.cross([0.0, 0.0, 1.0], forward)
-    return SceneView(
-        R, low, high, _outline(everything, low, high), np.append(np.cos(_RISE) * turned[:2], np.sin(_RISE))
-    )
+    height = (high - low)[2] / max(float(np.max((high - low)[:2])), 1e-9)
+    rise = float(np.interp(height, [0.0, _FLAT], [_RISE_FLAT, _RISE]))
+    return SceneView(R, low, high, _outline(everything, low, high), np.append(np.cos(rise) * turned[:2], np.sin(rise)))
 
 
 def _outline(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

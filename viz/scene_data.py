@@ -21,7 +21,12 @@ from viz.reading_errors import ReadingErrors
 from viz.scene import OtherErrors, ViewerScene, nice_factor
 from viz.workspace_map import WorkspaceMap
 
-_COLOURS = "viridis"  # even in lightness, and distinct with any colour vision
+_COLOURS = bytes.fromhex(
+    "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26828e 21918c"
+    "1f9f88 27ad81 3dbc74 5cc863 81d34d aadc32 d5e21a fde725"
+)
+"""Viridis at even steps, red, green, blue: even in lightness, and distinct with any colour vision. To load matplotlib
+for it would take a quarter of a page's time."""
 _POINT_RADIUS = (0.0012, 0.008)  # of the scene's size: for crowded points, and for points with room
 _SAME = 5e-4  # of the scene's size: points that are closer look like one
 _POINT_PIXELS = (4.0, 7.0)  # smallest width for crowded points, and for points with room
@@ -169,9 +174,10 @@ def ranges(sizes: Mapping[str, FloatArray], outlier: BoolArray) -> dict[str, lis
 
 def colours() -> NDArray[np.uint8]:
     """Return 256 colours from small to large errors, (256, 4)."""
-    from matplotlib import colormaps
-
-    table: NDArray[np.uint8] = np.round(255 * colormaps[_COLOURS](np.linspace(0, 1, 256))).astype(np.uint8)
+    steps = np.frombuffer(_COLOURS, dtype=np.uint8).reshape(-1, 3)
+    at = np.linspace(0, len(steps) - 1, 256)
+    parts = [np.interp(at, np.arange(len(steps)), part) for part in steps.T]
+    table: NDArray[np.uint8] = np.round(np.column_stack([*parts, np.full(256, 255.0)])).astype(np.uint8)
     return table
 
 

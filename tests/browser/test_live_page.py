@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from browser_tab import Tab
 from test_viz_live import progress
-from viz_examples import medrue_fit, medrue_robot
+from viz_examples import five_bar_fit, medrue_fit, medrue_robot
 
 import viz
 
@@ -68,6 +68,23 @@ def test_the_page_follows_the_program(live):
     tab.page.keyboard.press("ArrowRight")
     assert tab.state("v.stage.live") is None
     assert tab.problems == []
+
+
+@pytest.mark.quick(0)
+def test_the_camera_holds_the_robot_and_not_the_measurement_frame_far_away(chromium):
+    fit = five_bar_fit()
+    with viz.show(fit.nominal, fit) as viewer:
+        tab = Tab(chromium)
+        tab.context.set_offline(False)
+        tab.open(viewer.url)
+        assert viewer.wait_for_browser(10)
+        viewer.display(fit.identification.data.joints[3])
+        wait(tab, "v.stage.live !== null")
+        far, size = tab.page.evaluate("""() => { const { stage } = calibrationViewer; const places = stage.livePlaces();
+          return [Math.max(...places.map((place) => place.distanceTo(places[0]))), stage.size]; }""")
+        tab.context.close()
+    assert np.linalg.norm(fit.identification.data.readings["pen"].values[0]) > 1.5 * size
+    assert far < size
 
 
 def test_only_this_computer_is_asked(live):

@@ -311,6 +311,21 @@ def drive(tab, unit):
     assert selected(tab)["space"] == list(range(len(poses)))  # all again
 
 
+def test_a_plot_drawn_after_a_selection_shows_it_and_has_its_tools_under_the_pointer(small_report):
+    page = small_report.page
+    buttons = "calibrationReport.charts[0].views[0].model.toolbar.buttons"
+    assert selected(small_report)["rows"] == []
+    page.evaluate("calibrationReport.selection.choose([3]); calibrationReport.charts[0].again()")
+    shown = selected(small_report)
+    assert 3 in shown["rows"]
+    assert shown["drawn"][0] == shown["rows"]
+    assert page.evaluate(buttons) == []
+    page.locator(".panel").first.hover()
+    assert page.evaluate(buttons) == "auto"
+    page.locator(".panel").first.locator(".bk-tool-icon-box-select").wait_for()
+    page.locator("#unselect").click()
+
+
 def test_plots_are_laid_out_anew_for_paper(small_report):
     """A browser that prints lays no plot out anew: one as wide as the screen would be cut."""
     tab = small_report

@@ -279,9 +279,14 @@ class Controls {
     this.stage.redraw();
   }
 
-  /** The picture as an address, for paper; nothing where there is no 3D view. */
+  /** The picture as an address, on the light ground of paper; nothing where there is no 3D view. */
   still() {
-    return this.stage ? pictureOf(this.stage, "").toDataURL("image/png") : "";
+    if (!this.stage) return "";
+    const dark = this.theme.box.checked;
+    this.theme.use(false);
+    const picture = pictureOf(this.stage, "").toDataURL("image/png");
+    this.theme.use(dark);
+    return picture;
   }
 
   resetCamera() {

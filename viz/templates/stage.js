@@ -169,7 +169,10 @@ class Stage {
     this.viewer.camera.aspect = width / height;
     this.viewer.camera.updateProjectionMatrix();
     this.viewer.renderer.setSize(width, height);
-    if (this.marks) this.marks.uniforms.pixels.value = height * this.viewer.renderer.getPixelRatio();
+    if (this.marks) {
+      this.marks.uniforms.pixels.value = height * this.viewer.renderer.getPixelRatio();
+      this.marks.uniforms.smallest.value = this.scene.point_pixels * Math.min(1, Math.max(0.6, width / 700)); // a small picture
+    }
     if (this.direction) this.look(this.direction);
     this.redraw();
   }
@@ -212,7 +215,7 @@ class Stage {
     if (!this.live) return [];
     this.root.updateMatrixWorld(true);
     const wide = 0.06 * this.size;
-    return this.solidMatrices.flatMap((m) => [-wide, wide].map((by) => {
+    return this.frames.map(({ body }) => this.solidMatrices[body]).flatMap((m) => [-wide, wide].map((by) => {
       const place = this.root.localToWorld(new this.THREE.Vector3(m[3], m[7], m[11]));
       place.y += by;
       return place;

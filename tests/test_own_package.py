@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import os
 import subprocess
 import sys
 import tomllib
@@ -512,6 +513,32 @@ def test_a_package_that_cannot_be_loaded_is_said_and_disturbs_nobody_else(tmp_pa
     assert refused["gain"] == ""
     with pytest.raises(calib.DescriptionError, match="cannot be loaded"):
         parse_terms("broken")
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize(
+    ("group", "words"),
+    [
+        ("calib.readers", "fit arm.yaml arm_simulated.csv --no-pages"),
+        ("calib.formats", "export arm.yaml --format urdf --out robot.urdf"),
+        ("calib.first_descriptions", "init arm.urdf --out new.yaml"),
+    ],
+)
+def test_what_else_cannot_be_loaded_is_named_and_the_command_goes_on(tmp_path, group, words):
+    """Each of these stopped commands that did not need it; a process of its own, as `init` loads with its module."""
+    site = tmp_path / "site"
+    site.mkdir()
+    installed_into(site, {group: {"broken": "lab_calib.nothing:There"}})
+    for name in ("arm.yaml", "arm.urdf", "arm_simulated.csv"):
+        (tmp_path / name).write_bytes((ROOT / "docs" / "examples" / name).read_bytes())
+    path = os.pathsep.join([str(site), str(ROOT)])
+    run = subprocess.run(
+        [sys.executable, "-m", "calib", *words.split()],
+        cwd=tmp_path, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert "Traceback" not in run.stderr
+    assert "'broken' (lab_calib.nothing:There) cannot be loaded: ModuleNotFoundError" in run.stderr
 
 
 def test_a_name_that_is_taken_is_refused(tmp_path, monkeypatch):

@@ -263,7 +263,7 @@ class MissingTwist(SharedLength):
         (MissingTwist, "parametrisation 'mine': twists must give a (6, 1) array for each of the origins that"),
         (
             ImportError("no module"),
-            "parametrisation 'mine' (somewhere:Mine) cannot be loaded: no module; install it again",
+            "parametrisation 'mine' (somewhere:Mine) cannot be loaded: ImportError: no module; install its package",
         ),
     ],
 )

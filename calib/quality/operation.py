@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.registry import list_entry_points
+from calib.core.base.registry import list_entry_points, load_named
 from calib.core.base.units import millimetres
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.fitting.fitted import Fit
@@ -63,7 +63,7 @@ def operation_work() -> Iterator[Work]:
     yield _PHASE, "same numbers twice", _check_repeats
     yield _PHASE, "exit codes", _exit_codes
     for entry in list_entry_points("calib.qualification"):
-        yield _PHASE, entry.name, lambda entry=entry: entry.load()()  # type: ignore[misc]
+        yield _PHASE, entry.name, lambda entry=entry: load_named(entry, "check of qualification")()  # type: ignore[misc]
 
 
 def _regression(problem: ReferenceProblem) -> Iterator[Check]:

@@ -18,6 +18,7 @@ from pydantic import GetJsonSchemaHandler, PlainValidator, SerializeAsAny, Valid
 
 from calib.core.base.errors import DescriptionError, nearest
 from calib.core.base.sections import Section
+from calib.core.base.words import warn_once
 
 Class = TypeVar("Class")
 
@@ -46,6 +47,32 @@ def load_entry(group: str, name: str) -> Any:
         KeyError: There is no such entry point.
     """
     return {entry.name: entry for entry in reversed(list_entry_points(group))}[name].load()
+
+
+def load_named(entry: EntryPoint, what: str) -> Any:
+    """Return the object of an entry point; `what` names such objects in the message.
+
+    Raises:
+        DescriptionError: It cannot be loaded.
+    """
+    try:
+        return entry.load()
+    except Exception as error:  # another package may raise anything while it is imported
+        raise DescriptionError(
+            f"{what} '{entry.name}' ({entry.value}) cannot be loaded: {type(error).__name__}: {error};"
+            " install its package again, or uninstall it"
+        ) from None
+
+
+def load_group(group: str, what: str) -> list[tuple[str, Any]]:
+    """Return name and object of each entry point of a group; a warning names those that cannot be loaded."""
+    loaded = []
+    for entry in list_entry_points(group):
+        try:
+            loaded.append((entry.name, load_named(entry, what)))
+        except DescriptionError as error:
+            warn_once(str(error))
+    return loaded
 
 
 class Registry(Mapping[str, type[Class]], Generic[Class]):
@@ -93,7 +120,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         known = self._built_in.get(name) or self._given.get(name)
         if known is None:
             entry = self._entries()[name]
-            known = self._given[name] = self._check_class(name, self._load(entry), f"({entry.value})")
+            known = self._given[name] = self._check_class(name, load_named(entry, self.what), f"({entry.value})")
         return known
 
     def __contains__(self, name: object) -> bool:
@@ -124,15 +151,6 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
                     " one of the packages, or have it renamed"
                 )
         return entries
-
-    def _load(self, entry: EntryPoint) -> object:
-        try:
-            return entry.load()
-        except Exception as error:  # another package may raise anything while it is imported
-            raise DescriptionError(
-                f"{self.what} '{entry.name}' ({entry.value}) cannot be loaded: {type(error).__name__}: {error};"
-                " install its package again, or uninstall it"
-            ) from None
 
     def _check_class(self, name: str, given: object, where: str) -> type[Class]:
         if not (isinstance(given, type) and issubclass(given, self._base)):

@@ -10,7 +10,7 @@ import click
 
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.files import write_files
-from calib.core.base.registry import list_entry_points, load_entry
+from calib.core.base.registry import load_entry, load_group
 from calib.core.base.sections import parse_yaml
 from calib.core.base.units import millimetres
 from calib.core.commands.common import Output, shared_options
@@ -30,7 +30,7 @@ _LENGTHS = "; ".join(
     f"{name}: " + ", ".join(f"{key} {millimetres(value):g} mm" for key, value in template.lengths.items())
     for name, template in TEMPLATES.items()
 )
-_SOURCES: dict[str, FirstFiles] = {entry.name: entry.load() for entry in list_entry_points("calib.first_descriptions")}
+_SOURCES: dict[str, FirstFiles] = dict(load_group("calib.first_descriptions", "first description"))
 _LENGTHS_OF_SOURCES = "; ".join(dict.fromkeys(source.lengths for source in _SOURCES.values() if source.lengths))
 
 

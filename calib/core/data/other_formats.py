@@ -14,7 +14,7 @@ from pathlib import Path
 
 from calib.core.base.errors import DataError
 from calib.core.base.files import read_bytes
-from calib.core.base.registry import list_entry_points
+from calib.core.base.registry import load_group
 from calib.core.base.words import warn_once
 
 _HEAD = 1 << 16  # bytes by which a format is recognised
@@ -84,7 +84,7 @@ class OtherFormat:
 
 def other_formats() -> list[OtherFormat]:
     """Return the formats, in the order in which they are tried."""
-    return [each for entry in list_entry_points("calib.readers") for each in entry.load()]
+    return [each for _, given in load_group("calib.readers", "reader of files") for each in given]
 
 
 def read_other(path: Path | str, renamed: Mapping[str, str]) -> list[str] | dict[str, Sequence[object]] | None:

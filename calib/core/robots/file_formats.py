@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from calib.core.base.errors import ComputationError
-from calib.core.base.registry import list_entry_points
+from calib.core.base.registry import load_group
 from calib.core.base.words import listing
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.robot import Robot
@@ -55,7 +55,7 @@ class Format:
 
 def formats() -> dict[str, Format]:
     """Return every format by its name, in the order of help and messages."""
-    return {each.name: each for entry in list_entry_points("calib.formats") for each in entry.load()}
+    return {each.name: each for _, given in load_group("calib.formats", "format of files") for each in given}
 
 
 def formats_that_hold(holds: Holds, robot: Robot) -> list[str]:

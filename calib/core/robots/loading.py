@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.core.base.errors import DescriptionError, InputError, nearest, require_known
 from calib.core.base.mapped_columns import mapped_column
-from calib.core.base.registry import list_entry_points
+from calib.core.base.registry import load_group
 from calib.core.base.sections import read_yaml
 from calib.core.base.units import Dimension, per_si
 from calib.core.instruments.kind import Instrument, JointInstrument
@@ -197,7 +197,7 @@ def with_model(robot: Robot, model: str) -> Robot:
     Raises:
         DescriptionError: No such model, or the robot is not of it.
     """
-    known = {name: path for entry in list_entry_points("calib.models") for name, path in entry.load().items()}
+    known = {name: path for _, given in load_group("calib.models", "model") for name, path in given.items()}
     if model not in known and Path(model).suffix.lower() not in (".yaml", ".yml"):
         raise DescriptionError(
             f"{robot.path}: model: no model '{model}'{nearest(model, known)}; or give a file that calib fleet wrote"

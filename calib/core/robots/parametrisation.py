@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.core.base.errors import DescriptionError, InputError, ParameterError, nearest, require_known
 from calib.core.base.parameter import Parameter, index_of
-from calib.core.base.registry import list_entry_points, load_entry
+from calib.core.base.registry import list_entry_points, load_entry, load_named
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS
 from calib.core.base.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
 from calib.core.instruments.kind import Place
@@ -185,12 +185,7 @@ def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism,
     plugins = {entry.name: entry for entry in reversed(list_entry_points(ENTRY_POINTS))}
     if name not in plugins:
         raise DescriptionError(f"{where}: no parametrisation '{name}' is installed{nearest(name, plugins)}")
-    try:
-        factory: Callable[[Mapping[str, Origin]], Parametrisation] = plugins[name].load()
-    except (ImportError, AttributeError) as error:
-        raise DescriptionError(
-            f"{where}: parametrisation '{name}' ({plugins[name].value}) cannot be loaded: {error}; install it again"
-        ) from None
+    factory: Callable[[Mapping[str, Origin]], Parametrisation] = load_named(plugins[name], f"{where}: parametrisation")
     parametrisation = factory(origins)
     nominal = np.array([parameter.nominal_si for parameter in parametrisation.parameters])
     twists = parametrisation.twists(nominal)

@@ -10,8 +10,7 @@ from six_axis_arm import YAML, joints, noisy, six_axis_arm, write_six_axis
 import calib
 from calib.core.base.errors import ComputationError
 from calib.core.fitting.problem import Problem
-from calib.core.fitting.settings import Settings
-from calib.core.fitting.solving import place, solve_from
+from calib.core.fitting.solving import place
 from calib.core.fitting.starts import explore
 from calib.core.instruments.kind import Part
 from calib.core.numerics.least_squares import minimise
@@ -122,20 +121,6 @@ def test_a_solve_does_not_hang_on_what_was_solved_before(tmp_path):
     again, _ = problem.solve(placed, noise)
     assert np.array_equal(first.robot.values, again.robot.values)
     assert np.array_equal(first.configurations.passive, again.configurations.passive)
-
-
-def test_noise_sizes_and_offsets_that_are_found_belong_to_the_solution_and_not_to_the_problem(tmp_path):
-    arm = six_axis_arm(tmp_path)
-    pose = np.repeat(np.arange(60), np.tile([1, 1, 25], 20))  # readings share what is off at their pose
-    rng = np.random.default_rng(5)
-    positions = arm.positions(joints(60))[:, 0] + rng.normal(0.0, 4e-4, (60, 3))
-    read = positions[pose] + rng.normal(0.0, 4e-5, (len(pose), 3))
-    data = calib.as_measurements(arm, joints(60)[pose], read, names=[f"p{k}" for k in pose])
-    problem = Problem.from_data(arm, data)
-    solved = solve_from(problem, place(problem), Settings())
-    assert np.any(solved.problem.offset_ratios > 1.0)  # offsets of ten times the noise
-    assert not np.any(problem.offset_ratios)
-    assert problem.weighing is None
 
 
 def test_no_start_is_an_error(tmp_path):

@@ -22,6 +22,7 @@ import scipy
 
 from calib import Robot
 from calib.core.base.arrays import FloatArray
+from calib.core.numerics import linalg
 from viz.shapes import DARK, Shape, mesh, primitive, rotation_onto_z
 
 _RADIUS = 0.05  # of the root mean square of distances between two anchors
@@ -55,7 +56,7 @@ class PlainLinks:
             return _capsule(f"{link}/body", link, anchors[0], anchors[1], radius)
         if moved_by is None:  # a frame: what moves and is measured within it is seen
             from_middle = anchors - anchors.mean(axis=0)
-            along, across = (from_middle @ np.linalg.svd(from_middle)[2][:2].T).T
+            along, across = (from_middle @ linalg.svd(from_middle)[2][:2].T).T
             ring = anchors[np.argsort(np.arctan2(across, along), kind="stable")]
             sides = zip(ring, np.roll(ring, -1, axis=0), strict=True)
             return [part for k, ends in enumerate(sides) for part in _capsule(f"{link}/side{k}", link, *ends, radius)]

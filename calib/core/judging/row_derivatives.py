@@ -110,13 +110,14 @@ def constants(setting: EffectSetting) -> Iterator[tuple[str, int, FloatArray]]:
 def own_scales(setting: EffectSetting) -> dict[tuple[str, int], FloatArray]:
     """Return the change of the rows if one instrument reads a quantity too large, (n_rows, 1), by its name and group.
 
-    Angles are too large as a file has them, in its form of rotations. The others are those of several instruments:
-    lengths, and what is too large from its middle, such as pixels of a lens with another focal length.
+    Angles are too large as a file has them, in its form of rotations, unless they are too far off for a derivative. The
+    others are those of several instruments: lengths, and what is too large from its middle, such as pixels of a lens
+    with another focal length.
     """
     lengths, readings, result = _frame_columns(setting), setting.data.readings, dict[tuple[str, int], FloatArray]()
     for name, part, group, rows in _parts(setting):
         values, change = readings[name].values, -lengths[name][:, :, 6]
-        if part.dimension == "angle":
+        if part.dimension == "angle" and setting.noise_of(group) < part.largest:
             change = _change_by_angles(setting, name, rows)
         elif len(readings) == 1:
             continue
